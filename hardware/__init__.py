@@ -1,0 +1,1 @@
+"""Where measured slots come from and go to."""

@@ -1,0 +1,32 @@
+"""Arrays in, arrays out: the sheet's physics as compiled, differentiable functions.
+
+Nothing here holds state, reads files or checks values; `tomojax` does.
+"""
+
+from tomojax.kernels._fem import (
+    fem_contact as fem_contact,
+    fem_element_columns as fem_element_columns,
+    fem_resistances as fem_resistances,
+    fem_sheet as fem_sheet,
+    FemSheet as FemSheet,
+)
+from tomojax.kernels._rectangle import (
+    rectangle_green as rectangle_green,
+    rectangle_resistances as rectangle_resistances,
+)
+from tomojax.kernels._reduction import (
+    ContactReduction as ContactReduction,
+    ground_currents as ground_currents,
+    ground_voltages as ground_voltages,
+    reduce_contact as reduce_contact,
+    shared_ground_voltages as shared_ground_voltages,
+    voltage_drop as voltage_drop,
+    voltage_sensitivity as voltage_sensitivity,
+)
+from tomojax.kernels._slots import (
+    contact_jacobian as contact_jacobian,
+    loop_resistance as loop_resistance,
+    shared_slot_map as shared_slot_map,
+    slot_map as slot_map,
+)
+from tomojax.kernels._table import centred as centred, Resistances as Resistances

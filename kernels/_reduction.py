@@ -1,0 +1,169 @@
+"""A sheet in contact, reduced to its electrodes: exact for any contact and ground.
+
+Pin the sheet's reference at one place, let j be the currents that the electrodes draw
+and D the object's potential above the reference. With the contact g in place
+
+    v = V0·1 − f·D − Q·j,   p·D = fᵀj,   u_k = V0 − c_k·D − X_k·j
+
+so that all that M voltages can know of a contact is p, f and Q; a ground only says
+how j follows from v. No term of it cancels when the contact is weak or strong.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from tomojax.kernels._blocktri import matmul
+
+
+class ContactReduction(NamedTuple):
+    """The reduced sheet: `reduce_contact` (dense) and `fem_contact` (mesh) make it."""
+
+    conductance: Float[Array, ""]  # p: object to reference, S
+    lift: Float[Array, " M"]  # b: electrodes, object at 1 V, reference at 0 V
+    shortfall: Float[Array, " M"]  # f = 1 − b, computed apart
+    resistance: Float[Array, "M M"]  # Q: object and reference at 0 V, Ω
+    field: Float[Array, "K M"]  # X: the same, from electrodes to elements, Ω
+    gap: Float[Array, " K"]  # c: elements, reference at 1 V, object at 0 V
+
+
+def reduce_contact(
+    ee: Float[Array, "M M"],
+    ec: Float[Array, "M c"],
+    cc: Float[Array, "c c"],
+    conductance: Float[Array, " c"],
+) -> ContactReduction:
+    """Reduction of a contact on c elements from a table of resistances.
+
+    c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X.
+    One factor of c × c numbers; g = 0 (a padded element) is exact and differentiable.
+    **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's elements in
+    one gauge, Ω; `conductance` g, S per element.
+    """
+    system = jnp.eye(len(cc), dtype=cc.dtype) + cc * conductance
+    rhs = jnp.concatenate([jnp.ones_like(ec[:1]), ec]).T
+    solution = jnp.linalg.solve(system, rhs)
+    gap, field = solution[:, 0], solution[:, 1:]
+    weighted = ec * conductance
+    lift = matmul(weighted, gap)
+    return ContactReduction(
+        jnp.vdot(conductance, gap, precision="highest"),
+        lift,
+        1 - lift,
+        ee - matmul(weighted, field),
+        field,
+        gap,
+    )
+
+
+class _Ground(NamedTuple):
+    q: Float[Array, "L M"]  # Q_il
+    total: Float[Array, " L"]  # z + Q_ll
+    f: Float[Array, " L"]  # f_l
+    b: Float[Array, " L"]  # b_l
+    denominator: Float[Array, " L"]  # p(z + Q_ll) + f_l²
+
+
+def _ground(
+    contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
+) -> _Ground:
+    z = jnp.broadcast_to(ground_resistance, contact.lift.shape)[grounds]
+    q = contact.resistance[grounds]
+    total = z + contact.resistance[grounds, grounds]
+    f = contact.shortfall[grounds]
+    return _Ground(
+        q, total, f, contact.lift[grounds], contact.conductance * total + f**2
+    )
+
+
+def ground_voltages(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Float[Array, "L M"]:
+    """All M voltages (V) under each ground condition, one electrode grounded at a time.
+
+    V_i^l = V0·[p(z + Q_ll − Q_il) + f_l(b_i − b_l)] / [p(z + Q_ll) + f_l²].
+    """
+    g = _ground(contact, grounds, ground_resistance)
+    through = contact.conductance * (g.total[:, None] - g.q)
+    around = g.f[:, None] * (contact.lift[None, :] - g.b[:, None])
+    return drive_voltage * (through + around) / g.denominator[:, None]
+
+
+def ground_currents(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Float[Array, " L"]:
+    """Total current (A) through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²]."""
+    g = _ground(contact, grounds, ground_resistance)
+    return drive_voltage * contact.conductance / g.denominator
+
+
+def voltage_drop(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Float[Array, "L K"]:
+    """V0 − u_k^l (V), what drives the current s_k = g_k(V0 − u_k) into each element."""
+    g = _ground(contact, grounds, ground_resistance)
+    drop = g.f[:, None] * contact.gap + contact.conductance * contact.field.T[grounds]
+    return drive_voltage * drop / g.denominator[:, None]
+
+
+def voltage_sensitivity(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Float[Array, "L M K"]:
+    """∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
+
+    ψ_i^l is the potential with unit current entering at electrode i, ground l in place
+    and the object at 0 V: X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with
+    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 it is T.
+    """
+    g = _ground(contact, grounds, ground_resistance)
+    f = contact.shortfall
+    over = 1 / g.denominator[:, None]
+    share = (contact.conductance * g.q + f * g.f[:, None]) * over
+    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
+    potential = (
+        contact.field.T[None]
+        - share[:, :, None] * contact.field.T[grounds][:, None]
+        + lift[:, :, None] * contact.gap
+    )
+    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
+    # The grounded electrode is a current's end, not the sheet under it: it reads z·I.
+    return potential * drop[:, None, :]
+
+
+def shared_ground_voltages(
+    contact: ContactReduction,
+    to_ground: Float[Array, "L M"],
+    drive_voltage: Float[Array, ""],
+) -> Float[Array, "L M"]:
+    """Voltages (V) with a conductance γ_e (S) to ground at each electrode, any of them.
+
+    j = Γv gives v = x·E + V0·y with (I + QΓ)x = f, (I + QΓ)y = b and
+    E = V0 − D = V0·(p − fᵀΓy)/(p + fᵀΓx). Without contact or ground the sheet floats
+    and 0 V is returned.
+    """
+
+    def one(gamma: Float[Array, " M"]) -> Float[Array, " M"]:
+        q, f, p = contact.resistance, contact.shortfall, contact.conductance
+        system = jnp.eye(len(q), dtype=q.dtype) + q * gamma
+        x, y = jnp.linalg.solve(system, jnp.stack([f, contact.lift], 1)).T
+        numerator = p - jnp.vdot(f * gamma, y, precision="highest")
+        denominator = p + jnp.vdot(f * gamma, x, precision="highest")
+        floating = denominator == 0
+        excess = jnp.where(floating, 0, numerator / jnp.where(floating, 1, denominator))
+        return drive_voltage * (x * excess + y)
+
+    return jax.vmap(one)(to_ground)

@@ -1,0 +1,45 @@
+"""Tests run in float64 with strict promotion; float32 is asked for where it is tested."""
+
+import os
+from pathlib import Path
+
+# Before JAX starts its CPU backend: xdist's workers share the cores.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+import jax
+import numpy as np
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+import tomojax as tx
+
+SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Seeded by the test's name: a failure comes back, tests do not share draws."""
+    return np.random.default_rng(list(request.node.name.encode()))
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    if not SHARED.is_dir():
+        pytest.skip("the recordings in ../shared/data are not on this machine")
+    return SHARED
+
+
+@pytest.fixture(scope="session")
+def paper_sensor() -> tx.Sensor:
+    return tx.Sensor.grid()
+
+
+@pytest.fixture(scope="session")
+def small_sensor() -> tx.Sensor:
+    """Not square, electrodes off the nodes and irregular; small enough for dense algebra."""
+    xy = np.array(
+        [[12, 11], [33, 14], [51, 9], [14, 27], [30.7, 29.3], [52, 31], [24, 20], [43, 21]]
+    )
+    return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))

@@ -1,0 +1,151 @@
+"""The table of resistances against scikit-fem, the other route, and finer meshes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import references
+
+import tomojax as tx
+from tomojax import kernels
+from tomojax.kernels import _mesh
+
+
+def relative(got, want) -> float:
+    return float(np.abs(np.asarray(got) - want).max() / np.abs(want).max())
+
+
+@pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-12), (np.float32, 1e-4)])
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("divisions", [(40, 40), (24, 36), (17, 16)])
+def test_fem_table_is_skfem(divisions, uneven, dtype, tolerance, rng) -> None:
+    k = 2 * divisions[0] * divisions[1]
+    sheet = 1e4 * np.exp(0.5 * rng.standard_normal(k)) if uneven else 1e4
+    sensor = tx.Sensor.grid(
+        6, 6, divisions=divisions, electrode_diameter=0.008, dtype=dtype
+    )
+    sensor = tx.Sensor(
+        sensor.size, sensor.electrode_xy, 0.008, sheet, divisions=divisions
+    )
+    from tomojax._forward import _fem
+
+    table = tx.resistances(sensor)
+    assert all(part.dtype == dtype for part in table)
+    exact = tx.Sensor(
+        np.asarray(sensor.size, np.float64),
+        np.asarray(sensor.electrode_xy, np.float64),
+        np.float64(sensor.electrode_diameter),
+        np.asarray(sensor.sheet_resistance, np.float64),
+        divisions=divisions,
+    )
+    for got, want in zip(table, references.skfem_table(_fem(exact), divisions)):
+        assert relative(got, want) <= tolerance
+
+
+def test_series_is_the_textbook_double_series() -> None:
+    """Σ_mn cos cos cos cos / (k_m² + k_n²) to 1500 × 1500 terms, far apart points."""
+    a, b = 0.13, 0.09
+    one, other = np.array([0.02, 0.03]), np.array([0.1, 0.055])
+    m, n = np.arange(1500)[:, None], np.arange(1500)[None, :]
+    weight = np.where(m > 0, 2, 1) * np.where(n > 0, 2, 1)
+    square = (m * np.pi / a) ** 2 + (n * np.pi / b) ** 2
+    square[0, 0] = np.inf
+    wave = lambda x: np.cos(m * np.pi * x[0] / a) * np.cos(n * np.pi * x[1] / b)  # noqa: E731
+    want = (weight * wave(one) * wave(other) / square).sum() / (a * b)
+    size = jnp.array([a, b])
+    got = kernels.rectangle_green(jnp.array(one), jnp.array(other), jnp.array(0.0), size)
+    # The truncated double series itself is good to about 1/1500².
+    assert abs(float(got) - want) < 1e-6
+    turned = kernels.rectangle_green(
+        jnp.array(one[::-1]), jnp.array(other[::-1]), jnp.array(0.0), size[::-1]
+    )
+    np.testing.assert_allclose(turned, got, rtol=1e-13)
+
+
+def test_long_strip_has_the_resistance_of_a_wire() -> None:
+    """Far from its ends a strip of width w is ρ·length/w, whatever the feeds do."""
+    rho, width = 1e4, 0.02
+    xy = np.array([[0.05, 0.01], [0.35, 0.01], [0.15, 0.01], [0.25, 0.01]])
+    strip = tx.Sensor([0.4, width], xy, 0.004, rho, divisions=(200, 10))
+    for route in ("fem", "series"):
+        r = np.asarray(tx.resistances(strip, route).electrodes)
+        drop = (r[0] - r[1])[2] - (r[0] - r[1])[3]  # 1 A from 0 to 1, read between 2 and 3
+        np.testing.assert_allclose(drop, rho * 0.1 / width, rtol=1e-6)
+
+
+def test_mesh_converges_in_second_order_to_the_series() -> None:
+    """Resistances between electrodes and far elements, smooth in the mesh: slope ≥ 1.8."""
+    divisions = np.array([24, 32, 48, 64, 96])
+    errors = []
+    for n in divisions.tolist():
+        # A feed that every mesh here resolves: the same functional throughout.
+        sensor = tx.Sensor.grid(4, 4, 0.04, 0.02, electrode_diameter=0.016, divisions=(n, n))
+        table, exact = tx.resistances(sensor), tx.resistances(sensor, "series")
+        ee = np.asarray(table.electrodes - exact.electrodes)
+        errors.append(np.sqrt((ee[~np.eye(16, dtype=bool)] ** 2).mean()))
+    order = -np.polyfit(np.log(divisions), np.log(errors), 1)[0]
+    assert order >= 1.8, (order, errors)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.7e-3])
+def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
+    """A 5 mm disc at the default mesh against one four times finer, and the series."""
+    base = tx.Sensor.grid()
+    xy = base.electrode_xy[18:46] + shift
+    own = {}
+    for n in (64, 256):
+        sensor = tx.Sensor(base.size, xy, divisions=(n, n))
+        table = tx.resistances(sensor)
+        own[n] = np.diag(table.electrodes)
+        exact = np.diag(tx.resistances(sensor, "series").electrodes)
+        np.testing.assert_allclose(own[n], exact, rtol=1e-2)
+    np.testing.assert_allclose(own[64], own[256], rtol=1e-2)
+
+
+def test_routes_agree_away_from_electrodes(paper_sensor) -> None:
+    fem, series = (tx.resistances(paper_sensor, r) for r in ("fem", "series"))
+    gap = _mesh.centroids(paper_sensor.divisions, paper_sensor.size)[:, None]
+    apart = jnp.linalg.norm(gap - paper_sensor.electrode_xy[None], axis=-1).T
+    far = np.asarray(apart > 0.006)
+    difference = np.abs(np.asarray(fem.elements - series.elements))
+    # At 6 mm a place wrong by 1 mm would make 265 Ω.
+    assert difference[far].max() < 30 and np.median(difference) < 1
+    # The element's own term differs by what an element is, the same everywhere inside.
+    own = np.asarray(fem.own - series.own)
+    assert np.std(own) < 0.02 * np.abs(own).mean()
+
+
+def test_inverse_columns_agree_with_the_table(small_sensor) -> None:
+    from tomojax._forward import _fem
+
+    chosen = jnp.array([0, 7, 120, 319])
+    ec, kc = kernels.fem_element_columns(_fem(small_sensor), chosen, (16, 10))
+    table = tx.resistances(small_sensor)
+    np.testing.assert_allclose(ec, table.elements[:, chosen], rtol=1e-10)
+    own = kc[chosen, jnp.arange(4)]
+    np.testing.assert_allclose(own, table.own[chosen], rtol=1e-10)
+    np.testing.assert_allclose(kc[chosen], kc[chosen].T, rtol=1e-9, atol=1e-8)
+
+
+def test_float32_table_at_a_fine_mesh() -> None:
+    """Errors of float32 grow with the mesh; at 160 × 160 they stay below 1e-4."""
+    fine = [
+        tx.resistances(tx.Sensor.grid(divisions=(160, 160), dtype=d))
+        for d in (np.float32, np.float64)
+    ]
+    for single, double in zip(*fine):
+        assert relative(single, np.asarray(double)) <= 1e-4
+
+
+def test_table_under_vmap() -> None:
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+
+    def table(rho):
+        changed = tx.Sensor(
+            sensor.size, sensor.electrode_xy, sheet_resistance=rho, divisions=(16, 16)
+        )
+        return tx.resistances(changed)
+
+    many = jax.vmap(table)(jnp.array([5e3, 1e4]))
+    for part in many:
+        np.testing.assert_allclose(2 * part[0], part[1], rtol=1e-10, atol=1e-9)

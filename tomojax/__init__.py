@@ -1,0 +1,30 @@
+"""Differentiable reconstruction for tomographic tactile sensors."""
+
+from pathlib import Path as _Path
+
+# In a checkout `kernels/` and `hardware/` lie beside this folder, not inside it.
+if (_Path(__file__).parent.parent / "kernels" / "__init__.py").is_file():
+    __path__.append(str(_Path(__file__).parent.parent))
+
+from tomojax._converter import Converter as Converter  # noqa: E402
+from tomojax._forward import (  # noqa: E402
+    contact_conductance as contact_conductance,
+    ground_set as ground_set,
+    jacobian as jacobian,
+    resistances as resistances,
+    voltages as voltages,
+)
+from tomojax._sensor import Sensor as Sensor  # noqa: E402
+from tomojax._shapes import (  # noqa: E402
+    AbstractOutline as AbstractOutline,
+    AbstractShape as AbstractShape,
+    Bar as Bar,
+    Disc as Disc,
+    Ellipse as Ellipse,
+    Mask as Mask,
+    Moving as Moving,
+    Polygon as Polygon,
+    Ring as Ring,
+    Scene as Scene,
+    Shifted as Shifted,
+)

@@ -1,0 +1,69 @@
+"""Host-side checks: a `ValueError` names the argument, what came, what was expected.
+
+Values under a trace (jit, grad, vmap) are not known and pass; shapes are always checked.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tomojax._custom_types import Numbers
+
+
+def known(*values: Any) -> bool:
+    """Whether the values are numbers now, not placeholders of a trace."""
+    return not any(isinstance(v, jax.core.Tracer) for v in values)
+
+
+def require(condition: Any, name: str, got: Any, expected: str) -> None:
+    if not condition:
+        raise ValueError(f"{name}: got {got}, expected {expected}")
+
+
+def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
+    """`value` as an array of `dtype`, by default its own or JAX's default float."""
+    if not known(value):
+        return jnp.asarray(value, dtype)
+    try:
+        array = np.asarray(value)
+        if dtype is None:
+            floating = np.issubdtype(array.dtype, np.floating) and hasattr(value, "dtype")
+            dtype = jnp.result_type(array.dtype if floating else float)
+        array = array.astype(np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: got {value!r}, expected numbers") from None
+    return jnp.asarray(array, dtype)
+
+
+def require_finite(name: str, value: jax.Array) -> None:
+    if known(value):
+        bad = ~np.isfinite(np.asarray(value))
+        require(not bad.any(), name, f"{int(bad.sum())} values NaN or infinite", "numbers")
+
+
+def require_positive(name: str, value: jax.Array) -> None:
+    require_finite(name, value)
+    if known(value):
+        low = np.asarray(value).min(initial=np.inf)
+        require(low > 0, name, f"{low:g}", "values above 0")
+
+
+def require_not_negative(name: str, value: jax.Array) -> None:
+    require_finite(name, value)
+    if known(value):
+        low = np.asarray(value).min(initial=np.inf)
+        require(low >= 0, name, f"{low:g}", "values of 0 or above")
+
+
+def require_shape(name: str, value: jax.Array, *shapes: tuple[int | None, ...]) -> None:
+    """Checks against any of `shapes`; None stands for any length."""
+
+    def fits(shape: tuple[int | None, ...]) -> bool:
+        return len(shape) == value.ndim and all(
+            want is None or want == have for want, have in zip(shape, value.shape)
+        )
+
+    wanted = " or ".join(str(s).replace("None", "any") for s in shapes)
+    require(any(map(fits, shapes)), name, f"shape {value.shape}", f"shape {wanted}")

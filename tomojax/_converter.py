@@ -1,0 +1,62 @@
+"""What a measuring chain does to volts: noise, clipping, quantisation."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax._checks import (
+    float_array,
+    require,
+    require_not_negative,
+    require_positive,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+
+
+class Converter(eqx.Module):
+    """An analog input: white noise, then `bits` over ± `full_scale`, clipped.
+
+    **Arguments:** `noise` V rms; `full_scale` V; `bits` of the converter, None for no
+    quantisation. The gradient passes through the rounding as if it were not there.
+    """
+
+    noise: Float[Array, ""]
+    full_scale: Float[Array, ""]
+    bits: int | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        noise: Numbers = 0.3e-3,
+        full_scale: Numbers = 5.0,
+        bits: int | None = 16,
+    ):
+        self.noise = float_array("noise", noise)
+        require_shape("noise", self.noise, ())
+        require_not_negative("noise", self.noise)
+        self.full_scale = float_array("full_scale", full_scale)
+        require_shape("full_scale", self.full_scale, ())
+        require_positive("full_scale", self.full_scale)
+        whole = bits is None or (isinstance(bits, int) and 1 <= bits <= 32)
+        require(whole, "bits", repr(bits), "a whole number from 1 to 32, or None")
+        self.bits = bits
+
+    def __call__(
+        self, volts: Float[Array, "*shape"], key: Array | None = None
+    ) -> Float[Array, "*shape"]:
+        """`volts` as this converter reads them; `key` draws the noise."""
+        silent = not isinstance(self.noise, jax.core.Tracer) and self.noise == 0
+        require(silent or key is not None, "key", None, "a jax.random key for the noise")
+        if not silent:
+            assert key is not None
+            noise = self.noise.astype(volts.dtype)
+            volts = volts + noise * jax.random.normal(key, volts.shape, volts.dtype)
+        if self.bits is None:
+            return volts
+        full = self.full_scale.astype(volts.dtype)
+        step = 2 * full / 2**self.bits
+        codes = jnp.clip(
+            jnp.round(volts / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
+        )
+        return volts + jax.lax.stop_gradient(codes * step - volts)

@@ -1,0 +1,192 @@
+"""The sensor: a rectangle of conductive sheet on disc electrodes."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax._checks import (
+    float_array,
+    known,
+    require,
+    require_finite,
+    require_not_negative,
+    require_positive,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+
+
+class Sensor(eqx.Module):
+    """A conductive sheet on M electrodes, read with one electrode (or more) grounded.
+
+    **Arguments** (SI):
+
+    - `size`: sides of the sheet along x and y, m.
+    - `electrode_xy` (M, 2): centres of the electrodes, m, from a corner of the sheet.
+    - `electrode_diameter`: of every electrode, m.
+    - `sheet_resistance`: Ω per square; one value, or one per element (K,) in the order
+      of `reshape(nx, ny, 2)`.
+    - `ground_resistance` z: Ω, of the path from a grounded electrode to ground; one
+      value or one per electrode (M,).
+    - `drive_voltage` V0: of the object, V.
+    - `divisions` (nx, ny): cells of the mesh. Each is two of the K = 2·nx·ny elements.
+
+    All but `divisions` may be differentiated. `dataclasses.replace` makes a changed
+    sensor.
+
+    **Raises:** `ValueError` for electrodes that overlap or leave the sheet, a mesh
+    whose cells are wider than an electrode, values that are not positive or not numbers.
+    """
+
+    size: Float[Array, "2"]
+    electrode_xy: Float[Array, "M 2"]
+    electrode_diameter: Float[Array, ""]
+    sheet_resistance: Float[Array, "*elements"]
+    ground_resistance: Float[Array, "*electrodes"]
+    drive_voltage: Float[Array, ""]
+    divisions: tuple[int, int] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        size: Numbers,
+        electrode_xy: Numbers,
+        electrode_diameter: Numbers = 0.005,
+        sheet_resistance: Numbers = 10e3,
+        ground_resistance: Numbers = 4.0,
+        drive_voltage: Numbers = 4.5,
+        divisions: tuple[int, int] = (64, 64),
+        dtype: Any = None,
+    ):
+        xy = float_array("electrode_xy", electrode_xy, dtype)
+        self.electrode_xy = xy
+        # One dtype throughout: the electrodes' places decide.
+        self.size = float_array("size", size, xy.dtype)
+        self.electrode_diameter = float_array(
+            "electrode_diameter", electrode_diameter, xy.dtype
+        )
+        self.sheet_resistance = float_array(
+            "sheet_resistance", sheet_resistance, xy.dtype
+        )
+        self.ground_resistance = float_array(
+            "ground_resistance", ground_resistance, xy.dtype
+        )
+        self.drive_voltage = float_array("drive_voltage", drive_voltage, xy.dtype)
+        self.divisions = _whole_divisions(divisions)
+
+    def __check_init__(self) -> None:
+        require_shape("size", self.size, (2,))
+        require_shape("electrode_xy", self.electrode_xy, (None, 2))
+        require(self.electrode_count >= 2, "electrode_xy", self.electrode_count, "two")
+        require_shape("electrode_diameter", self.electrode_diameter, ())
+        require_shape("sheet_resistance", self.sheet_resistance, (), (self.element_count,))
+        require_shape(
+            "ground_resistance", self.ground_resistance, (), (self.electrode_count,)
+        )
+        require_shape("drive_voltage", self.drive_voltage, ())
+        for name in ("size", "electrode_diameter", "sheet_resistance"):
+            require_positive(name, getattr(self, name))
+        require_not_negative("ground_resistance", self.ground_resistance)
+        require_finite("drive_voltage", self.drive_voltage)
+        require_finite("electrode_xy", self.electrode_xy)
+        if known(self.size, self.electrode_xy, self.electrode_diameter):
+            _check_electrodes(self)
+
+    @classmethod
+    def grid(
+        cls,
+        rows: int = 8,
+        columns: int = 8,
+        pitch: Numbers = 0.020,
+        margin: Numbers = 0.010,
+        **others: Any,
+    ) -> "Sensor":
+        """Electrodes in rows along x and columns along y, e = row·columns + column.
+
+        **Arguments:** `pitch` between electrodes and `margin` from the outer ones to
+        the edge, m, one value or (x, y); `others` as in `Sensor`. The defaults are the
+        paper's sensor: 8 × 8 electrodes on 160 mm × 160 mm.
+        """
+        for name, count in (("rows", rows), ("columns", columns)):
+            whole = isinstance(count, int | np.integer) and count >= 1
+            require(whole, name, repr(count), "a whole number of 1 or more")
+        dtype = others.get("dtype")
+        step = jnp.broadcast_to(float_array("pitch", pitch, dtype), 2)
+        rim = jnp.broadcast_to(float_array("margin", margin, dtype), 2)
+        require_positive("pitch", step)
+        require_positive("margin", rim)
+        count = np.array([rows, columns])
+        index = np.stack(np.indices((rows, columns)), -1).reshape(-1, 2)
+        xy = rim + step * index.astype(step.dtype)
+        size = 2 * rim + step * (count - 1).astype(step.dtype)
+        return cls(others.pop("size", size), xy, **others)
+
+    @property
+    def electrode_count(self) -> int:
+        """M."""
+        return self.electrode_xy.shape[0]
+
+    @property
+    def element_count(self) -> int:
+        """K = 2·nx·ny."""
+        return 2 * self.divisions[0] * self.divisions[1]
+
+    @property
+    def dtype(self) -> Any:
+        """Of every array of this sensor and of what is computed from it."""
+        return self.electrode_xy.dtype
+
+    def all_grounds(self) -> np.ndarray:
+        """Each electrode grounded once, in order: the paper's *All*."""
+        return np.arange(self.electrode_count)
+
+
+def _whole_divisions(divisions: Any) -> tuple[int, int]:
+    try:
+        nx, ny = divisions
+        whole = int(nx) == nx >= 2 and int(ny) == ny >= 2
+    except (TypeError, ValueError):
+        whole = False
+    require(whole, "divisions", repr(divisions), "two whole numbers of 2 or more")
+    return int(nx), int(ny)
+
+
+def _check_electrodes(sensor: Sensor) -> None:
+    xy, size, diameter = (
+        np.asarray(a, np.float64)
+        for a in (sensor.electrode_xy, sensor.size, sensor.electrode_diameter)
+    )
+    slack = 1e-5 * diameter  # an electrode may touch the edge to rounding
+    low, high = (xy - diameter / 2).min(1), (xy + diameter / 2 - size).max(1)
+    outside = np.flatnonzero((low < -slack) | (high > slack))
+    require(
+        not outside.size,
+        "electrode_xy",
+        f"electrodes {outside[:5].tolist()} beyond the sheet's edge",
+        f"discs of {diameter:g} m inside {size.tolist()} m",
+    )
+    apart = np.sqrt(((xy[:, None] - xy[None]) ** 2).sum(-1))
+    apart[np.diag_indices_from(apart)] = np.inf
+    one, other = np.unravel_index(apart.argmin(), apart.shape)
+    require(
+        apart.min() > diameter - slack,
+        "electrode_xy",
+        f"electrodes {one} and {other} {apart.min():.3g} m apart",
+        f"more than their diameter, {diameter:g} m",
+    )
+    cell = (size / np.array(sensor.divisions)).max()
+    enough = np.ceil(size / diameter).astype(int).tolist()
+    require(
+        cell <= diameter * (1 + 1e-5),
+        "divisions",
+        f"{sensor.divisions}, cells of {cell:.3g} m",
+        f"cells no wider than an electrode, {diameter:g} m: at least {enough}",
+    )
+
+
+def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
+    """One value per element from one value or K."""
+    return jnp.broadcast_to(values, (sensor.element_count,))
