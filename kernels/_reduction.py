@@ -140,7 +140,6 @@ def voltage_sensitivity(
         + lift[:, :, None] * contact.gap
     )
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-    # The grounded electrode is a current's end, not the sheet under it: it reads z·I.
     return potential * drop[:, None, :]
 
 

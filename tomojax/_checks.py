@@ -24,7 +24,7 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
 
 def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
     """`value` as an array of `dtype`, by default its own or JAX's default float."""
-    if not known(value):
+    if not known(*jax.tree.leaves(value)):
         return jnp.asarray(value, dtype)
     try:
         array = np.asarray(value)

@@ -25,7 +25,7 @@ from tomojax._shapes import AbstractShape
 from tomojax.kernels._mesh import element_area, subpoints
 
 Route = Literal["fem", "series"]
-Contact = AbstractShape | Float[Array, " K"]
+Scene = AbstractShape | Numbers | Callable[[Array], AbstractShape]
 
 # Each element is sampled at 4^2 points: a cell's side is resolved to an eighth.
 _LEVEL = 2
@@ -148,13 +148,14 @@ def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " 
     points = subpoints(sensor.divisions, sensor.size, _LEVEL)
     area = element_area(sensor.divisions, sensor.size)
     blur = jnp.sqrt(area / points.shape[1])
-    density = scene.density(points, blur, sensor.size)
-    return density.mean(1).astype(sensor.dtype) * area
+    cast = lambda a: a.astype(sensor.dtype) if eqx.is_inexact_array(a) else a  # noqa: E731
+    density = jax.tree.map(cast, scene).density(points, blur, sensor.size)
+    return density.mean(1) * area
 
 
 def voltages(
     sensor: Sensor,
-    scene: Contact | Callable[[Array], AbstractShape],
+    scene: Scene,
     grounds: Numbers | None = None,
     *,
     times: Numbers | None = None,

@@ -58,7 +58,7 @@ class Sensor(eqx.Module):
         sheet_resistance: Numbers = 10e3,
         ground_resistance: Numbers = 4.0,
         drive_voltage: Numbers = 4.5,
-        divisions: tuple[int, int] = (64, 64),
+        divisions: Numbers = (64, 64),
         dtype: Any = None,
     ):
         xy = float_array("electrode_xy", electrode_xy, dtype)

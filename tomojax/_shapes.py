@@ -237,7 +237,7 @@ class Mask(AbstractShape):
         self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
     ) -> Density:
         cells = jnp.array(self.conductance.shape)
-        index = jnp.floor(points / size * cells).astype(int)
+        index = jnp.floor(points / size * cells.astype(size.dtype)).astype(int)
         on_sheet = ((index >= 0) & (index < cells)).all(-1)
         i, j = jnp.moveaxis(jnp.clip(index, 0, cells - 1), -1, 0)
         return jnp.where(on_sheet, self.conductance[i, j], 0)

@@ -1,0 +1,46 @@
+"""A point contact against pyEIT: the contact's node is one more electrode there."""
+
+import jax.numpy as jnp
+import numpy as np
+from pyeit.eit.fem import EITForward
+from pyeit.eit.protocol import PyEITProtocol
+from pyeit.mesh import PyEITMesh
+
+from tomojax import kernels
+from tomojax.kernels import _mesh
+
+
+def counterclockwise(nodes: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    a, b, c = np.moveaxis(nodes[vertices], 1, 0)
+    turned = np.cross(b - a, c - a) < 0 if a.shape[-1] == 3 else _area(a, b, c) < 0
+    return np.where(turned[:, None], vertices[:, [0, 2, 1]], vertices)
+
+
+def _area(a, b, c):
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+def test_slot_voltages_of_a_point_contact(rng) -> None:
+    shape, size = (24, 20), jnp.array([0.12, 0.10])
+    nodes = np.asarray(_mesh.nodes(shape, size))
+    vertices = counterclockwise(nodes, _mesh.triangles(shape))
+    sheet = 1e-4 * np.exp(0.5 * rng.standard_normal(len(vertices)))
+    chosen = rng.choice(np.arange(1, len(nodes) - 1), 17, replace=False)
+    contact = 16  # the last of the chosen nodes; the others are electrodes
+
+    m = 16
+    mesh = PyEITMesh(node=nodes, element=vertices, perm=sheet, el_pos=chosen, ref_node=0)
+    pairs = np.array([[contact, ground] for ground in range(m)])
+    to_ground = np.array([[[e, ground] for e in range(m)] for ground in range(m)])
+    protocol = PyEITProtocol(pairs, to_ground, np.ones(m * m, bool))
+    want = EITForward(mesh, protocol).solve_eit().reshape(m, m)
+
+    feeds = jnp.zeros((len(nodes), 17)).at[chosen, np.arange(17)].set(1.0)
+    point = kernels.FemSheet(jnp.asarray(sheet), size, feeds, jnp.zeros(17))
+    ee, _, _ = kernels.fem_resistances(point, shape)
+    table = kernels.Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
+    t = kernels.slot_map(table, jnp.arange(m), jnp.array(0.0))
+    got = np.asarray(t[:, :, 0])  # volts for one ampere
+    off_ground = ~np.eye(m, dtype=bool)
+    np.testing.assert_allclose(got[off_ground], want[off_ground], rtol=1e-10)
+    np.testing.assert_allclose(got[~off_ground], 0, atol=1e-9)
