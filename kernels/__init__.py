@@ -5,10 +5,11 @@ Nothing here holds state, reads files or checks values; `tomojax` does.
 
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
-    fem_element_columns as fem_element_columns,
     fem_resistances as fem_resistances,
     fem_sheet as fem_sheet,
+    fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
+    site_conductance as site_conductance,
 )
 from tomojax.kernels._rectangle import (
     rectangle_green as rectangle_green,
@@ -20,6 +21,7 @@ from tomojax.kernels._reduction import (
     ground_voltages as ground_voltages,
     reduce_contact as reduce_contact,
     shared_ground_voltages as shared_ground_voltages,
+    touch_electrodes as touch_electrodes,
     voltage_drop as voltage_drop,
     voltage_sensitivity as voltage_sensitivity,
 )

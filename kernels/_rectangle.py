@@ -8,14 +8,19 @@ the other index, which leaves logarithms (θ_j = π(x ∓ x')/a, b ≥ a, q = ex
 
 over both θ and r ∈ {e^{−π|y−y'|/a}, e^{−π(y+y')/a}, q/…, q/…}·q^j, j = 0, 1, …: each j
 gains a factor of exp(−2π) or better, so six terms reach 1e-16. Sources are discs:
-outside a disc the field is that of a point, inside it is the rim's.
+outside a disc the field is that of a point, inside it is the rim's. Electrodes that
+float answer with dipoles, as in `_electrodes`.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.lax.linalg import triangular_solve
 from jaxtyping import Array, Float
 
+from tomojax.kernels._blocktri import matmul
 from tomojax.kernels._mesh import centroids, element_area, Shape
 from tomojax.kernels._table import centred, Resistances
 
@@ -27,8 +32,14 @@ def rectangle_green(
     other: Float[Array, "*#batch 2"],
     rim: Float[Array, "*#batch"],
     size: Float[Array, "2"],
+    solid: bool = False,
 ) -> Float[Array, "*batch"]:
-    """G(x, x') at 1 Ω per square; below the distance `rim` (m) the value at the rim."""
+    """G(x, x') at 1 Ω per square, the source a disc of radius `rim`, m.
+
+    Within the rim the value is the rim's, or with `solid` that of an evenly charged
+    disc less its mean, ln a − (1 − d²/a²)/2 for ln d: the slope of that is the field of
+    a disc's dipole, d/a² inside, and its own second slope is 1/(2πa²), as it must be.
+    """
     turned = size[0] > size[1]
     a, b = jnp.min(size), jnp.max(size)
     x, y = (jnp.where(turned, one[..., 1 - i], one[..., i]) for i in (0, 1))
@@ -58,7 +69,11 @@ def rectangle_green(
     meet = square == 0
     vanishing = factor(near, turn)
     ratio = jnp.where(meet, (jnp.pi / a) ** 2, vanishing / jnp.where(meet, 1, square))
-    logs = jnp.log(product * ratio) + jnp.log(jnp.maximum(square, rim**2))
+    inside = square < rim**2
+    within = jnp.log(rim**2) + (square / rim**2 - 1 if solid else 0)
+    logs = jnp.log(product * ratio) + jnp.where(
+        inside, within, jnp.log(jnp.where(inside, 1, square))
+    )
     mean = b / 3 + (y**2 + y_**2) / (2 * b) - (total + gap) / 2
     return mean / a - logs / (4 * np.pi)
 
@@ -69,24 +84,52 @@ def rectangle_resistances(
     radius: Float[Array, ""],
     shape: Shape,
     size: Float[Array, "2"],
+    shunt: Float[Array, ""] | None = None,
 ) -> Resistances:
     """R_ee, R_ek and R_kk (Ω) of a homogeneous rectangle, centred; no mesh error.
 
     Electrodes are equipotential discs of `radius`, elements uniformly fed discs of the
     element's area at its centroid (own term ¼ − ln r: a disc of radius r·e^{−1/4}).
     **Arguments:** `sheet_resistance` Ω per square; `places`, `radius`, `size` m;
-    `shape` cells of the grid of elements.
+    `shape` cells of the grid of elements; `shunt` as in `fem_sheet`.
     """
     elements = centroids(shape, size)
+    rim = element_radius(shape, size)
+
     rows = jax.vmap(rectangle_green, (0, None, None, None))
-    own = element_radius(shape, size)
-    return centred(
-        Resistances(
-            sheet_resistance * rows(places, places, radius, size),
-            sheet_resistance * rows(places, elements, radius, size),
-            sheet_resistance * rectangle_green(elements, elements, own, size),
-        )
-    )
+    ee, ek = rows(places, places, radius, size), rows(places, elements, radius, size)
+    kk = rectangle_green(elements, elements, rim, size)
+    if shunt is not None:
+        at_places, at_elements = _shunts(places, elements, radius, size, shunt)
+        ee = ee - matmul(at_places.T, at_places)
+        ek = ek - matmul(at_places.T, at_elements)
+        kk = kk - (at_elements**2).sum(0)
+    rho = sheet_resistance
+    return centred(Resistances(rho * ee, rho * ek, rho * kk))
+
+
+def _shunts(
+    places: Array, elements: Array, radius: Array, size: Array, shunt: Array
+) -> tuple[Array, Array]:
+    """L⁻¹·(field of the dipoles at electrodes, at elements), LLᵀ their own resistances."""
+
+    def dipole(place: Array, other: Array) -> Array:
+        return jax.grad(rectangle_green)(place, other, radius, size, True)
+
+    def each(f: Callable, others: Array) -> Array:
+        return jax.vmap(lambda x: jax.vmap(lambda y: f(x, y))(others))(places)
+
+    count = 2 * len(places)
+    pairs = each(jax.jacfwd(dipole, 1), places)
+    own = pairs.transpose(0, 2, 1, 3).reshape(count, count)
+    weaker = (1 / shunt - 1) / (2 * np.pi * radius**2)
+    chol = jnp.linalg.cholesky(own + weaker * jnp.eye(count, dtype=own.dtype))
+
+    def answer(others: Array) -> Array:
+        field = each(dipole, others).transpose(0, 2, 1).reshape(count, -1)
+        return triangular_solve(chol, field, left_side=True, lower=True)
+
+    return answer(places), answer(elements)
 
 
 def element_radius(shape: Shape, size: Float[Array, "2"]) -> Float[Array, ""]:

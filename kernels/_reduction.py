@@ -6,7 +6,8 @@ and D the object's potential above the reference. With the contact g in place
     v = V0·1 − f·D − Q·j,   p·D = fᵀj,   u_k = V0 − c_k·D − X_k·j
 
 so that all that M voltages can know of a contact is p, f and Q; a ground only says
-how j follows from v. No term of it cancels when the contact is weak or strong.
+how j follows from v. No term of it cancels when the contact is weak or strong. A
+contact has sites k: nodes of a mesh, elements, or electrodes.
 """
 
 from typing import NamedTuple
@@ -25,8 +26,8 @@ class ContactReduction(NamedTuple):
     lift: Float[Array, " M"]  # b: electrodes, object at 1 V, reference at 0 V
     shortfall: Float[Array, " M"]  # f = 1 − b, computed apart
     resistance: Float[Array, "M M"]  # Q: object and reference at 0 V, Ω
-    field: Float[Array, "K M"]  # X: the same, from electrodes to elements, Ω
-    gap: Float[Array, " K"]  # c: elements, reference at 1 V, object at 0 V
+    field: Float[Array, "sites M"]  # X: the same, from electrodes to sites, Ω
+    gap: Float[Array, " sites"]  # c: sites, reference at 1 V, object at 0 V
 
 
 def reduce_contact(
@@ -35,12 +36,12 @@ def reduce_contact(
     cc: Float[Array, "c c"],
     conductance: Float[Array, " c"],
 ) -> ContactReduction:
-    """Reduction of a contact on c elements from a table of resistances.
+    """Reduction of a contact on c sites from a table of resistances.
 
     c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X.
-    One factor of c × c numbers; g = 0 (a padded element) is exact and differentiable.
-    **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's elements in
-    one gauge, Ω; `conductance` g, S per element.
+    One factor of c × c numbers; g = 0 (a padded site) is exact and differentiable.
+    **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's sites in one
+    gauge, Ω; `conductance` g, S per site.
     """
     system = jnp.eye(len(cc), dtype=cc.dtype) + cc * conductance
     rhs = jnp.concatenate([jnp.ones_like(ec[:1]), ec]).T
@@ -55,6 +56,32 @@ def reduce_contact(
         ee - matmul(weighted, field),
         field,
         gap,
+    )
+
+
+def touch_electrodes(
+    contact: ContactReduction, direct: Float[Array, " M"]
+) -> ContactReduction:
+    """The same contact with `direct` conductances C (S) from the object to electrodes.
+
+    N = I + QC: f ← N⁻¹f, Q ← N⁻¹Q, b ← N⁻¹(b + QC1), p ← p + fᵀCf (old, new). The
+    electrodes join the sites at the end, with their own potentials.
+    """
+    q, f = contact.resistance, contact.shortfall
+    m = len(q)
+    system = jnp.eye(m, dtype=q.dtype) + q * direct
+    lifted = contact.lift + matmul(q, direct)
+    rhs = jnp.concatenate([q, f[:, None], lifted[:, None]], 1)
+    solution = jnp.linalg.solve(system, rhs)
+    new_q, new_f = solution[:, :m], solution[:, m]
+    passed = jnp.eye(m, dtype=q.dtype) - direct[:, None] * new_q
+    return ContactReduction(
+        contact.conductance + jnp.vdot(f * direct, new_f, precision="highest"),
+        solution[:, m + 1],
+        new_f,
+        new_q,
+        jnp.concatenate([matmul(contact.field, passed), new_q]),
+        jnp.concatenate([contact.gap - matmul(contact.field, direct * new_f), new_f]),
     )
 
 
@@ -110,8 +137,8 @@ def voltage_drop(
     grounds: Int[Array, " L"],
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
-) -> Float[Array, "L K"]:
-    """V0 − u_k^l (V), what drives the current s_k = g_k(V0 − u_k) into each element."""
+) -> Float[Array, "L sites"]:
+    """V0 − u_k^l (V), what drives the current s_k = g_k(V0 − u_k) into each site."""
     g = _ground(contact, grounds, ground_resistance)
     drop = g.f[:, None] * contact.gap + contact.conductance * contact.field.T[grounds]
     return drive_voltage * drop / g.denominator[:, None]
@@ -122,7 +149,7 @@ def voltage_sensitivity(
     grounds: Int[Array, " L"],
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
-) -> Float[Array, "L M K"]:
+) -> Float[Array, "L M sites"]:
     """∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
 
     ψ_i^l is the potential with unit current entering at electrode i, ground l in place

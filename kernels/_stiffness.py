@@ -1,9 +1,10 @@
 """Stiffness of a sheet in contact, P1 elements, as a matrix and as an operator.
 
-A = Σ_k [ σ_k·∫∇φ∇φᵀ + g_k·b_k b_kᵀ ],  b_k = (1/3, 1/3, 1/3) on element k's vertices:
-the sheet's conductance σ (S per square) and a contact of conductance g (S per element)
-to an object at 0 V. The last node is pinned to 0 V; it is a corner of the sheet, and
-which potential is pinned drops out of everything that is measured.
+A = Σ_k σ_k·∫∇φ∇φᵀ + diag(g): the sheet's conductance σ (S per square) and a contact of
+conductance g (S per node) to an object at 0 V. Contacts sit on the nodes, not on the
+elements' means: the matrix then has no positive entry off its diagonal, which is what
+keeps every potential between the object's and ground. The last node is pinned to 0 V; it
+is a corner of the sheet, and which potential is pinned drops out of what is measured.
 """
 
 import jax.numpy as jnp
@@ -31,31 +32,21 @@ def _reference_stiffness(
     return jnp.broadcast_to(one, (2 * shape[0] * shape[1], 3, 3))
 
 
-def _element_matrices(
-    sheet: Float[Array, " elements"],
-    contact: Float[Array, " elements"],
-    shape: Shape,
-    size: Float[Array, "2"],
-) -> Float[Array, "elements 3 3"]:
-    reference = _reference_stiffness(shape, size)
-    return sheet[:, None, None] * reference + contact[:, None, None] / 9
-
-
 def assemble(
     sheet: Float[Array, " elements"],
-    contact: Float[Array, " elements"],
+    contact: Float[Array, " nodes"],
     shape: Shape,
     size: Float[Array, "2"],
 ) -> BlockTri:
     """A as a block-tridiagonal matrix, the last node's row and column cleared.
 
-    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per element;
+    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per node;
     `shape` cells of the mesh; `size` of the sheet, m.
     **Returns:** blocks (n, b, b) and (n − 1, b, b); the pinned node keeps a diagonal
     entry alone, the mean of `sheet`, so that the scale of the matrix stays even.
     """
     n, b = block_shape(shape)
-    local = _element_matrices(sheet, contact, shape, size)
+    local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
     pinned = n * b - 1
     row, column = (
@@ -70,25 +61,26 @@ def assemble(
         zero = jnp.zeros((count, b, b), local.dtype)
         return zero.at[column[at] // b, row[at] % b, column[at] % b].add(entries[at])
 
-    diagonal = blocks(row // b == column // b, n)
     lower = blocks(row // b == column // b + 1, n - 1)
+    diagonal = blocks(row // b == column // b, n)
+    diagonal = diagonal + contact.reshape(n, b)[:, :, None] * jnp.eye(b, dtype=sheet.dtype)
     return BlockTri(diagonal.at[-1, -1, -1].set(sheet.mean()), lower)
 
 
 def apply(
     sheet: Float[Array, " elements"],
-    contact: Float[Array, " elements"],
+    contact: Float[Array, " nodes"],
     shape: Shape,
     size: Float[Array, "2"],
     potential: Float[Array, "nodes m"],
 ) -> Float[Array, "nodes m"]:
     """A·u element by element, nothing pinned: the currents (A) that u asks for."""
-    local = _element_matrices(sheet, contact, shape, size)
+    local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
     currents = jnp.einsum(
         "kij,kjm->kim", local, potential[vertices], precision="highest"
     )
-    return jnp.zeros_like(potential).at[vertices].add(currents)
+    return (contact[:, None] * potential).at[vertices].add(currents)
 
 
 def spread(values: Float[Array, " elements"], shape: Shape) -> Float[Array, " nodes"]:

@@ -28,15 +28,21 @@ def skfem_stiffness(sheet, shape, size):
 def skfem_table(fem, shape):
     """Centred R_ee, R_ek, R_kk of a `FemSheet` by scikit-fem and a sparse LU."""
     k = skfem_stiffness(fem.sheet, shape, fem.size)
-    feeds, series = np.asarray(fem.feeds, float), np.asarray(fem.series, float)
+    feeds, dipoles = np.asarray(fem.feeds, float), np.asarray(fem.dipoles, float)
     loads = element_functionals(shape).T
     # Another gauge than ours: the first node at 0 V instead of the last.
     lu = spla.splu(k[1:, 1:])
     solve = lambda b: np.vstack([np.zeros(b.shape[1]), lu.solve(b[1:])])  # noqa: E731
     x, y = solve(feeds), solve(loads)
-    ee = feeds.T @ x + np.diag(series)
+    ee = feeds.T @ x + np.diag(np.asarray(fem.series, float))
     ek = feeds.T @ y
     kk = np.einsum("nk,nk->k", loads, y)
+    if dipoles.shape[1]:
+        own = dipoles.T @ solve(dipoles) + np.diag(np.asarray(fem.dipole_series, float))
+        at_feeds, at_loads = dipoles.T @ x, dipoles.T @ y
+        ee = ee - at_feeds.T @ np.linalg.solve(own, at_feeds)
+        ek = ek - at_feeds.T @ np.linalg.solve(own, at_loads)
+        kk = kk - (at_loads * np.linalg.solve(own, at_loads)).sum(0)
     row, column, mean = ee.mean(0), ek.mean(0), ee.mean()
     return (
         ee - row[:, None] - row + mean,
@@ -53,47 +59,63 @@ def element_functionals(shape):
     return rows
 
 
-def network_voltages(sensor: tx.Sensor, g, to_ground=None, ground=None):
-    """Electrode voltages and element potentials of the whole network, one dense solve.
+def network_voltages(
+    sensor: tx.Sensor, sites=None, to_ground=None, ground=None, element=None, injected=None
+):
+    """Voltages of electrodes and of sites in the whole network, by one dense solve.
 
-    Unknowns: every node's potential u, every electrode's potential v and current j
-    into its ground. K u + Σ g b(bᵀu − V0) + P j = 0; v = Pᵀu − δ j; and for each
-    electrode j = γ v, or v = z j at `ground` and j = 0 elsewhere.
+    Contact: `sites` (S on nodes, then on electrodes), or `element` = (k, g) through
+    one resistor to an element's mean, or `injected` currents (A per element).
+    Unknowns: potentials u of nodes and v of electrodes, currents i from the sheet into
+    each electrode, dipoles d. K u + contact + P i + D d = 0; v = Pᵀu − δ i;
+    Dᵀu = δ_d d; and i + c(V0 − v) is γ v, or v/z at `ground` and 0 elsewhere.
     """
     from tomojax._forward import _fem
 
     fem, shape = _fem(sensor), sensor.divisions
     k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()
-    b, p = element_functionals(shape), np.asarray(fem.feeds)
-    n, m = p.shape
+    b, p, dipole = element_functionals(shape), np.asarray(fem.feeds), np.asarray(fem.dipoles)
+    (n, m), d = p.shape, dipole.shape[1]
     v0 = float(sensor.drive_voltage)
     z = np.broadcast_to(sensor.ground_resistance, m)
-    matrix = np.zeros((n + 2 * m, n + 2 * m))
-    matrix[:n, :n] = k + b.T @ (np.asarray(g)[:, None] * b)
-    matrix[:n, n + m :] = p
-    matrix[n : n + m, :n] = p.T
-    matrix[n : n + m, n : n + m] = -np.eye(m)
-    matrix[n : n + m, n + m :] = -np.diag(np.asarray(fem.series))
-    for e in range(m):
-        row = n + m + e
-        if to_ground is not None:
-            matrix[row, [n + e, row]] = to_ground[e], -1
-        elif e == ground:
-            matrix[row, [n + e, row]] = 1, -z[e]
-        else:
-            matrix[row, row] = 1
-    rhs = np.zeros(n + 2 * m)
-    rhs[:n] = b.T @ np.asarray(g) * v0
+    g = np.zeros(n + m) if sites is None else np.asarray(sites)
+    contact, source = np.diag(g[:n]), v0 * g[:n]
+    if element is not None:
+        at, conductance = element
+        contact = contact + conductance * np.outer(b[at], b[at])
+        source = source + conductance * v0 * b[at]
+    if injected is not None:
+        source = source + b.T @ injected
+    size = n + 2 * m + d
+    u, v, i, dd = np.split(np.arange(size), [n, n + m, n + 2 * m])
+    matrix, rhs = np.zeros((size, size)), np.zeros(size)
+    matrix[np.ix_(u, u)] = k + contact
+    matrix[np.ix_(u, i)], matrix[np.ix_(u, dd)] = p, dipole
+    rhs[u] = source
+    balance = slice(n + m, n + 2 * m)
+    matrix[np.ix_(v, u)], matrix[np.ix_(v, v)] = p.T, -np.eye(m)
+    matrix[np.ix_(v, i)] = -np.diag(np.asarray(fem.series))
+    matrix[np.ix_(dd, u)] = dipole.T
+    matrix[np.ix_(dd, dd)] = -np.diag(np.asarray(fem.dipole_series))
+    into = np.eye(m)  # what flows into the metal leaves through its ground
+    gamma = np.zeros(m) if to_ground is None else np.asarray(to_ground)
+    matrix[balance, n + m : n + 2 * m] = into
+    matrix[np.ix_(i, v)] = -np.diag(g[n:] + gamma)
+    rhs[i] = -v0 * g[n:]
+    if ground is not None:  # times z, so that z = 0 is allowed
+        matrix[i[ground]] *= z[ground]
+        matrix[i[ground], v[ground]] -= 1
+        rhs[i[ground]] *= z[ground]
     solution = np.linalg.solve(matrix, rhs)
-    return solution[n : n + m], b @ solution[:n]
+    return solution[v], solution[np.concatenate([u, v])]
 
 
-def sparse_loaded_voltages(k, b, feeds, series, g, v0, z):
+def sparse_loaded_voltages(k, feeds, series, g, v0, z):
     """Exact voltages for all grounds with scikit-fem's matrix and one sparse LU.
 
-    A = K + Σ g b bᵀ, S = PᵀA⁻¹P + δ: V_i^l = V0·(1 − S_il/(z + S_ll)) off the ground.
+    A = K + diag(g), S = PᵀA⁻¹P + δ: V_i^l = V0·(1 − S_il/(z + S_ll)) off the ground.
     """
-    lu = spla.splu((k + b.T @ sp.diags(g) @ b).tocsc())
+    lu = spla.splu((k + sp.diags(g)).tocsc())
     s = feeds.T @ lu.solve(feeds)
     own = np.diag(s) + series
     v = v0 * (1 - s / (z + own)[:, None])

@@ -58,6 +58,7 @@ def _resistances(sensor: Sensor, route: Route) -> kernels.Resistances:
             sensor.electrode_diameter / 2,
             sensor.divisions,
             sensor.size,
+            sensor.electrode_shunt,
         )
     return kernels.fem_resistances(_fem(sensor), sensor.divisions)
 
@@ -69,6 +70,7 @@ def _fem(sensor: Sensor) -> kernels.FemSheet:
         sensor.electrode_diameter / 2,
         sensor.divisions,
         sensor.size,
+        sensor.electrode_shunt,
     )
 
 
@@ -164,8 +166,9 @@ def voltages(
 ) -> Float[Array, "L M"]:
     """Voltages (V) of all M electrodes under each ground condition, exactly.
 
-    Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches, and
-    one factorisation serves every ground condition.
+    Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches (at the
+    mesh's nodes, and at the metal of electrodes under it), and one factorisation serves
+    every ground condition. Always between 0 and V0.
 
     **Arguments:**
 
@@ -201,7 +204,9 @@ def voltages(
 
 @eqx.filter_jit
 def _voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
-    contact = kernels.fem_contact(_fem(sensor), g, sensor.divisions)
+    fem = _fem(sensor)
+    sites = kernels.site_conductance(fem, g, sensor.divisions)
+    contact = kernels.fem_contact(fem, sites, sensor.divisions)
     v0 = sensor.drive_voltage
     if grounds.ndim == 2:
         return kernels.shared_ground_voltages(contact, grounds, v0)

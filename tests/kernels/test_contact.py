@@ -13,103 +13,133 @@ from tomojax import kernels
 from tomojax._forward import _fem
 
 SHAPE = (16, 10)
+NODES, ELECTRODES = 17 * 11, 8
 TOLERANCE = 1e-10  # of the largest voltage or potential
 
 
-def patchy(rng, k: int, decades: float = 3) -> np.ndarray:
-    """Conductances on a random third of the elements, over several decades."""
-    g = 10 ** rng.uniform(-3 - decades, -3, k)
-    return np.where(rng.random(k) < 0.3, g, 0)
+def patchy(rng, decades: float = 3) -> np.ndarray:
+    """Conductances on a random third of the sites, over several decades."""
+    g = 10 ** rng.uniform(-3 - decades, -3, NODES + ELECTRODES)
+    return np.where(rng.random(len(g)) < 0.3, g, 0)
 
 
-def uneven(sensor: tx.Sensor, rng) -> tx.Sensor:
-    rho = 1e4 * np.exp(0.4 * rng.standard_normal(sensor.element_count))
-    return dataclasses.replace(sensor, sheet_resistance=rho)
+@pytest.fixture(params=[None, 0.7])
+def sensor(request, small_sensor, rng) -> tx.Sensor:
+    """An uneven sheet, with floating electrodes neglected or not."""
+    rho = 1e4 * np.exp(0.4 * rng.standard_normal(small_sensor.element_count))
+    return dataclasses.replace(
+        small_sensor, sheet_resistance=rho, electrode_shunt=request.param
+    )
+
+
+def mesh_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
+    return kernels.fem_contact(_fem(sensor), jnp.asarray(g), SHAPE)
 
 
 def dense_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
-    everything = jnp.arange(sensor.element_count)
-    _, kc = kernels.fem_element_columns(_fem(sensor), everything, sensor.divisions)
-    table = tx.resistances(sensor)
-    return kernels.reduce_contact(table.electrodes, table.elements, kc, jnp.asarray(g))
+    sites = jnp.flatnonzero(jnp.asarray(g))
+    ec, cc = kernels.fem_site_resistances(_fem(sensor), sites, SHAPE)
+    ee = tx.resistances(sensor).electrodes
+    return kernels.reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
 
 
 @pytest.mark.parametrize("z", [0.0, 4.0])
-def test_all_grounds_by_both_routes(small_sensor, z, rng) -> None:
-    sensor = dataclasses.replace(uneven(small_sensor, rng), ground_resistance=z)
-    g = patchy(rng, sensor.element_count)
-    got = tx.voltages(sensor, jnp.asarray(g))
-    dense = dense_reduction(sensor, g)
-    grounds = jnp.arange(sensor.electrode_count)
-    by_table = kernels.ground_voltages(
-        dense, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
-    drop = kernels.voltage_drop(
-        dense, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
-    current = kernels.ground_currents(
-        dense, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
-    for ground in range(sensor.electrode_count):
-        want, u = references.network_voltages(sensor, g, ground=ground)
-        scale = TOLERANCE * np.abs(want).max()
-        np.testing.assert_allclose(got[ground], want, atol=scale, rtol=0)
-        np.testing.assert_allclose(by_table[ground], want, atol=scale, rtol=0)
-        np.testing.assert_allclose(4.5 - drop[ground], u, atol=scale, rtol=0)
-        np.testing.assert_allclose(
-            current[ground], (g * (4.5 - u)).sum(), rtol=TOLERANCE
-        )
+def test_all_grounds_by_both_routes(sensor, z, rng) -> None:
+    sensor = dataclasses.replace(sensor, ground_resistance=z)
+    g = patchy(rng)
+    grounds = jnp.arange(ELECTRODES)
+    drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
+    chosen = np.flatnonzero(g)
+    for contact, sites in (
+        (mesh_reduction(sensor, g), slice(None)),
+        (dense_reduction(sensor, g), chosen),
+    ):
+        volts = kernels.ground_voltages(contact, *drive)
+        drop = kernels.voltage_drop(contact, *drive)
+        current = kernels.ground_currents(contact, *drive)
+        for ground in range(ELECTRODES):
+            want, u = references.network_voltages(sensor, g, ground=ground)
+            scale = TOLERANCE * np.abs(want).max()
+            np.testing.assert_allclose(volts[ground], want, atol=scale, rtol=0)
+            np.testing.assert_allclose(4.5 - drop[ground], u[sites], atol=scale, rtol=0)
+            total = (g * (4.5 - u)).sum()
+            np.testing.assert_allclose(current[ground], total, rtol=TOLERANCE)
 
 
-def test_several_and_partial_grounds(small_sensor, rng) -> None:
-    sensor = uneven(small_sensor, rng)
-    g = patchy(rng, sensor.element_count)
-    m = sensor.electrode_count
-    gamma = np.zeros((4, m))
+def test_voltages_of_a_scene_are_those_of_its_sites(sensor) -> None:
+    scene = tx.Scene(tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0))
+    g = tx.contact_conductance(sensor, scene)
+    sites = kernels.site_conductance(_fem(sensor), g, SHAPE)
+    np.testing.assert_allclose(sites.sum(), g.sum(), rtol=1e-12)
+    assert float(sites.min()) >= 0 and float(sites[NODES:].max()) > 0
+    got = tx.voltages(sensor, scene)
+    for ground in range(ELECTRODES):
+        want, _ = references.network_voltages(sensor, sites, ground=ground)
+        np.testing.assert_allclose(got[ground], want, atol=TOLERANCE * want.max(), rtol=0)
+
+
+def test_several_and_partial_grounds(sensor, rng) -> None:
+    g = patchy(rng)
+    gamma = np.zeros((4, ELECTRODES))
     gamma[0, [1, 5]] = 0.25  # two grounds at once
-    gamma[1] = 10 ** rng.uniform(-7, -1, m)  # every electrode partly
+    gamma[1] = 10 ** rng.uniform(-7, -1, ELECTRODES)  # every electrode partly
     gamma[2, 3] = 0.25  # one: the same as a ground of 4 Ω
     gamma[3, [0, 2, 7]] = 1e-4, 1e-2, 10.0
-    got = tx.voltages(sensor, jnp.asarray(g), gamma)
+    contact = mesh_reduction(sensor, g)
+    drive = sensor.drive_voltage
+    got = kernels.shared_ground_voltages(contact, jnp.asarray(gamma), drive)
     for row, want_of in zip(np.asarray(got), gamma):
         want, _ = references.network_voltages(sensor, g, to_ground=want_of)
         np.testing.assert_allclose(row, want, atol=TOLERANCE * want.max(), rtol=0)
-    one = tx.voltages(sensor, jnp.asarray(g), [3])
+    z = sensor.ground_resistance
+    one = kernels.ground_voltages(contact, jnp.array([3]), z, drive)
     np.testing.assert_allclose(got[2], one[0], atol=1e-11)
 
 
-def test_slot_map_is_exact_for_any_contact(small_sensor, rng) -> None:
-    """V^l = T^l s^l with the currents that really flow, one ground or several."""
-    sensor = uneven(small_sensor, rng)
-    g = patchy(rng, sensor.element_count)
+def test_slot_map_is_exact_in_the_current(sensor, rng) -> None:
+    """V^l = T^l s for any current image, one ground or several, whatever fed it."""
+    s = 1e-6 * rng.standard_normal(sensor.element_count)
     table = tx.resistances(sensor)
-    grounds = jnp.arange(sensor.electrode_count)
-    t = kernels.slot_map(table, grounds, sensor.ground_resistance)
-    for ground in range(sensor.electrode_count):
-        want, u = references.network_voltages(sensor, g, ground=ground)
-        got = t[ground] @ (g * (4.5 - u))
-        np.testing.assert_allclose(got, want, atol=TOLERANCE * want.max(), rtol=0)
-    gamma = 10 ** rng.uniform(-7, -1, (3, sensor.electrode_count))
+    t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    for ground in range(ELECTRODES):
+        want, _ = references.network_voltages(sensor, injected=s, ground=ground)
+        got = t[ground] @ s
+        np.testing.assert_allclose(got, want, atol=TOLERANCE * np.abs(want).max(), rtol=0)
+    gamma = 10 ** rng.uniform(-7, -1, (3, ELECTRODES))
     shared, _ = kernels.shared_slot_map(table, jnp.asarray(gamma))
     for row, t_row in zip(gamma, shared):
-        want, u = references.network_voltages(sensor, g, to_ground=row)
-        got = t_row @ (g * (4.5 - u))
+        want, _ = references.network_voltages(sensor, injected=s, to_ground=row)
+        got = t_row @ s
+        np.testing.assert_allclose(got, want, atol=TOLERANCE * np.abs(want).max(), rtol=0)
+
+
+def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
+    """The same with the currents g(V0 − u) that a real contact drives."""
+    g = patchy(rng)
+    sites = jnp.flatnonzero(jnp.asarray(g))
+    ec, cc = kernels.fem_site_resistances(_fem(sensor), sites, SHAPE)
+    table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
+    t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    for ground in range(ELECTRODES):
+        want, u = references.network_voltages(sensor, g, ground=ground)
+        got = t[ground] @ (g * (4.5 - u))[np.asarray(sites)]
         np.testing.assert_allclose(got, want, atol=TOLERANCE * want.max(), rtol=0)
 
 
 @pytest.mark.parametrize("rho", [0.3, 2e5])
-def test_jacobian_is_one_element_in_contact(small_sensor, rho, rng) -> None:
-    sensor = uneven(small_sensor, rng)
+def test_jacobian_is_one_element_in_contact(sensor, rho, rng) -> None:
     j = 4.5 * tx.jacobian(sensor, contact_resistance=rho)
-    gamma = 10 ** rng.uniform(-7, -1, (1, sensor.electrode_count))
+    gamma = 10 ** rng.uniform(-7, -1, (1, ELECTRODES))
     shared = 4.5 * tx.jacobian(sensor, gamma, rho)
     for k in rng.choice(sensor.element_count, 4, replace=False):
-        g = np.zeros(sensor.element_count)
-        g[k] = 1 / rho
         for ground in (0, 4):
-            want, _ = references.network_voltages(sensor, g, ground=ground)
+            want, _ = references.network_voltages(
+                sensor, element=(k, 1 / rho), ground=ground
+            )
             np.testing.assert_allclose(j[ground, :, k], want, atol=1e-10 * want.max())
-        want, _ = references.network_voltages(sensor, g, to_ground=gamma[0])
+        want, _ = references.network_voltages(
+            sensor, element=(k, 1 / rho), to_ground=gamma[0]
+        )
         np.testing.assert_allclose(shared[0, :, k], want, atol=1e-10 * want.max())
 
 
@@ -125,50 +155,37 @@ def test_weak_and_strong_contacts_lose_no_digits(
     small_sensor, total, dtype, tolerance, rng
 ) -> None:
     """Fifteen decades of conductance, relative to the largest voltage of each."""
-    sensor = tx.Sensor(
-        small_sensor.size,
-        np.asarray(small_sensor.electrode_xy, dtype),
-        divisions=SHAPE,
-    )
-    exact = tx.Sensor(
-        np.asarray(sensor.size, float),
-        np.asarray(sensor.electrode_xy, float),
-        divisions=SHAPE,
-    )
-    g = np.zeros(sensor.element_count)
-    g[rng.choice(sensor.element_count, 30)] = total / 30
-    got = np.asarray(tx.voltages(sensor, jnp.asarray(g, dtype)))
-    dense = dense_reduction(sensor, g.astype(dtype))
-    grounds = jnp.arange(8)
-    other = kernels.ground_voltages(
-        dense, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
-    for ground in range(8):
-        want, _ = references.network_voltages(exact, g, ground=ground)
-        # The dense reference itself loses 1e-16/total against 1e-4 S of sheet.
-        atol = max(tolerance, 1e-17 / total) * want.max()
-        np.testing.assert_allclose(got[ground], want, atol=atol, rtol=0)
-        np.testing.assert_allclose(other[ground], want, atol=atol, rtol=0)
+    xy = np.asarray(small_sensor.electrode_xy, dtype)
+    sensor = tx.Sensor(small_sensor.size, xy, divisions=SHAPE)
+    exact = tx.Sensor(np.asarray(sensor.size, float), xy.astype(float), divisions=SHAPE)
+    g = np.zeros(NODES + ELECTRODES)
+    g[rng.choice(len(g), 30)] = total / 30
+    drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
+    for reduction in (mesh_reduction, dense_reduction):
+        got = np.asarray(kernels.ground_voltages(reduction(sensor, g.astype(dtype)), *drive))
+        assert got.dtype == dtype
+        for ground in range(ELECTRODES):
+            want, _ = references.network_voltages(exact, g, ground=ground)
+            # The dense reference itself loses 1e-16/total against 1e-4 S of sheet.
+            atol = max(tolerance, 1e-17 / total) * want.max()
+            np.testing.assert_allclose(got[ground], want, atol=atol, rtol=0)
 
 
-def test_adjoint_sensitivity_is_the_derivative(small_sensor, rng) -> None:
-    sensor = uneven(small_sensor, rng)
-    g = jnp.asarray(patchy(rng, sensor.element_count))
+def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
+    g = jnp.asarray(patchy(rng))
+    z, v0 = sensor.ground_resistance, sensor.drive_voltage
     grounds = jnp.array([0, 3, 6])
-    got = jax.jacfwd(lambda g: tx.voltages(sensor, g, grounds))(g)
-    contact = kernels.fem_contact(_fem(sensor), g, SHAPE)
-    want = kernels.voltage_sensitivity(
-        contact, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
+    volts = lambda g: kernels.ground_voltages(mesh_reduction(sensor, g), grounds, z, v0)  # noqa: E731
+    want = kernels.voltage_sensitivity(mesh_reduction(sensor, g), grounds, z, v0)
     scale = float(jnp.abs(want).max())
-    np.testing.assert_allclose(got, want, atol=1e-10 * scale)
-    reverse = jax.jacrev(lambda g: tx.voltages(sensor, g, grounds))(g)
-    np.testing.assert_allclose(reverse, want, atol=1e-10 * scale)
-    nothing = kernels.fem_contact(_fem(sensor), 0 * g, SHAPE)
-    at_rest = kernels.voltage_sensitivity(
-        nothing, grounds, sensor.ground_resistance, sensor.drive_voltage
-    )
-    t = kernels.slot_map(tx.resistances(sensor), grounds, sensor.ground_resistance)
+    np.testing.assert_allclose(jax.jacfwd(volts)(g), want, atol=1e-10 * scale)
+    np.testing.assert_allclose(jax.jacrev(volts)(g), want, atol=1e-10 * scale)
+    nothing = mesh_reduction(sensor, 0 * g)
+    at_rest = kernels.voltage_sensitivity(nothing, grounds, z, v0)
+    everywhere = jnp.arange(len(g))
+    ec, cc = kernels.fem_site_resistances(_fem(sensor), everywhere, SHAPE)
+    table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
+    t = kernels.slot_map(table, grounds, z)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))
 
 
@@ -176,7 +193,7 @@ def test_no_contact_reads_nothing(small_sensor) -> None:
     nothing = tx.voltages(small_sensor, tx.Scene())
     np.testing.assert_array_equal(nothing, 0)
     floating = kernels.shared_ground_voltages(
-        kernels.fem_contact(_fem(small_sensor), jnp.zeros(320), SHAPE),
+        mesh_reduction(small_sensor, jnp.zeros(NODES + ELECTRODES)),
         jnp.zeros((1, 8)),
         small_sensor.drive_voltage,
     )

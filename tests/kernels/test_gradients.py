@@ -64,6 +64,13 @@ def cases(sensor, g, rng):
         3.0,
     )
     yield (
+        "shunt",
+        lambda x: outputs(replace(sensor, electrode_shunt=x), g, 1e3),
+        sensor.electrode_shunt,
+        1.0,
+        1e-3,
+    )
+    yield (
         "places",
         lambda x: outputs(replace(sensor, electrode_xy=x), g, 1e3),
         sensor.electrode_xy,
@@ -73,12 +80,14 @@ def cases(sensor, g, rng):
 
 
 def jit_cases(rng):
-    sensor = tx.Sensor.grid(divisions=SENSOR_DIVISIONS)
+    sensor = tx.Sensor.grid(divisions=SENSOR_DIVISIONS, electrode_shunt=0.9)
     g = tx.contact_conductance(sensor, scene())
     return {c[0]: c[1:] for c in cases(sensor, g, rng)}
 
 
-@pytest.mark.parametrize("name", ["conductance", "contact resistance", "sheet", "places"])
+@pytest.mark.parametrize(
+    "name", ["conductance", "contact resistance", "sheet", "shunt", "places"]
+)
 def test_forward_and_reverse_match_differences(name, rng) -> None:
     f, x, direction, step = jit_cases(rng)[name]
     direction = jnp.asarray(direction, x.dtype)

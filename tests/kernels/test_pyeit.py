@@ -12,12 +12,8 @@ from tomojax.kernels import _mesh
 
 def counterclockwise(nodes: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     a, b, c = np.moveaxis(nodes[vertices], 1, 0)
-    turned = np.cross(b - a, c - a) < 0 if a.shape[-1] == 3 else _area(a, b, c) < 0
+    turned = np.linalg.det(np.stack([b - a, c - a], 1)) < 0
     return np.where(turned[:, None], vertices[:, [0, 2, 1]], vertices)
-
-
-def _area(a, b, c):
-    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
 def test_slot_voltages_of_a_point_contact(rng) -> None:
@@ -36,7 +32,10 @@ def test_slot_voltages_of_a_point_contact(rng) -> None:
     want = EITForward(mesh, protocol).solve_eit().reshape(m, m)
 
     feeds = jnp.zeros((len(nodes), 17)).at[chosen, np.arange(17)].set(1.0)
-    point = kernels.FemSheet(jnp.asarray(sheet), size, feeds, jnp.zeros(17))
+    none = jnp.zeros((len(nodes), 0))
+    point = kernels.FemSheet(
+        jnp.asarray(sheet), size, feeds, jnp.zeros(17), none, none[0], 0 * feeds
+    )
     ee, _, _ = kernels.fem_resistances(point, shape)
     table = kernels.Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
     t = kernels.slot_map(table, jnp.arange(m), jnp.array(0.0))

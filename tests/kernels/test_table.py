@@ -1,5 +1,7 @@
 """The table of resistances against scikit-fem, the other route, and finer meshes."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import references
 
 import tomojax as tx
 from tomojax import kernels
+from tomojax._forward import _fem
 from tomojax.kernels import _mesh
 
 
@@ -16,28 +19,23 @@ def relative(got, want) -> float:
 
 
 @pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-12), (np.float32, 1e-4)])
-@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("uneven, shunt", [(False, None), (True, None), (True, 1.0)])
 @pytest.mark.parametrize("divisions", [(40, 40), (24, 36), (17, 16)])
-def test_fem_table_is_skfem(divisions, uneven, dtype, tolerance, rng) -> None:
+def test_fem_table_is_skfem(divisions, uneven, shunt, dtype, tolerance, rng) -> None:
     k = 2 * divisions[0] * divisions[1]
     sheet = 1e4 * np.exp(0.5 * rng.standard_normal(k)) if uneven else 1e4
     sensor = tx.Sensor.grid(
-        6, 6, divisions=divisions, electrode_diameter=0.008, dtype=dtype
+        6,
+        6,
+        electrode_diameter=0.008,
+        sheet_resistance=sheet,
+        electrode_shunt=shunt,
+        divisions=divisions,
+        dtype=dtype,
     )
-    sensor = tx.Sensor(
-        sensor.size, sensor.electrode_xy, 0.008, sheet, divisions=divisions
-    )
-    from tomojax._forward import _fem
-
     table = tx.resistances(sensor)
     assert all(part.dtype == dtype for part in table)
-    exact = tx.Sensor(
-        np.asarray(sensor.size, np.float64),
-        np.asarray(sensor.electrode_xy, np.float64),
-        np.float64(sensor.electrode_diameter),
-        np.asarray(sensor.sheet_resistance, np.float64),
-        divisions=divisions,
-    )
+    exact = jax.tree.map(lambda leaf: leaf.astype(np.float64), sensor)
     for got, want in zip(table, references.skfem_table(_fem(exact), divisions)):
         assert relative(got, want) <= tolerance
 
@@ -102,29 +100,33 @@ def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
     np.testing.assert_allclose(own[64], own[256], rtol=1e-2)
 
 
-def test_routes_agree_away_from_electrodes(paper_sensor) -> None:
-    fem, series = (tx.resistances(paper_sensor, r) for r in ("fem", "series"))
+@pytest.mark.parametrize("shunt", [None, 1.0])
+def test_routes_agree_away_from_electrodes(paper_sensor, shunt) -> None:
+    sensor = dataclasses.replace(paper_sensor, electrode_shunt=shunt)
+    fem, series = (tx.resistances(sensor, r) for r in ("fem", "series"))
     gap = _mesh.centroids(paper_sensor.divisions, paper_sensor.size)[:, None]
     apart = jnp.linalg.norm(gap - paper_sensor.electrode_xy[None], axis=-1).T
     far = np.asarray(apart > 0.006)
     difference = np.abs(np.asarray(fem.elements - series.elements))
     # At 6 mm a place wrong by 1 mm would make 265 Ω.
-    assert difference[far].max() < 30 and np.median(difference) < 1
+    assert difference[far].max() < 40 and np.median(difference) < 3
     # The element's own term differs by what an element is, the same everywhere inside.
     own = np.asarray(fem.own - series.own)
     assert np.std(own) < 0.02 * np.abs(own).mean()
 
 
-def test_inverse_columns_agree_with_the_table(small_sensor) -> None:
-    from tomojax._forward import _fem
-
-    chosen = jnp.array([0, 7, 120, 319])
-    ec, kc = kernels.fem_element_columns(_fem(small_sensor), chosen, (16, 10))
-    table = tx.resistances(small_sensor)
-    np.testing.assert_allclose(ec, table.elements[:, chosen], rtol=1e-10)
-    own = kc[chosen, jnp.arange(4)]
-    np.testing.assert_allclose(own, table.own[chosen], rtol=1e-10)
-    np.testing.assert_allclose(kc[chosen], kc[chosen].T, rtol=1e-9, atol=1e-8)
+def test_floating_discs_lower_the_effective_resistance() -> None:
+    """A sheet that a fraction φ of is metal conducts 1 + 2φ + … better (Maxwell)."""
+    xy = (np.stack(np.meshgrid(np.arange(24), np.arange(4), indexing="ij"), -1)).reshape(-1, 2)
+    strip = tx.Sensor([0.48, 0.08], xy * 0.02 + 0.01, 0.005, divisions=(192, 32))
+    drops = []
+    for shunt in (None, 1.0):
+        r = tx.resistances(dataclasses.replace(strip, electrode_shunt=shunt)).electrodes
+        potential = (r[:4] - r[-4:]).mean(0).reshape(24, 4).mean(1)
+        drops.append(float(potential[6] - potential[17]))
+    fraction = np.pi * 0.0025**2 / 0.02**2
+    # Rayleigh: (1 + φ)/(1 − φ) but for terms in φ⁴.
+    np.testing.assert_allclose(drops[0] / drops[1], (1 + fraction) / (1 - fraction), rtol=2e-3)
 
 
 def test_float32_table_at_a_fine_mesh() -> None:

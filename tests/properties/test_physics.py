@@ -37,13 +37,19 @@ def sensors(draw) -> tx.Sensor:
 
 
 @st.composite
-def contacts(draw, sensor: tx.Sensor) -> np.ndarray:
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    count = draw(st.integers(1, 30))
-    g = np.zeros(sensor.element_count)
-    decade = draw(st.floats(-8, 1))
-    g[rng.choice(len(g), count)] = 10 ** (decade + rng.uniform(-1, 1, count))
-    return g
+def scenes(draw, sensor: tx.Sensor) -> tx.AbstractShape:
+    """Contacts of any size, place and strength: one value traces for all."""
+    number = lambda low, high: draw(st.floats(low, high))  # noqa: E731
+    w, h = np.asarray(sensor.size)
+    # Half of them on or beside an electrode, where the model has most to get right.
+    e = draw(st.integers(0, sensor.electrode_count - 1))
+    near = np.asarray(sensor.electrode_xy[e]) + [number(-6e-3, 6e-3) for _ in "xy"]
+    return tx.Scene(
+        tx.Disc(near, 10 ** number(-3.3, -1.8), 10 ** number(-6, 5)),
+        tx.Bar(
+            [number(0, w), number(0, h)], 0.03, 0.006, number(0, 3), 10 ** number(-6, 5)
+        ),
+    )
 
 
 property_test = settings(
@@ -58,30 +64,39 @@ def test_reciprocity(data) -> None:
     sensor = data.draw(sensors())
     table = tx.resistances(sensor)
     np.testing.assert_allclose(table.electrodes, table.electrodes.T, rtol=1e-12)
-    ec, kc = kernels.fem_element_columns(
-        _fem(sensor), jnp.array([0, 5, 77]), sensor.divisions
+    sites = jnp.array([0, 5, 77, 150])
+    ec, cc = kernels.fem_site_resistances(_fem(sensor), sites, sensor.divisions)
+    vertices = _mesh.triangles(sensor.divisions)[40]
+    at_vertices, among = kernels.fem_site_resistances(
+        _fem(sensor), jnp.asarray(vertices), sensor.divisions
     )
     scale = float(table.own.max())
-    np.testing.assert_allclose(ec, table.elements[:, [0, 5, 77]], atol=1e-10 * scale)
-    chosen = kc[jnp.array([0, 5, 77])]
-    np.testing.assert_allclose(chosen, chosen.T, atol=1e-10 * scale)
+    # An element is a third of each vertex, fed from the electrodes or by itself.
+    np.testing.assert_allclose(
+        at_vertices.mean(1), table.elements[:, 40], atol=1e-10 * scale
+    )
+    np.testing.assert_allclose(among.mean(), table.own[40], atol=1e-10 * scale)
+    np.testing.assert_allclose(cc, cc.T, atol=1e-10 * scale)
 
 
 @property_test
 @given(st.data())
 def test_currents_balance_and_voltages_are_bounded(data) -> None:
     sensor = data.draw(sensors())
-    g = jnp.asarray(data.draw(contacts(sensor)))
+    scene = data.draw(scenes(sensor))
+    g = tx.contact_conductance(sensor, scene)
+    volts = tx.voltages(sensor, scene)
+    assert float(volts.min()) >= -1e-6 and float(volts.max()) <= 4.5 + 1e-6
+    fem = _fem(sensor)
+    sites = kernels.site_conductance(fem, g, sensor.divisions)
+    contact = kernels.fem_contact(fem, sites, sensor.divisions)
     grounds = jnp.arange(sensor.electrode_count)
-    contact = kernels.fem_contact(_fem(sensor), g, sensor.divisions)
-    z, v0 = sensor.ground_resistance, sensor.drive_voltage
-    volts = kernels.ground_voltages(contact, grounds, z, v0)
-    assert float(volts.min()) >= -1e-9 and float(volts.max()) <= 4.5 + 1e-9
-    into = (g * kernels.voltage_drop(contact, grounds, z, v0)).sum(1)
-    out = kernels.ground_currents(contact, grounds, z, v0)
-    np.testing.assert_allclose(into, out, rtol=1e-9)
+    drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
+    into = (sites * kernels.voltage_drop(contact, *drive)).sum(1)
+    out = kernels.ground_currents(contact, *drive)
+    np.testing.assert_allclose(into, out, rtol=1e-6)
     grounded = volts[grounds, grounds]
-    np.testing.assert_allclose(grounded, z * out, atol=1e-9)
+    np.testing.assert_allclose(grounded, sensor.ground_resistance * out, atol=1e-8)
 
 
 @property_test

@@ -1,0 +1,115 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       format_name: percent
+#   kernelspec:
+#     name: python3
+# ---
+
+# %% [markdown]
+# # A sensor, its table of resistances, and recorded scenes
+#
+# What the library's physics is and how close it comes to a rig that it was not made from.
+
+# %%
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+from matplotlib import pyplot as plt
+
+jax.config.update("jax_enable_x64", True)
+
+import tomojax as tx
+from tomojax import _plots
+
+sensor = tx.Sensor.grid()
+table = tx.resistances(sensor)
+print({name: part.shape for name, part in table._asdict().items()})
+
+# %% [markdown]
+# Potential over the sheet when one ampere enters at electrode 27 (mean of all electrodes
+# as zero), and what one element in contact through 0 Ω and 200 kΩ does to electrode 27
+# with corner 0 grounded: an imposed potential saturates, a current source does not.
+
+# %%
+figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")
+_plots.sheet(axes[0], sensor, table.elements[27], "Ω")
+for axis, rho in zip(axes[1:], (0.0, 2e5)):
+    j = tx.jacobian(sensor, [0], rho)
+    _plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω")
+
+# %% [markdown]
+# ## Recorded scenes
+#
+# True shapes of a recording through `voltages`, against the recorded volts, all 64 ground
+# conditions. The rig's sheet is uneven, its electrodes are misplaced and its channels
+# noisy; the model has nominal values. The last column has metal discs that float
+# (`electrode_shunt=1`) and the one sheet resistance that fits all scenes best.
+
+# %%
+folder = Path.cwd()
+while not (folder / "pyproject.toml").exists() and folder != folder.parent:
+    folder = folder.parent
+data = folder.parent / "shared" / "data"
+
+
+def true_conductance(sensor, contacts):
+    g = np.zeros(sensor.element_count)
+    for c in contacts:
+        at, per_area = c["centre"], c["conductance"]
+        if c["kind"] == "disc":
+            shape = tx.Disc(at, c["r"], per_area)
+        elif c["kind"] == "bar":
+            shape = tx.Bar(at, c["length"], c["width"], c["angle"], per_area)
+        else:
+            shape = tx.Ring(at, c["r0"], c["r1"], per_area)
+        one = np.asarray(tx.contact_conductance(sensor, shape))
+        g += one * c["total_conductance"] / one.sum()
+    return g
+
+
+def misfit(sensor, scenes, volts):
+    rms = []
+    for scene in scenes:
+        first, last = scene["scans"]
+        model = tx.voltages(sensor, true_conductance(sensor, scene["contacts"]))
+        rms.append(np.sqrt(((volts[first:last].mean(0) - model) ** 2).mean()))
+    return np.array(rms)
+
+
+if data.is_dir():
+    import h5py
+
+    with h5py.File(data / "static_all.h5") as file:
+        volts = file["v"][:] * file.attrs["scale"]
+    scenes = json.loads((data / "truth.json").read_text())["static_all"]["scenes"]
+    largest = np.array([volts[slice(*s["scans"])].mean(0).max() for s in scenes])
+    nominal = misfit(sensor, scenes, volts)
+    shunted = {
+        rho: misfit(tx.Sensor.grid(electrode_shunt=1, sheet_resistance=rho), scenes, volts)
+        for rho in (1e4, 1.02e4, 1.04e4, 1.06e4, 1.08e4)
+    }
+    touched = np.array([bool(s["contacts"]) for s in scenes])
+    best = min(shunted, key=lambda r: (shunted[r] / largest)[touched].mean())
+    print(f"{'scene':24s} largest, V   nominal          floating discs, {best:g} Ω/sq")
+    for i, scene in enumerate(scenes):
+        if touched[i]:
+            a, b = 100 * nominal[i] / largest[i], 100 * shunted[best][i] / largest[i]
+            print(f"{scene['name']:24s} {largest[i]:8.3f}   {a:6.2f} %   {b:10.2f} %")
+        else:
+            print(f"{scene['name']:24s} {largest[i]:8.3f}   {1e3 * nominal[i]:6.2f} mV")
+    assert (nominal / largest)[touched].max() <= 0.02 and nominal[0] <= 0.5e-3
+
+    figure, axis = plt.subplots(figsize=(11, 4), layout="constrained")
+    x = np.flatnonzero(touched)
+    axis.bar(x - 0.2, 100 * (nominal / largest)[x], 0.4, label="nominal")
+    axis.bar(x + 0.2, 100 * (shunted[best] / largest)[x], 0.4, label=f"floating, {best:g}")
+    axis.set_xticks(x, [scenes[i]["name"] for i in x], rotation=30, ha="right")
+    axis.set_ylabel("rms, % of largest voltage")
+    axis.legend()
+    plt.show()
+else:
+    print("the recordings are not on this machine: this part is left out")
