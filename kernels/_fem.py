@@ -77,9 +77,7 @@ def _pinned_solver(fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape)
     chol = factor(matrix, row_sums)
 
     def operator(x: Array) -> Array:
-        currents = _stiffness.apply(
-            fem.sheet, contact, shape, fem.size, x.at[-1].set(0)
-        )
+        currents = _stiffness.apply(fem.sheet, contact, shape, fem.size, x.at[-1].set(0))
         return currents.at[-1].set(pin * x[-1])
 
     def pinned_solve(rhs: Float[Array, "nodes m"]) -> Float[Array, "nodes m"]:
@@ -140,9 +138,7 @@ def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
     ports = _ports(fem, fields)
     at_elements = _stiffness.at_elements(fields, shape).T
     m = fem.feeds.shape[1]
-    shunt, element_shunt = (
-        ports.answer(f) for f in (ports.feed_dipole.T, at_elements[m:])
-    )
+    shunt, element_shunt = (ports.answer(f) for f in (ports.feed_dipole.T, at_elements[m:]))
     ek = at_elements[:m] - matmul(shunt.T, element_shunt)
     kk = _own_resistance(chol, shape) - (element_shunt**2).sum(0)
     return centred(Resistances(ports.q, ek, kk))

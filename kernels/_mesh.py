@@ -37,9 +37,7 @@ def triangles(shape: Shape) -> np.ndarray:
     """
     nx, ny = shape
     i, j = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
-    corner = {
-        (a, b): _node_number(shape, i + a, j + b) for a in (0, 1) for b in (0, 1)
-    }
+    corner = {(a, b): _node_number(shape, i + a, j + b) for a in (0, 1) for b in (0, 1)}
     rising = (i + j) % 2 == 0  # the diagonal runs from (0, 0) to (1, 1)
 
     def half(up: tuple, down: tuple) -> np.ndarray:

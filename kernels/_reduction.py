@@ -40,6 +40,8 @@ def reduce_contact(
 
     c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X.
     One factor of c × c numbers; g = 0 (a padded site) is exact and differentiable.
+    A strong contact (g·R ≫ 1) on many sites comes down to inverting R_cc and loses its
+    condition number: about 0.1 % in float32, where `fem_contact` loses nothing.
     **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's sites in one
     gauge, Ω; `conductance` g, S per site.
     """
@@ -64,20 +66,18 @@ def touch_electrodes(
 ) -> ContactReduction:
     """The same contact with `direct` conductances C (S) from the object to electrodes.
 
-    N = I + QC: f ← N⁻¹f, Q ← N⁻¹Q, b ← N⁻¹(b + QC1), p ← p + fᵀCf (old, new). The
-    electrodes join the sites at the end, with their own potentials.
+    N = I + QC: f' = N⁻¹f, Q' = N⁻¹Q, b' = b + QCf', p' = p + fᵀCf'. The electrodes join
+    the sites at the end, with their own potentials.
     """
     q, f = contact.resistance, contact.shortfall
     m = len(q)
     system = jnp.eye(m, dtype=q.dtype) + q * direct
-    lifted = contact.lift + matmul(q, direct)
-    rhs = jnp.concatenate([q, f[:, None], lifted[:, None]], 1)
-    solution = jnp.linalg.solve(system, rhs)
+    solution = jnp.linalg.solve(system, jnp.concatenate([q, f[:, None]], 1))
     new_q, new_f = solution[:, :m], solution[:, m]
     passed = jnp.eye(m, dtype=q.dtype) - direct[:, None] * new_q
     return ContactReduction(
         contact.conductance + jnp.vdot(f * direct, new_f, precision="highest"),
-        solution[:, m + 1],
+        contact.lift + matmul(q, direct * new_f),
         new_f,
         new_q,
         jnp.concatenate([matmul(contact.field, passed), new_q]),
@@ -100,9 +100,7 @@ def _ground(
     q = contact.resistance[grounds]
     total = z + contact.resistance[grounds, grounds]
     f = contact.shortfall[grounds]
-    return _Ground(
-        q, total, f, contact.lift[grounds], contact.conductance * total + f**2
-    )
+    return _Ground(q, total, f, contact.lift[grounds], contact.conductance * total + f**2)
 
 
 def ground_voltages(

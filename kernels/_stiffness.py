@@ -77,9 +77,7 @@ def apply(
     """A·u element by element, nothing pinned: the currents (A) that u asks for."""
     local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
-    currents = jnp.einsum(
-        "kij,kjm->kim", local, potential[vertices], precision="highest"
-    )
+    currents = jnp.einsum("kij,kjm->kim", local, potential[vertices], precision="highest")
     return (contact[:, None] * potential).at[vertices].add(currents)
 
 

@@ -38,8 +38,17 @@ def paper_sensor() -> tx.Sensor:
 
 @pytest.fixture(scope="session")
 def small_sensor() -> tx.Sensor:
-    """Not square, electrodes off the nodes and irregular; small enough for dense algebra."""
+    """Not square, electrodes off the nodes and irregular; small for dense algebra."""
     xy = np.array(
-        [[12, 11], [33, 14], [51, 9], [14, 27], [30.7, 29.3], [52, 31], [24, 20], [43, 21]]
+        [
+            [12, 11],
+            [33, 14],
+            [51, 9],
+            [14, 27],
+            [30.7, 29.3],
+            [52, 31],
+            [24, 20],
+            [43, 21],
+        ]
     )
     return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))

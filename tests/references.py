@@ -60,7 +60,12 @@ def element_functionals(shape):
 
 
 def network_voltages(
-    sensor: tx.Sensor, sites=None, to_ground=None, ground=None, element=None, injected=None
+    sensor: tx.Sensor,
+    sites=None,
+    to_ground=None,
+    ground=None,
+    element=None,
+    injected=None,
 ):
     """Voltages of electrodes and of sites in the whole network, by one dense solve.
 
@@ -74,7 +79,11 @@ def network_voltages(
 
     fem, shape = _fem(sensor), sensor.divisions
     k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()
-    b, p, dipole = element_functionals(shape), np.asarray(fem.feeds), np.asarray(fem.dipoles)
+    b, p, dipole = (
+        element_functionals(shape),
+        np.asarray(fem.feeds),
+        np.asarray(fem.dipoles),
+    )
     (n, m), d = p.shape, dipole.shape[1]
     v0 = float(sensor.drive_voltage)
     z = np.broadcast_to(sensor.ground_resistance, m)
@@ -106,7 +115,13 @@ def network_voltages(
         matrix[i[ground]] *= z[ground]
         matrix[i[ground], v[ground]] -= 1
         rhs[i[ground]] *= z[ground]
+    # Siemens, ohms and Ω/m² in one matrix: refined in extended precision, so that what
+    # is compared is our rounding and not this solve's.
     solution = np.linalg.solve(matrix, rhs)
+    wide = matrix.astype(np.longdouble)
+    for _ in range(3):
+        left = np.asarray(rhs - wide @ solution.astype(np.longdouble), float)
+        solution = solution + np.linalg.solve(matrix, left)
     return solution[v], solution[np.concatenate([u, v])]
 
 

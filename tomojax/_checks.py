@@ -8,13 +8,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from tomojax._custom_types import Numbers
 
 
 def known(*values: Any) -> bool:
     """Whether the values are numbers now, not placeholders of a trace."""
-    return not any(isinstance(v, jax.core.Tracer) for v in values)
+    return not any(isinstance(v, Tracer) for v in values)
 
 
 def require(condition: Any, name: str, got: Any, expected: str) -> None:

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import (
     float_array,
+    known,
     require,
     require_not_negative,
     require_positive,
@@ -46,7 +47,7 @@ class Converter(eqx.Module):
         self, volts: Float[Array, "*shape"], key: Array | None = None
     ) -> Float[Array, "*shape"]:
         """`volts` as this converter reads them; `key` draws the noise."""
-        silent = not isinstance(self.noise, jax.core.Tracer) and self.noise == 0
+        silent = known(self.noise) and self.noise == 0
         require(silent or key is not None, "key", None, "a jax.random key for the noise")
         if not silent:
             assert key is not None

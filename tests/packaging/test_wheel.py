@@ -10,7 +10,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def packages_in_tree() -> set[str]:
-    places = {"tomojax": "tomojax", "kernels": "tomojax.kernels", "hardware": "tomojax.hardware"}
+    places = {
+        "tomojax": "tomojax",
+        "kernels": "tomojax.kernels",
+        "hardware": "tomojax.hardware",
+    }
     found = set()
     for folder, name in places.items():
         for init in (ROOT / folder).rglob("__init__.py"):

@@ -74,9 +74,7 @@ def test_moving_scene_is_the_shape_at_each_time() -> None:
         got, grounds, [0.03, 0.04, 0.05, 0.05], [0.04, 0.035, 0.03, 0.03], [1, 2, 3, 3]
     ):
         still = tx.Disc([x, y], 0.008, float(c))
-        np.testing.assert_allclose(
-            row, tx.voltages(sensor, still, [ground])[0], rtol=1e-9
-        )
+        np.testing.assert_allclose(row, tx.voltages(sensor, still, [ground])[0], rtol=1e-9)
     same = tx.voltages(sensor, lambda t: moving(t), grounds, times=times)
     np.testing.assert_array_equal(same, got)
     gamma = np.zeros((4, 16))
@@ -114,7 +112,9 @@ def test_same_numbers_alone_jitted_and_batched() -> None:
 
 def test_float32_in_float32_out() -> None:
     sensor = tx.Sensor.grid(dtype=jnp.float32)
-    scene = tx.Scene(tx.Disc([0.06, 0.07], 0.008, 1.0), tx.Bar([0.1, 0.1], 0.04, 0.01, 1.0, 5.0))
+    scene = tx.Scene(
+        tx.Disc([0.06, 0.07], 0.008, 1.0), tx.Bar([0.1, 0.1], 0.04, 0.01, 1.0, 5.0)
+    )
     single = tx.voltages(sensor, scene)
     double = tx.voltages(tx.Sensor.grid(), scene)
     assert single.dtype == jnp.float32 and double.dtype == jnp.float64
