@@ -23,10 +23,11 @@ class BlockTri(NamedTuple):
 class BlockTriFactor(NamedTuple):
     """Cholesky factor of a `BlockTri`: L_i on the diagonal, W_i at (i, i - 1).
 
+    Kept as L_i⁻¹, so that a substitution is products alone, one of them in the scan.
     W_0 is zero and stands here so that scans run over arrays of one length.
     """
 
-    diagonal: Float[Array, "n b b"]
+    inverse: Float[Array, "n b b"]
     lower: Float[Array, "n b b"]
 
 
@@ -50,51 +51,54 @@ def factor(matrix: BlockTri, row_sums: Float[Array, " nodes"]) -> BlockTriFactor
     A matrix that is not positive definite gives NaN from the failing block on.
     """
 
+    d, e = matrix
+    n, b, _ = d.shape
+    eye = jnp.eye(b, dtype=d.dtype)
+
     def step(previous: tuple, blocks: tuple) -> tuple[tuple, tuple]:
         left, left_sums = previous
         diagonal, lower, upper_sums, sums = blocks
-        w = triangular_solve(left, lower, left_side=False, lower=True, transpose_a=True)
-        passed = triangular_solve(left, left_sums[:, None], left_side=True, lower=True)
-        sums = sums - matmul(w, passed)[:, 0]
+        w = matmul(lower, _transposed(left))
+        sums = sums - matmul(w, matmul(left, left_sums))
         schur = diagonal - matmul(w, _transposed(w))
         wanted = sums - upper_sums  # the couplings to the next block stand outside S_i
-        eye = jnp.eye(len(schur), dtype=schur.dtype)
         schur = schur + eye * (wanted - schur.sum(1))[:, None]
-        new = jnp.linalg.cholesky(schur)
-        return (new, sums), (new, w)
+        inverse = triangular_solve(
+            jnp.linalg.cholesky(schur), eye, left_side=True, lower=True
+        )
+        return (inverse, sums), (inverse, w)
 
-    d, e = matrix
-    n, b, _ = d.shape
     zero = jnp.zeros_like(d[:1])
     lower = jnp.concatenate([zero, e])
     upper_sums = jnp.concatenate([e.sum(1), zero[:, 0]])
-    first = (jnp.eye(b, dtype=d.dtype), jnp.zeros(b, d.dtype))
-    _, (diagonal, w) = jax.lax.scan(
-        step, first, (d, lower, upper_sums, row_sums.reshape(n, b))
-    )
-    return BlockTriFactor(diagonal, w)
+    blocks = (d, lower, upper_sums, row_sums.reshape(n, b))
+    _, (inverse, w) = jax.lax.scan(step, (eye, jnp.zeros_like(eye[0])), blocks)
+    return BlockTriFactor(inverse, w)
 
 
 def solve(chol: BlockTriFactor, rhs: Float[Array, "nodes m"]) -> Float[Array, "nodes m"]:
-    """A⁻¹·rhs for m right-hand sides from the factor."""
-    n, b, _ = chol.diagonal.shape
+    """A⁻¹·rhs for m right-hand sides from the factor.
 
-    def forward(y: Array, blocks: tuple) -> tuple[Array, Array]:
-        diagonal, w, right = blocks
-        y = triangular_solve(diagonal, right - matmul(w, y), left_side=True, lower=True)
-        return y, y
+    y_i = L_i⁻¹r_i − (L_i⁻¹W_i)y_{i−1}, then x_i = L_i⁻ᵀy_i − (W_{i+1}L_i⁻¹)ᵀx_{i+1}; what
+    does not wait for the block before is one batched product outside the scan.
+    """
+    n, b, _ = chol.inverse.shape
+    below = jnp.concatenate([chol.lower[1:], jnp.zeros_like(chol.lower[:1])])
 
-    def backward(carry: Array, blocks: tuple) -> tuple[Array, Array]:
-        diagonal, w, y = blocks
-        x = triangular_solve(
-            diagonal, y - carry, left_side=True, lower=True, transpose_a=True
-        )
-        return matmul(_transposed(w), x), x
+    def substitute(previous: Array, blocks: tuple) -> tuple[Array, Array]:
+        own, coupling = blocks
+        x = own - matmul(coupling, previous)
+        return x, x
 
     blocks = rhs.reshape(n, b, -1)
     zero = jnp.zeros_like(blocks[0])
-    _, y = jax.lax.scan(forward, zero, (*chol, blocks))
-    _, x = jax.lax.scan(backward, zero, (*chol, y), reverse=True)
+    down = (matmul(chol.inverse, blocks), matmul(chol.inverse, chol.lower))
+    _, y = jax.lax.scan(substitute, zero, down)
+    up = (
+        matmul(_transposed(chol.inverse), y),
+        _transposed(matmul(below, chol.inverse)),
+    )
+    _, x = jax.lax.scan(substitute, zero, up, reverse=True)
     return x.reshape(rhs.shape)
 
 
@@ -104,18 +108,15 @@ def inverse_band(chol: BlockTriFactor) -> BlockTri:
     With G_i = W_{i+1} L_i⁻¹: Z_{i+1,i} = −Z_{i+1,i+1} G_i and
     Z_{ii} = (L_i L_iᵀ)⁻¹ + G_iᵀ Z_{i+1,i+1} G_i, from the last block back.
     """
-    n, b, _ = chol.diagonal.shape
-    eye = jnp.eye(b, dtype=chol.diagonal.dtype)
 
-    def step(carry: tuple, blocks: tuple) -> tuple[tuple, tuple]:
-        z_next, w_next = carry
-        diagonal, w = blocks
-        inverse = triangular_solve(diagonal, eye, left_side=True, lower=True)
-        g = matmul(w_next, inverse)
+    def step(z_next: Array, blocks: tuple) -> tuple[Array, tuple]:
+        own, g = blocks
         below = -matmul(z_next, g)
-        z = matmul(_transposed(inverse), inverse) - matmul(_transposed(g), below)
-        return (z, w), (z, below)
+        z = own - matmul(_transposed(g), below)
+        return z, (z, below)
 
-    zero = jnp.zeros_like(chol.diagonal[0])
-    _, (z, below) = jax.lax.scan(step, (zero, zero), tuple(chol), reverse=True)
+    own = matmul(_transposed(chol.inverse), chol.inverse)
+    next_lower = jnp.concatenate([chol.lower[1:], jnp.zeros_like(chol.lower[:1])])
+    g = matmul(next_lower, chol.inverse)
+    _, (z, below) = jax.lax.scan(step, jnp.zeros_like(own[0]), (own, g), reverse=True)
     return BlockTri(z, below[:-1])

@@ -74,5 +74,5 @@ def contact_jacobian(
     total = contact_resistance + loop
     largest = jnp.max(jnp.abs(loop), axis=-1, keepdims=True)
     shorted = total <= 16 * jnp.finfo(loop.dtype).eps * largest
-    safe = jnp.where(shorted, 1, total)[:, None, :]
-    return jnp.where(shorted[:, None, :], 0, t / safe)
+    conductance = jnp.where(shorted, 0, 1 / jnp.where(shorted, 1, total))
+    return t * conductance[:, None, :]

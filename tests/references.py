@@ -136,3 +136,10 @@ def sparse_loaded_voltages(k, feeds, series, g, v0, z):
     v = v0 * (1 - s / (z + own)[:, None])
     np.fill_diagonal(v, v0 * z / (z + own))
     return v
+
+
+def counterclockwise(nodes: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Vertices in the order that pyEIT asks for."""
+    a, b, c = np.moveaxis(nodes[vertices], 1, 0)
+    turned = np.linalg.det(np.stack([b - a, c - a], 1)) < 0
+    return np.where(turned[:, None], vertices[:, [0, 2, 1]], vertices)

@@ -1,7 +1,7 @@
 """From a sensor and a scene to resistances, Jacobians and voltages."""
 
 from collections.abc import Callable
-from typing import Literal
+from typing import cast, Literal
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ from tomojax._shapes import AbstractShape
 from tomojax.kernels._mesh import element_area, subpoints
 
 Route = Literal["fem", "series"]
-Scene = AbstractShape | Numbers | Callable[[Array], AbstractShape]
+Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
 
 # Each element is sampled at 4^2 points: a cell's side is resolved to an eighth.
 _LEVEL = 2
@@ -162,7 +162,7 @@ def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " 
 
 def voltages(
     sensor: Sensor,
-    scene: Scene,
+    scene: Contact,
     grounds: Numbers | None = None,
     *,
     times: Numbers | None = None,
@@ -198,7 +198,7 @@ def voltages(
             type(scene).__name__,
             "a function of time with times",
         )
-        exact = _moving_voltages(sensor, scene, checked, when)
+        exact = _moving_voltages(sensor, cast(Callable, scene), checked, when)
     elif isinstance(scene, AbstractShape):
         exact = _voltages(sensor, contact_conductance(sensor, scene), checked)
     elif callable(scene):
@@ -224,7 +224,7 @@ def _voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
 
 @eqx.filter_jit
 def _moving_voltages(
-    sensor: Sensor, scene: Callable, grounds: Array, times: Array
+    sensor: Sensor, scene: Callable[[Array], AbstractShape], grounds: Array, times: Array
 ) -> Array:
     def slot(ground_and_time: tuple[Array, Array]) -> Array:
         ground, time = ground_and_time

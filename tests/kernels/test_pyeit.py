@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import references
 from pyeit.eit.fem import EITForward
 from pyeit.eit.protocol import PyEITProtocol
 from pyeit.mesh import PyEITMesh
@@ -10,16 +11,10 @@ from tomojax import kernels
 from tomojax.kernels import _mesh
 
 
-def counterclockwise(nodes: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    a, b, c = np.moveaxis(nodes[vertices], 1, 0)
-    turned = np.linalg.det(np.stack([b - a, c - a], 1)) < 0
-    return np.where(turned[:, None], vertices[:, [0, 2, 1]], vertices)
-
-
 def test_slot_voltages_of_a_point_contact(rng) -> None:
     shape, size = (24, 20), jnp.array([0.12, 0.10])
     nodes = np.asarray(_mesh.nodes(shape, size))
-    vertices = counterclockwise(nodes, _mesh.triangles(shape))
+    vertices = references.counterclockwise(nodes, _mesh.triangles(shape))
     sheet = 1e-4 * np.exp(0.5 * rng.standard_normal(len(vertices)))
     chosen = rng.choice(np.arange(1, len(nodes) - 1), 17, replace=False)
     contact = 16  # the last of the chosen nodes; the others are electrodes
