@@ -4,6 +4,8 @@
 #     text_representation:
 #       format_name: percent
 #   kernelspec:
+#     display_name: Python 3
+#     language: python
 #     name: python3
 # ---
 
@@ -39,7 +41,7 @@ figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")
 _plots.sheet(axes[0], sensor, table.elements[27], "Ω")
 for axis, rho in zip(axes[1:], (0.0, 2e5)):
     j = tx.jacobian(sensor, [0], rho)
-    _plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω")
+    _plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω", vmin=0)
 
 # %% [markdown]
 # ## Recorded scenes

@@ -126,7 +126,10 @@ def jacobian(
     **Arguments:** `grounds` as in `ground_set`; `contact_resistance` ρ in Ω, one value
     or one per element; `route` as in `resistances`.
     **Returns:** (L, M, K). An element that coincides with the grounded electrode at
-    ρ = z = 0, where the formula is 0/0, gives 0.
+    ρ = z = 0, where the formula is 0/0, gives 0. An element is read as the mean of its
+    vertices also where it lies over an electrode: within two feed widths of the grounded
+    one (5 mm on the default sensor) a small ρ makes J leave [0, 1], as no contact on
+    the metal would. `voltages` puts such contacts on the metal.
     **Raises:** `ValueError` as `ground_set`, and for a negative or NaN ρ.
     """
     rho = float_array("contact_resistance", contact_resistance, sensor.dtype)
