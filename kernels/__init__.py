@@ -3,6 +3,10 @@
 Nothing here holds state, reads files or checks values; `tomojax` does.
 """
 
+from tomojax.kernels._basis import (
+    slot_basis as slot_basis,
+    slot_factors as slot_factors,
+)
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
     fem_resistances as fem_resistances,
