@@ -87,6 +87,9 @@ def ground_set(
     if grounds is None:
         return jnp.asarray(sensor.all_grounds())
     array = grounds if not known(grounds) else np.asarray(grounds)
+    if known(array):
+        numbers = np.asarray(array).dtype.kind in "iuf"
+        require(numbers, "grounds", repr(grounds), "electrode numbers or conductances")
     if jnp.issubdtype(jnp.result_type(array), jnp.integer):
         array = jnp.asarray(array)
         require_shape("grounds", array, (None,))

@@ -103,6 +103,8 @@ def test_shapes_and_converter(name, make) -> None:
         np.full((1, 8), -1.0),
         np.full((1, 8), np.nan),
         np.ones((1, 7)),
+        "all",
+        [True, False],
         np.ones(8),
     ],
 )
