@@ -1,6 +1,6 @@
 """Disc electrodes on a mesh that need not resolve them, at any place.
 
-An electrode is an equipotential disc of radius a. It acts in two ways.
+An electrode is an equipotential disc of radius a. It acts in three ways.
 
 *Feed.* It is fed and read through a Gaussian of width s on the nodes around it. Outside
 its source a symmetric feed acts like a disc (the mean of a harmonic function over a
