@@ -179,7 +179,8 @@ def voltages(
 
     Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches (at the
     mesh's nodes, and at the metal of electrodes under it), and one factorisation serves
-    every ground condition. Always between 0 and V0.
+    every ground condition. Between 0 and V0, as long as electrodes are small beside their
+    distance to the edge (a disc as near to it as it is wide was seen to read −1 %).
 
     **Arguments:**
 
