@@ -50,7 +50,6 @@ def factor(matrix: BlockTri, row_sums: Float[Array, " nodes"]) -> BlockTriFactor
     elimination of Grassmann, Taksar and Heyman (Oper. Res. 33, 1107, 1985).
     A matrix that is not positive definite gives NaN from the failing block on.
     """
-
     d, e = matrix
     n, b, _ = d.shape
     eye = jnp.eye(b, dtype=d.dtype)

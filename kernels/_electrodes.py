@@ -64,6 +64,12 @@ def feed_width(
     return jnp.maximum(jnp.exp(log_width), _NARROWEST * cell_sides(shape, size).max())
 
 
+def _square_distances(
+    points: Float[Array, "points 2"], places: Float[Array, "M 2"]
+) -> Float[Array, "points M"]:
+    return ((points[:, None] - places[None]) ** 2).sum(-1)
+
+
 def feed_weights(
     places: Float[Array, "M 2"],
     width: Float[Array, ""],
@@ -71,7 +77,7 @@ def feed_weights(
     size: Float[Array, "2"],
 ) -> Float[Array, "nodes M"]:
     """Shares of each electrode's current that enter at each node; columns sum to 1."""
-    square = ((nodes(shape, size)[:, None] - places[None]) ** 2).sum(-1)
+    square = _square_distances(nodes(shape, size), places)
     weights = jnp.exp(-square / (2 * width**2)) * node_areas(shape, size)[:, None]
     return weights / weights.sum(0)
 
@@ -88,7 +94,7 @@ def metal_shares(
     but a contact between that and 2 s, where a seventh of the feed still is, was seen to
     drive voltages out of bounds.
     """
-    square = ((nodes(shape, size)[:, None] - places[None]) ** 2).sum(-1)
+    square = _square_distances(nodes(shape, size), places)
     # Linear in the square of the distance: smooth where node and electrode coincide.
     reach, cell = 2 * width, cell_sides(shape, size).max()
     inside = jnp.clip(0.5 + (reach**2 - square) / (2 * reach * cell), 0, 1)
@@ -123,7 +129,7 @@ def series_resistances(
     under the feed.
     """
     width = feed_width(radius, shape, size)
-    square = ((centroids(shape, size)[:, None] - places[None]) ** 2).sum(-1)
+    square = _square_distances(centroids(shape, size), places)
     near = jnp.exp(-square / (2 * width**2))
     under = jnp.matmul(sheet, near, precision="highest") / near.sum(0)
     excess = jnp.maximum(_own_excess(width, radius, shape, size), 0)

@@ -35,6 +35,8 @@ print({name: part.shape for name, part in table._asdict().items()})
 # Potential over the sheet when one ampere enters at electrode 27 (mean of all electrodes
 # as zero), and what one element in contact through 0 Ω and 200 kΩ does to electrode 27
 # with corner 0 grounded: an imposed potential saturates, a current source does not.
+# Colours start at 0: over the grounded electrode itself J(0) falls to about −0.3, which no
+# contact on its metal would do (see `jacobian`).
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")

@@ -69,20 +69,17 @@ def test_reciprocity(data) -> None:
     """Feeding an electrode and reading an element is the converse."""
     sensor = data.draw(sensors())
     table = tx.resistances(sensor)
-    np.testing.assert_allclose(table.electrodes, table.electrodes.T, rtol=1e-12)
-    sites = jnp.array([0, 5, 77, 150])
-    ec, cc = site_resistances(_fem(sensor), sites, sensor.divisions)
     vertices = _mesh.triangles(sensor.divisions)[40]
     at_vertices, among = site_resistances(
         _fem(sensor), jnp.asarray(vertices), sensor.divisions
     )
     scale = float(table.own.max())
-    # An element is a third of each vertex, fed from the electrodes or by itself.
+    # An element is a third of each vertex. The table has fed the electrodes and read the
+    # element; here its vertices are fed and the electrodes read.
     np.testing.assert_allclose(
         at_vertices.mean(1), table.elements[:, 40], atol=1e-10 * scale
     )
     np.testing.assert_allclose(among.mean(), table.own[40], atol=1e-10 * scale)
-    np.testing.assert_allclose(cc, cc.T, atol=1e-10 * scale)
 
 
 @property_test
