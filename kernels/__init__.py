@@ -3,9 +3,29 @@
 Nothing here holds state, reads files or checks values; `tomojax` does.
 """
 
+from tomojax.kernels._adaptive import (
+    around as around,
+    BAD_VOLTAGES as BAD_VOLTAGES,
+    contact_region as contact_region,
+    contact_regions as contact_regions,
+    cop_line as cop_line,
+    DIRECTIONS as DIRECTIONS,
+    electrode_currents as electrode_currents,
+    nearest_electrodes as nearest_electrodes,
+    NO_CONTACT as NO_CONTACT,
+    NO_DIRECTION as NO_DIRECTION,
+    pitch as pitch,
+    point as point,
+    Region as Region,
+    WHOLE_SHEET as WHOLE_SHEET,
+)
 from tomojax.kernels._basis import (
+    reduce_slots as reduce_slots,
+    ReducedSlots as ReducedSlots,
+    row_basis as row_basis,
     slot_basis as slot_basis,
     slot_factors as slot_factors,
+    solve_reduced as solve_reduced,
 )
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
@@ -14,6 +34,23 @@ from tomojax.kernels._fem import (
     fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
     site_conductance as site_conductance,
+)
+from tomojax.kernels._lambda import (
+    choose_lambda as choose_lambda,
+    lambda_grid as lambda_grid,
+    lambda_scores as lambda_scores,
+    LambdaRule as LambdaRule,
+    Spectrum as Spectrum,
+    spectrum as spectrum,
+)
+from tomojax.kernels._merit import (
+    greit_figures as greit_figures,
+    GreitFigures as GreitFigures,
+    half_area_radius as half_area_radius,
+    half_width as half_width,
+    image_error as image_error,
+    image_place as image_place,
+    two_point_dip as two_point_dip,
 )
 from tomojax.kernels._rectangle import (
     rectangle_green as rectangle_green,
@@ -36,3 +73,7 @@ from tomojax.kernels._slots import (
     slot_map as slot_map,
 )
 from tomojax.kernels._table import centred as centred, Resistances as Resistances
+from tomojax.kernels._tikhonov import (
+    SolveRoute as SolveRoute,
+    tikhonov as tikhonov,
+)

@@ -1,0 +1,135 @@
+"""How much to regularise: λ from the data, by criteria over a logarithmic grid.
+
+All are arithmetic on one thin singular value decomposition A = U diag(σ) Vᵀ of the
+selected rows, which serves every λ and every frame. β = Uᵀv, f = λ/(σ² + λ); the
+residual is r = (I − H)v with I − H = U f Uᵀ + (I − UUᵀ).
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels._blocktri import matmul
+
+LambdaRule = Literal[
+    "cross_validation", "discrepancy", "gcv", "robust_gcv", "l_curve", "marginal_likelihood"
+]
+
+# Robust GCV: weight of GCV itself beside the variance it leaves out (Lukas, Inverse
+# Problems 22, 2006, suggests 0.1 to 0.3).
+_ROBUST_GCV = 0.1
+
+
+class Spectrum(NamedTuple):
+    """Thin SVD of S·M selected rows."""
+
+    left: Float[Array, "S M p"]  # U
+    singular: Float[Array, " p"]  # σ, largest first
+
+
+def spectrum(rows: Float[Array, "S M K"]) -> Spectrum:
+    """U and σ of the selected slots' rows (of J_s, or of their reduced factors)."""
+    slots, electrodes, columns = rows.shape
+    u, s, _ = jnp.linalg.svd(rows.reshape(-1, columns), full_matrices=False)
+    return Spectrum(u.reshape(slots, electrodes, -1), s)
+
+
+def lambda_grid(s: Spectrum, per_decade: int = 4) -> Float[Array, " G"]:
+    """λ/σ₁² from 10 down to where the dtype holds nothing: 1e-11, or 1e-7 in float32."""
+    lowest = -11 if s.singular.dtype == jnp.float64 else -7
+    exponents = jnp.linspace(lowest, 1, per_decade * (1 - lowest) + 1)
+    return s.singular[0] ** 2 * 10.0 ** exponents.astype(s.singular.dtype)
+
+
+def lambda_scores(
+    s: Spectrum,
+    voltages: Float[Array, "S M"],
+    grid: Float[Array, " G"],
+    rule: LambdaRule,
+    noise: Float[Array, ""],
+) -> Float[Array, "G c"]:
+    """What the rule minimises over λ, for one frame; c = 2 for "cross_validation".
+
+    - "cross_validation": squared errors of predicting each electrode's voltages in all
+      slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
+      electrode and common-mode noise in a slot: what is left out has to be left out
+      whole, or noise predicts itself.
+    - "discrepancy": |log ‖r‖²/(n·noise²)|, the residual beside known noise (V rms).
+    - "gcv": ‖r‖²/tr(I − H)² (Golub, Heath, Wahba, Technometrics 21, 1979).
+    - "robust_gcv": the same times γ + (1 − γ)·tr(H²)/n.
+    - "l_curve": −curvature of (log ‖r‖, log ‖φ‖) (Hansen, SIAM Review 34, 1992).
+    - "marginal_likelihood": −log p(v|λ) with v ~ N(0, s²(I + AAᵀ/λ)), s² profiled out.
+    """
+    u = s.left.reshape(-1, s.left.shape[-1])
+    v = voltages.reshape(-1)
+    beta = matmul(u.T, v)
+    n, p = u.shape
+    # What no image explains; nothing where the rows are independent and p = n.
+    beyond = v - matmul(u, beta) if p < n else jnp.zeros_like(v)
+    outside = jnp.sum(beyond**2)
+
+    def score(lam: Array) -> Array:
+        f = lam / (s.singular**2 + lam)
+        residual = jnp.sum((f * beta) ** 2) + outside
+        if rule == "cross_validation":
+            left_over = (matmul(u, f * beta) + beyond).reshape(voltages.shape)
+            return _left_out_errors(s.left, f, left_over)
+        if rule == "discrepancy":
+            return jnp.abs(jnp.log(residual / (n * noise**2)))[None]
+        if rule == "marginal_likelihood":
+            fit = jnp.sum(f * beta**2) + outside
+            return (n * jnp.log(fit) - jnp.sum(jnp.log(f)))[None]
+        gcv = residual / (jnp.sum(f) + (n - p)) ** 2
+        robust = _ROBUST_GCV + (1 - _ROBUST_GCV) * jnp.sum((1 - f) ** 2) / n
+        return (gcv if rule == "gcv" else gcv * robust)[None]
+
+    if rule == "l_curve":
+        return _l_curve(s.singular, beta, outside, grid)[:, None]
+    return jax.lax.map(score, grid)
+
+
+def choose_lambda(
+    grid: Float[Array, " G"], scores: Float[Array, "*frames G c"]
+) -> Float[Array, ""]:
+    """The λ of lowest score, summed over frames; of several scores the largest such λ.
+
+    Each of the two cross-validations is blind to one kind of noise and then finds a λ
+    that is far too small; neither finds one that is too large.
+    """
+    total = scores.reshape(-1, *scores.shape[-2:]).sum(0)
+    # A factorisation that fails at the smallest λ is not a candidate.
+    usable = jnp.isfinite(total)
+    best = grid[jnp.argmin(jnp.where(usable, total, jnp.inf), axis=0)].max()
+    return jnp.where(usable.any(0).all(), best, jnp.nan)
+
+
+def _left_out_errors(
+    left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
+) -> Float[Array, "2"]:
+    """Σ‖e_b‖² over electrodes b, and over slots b, with e_b = (I − H)_bb⁻¹ r_b.
+
+    e_b is the error of predicting block b from the fit to all else, exactly.
+    """
+
+    def errors(blocks: Array, r: Array) -> Array:
+        size = blocks.shape[1]
+        # (I − H)_bb = I − U_b (1 − f) U_bᵀ
+        hat = matmul(blocks * (1 - f), jnp.swapaxes(blocks, 1, 2))
+        e = jnp.linalg.solve(jnp.eye(size, dtype=f.dtype) - hat, r[..., None])
+        return jnp.sum(e**2)
+
+    by_electrode = errors(jnp.swapaxes(left, 0, 1), residual.T)
+    return jnp.stack([by_electrode, errors(left, residual)])
+
+
+def _l_curve(singular, beta, outside, grid) -> Float[Array, " G"]:
+    lam = grid[:, None]
+    residual = jnp.sum((lam / (singular**2 + lam) * beta) ** 2, 1) + outside
+    size = jnp.sum((singular / (singular**2 + lam) * beta) ** 2, 1)
+    x, y = jnp.log(residual) / 2, jnp.log(size) / 2
+    dx, dy = jnp.gradient(x), jnp.gradient(y)
+    curvature = dx * jnp.gradient(dy) - dy * jnp.gradient(dx)
+    tiny = jnp.finfo(x.dtype).tiny
+    return -curvature / jnp.maximum(dx**2 + dy**2, tiny) ** 1.5

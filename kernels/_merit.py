@@ -1,0 +1,149 @@
+"""Figures of merit of an image on pixels (nx, ny) of size `cell` (dx, dy), m.
+
+For one image; all can be batched, and those that are sums or interpolations can be
+differentiated (half width, place, image error, separation, amplitude, ringing); those
+that count pixels (resolution, shape deformation) have no gradient.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Array, Bool, Float
+
+
+class GreitFigures(NamedTuple):
+    """GREIT's figures (Adler et al., Physiol. Meas. 30 S35, 2009) of a point-like target.
+
+    They are taken on the image's quarter set: the pixels above a quarter of the maximum.
+    """
+
+    amplitude: Float[Array, ""]  # AR: sum of the image over the sum of the target
+    position_error: Float[Array, ""]  # PE: m, between the centres of quarter set and target
+    resolution: Float[Array, ""]  # RES: √(area of the quarter set / area of the image)
+    shape_deformation: Float[Array, ""]  # SD: part of the quarter set outside its circle
+    ringing: Float[Array, ""]  # RNG: opposite sign outside that circle / sum inside it
+
+
+def pixel_places(
+    shape: tuple[int, int], cell: Float[Array, "2"]
+) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
+    """Centres of the pixels along x and y, m."""
+    nx, ny = shape
+    return (jnp.arange(nx) + 0.5) * cell[0], (jnp.arange(ny) + 0.5) * cell[1]
+
+
+def half_width(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, ""]:
+    """Half the width at half the maximum, m: the mean over the four directions ±x, ±y.
+
+    From the highest pixel outwards to where the image, linearly interpolated, falls to
+    half; to the image's edge where it does not.
+    """
+    peak = jnp.unravel_index(jnp.argmax(image), image.shape)
+    top = image[peak]
+    lines = (image[:, peak[1]] / top, peak[0]), (image[peak[0]] / top, peak[1])
+    reach = [
+        _distance_to_half(line, at) * step for (line, at), step in zip(lines, cell)
+    ] + [
+        _distance_to_half(line[::-1], len(line) - 1 - at) * step
+        for (line, at), step in zip(lines, cell)
+    ]
+    return sum(reach, jnp.zeros_like(top)) / len(reach)
+
+
+def _distance_to_half(line: Float[Array, " n"], start: Array) -> Float[Array, ""]:
+    """Pixels from `start` (where the line is 1) upwards to the first fall to 1/2."""
+    index = jnp.arange(len(line))
+    below = (index > start) & (line <= 0.5)
+    after = jnp.argmax(below)
+    before = jnp.maximum(after - 1, 0)
+    fall = line[before] - line[after]
+    part = (line[before] - 0.5) / jnp.where(fall > 0, fall, 1)
+    inside = (before - start).astype(line.dtype) + part
+    to_edge = (len(line) - start).astype(line.dtype) - 0.5
+    return jnp.where(below.any(), inside, to_edge)
+
+
+def half_area_radius(
+    image: Float[Array, "nx ny"], cell: Float[Array, "2"]
+) -> Float[Array, ""]:
+    """Radius of the circle with the area above half the maximum, m: another half width."""
+    area = jnp.sum(image >= image.max() / 2) * cell.prod()
+    return jnp.sqrt(area / jnp.pi)
+
+
+def image_place(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Where the contact is: the centre of what exceeds half the maximum, m."""
+    weight = jnp.maximum(image - image.max() / 2, 0)
+    return _centre(weight, cell)
+
+
+def _centre(weight: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, "2"]:
+    x, y = pixel_places(weight.shape, cell)
+    total = weight.sum()
+    return jnp.stack([weight.sum(1) @ x.astype(weight.dtype), weight.sum(0) @ y]) / total
+
+
+def image_error(
+    image: Float[Array, "nx ny"], truth: Float[Array, "nx ny"]
+) -> Float[Array, ""]:
+    """‖a·image − truth‖/‖truth‖ with the best factor a: 0 is the truth, 1 is nothing.
+
+    Free of scale, since Eq. 3's image has the unit of its Jacobian's column and λ
+    shrinks it. 1 also where the image is orthogonal to the truth.
+    """
+    dot = jnp.sum(image * truth)
+    cosine = dot**2 / (jnp.sum(image**2) * jnp.sum(truth**2))
+    return jnp.sqrt(jnp.maximum(1 - jnp.where(dot > 0, cosine, 0), 0))
+
+
+def two_point_dip(
+    image: Float[Array, "nx ny"],
+    cell: Float[Array, "2"],
+    one: Float[Array, "2"],
+    other: Float[Array, "2"],
+    samples: int = 65,
+) -> Float[Array, ""]:
+    """How deep the image falls between two true places: 1 − valley / lower of the peaks.
+
+    Along the line through both, a quarter of their distance beyond each; each peak is
+    the highest value in its half. 0 is one blob, 1 is full separation; Rayleigh's
+    criterion is 0.19.
+    """
+    along = jnp.linspace(-0.25, 1.25, samples).astype(image.dtype)
+    places = one + along[:, None] * (other - one)
+    line = map_coordinates(image, list((places / cell - 0.5).T), order=1, mode="nearest")
+    half = samples // 2
+    peaks = jnp.argmax(line[: half + 1]), half + jnp.argmax(line[half:])
+    index = jnp.arange(samples)
+    between = (index >= peaks[0]) & (index <= peaks[1])
+    valley = jnp.min(jnp.where(between, line, jnp.inf))
+    return 1 - valley / jnp.minimum(line[peaks[0]], line[peaks[1]])
+
+
+def greit_figures(
+    image: Float[Array, "nx ny"], target: Float[Array, "nx ny"], cell: Float[Array, "2"]
+) -> GreitFigures:
+    """AR, PE, RES, SD and RNG; `target` is the true image, of which only sums count."""
+    signed = image * jnp.sign(image.flatten()[jnp.argmax(jnp.abs(image))])
+    quarter = signed >= signed.max() / 4
+    count = quarter.sum()
+    centre = _centre(quarter.astype(image.dtype), cell)
+    circle = _disc(image.shape, cell, centre, count)
+    outside = jnp.sum(quarter & ~circle) / count
+    opposite = -jnp.sum(jnp.where((signed < 0) & ~circle, signed, 0))
+    true_centre = _centre(target, cell)
+    return GreitFigures(
+        image.sum() / target.sum(),
+        jnp.linalg.norm(centre - true_centre),
+        jnp.sqrt(count / image.size),
+        outside,
+        opposite / jnp.sum(jnp.where(circle, signed, 0)),
+    )
+
+
+def _disc(shape, cell, centre, count) -> Bool[Array, "nx ny"]:
+    """The circle with the area of `count` pixels."""
+    x, y = pixel_places(shape, cell)
+    away = (x[:, None] - centre[0]) ** 2 + (y - centre[1]) ** 2
+    return away <= count.astype(away.dtype) * cell.prod() / jnp.pi
