@@ -5,19 +5,15 @@ Nothing here holds state, reads files or checks values; `tomojax` does.
 
 from tomojax.kernels._adaptive import (
     around as around,
-    BAD_VOLTAGES as BAD_VOLTAGES,
     contact_region as contact_region,
     contact_regions as contact_regions,
     cop_line as cop_line,
     DIRECTIONS as DIRECTIONS,
     electrode_currents as electrode_currents,
     nearest_electrodes as nearest_electrodes,
-    NO_CONTACT as NO_CONTACT,
-    NO_DIRECTION as NO_DIRECTION,
     pitch as pitch,
     point as point,
     Region as Region,
-    WHOLE_SHEET as WHOLE_SHEET,
 )
 from tomojax.kernels._basis import (
     reduce_slots as reduce_slots,
@@ -35,6 +31,7 @@ from tomojax.kernels._fem import (
     FemSheet as FemSheet,
     site_conductance as site_conductance,
 )
+from tomojax.kernels._flags import Flag as Flag
 from tomojax.kernels._lambda import (
     choose_lambda as choose_lambda,
     lambda_grid as lambda_grid,

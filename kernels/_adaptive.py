@@ -11,12 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels._blocktri import matmul
-
-# Flags of a region.
-NO_CONTACT = 1  # nothing above the threshold
-BAD_VOLTAGES = 2  # NaN or infinite
-NO_DIRECTION = 4  # as wide as long
-WHOLE_SHEET = 8  # every electrode within α: nothing to adapt to
+from tomojax.kernels._flags import Flag
 
 DIRECTIONS = 8  # classes over half a turn, 22.5° apart: class c is c·π/8
 
@@ -91,10 +86,10 @@ def contact_region(
     step = jnp.pi / DIRECTIONS
     nearest = jnp.round(direction / step).astype(centre.dtype) % DIRECTIONS
     flags = (
-        jnp.where(good & ~touched, NO_CONTACT, 0)
-        + jnp.where(good, 0, BAD_VOLTAGES)
-        + jnp.where(lengthy, 0, NO_DIRECTION)
-        + jnp.where(inside.all(), WHOLE_SHEET, 0)
+        jnp.where(good & ~touched, Flag.NO_CONTACT.value, 0)
+        + jnp.where(good, 0, Flag.BAD_VOLTAGES.value)
+        + jnp.where(lengthy, 0, Flag.NO_DIRECTION.value)
+        + jnp.where(inside.all(), Flag.WHOLE_SHEET.value, 0)
     )
     return Region(centre, inside, low, high, direction, nearest, flags)
 
@@ -152,7 +147,7 @@ def contact_regions(
         region = contact_region(
             alone[None], electrode_xy, jnp.full_like(threshold, 25), 0 * threshold, alone
         )
-        bad = jnp.where(good, 0, BAD_VOLTAGES)
+        bad = jnp.where(good, 0, Flag.BAD_VOLTAGES.value)
         return free & ~group, region._replace(flags=region.flags | bad)
 
     return lax.scan(take, jnp.ones_like(summed, bool), length=count)[1]

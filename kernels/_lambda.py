@@ -7,8 +7,10 @@ residual is r = (I − H)v with I − H = U f Uᵀ + (I − UUᵀ).
 
 from typing import Literal, NamedTuple
 
-import jax
 import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import sequential_vmap
+from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Float
 
 from tomojax.kernels._blocktri import matmul
@@ -87,7 +89,7 @@ def lambda_scores(
 
     if rule == "l_curve":
         return _l_curve(s.singular, beta, outside, grid)[:, None]
-    return jax.lax.map(score, grid)
+    return lax.map(score, grid)
 
 
 def choose_lambda(
@@ -105,6 +107,10 @@ def choose_lambda(
     return jnp.where(usable.any(0).all(), best, jnp.nan)
 
 
+# Two batched LAPACK calls that do not wait for each other can each hold a thread of XLA's
+# CPU pool and wait for one more: jaxlib 0.10.2 then hangs on two cores. So block by block,
+# which is no slower here, also when a caller batches over frames.
+@sequential_vmap
 def _left_out_errors(
     left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
 ) -> Float[Array, "2"]:
@@ -113,15 +119,15 @@ def _left_out_errors(
     e_b is the error of predicting block b from the fit to all else, exactly.
     """
 
-    def errors(blocks: Array, r: Array) -> Array:
-        size = blocks.shape[1]
+    def squared_error(block_and_residual: tuple[Array, Array]) -> Array:
+        block, r = block_and_residual
         # (I − H)_bb = I − U_b (1 − f) U_bᵀ
-        hat = matmul(blocks * (1 - f), jnp.swapaxes(blocks, 1, 2))
-        e = jnp.linalg.solve(jnp.eye(size, dtype=f.dtype) - hat, r[..., None])
-        return jnp.sum(e**2)
+        rest = jnp.eye(len(r), dtype=f.dtype) - matmul(block * (1 - f), block.T)
+        return jnp.sum(cho_solve((jnp.linalg.cholesky(rest), True), r) ** 2)
 
-    by_electrode = errors(jnp.swapaxes(left, 0, 1), residual.T)
-    return jnp.stack([by_electrode, errors(left, residual)])
+    by_electrode = lax.map(squared_error, (jnp.swapaxes(left, 0, 1), residual.T))
+    by_slot = lax.map(squared_error, (left, residual))
+    return jnp.stack([by_electrode.sum(), by_slot.sum()])
 
 
 def _l_curve(singular, beta, outside, grid) -> Float[Array, " G"]:

@@ -29,8 +29,8 @@ def pixel_places(
     shape: tuple[int, int], cell: Float[Array, "2"]
 ) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
     """Centres of the pixels along x and y, m."""
-    nx, ny = shape
-    return (jnp.arange(nx) + 0.5) * cell[0], (jnp.arange(ny) + 0.5) * cell[1]
+    x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * d for n, d in zip(shape, cell))
+    return x, y
 
 
 def half_width(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, ""]:
@@ -68,7 +68,7 @@ def half_area_radius(
     image: Float[Array, "nx ny"], cell: Float[Array, "2"]
 ) -> Float[Array, ""]:
     """Radius of the circle with the area above half the maximum, m: another half width."""
-    area = jnp.sum(image >= image.max() / 2) * cell.prod()
+    area = _area(image >= image.max() / 2, cell)
     return jnp.sqrt(area / jnp.pi)
 
 
@@ -81,7 +81,11 @@ def image_place(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[
 def _centre(weight: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, "2"]:
     x, y = pixel_places(weight.shape, cell)
     total = weight.sum()
-    return jnp.stack([weight.sum(1) @ x.astype(weight.dtype), weight.sum(0) @ y]) / total
+    return jnp.stack([weight.sum(1) @ x, weight.sum(0) @ y]) / total
+
+
+def _area(inside: Bool[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, ""]:
+    return jnp.sum(inside.astype(cell.dtype)) * cell.prod()
 
 
 def image_error(
@@ -127,23 +131,20 @@ def greit_figures(
     """AR, PE, RES, SD and RNG; `target` is the true image, of which only sums count."""
     signed = image * jnp.sign(image.flatten()[jnp.argmax(jnp.abs(image))])
     quarter = signed >= signed.max() / 4
-    count = quarter.sum()
+    area = _area(quarter, cell)
     centre = _centre(quarter.astype(image.dtype), cell)
-    circle = _disc(image.shape, cell, centre, count)
-    outside = jnp.sum(quarter & ~circle) / count
+    circle = _disc(image.shape, cell, centre, area)
     opposite = -jnp.sum(jnp.where((signed < 0) & ~circle, signed, 0))
-    true_centre = _centre(target, cell)
     return GreitFigures(
         image.sum() / target.sum(),
-        jnp.linalg.norm(centre - true_centre),
-        jnp.sqrt(count / image.size),
-        outside,
+        jnp.linalg.norm(centre - _centre(target, cell)),
+        jnp.sqrt(area / (image.size * cell.prod())),
+        _area(quarter & ~circle, cell) / area,
         opposite / jnp.sum(jnp.where(circle, signed, 0)),
     )
 
 
-def _disc(shape, cell, centre, count) -> Bool[Array, "nx ny"]:
-    """The circle with the area of `count` pixels."""
+def _disc(shape, cell, centre, area) -> Bool[Array, "nx ny"]:
     x, y = pixel_places(shape, cell)
     away = (x[:, None] - centre[0]) ** 2 + (y - centre[1]) ** 2
-    return away <= count.astype(away.dtype) * cell.prod() / jnp.pi
+    return away <= area / jnp.pi

@@ -14,6 +14,23 @@ from tomojax._forward import (  # noqa: E402
     resistances as resistances,
     voltages as voltages,
 )
+from tomojax._merit import (  # noqa: E402
+    cell_size as cell_size,
+    Figures as Figures,
+    figures_of_merit as figures_of_merit,
+    pixels as pixels,
+)
+from tomojax._patterns import (  # noqa: E402
+    AdaptiveScan as AdaptiveScan,
+    exploration as exploration,
+    pattern as pattern,
+    PATTERNS as PATTERNS,
+)
+from tomojax._reconstruct import (  # noqa: E402
+    reconstruct as reconstruct,
+    Reconstruction as Reconstruction,
+    reduce as reduce,
+)
 from tomojax._sensor import Sensor as Sensor  # noqa: E402
 from tomojax._shapes import (  # noqa: E402
     AbstractOutline as AbstractOutline,
@@ -28,3 +45,4 @@ from tomojax._shapes import (  # noqa: E402
     Scene as Scene,
     Shifted as Shifted,
 )
+from tomojax.kernels import Flag as Flag, ReducedSlots as ReducedSlots  # noqa: E402
