@@ -10,6 +10,7 @@ from tomojax import kernels
 from tomojax._checks import float_array, require_finite, require_shape
 from tomojax._custom_types import Numbers
 from tomojax._sensor import Sensor
+from tomojax.kernels._mesh import cell_sides
 
 
 class Figures(NamedTuple):
@@ -32,7 +33,7 @@ def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
 
 def cell_size(sensor: Sensor) -> Float[Array, "2"]:
     """Sides of a pixel, m."""
-    return sensor.size / jnp.array(sensor.divisions, sensor.dtype)
+    return cell_sides(sensor.divisions, sensor.size)
 
 
 def figures_of_merit(sensor: Sensor, image: Numbers, truth: Numbers) -> Figures:

@@ -1,0 +1,17 @@
+"""What a result was made with."""
+
+import platform
+from importlib.metadata import version
+
+import jax
+
+
+def environment() -> dict[str, str]:
+    """Device, machine and versions, for the JSON files."""
+    packages = ("tomojax", "jax", "jaxlib", "equinox", "numpy")
+    return {
+        "device": str(jax.devices()[0].device_kind),
+        "machine": platform.machine(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
