@@ -14,9 +14,17 @@ from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Float
 
 from tomojax.kernels._blocktri import matmul
+from tomojax.kernels._variance import estimated_risk, variance_components
 
 LambdaRule = Literal[
-    "cross_validation", "discrepancy", "gcv", "robust_gcv", "l_curve", "marginal_likelihood"
+    "cautious",
+    "cross_validation",
+    "estimated_risk",
+    "discrepancy",
+    "gcv",
+    "robust_gcv",
+    "l_curve",
+    "marginal_likelihood",
 ]
 
 # Robust GCV: weight of GCV itself beside the variance it leaves out (Lukas, Inverse
@@ -52,12 +60,16 @@ def lambda_scores(
     rule: LambdaRule,
     noise: Float[Array, ""],
 ) -> Float[Array, "G c"]:
-    """What the rule minimises over λ, for one frame; c = 2 for "cross_validation".
+    """What the rule minimises over λ, for one frame, in c columns (1 if not said).
 
-    - "cross_validation": squared errors of predicting each electrode's voltages in all
+    - "cautious", c = 3: the two next; `choose_lambda` takes the largest of their λ. Each
+      is blind to some noise and then undersmooths by decades; none oversmooths by much.
+    - "cross_validation", c = 2: squared errors of predicting each electrode's voltages in all
       slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
       electrode and common-mode noise in a slot: what is left out has to be left out
       whole, or noise predicts itself.
+    - "estimated_risk": the image's expected error under the variances of image, white
+      noise, common mode and gain error that explain the voltages best.
     - "discrepancy": |log ‖r‖²/(n·noise²)|, the residual beside known noise (V rms).
     - "gcv": ‖r‖²/tr(I − H)² (Golub, Heath, Wahba, Technometrics 21, 1979).
     - "robust_gcv": the same times γ + (1 − γ)·tr(H²)/n.
@@ -75,7 +87,7 @@ def lambda_scores(
     def score(lam: Array) -> Array:
         f = lam / (s.singular**2 + lam)
         residual = jnp.sum((f * beta) ** 2) + outside
-        if rule == "cross_validation":
+        if rule in ("cautious", "cross_validation"):
             left_over = (matmul(u, f * beta) + beyond).reshape(voltages.shape)
             return _left_out_errors(s.left, f, left_over)
         if rule == "discrepancy":
@@ -89,27 +101,42 @@ def lambda_scores(
 
     if rule == "l_curve":
         return _l_curve(s.singular, beta, outside, grid)[:, None]
+    if rule in ("cautious", "estimated_risk"):
+        variances = variance_components(*s, voltages)
+        risk = estimated_risk(*s, voltages, variances, grid)[:, None]
+        if rule == "estimated_risk":
+            return risk
+        return jnp.concatenate([lax.map(score, _after(risk, grid)), risk], 1)
     return lax.map(score, grid)
 
 
 def choose_lambda(
     grid: Float[Array, " G"], scores: Float[Array, "*frames G c"]
 ) -> Float[Array, ""]:
-    """The λ of lowest score, summed over frames; of several scores the largest such λ.
+    """The λ of lowest score, summed over frames; of several columns the largest such λ.
 
-    Each of the two cross-validations is blind to one kind of noise and then finds a λ
-    that is far too small; neither finds one that is too large.
+    A score that is not finite (where a factorisation fails at the smallest λ, or in
+    float32 for one column) does not count; NaN if none is.
     """
     total = scores.reshape(-1, *scores.shape[-2:]).sum(0)
-    # A factorisation that fails at the smallest λ is not a candidate.
     usable = jnp.isfinite(total)
-    best = grid[jnp.argmin(jnp.where(usable, total, jnp.inf), axis=0)].max()
-    return jnp.where(usable.any(0).all(), best, jnp.nan)
+    best = grid[jnp.argmin(jnp.where(usable, total, jnp.inf), axis=0)]
+    largest = jnp.where(usable.any(0), best, -jnp.inf).max()
+    return jnp.where(usable.any(), largest, jnp.nan)
 
 
-# Two batched LAPACK calls that do not wait for each other can each hold a thread of XLA's
-# CPU pool and wait for one more: jaxlib 0.10.2 then hangs on two cores. So block by block,
-# which is no slower here, also when a caller batches over frames.
+def _after(earlier: Array, value: Array) -> Array:
+    """`value`, but not before `earlier` is there.
+
+    Factorisations that do not depend on each other run side by side on XLA's CPU pool,
+    and each may hold a thread while it waits for another: with jaxlib 0.10.2 on two cores
+    that hangs for good. An optimization_barrier does not order them; a dependence does.
+    """
+    return value + 0 * jnp.nan_to_num(earlier.ravel()[0])
+
+
+# Block by block (batched calls are no faster here), also when a caller batches frames:
+# see `_after`.
 @sequential_vmap
 def _left_out_errors(
     left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
@@ -126,7 +153,7 @@ def _left_out_errors(
         return jnp.sum(cho_solve((jnp.linalg.cholesky(rest), True), r) ** 2)
 
     by_electrode = lax.map(squared_error, (jnp.swapaxes(left, 0, 1), residual.T))
-    by_slot = lax.map(squared_error, (left, residual))
+    by_slot = lax.map(squared_error, (left, _after(by_electrode, residual)))
     return jnp.stack([by_electrode.sum(), by_slot.sum()])
 
 

@@ -29,7 +29,7 @@ from tomojax._patterns import (  # noqa: E402
 from tomojax._reconstruct import (  # noqa: E402
     reconstruct as reconstruct,
     Reconstruction as Reconstruction,
-    reduce as reduce,
+    reduce_jacobian as reduce_jacobian,
 )
 from tomojax._sensor import Sensor as Sensor  # noqa: E402
 from tomojax._shapes import (  # noqa: E402

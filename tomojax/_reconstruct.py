@@ -30,8 +30,8 @@ class Reconstruction(NamedTuple):
     flags: Int[Array, "*frames"]  # bits of `Flag`; 0 is good
 
 
-def reduce(
-    jacobian: Float[Array, "L M K"] | kernels.Resistances, rank: int = 256
+def reduce_jacobian(
+    jacobian: Numbers, rank: int = 256
 ) -> kernels.ReducedSlots:
     """J in an orthonormal basis of `rank` rows: a change of grounds or λ costs a millisecond.
 
@@ -57,7 +57,7 @@ def reconstruct(
     voltages: Numbers,
     grounds: Numbers | None = None,
     *,
-    lam: Numbers | kernels.LambdaRule = "cross_validation",
+    lam: Numbers | kernels.LambdaRule = "cautious",
     weights: Numbers | None = None,
     noise: Numbers | None = None,
     per_recording: bool = False,
@@ -67,13 +67,14 @@ def reconstruct(
 
     **Arguments:**
 
-    - `jacobian` (L, M, K): any; ours is `tomojax.jacobian`. Or its `reduce`.
+    - `jacobian` (L, M, K): any; ours is `tomojax.jacobian`. Or `reduce_jacobian` of it.
     - `voltages` (S, M), or a batch (frames, S, M), V.
     - `grounds` (S,): which of the L slots of `jacobian` were read; None is all of them.
     - `lam`: λ > 0 in the unit of J², or a rule of `kernels.lambda_scores`. The default
       needs no noise level and stands gain errors and common-mode noise, under which
       GCV and the marginal likelihood choose a λ decades too small. A rule takes the SVD
-      of the selected rows: many slots want a `reduce`d Jacobian.
+      of the selected rows (half a second for eight slots): many slots want a reduced
+      Jacobian, and a stream the λ of its first frames.
     - `weights` ≥ 0, (S,) per slot or (S, M) per voltage: 0 leaves it out (a voltage left
       out may be NaN).
     - `noise`: V rms of the white noise, for "discrepancy" alone.

@@ -25,7 +25,7 @@ from tomojax._converter import Converter
 from tomojax._forward import jacobian, voltages
 from tomojax._merit import cell_size
 from tomojax._patterns import AdaptiveScan, exploration, pattern, PATTERNS
-from tomojax._reconstruct import reduce
+from tomojax._reconstruct import reduce_jacobian
 from tomojax._sensor import Sensor
 from tomojax._shapes import Disc
 from tomojax.kernels._mesh import centroids
@@ -81,7 +81,7 @@ def run(contacts: int = 100, progress: Callable[[str], None] = lambda text: None
     sensor = Sensor.grid(divisions=_COARSE)
     progress("Jacobian")
     jac = jacobian(sensor)
-    reduced = reduce(jac, _RANK)
+    reduced = reduce_jacobian(jac, _RANK)
     middles = centroids(sensor.divisions, sensor.size)
     elements = _contact_elements(np.asarray(middles), np.asarray(sensor.size), contacts)
     places = middles[elements]

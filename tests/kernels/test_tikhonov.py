@@ -1,0 +1,183 @@
+"""Eq. 3 by every route, against NumPy in float64; derivatives; float32 where it is hard."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax import kernels
+
+ROUTES = ["cholesky", "qr", "refined"]
+
+
+def dense(rows, v, lam, w=None):
+    """The paper's formula as it stands, by an LU solve in float64."""
+    rows, v = np.asarray(rows, float), np.asarray(v, float)
+    w = np.ones(len(v)) if w is None else np.asarray(w, float)
+    normal = rows.T @ (w[:, None] * rows) + lam * np.eye(rows.shape[1])
+    return np.linalg.solve(normal, rows.T @ (w * v))
+
+
+def relative(a, b) -> float:
+    return float(np.linalg.norm(np.asarray(a, float) - b) / np.linalg.norm(b))
+
+
+@pytest.mark.parametrize("route", [*ROUTES, "auto"])
+@pytest.mark.parametrize("shape", [(12, 40), (40, 12), (17, 17), (1, 5)])
+@pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-11), (np.float32, 2e-5)])
+def test_is_the_formula(rng, route, shape, dtype, tolerance) -> None:
+    rows = rng.standard_normal(shape).astype(dtype)
+    v, w = rng.standard_normal(shape[0]).astype(dtype), rng.random(shape[0]).astype(dtype)
+    w[0] = 0 if shape[0] > 1 else 1
+    lam = dtype(0.03)
+    phi = kernels.tikhonov(*map(jnp.asarray, (rows, v, lam, w)), route)
+    assert phi.dtype == dtype
+    assert relative(phi, dense(rows, v, float(lam), w)) <= tolerance
+    plain = kernels.tikhonov(*map(jnp.asarray, (rows, v, lam)), route=route)
+    assert relative(plain, dense(rows, v, float(lam))) <= tolerance
+
+
+def a_jacobian(small_sensor, grounds):
+    j = tx.jacobian(small_sensor, grounds)
+    return np.asarray(j).reshape(-1, small_sensor.element_count)
+
+
+@pytest.mark.parametrize("wide", [True, False])
+@pytest.mark.parametrize("data", ["smooth", "random"])
+@pytest.mark.parametrize("decade", [-2, -6, -8, -10])
+def test_float32_where_it_is_hard(small_sensor, rng, wide, data, decade) -> None:
+    """The default is right to 1e-4 of the same system in float64 down to 1e-10·σ₁²."""
+    rows = a_jacobian(small_sensor, np.arange(8))
+    rows = (rows if wide else rows[:, ::10]).astype(np.float32)
+    n, k = rows.shape
+    assert (n < k) == wide
+    image = np.exp(-((np.arange(k) / k - 0.4) ** 2) / 0.02)
+    v = rows @ image if data == "smooth" else rng.standard_normal(n)
+    v = v.astype(np.float32)
+    lam = np.float32(np.linalg.norm(rows.astype(float), 2) ** 2 * 10.0**decade)
+    rows, v = jnp.asarray(rows), jnp.asarray(v)
+    # Of LU on the normal system: 1e-16/1e-10.
+    exact = tikhonov_by_svd(rows, v, float(lam))
+    default = kernels.tikhonov(rows, v, jnp.asarray(lam))
+    assert default.dtype == np.float32
+    assert relative(default, exact) <= 1e-4
+    if decade == -10 and wide:
+        cholesky = kernels.tikhonov(rows, v, jnp.asarray(lam), route="cholesky")
+        assert not relative(cholesky, exact) <= 1e-2, "else the default need not refine"
+
+
+def tikhonov_by_svd(rows, v, lam):
+    u, s, vt = np.linalg.svd(np.asarray(rows, float), full_matrices=False)
+    return vt.T @ (s / (s**2 + lam) * (u.T @ np.asarray(v, float)))
+
+
+@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("shape", [(6, 15), (15, 6)])
+@pytest.mark.parametrize("argument", ["rows", "voltages", "lam", "weights"])
+def test_derivatives(rng, route, shape, argument) -> None:
+    """Reverse and forward against central differences, weights at 0 among them.
+
+    Step 1e-5: the differences' own error is 1e-10 by curvature and by rounding.
+    """
+    values = {
+        "rows": jnp.asarray(rng.standard_normal(shape)),
+        "voltages": jnp.asarray(rng.standard_normal(shape[0])),
+        "lam": jnp.asarray(0.3),
+        "weights": jnp.asarray(rng.random(shape[0])).at[1].set(0.0),
+    }
+    probe = jnp.asarray(rng.standard_normal(shape[1]))
+
+    def f(x):
+        v = {**values, argument: x}
+        phi = kernels.tikhonov(v["rows"], v["voltages"], v["lam"], v["weights"], route)
+        return probe @ phi
+
+    x, step = values[argument], 1e-5
+    reverse, forward = jax.jit(jax.grad(f))(x), jax.jit(jax.jacfwd(f))(x)
+    assert np.isfinite(reverse).all()
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-11)
+    run = jax.jit(f)
+    for i in range(min(x.size, 8)):
+        at = np.zeros(x.size)
+        at[i] = step
+        e = jnp.asarray(at.reshape(x.shape))
+        if argument == "weights" and x[i] == 0:  # no weight is negative
+            slope = (-3 * run(x) + 4 * run(x + e) - run(x + 2 * e)) / (2 * step)
+        else:
+            slope = (run(x + e) - run(x - e)) / (2 * step)
+        np.testing.assert_allclose(np.ravel(reverse)[i], slope, rtol=1e-6, atol=1e-7)
+
+
+def test_second_derivative(rng) -> None:
+    rows = jnp.asarray(rng.standard_normal((5, 9)))
+    v = jnp.asarray(rng.standard_normal(5))
+    f = lambda lam: jnp.sum(kernels.tikhonov(rows, v, lam) ** 3)  # noqa: E731
+    slope = jax.jit(jax.grad(f))
+    second = jax.jit(jax.grad(jax.grad(f)))(0.3)
+    np.testing.assert_allclose(
+        second, (slope(0.3 + 1e-5) - slope(0.3 - 1e-5)) / 2e-5, rtol=1e-7
+    )
+
+
+@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("lam", [0.0, -1.0, np.nan])
+def test_no_image_for_a_bad_lambda(rng, route, lam) -> None:
+    for shape in ((4, 9), (9, 4)):
+        rows = jnp.asarray(rng.standard_normal(shape))
+        phi = kernels.tikhonov(rows, jnp.ones(shape[0]), jnp.asarray(lam), route=route)
+        assert np.isnan(phi).all()
+
+
+def test_two_floats_hold_twice_the_digits(rng) -> None:
+    from tomojax.kernels import _twofloat as two
+
+    a = rng.standard_normal((30, 700)).astype(np.float32)
+    x = rng.standard_normal(700)
+    high = x.astype(np.float32)
+    low = (x - high).astype(np.float32)
+    y = jax.jit(two.matvec)(jnp.asarray(a), (jnp.asarray(high), jnp.asarray(low)))
+    exact = a.astype(np.longdouble) @ (high.astype(np.longdouble) + low)
+    error = np.abs(np.asarray(y[0], float) + np.asarray(y[1], float) - exact)
+    assert error.max() <= 1e-12 * np.abs(exact).max()
+    # 700 · 2⁻⁴⁸ would be 2.5e-12; float32 alone has 1e-6.
+    total = jax.jit(two.add)(y, two.negative(y))
+    assert float(total[0][0]) == 0 and float(total[1][0]) == 0
+
+
+def test_reduced_slots_are_the_full_solve(small_sensor, rng) -> None:
+    """With as many rows in the basis as J has rank, blocks give the image itself."""
+    j = tx.jacobian(small_sensor)  # 64 rows
+    reduced = tx.reduce_jacobian(j, 64)
+    np.testing.assert_allclose(reduced.factors @ reduced.basis, j, atol=1e-11)
+    grounds, v = jnp.array([1, 4, 6]), jnp.asarray(rng.standard_normal((3, 8)))
+    w, lam = jnp.array([1.0, 0.0, 2.5]), jnp.asarray(2.0)
+    c = jax.jit(kernels.solve_reduced)(reduced, grounds, v, lam, w)
+    rows = np.asarray(j[grounds]).reshape(24, -1)
+    exact = dense(rows, np.ravel(v), 2.0, np.repeat(w, 8))
+    assert relative(c @ reduced.basis, exact) <= 1e-9
+
+    def total(w, lam):
+        return jnp.sum(kernels.solve_reduced(reduced, grounds, v, lam, w) ** 2)
+
+    slope = jax.jit(jax.grad(total, (0, 1)))(w, lam)
+    run = jax.jit(total)
+    h = 1e-5
+    np.testing.assert_allclose(
+        slope[1], (run(w, lam + h) - run(w, lam - h)) / (2 * h), rtol=1e-6
+    )
+    e = jnp.array([h, 0.0, 0.0])
+    np.testing.assert_allclose(
+        slope[0][0], (run(w + e, lam) - run(w - e, lam)) / (2 * h), rtol=1e-6
+    )
+    assert np.isnan(kernels.solve_reduced(reduced, grounds, v, -lam, w)).all()
+
+
+def test_a_smaller_basis_is_near_the_best(small_sensor) -> None:
+    j = np.asarray(tx.jacobian(small_sensor))
+    singular = np.linalg.svd(j.reshape(64, -1), compute_uv=False)
+    for rank in (10, 30):
+        reduced = tx.reduce_jacobian(j, rank)
+        left = np.linalg.norm(j - np.asarray(reduced.factors @ reduced.basis))
+        best = np.sqrt((singular[rank:] ** 2).sum())
+        assert best * (1 - 1e-9) <= left <= 1.05 * best
