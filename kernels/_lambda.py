@@ -32,6 +32,11 @@ LambdaRule = Literal[
 _ROBUST_GCV = 0.1
 
 
+# Too small a λ costs decades of error, too large a one at most the image: of the λ whose
+# estimated errors are this close, the largest (as the one-standard-error rule does).
+_ALIKE = 1.1
+
+
 class Spectrum(NamedTuple):
     """Thin SVD of S·M selected rows."""
 
@@ -69,7 +74,8 @@ def lambda_scores(
       electrode and common-mode noise in a slot: what is left out has to be left out
       whole, or noise predicts itself.
     - "estimated_risk": the image's expected error under the variances of image, white
-      noise, common mode and gain error that explain the voltages best.
+      noise, common mode and gain error that explain the voltages best; of λ within a
+      tenth of the least error the largest.
     - "discrepancy": |log ‖r‖²/(n·noise²)|, the residual beside known noise (V rms).
     - "gcv": ‖r‖²/tr(I − H)² (Golub, Heath, Wahba, Technometrics 21, 1979).
     - "robust_gcv": the same times γ + (1 − γ)·tr(H²)/n.
@@ -104,6 +110,7 @@ def lambda_scores(
     if rule in ("cautious", "estimated_risk"):
         variances = variance_components(*s, voltages)
         risk = estimated_risk(*s, voltages, variances, grid)[:, None]
+        risk = jnp.maximum(risk, _ALIKE * risk.min())
         if rule == "estimated_risk":
             return risk
         return jnp.concatenate([lax.map(score, _after(risk, grid)), risk], 1)
@@ -120,7 +127,9 @@ def choose_lambda(
     """
     total = scores.reshape(-1, *scores.shape[-2:]).sum(0)
     usable = jnp.isfinite(total)
-    best = grid[jnp.argmin(jnp.where(usable, total, jnp.inf), axis=0)]
+    # From the largest λ down: of equal scores the smoother image.
+    falling = jnp.where(usable, total, jnp.inf)[::-1]
+    best = grid[::-1][jnp.argmin(falling, axis=0)]
     largest = jnp.where(usable.any(0), best, -jnp.inf).max()
     return jnp.where(usable.any(), largest, jnp.nan)
 

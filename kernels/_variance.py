@@ -17,6 +17,9 @@ from tomojax.kernels._blocktri import matmul
 
 _STEPS = 25  # the chosen λ no longer moves by a grid step after 20
 
+# g² v_i v_iᵀ with g = 1 would explain any voltages at all: gains are errors, of 5 % at most.
+_LARGEST_GAIN = 0.05
+
 
 class Variances(NamedTuple):
     image: Float[Array, ""]  # τ²
@@ -43,7 +46,8 @@ def variance_components(
     share = jnp.sum(y**2) / 4
     tiny = jnp.finfo(v.dtype).tiny
     energy = matmul(jnp.diagonal(gram), members)
-    start = share / jnp.maximum(energy, tiny), share / n
+    most = jnp.array([jnp.inf, jnp.inf, _LARGEST_GAIN**2], v.dtype)
+    start = jnp.minimum(share / jnp.maximum(energy, tiny), most), share / n
 
     def step(_, variances: tuple[Array, Array]) -> tuple[Array, Array]:
         # With W̃ = W√D/s and M = I + W̃ᵀW̃: W̃ᵀV⁻¹W̃ = (I − M⁻¹)/s² and W̃ᵀV⁻¹v = M⁻¹W̃ᵀv/s²,
@@ -59,7 +63,7 @@ def variance_components(
         part = matmul(explained**2, members) / white
         freedom = matmul(1 - diagonal, members)
         left_over = n - jnp.sum(1 - diagonal)
-        d = d * jnp.sqrt(part / jnp.maximum(freedom, tiny))
+        d = jnp.minimum(d * jnp.sqrt(part / jnp.maximum(freedom, tiny)), most)
         return d, white * jnp.sqrt(jnp.sum(rest**2) / white / jnp.maximum(left_over, tiny))
 
     d, white = lax.fori_loop(0, _STEPS, step, start)
