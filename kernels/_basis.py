@@ -45,7 +45,7 @@ def row_basis(maps: Float[Array, "L M K"], rank: int) -> Float[Array, "r K"]:
     """Orthonormal rows B that hold the `rank` largest singular vectors of all of J.
 
     A randomised range finder with two power iterations (Halko, Martinsson, Tropp, SIAM
-    Review 53, 2011): within a few percent of the best basis of that rank.
+    Review 53, 2011): within a tenth of what the best basis of that rank leaves.
     """
     rows = maps.reshape(-1, maps.shape[-1])
     sketch = jax.random.normal(jax.random.key(0), (len(rows), rank), rows.dtype)

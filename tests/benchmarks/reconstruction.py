@@ -1,0 +1,343 @@
+"""Solvers in float32, change of grounds and λ beside pyEIT, many ground sets, rules for λ.
+
+    python tests/benchmarks/reconstruction.py [--quick] [--out notebooks/results]
+
+Writes reconstruction.json and reconstruction.png. Compile time apart.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+from benchmarks.physics import environment, seconds, take_turns  # noqa: E402
+
+import tomojax as tx  # noqa: E402
+from tomojax import kernels  # noqa: E402
+from tomojax.kernels._mesh import centroids  # noqa: E402
+
+EIGHT = np.array([18, 19, 20, 26, 28, 34, 35, 36])
+DECADES = (-2, -4, -6, -8, -10)
+
+
+def solvers(jac: np.ndarray, quick: bool) -> list[dict]:
+    """Relative error of each float32 route against float64 on the same float32 numbers."""
+    k = jac.shape[-1]
+    place = np.asarray(centroids((40, 40), jnp.array([0.16, 0.16])))
+    image = np.exp(-((place - [0.094, 0.067]) ** 2).sum(1) / (2 * 0.01**2))
+    noise = np.random.default_rng(0)
+    found = []
+    run = jax.jit(kernels.tikhonov, static_argnames="route")
+    for name, grounds in (("8", EIGHT), ("64", np.arange(64))):
+        if quick and name == "64":
+            continue
+        rows = jac[grounds].reshape(-1, k).astype(np.float32)
+        wide = rows.astype(np.float64)
+        w, q = np.linalg.eigh(wide.T @ wide)
+        reduced = tx.reduce_jacobian(jnp.asarray(jac[grounds], np.float32), 256)
+        for data in ("smooth", "random"):
+            v = wide @ image if data == "smooth" else noise.standard_normal(len(rows))
+            v = v.astype(np.float32)
+            for decade in DECADES:
+                lam = np.float32(w[-1] * 10.0**decade)
+                exact = q @ ((q.T @ (wide.T @ v)) / (np.maximum(w, 0) + float(lam)))
+                row = {"grounds": name, "data": data, "lam_rel": 10.0**decade}
+                for route in ("cholesky", "qr", "refined"):
+                    phi = run(rows, v, lam, route=route)
+                    row[route] = relative(phi, exact)
+                slots = jnp.arange(len(grounds))
+                c = kernels.solve_reduced(reduced, slots, v.reshape(-1, 64), lam)
+                row["blocks, r = 256"] = relative(c @ reduced.basis, exact)
+                found.append(row)
+                print({a: f"{b:.1e}" if isinstance(b, float) else b for a, b in row.items()})
+    return found
+
+
+def relative(a, b) -> float | None:
+    """None for NaN, which JSON does not have."""
+    error = np.linalg.norm(np.asarray(a, float) - b) / np.linalg.norm(b)
+    return float(error) if np.isfinite(error) else None
+
+
+def change_beside_pyeit(jac: np.ndarray, quick: bool) -> dict:
+    """A new set of eight grounds and a new λ, then one frame; 3200 elements, 64 electrodes."""
+    import references
+    from pyeit.eit.jac import JAC
+    from pyeit.eit.protocol import PyEITProtocol
+    from pyeit.mesh import PyEITMesh
+
+    from tomojax.kernels import _mesh
+
+    sensor = tx.Sensor.grid(divisions=(40, 40))
+    nodes = np.asarray(_mesh.nodes((40, 40), sensor.size), float)
+    at = ((nodes[:, None] - np.asarray(sensor.electrode_xy)) ** 2).sum(-1).argmin(0)
+    vertices = references.counterclockwise(nodes, _mesh.triangles((40, 40)))
+    mesh = PyEITMesh(node=nodes, element=vertices, perm=1e-4, el_pos=at)
+    rng = np.random.default_rng(0)
+    volts = jac[:, :, 1500]
+
+    def protocol(grounds):
+        pairs = np.array([[(g + 1) % 64, g] for g in grounds])
+        reads = np.array([[[e, g] for e in range(64)] for g in grounds])
+        return PyEITProtocol(pairs, reads, np.ones(64 * len(grounds), bool))
+
+    solver = JAC(mesh, protocol(EIGHT))
+    parts = {"setup": [], "h": []}
+
+    def pyeit_change() -> None:
+        start = time.perf_counter()
+        # pyEIT's setup takes its grounds from the constructor's protocol.
+        solver.setup(p=0.5, lamb=float(rng.uniform(0.01, 0.1)), method="kotre")
+        parts["setup"].append(time.perf_counter() - start)
+        solver.solve(volts[EIGHT].ravel() + 1, volts[EIGHT].ravel(), normalize=False)
+
+    def pyeit_h_only() -> None:
+        solver.H = solver._compute_h(solver.J, 0.5, float(rng.uniform(0.01, 0.1)), "kotre")
+        solver.solve(volts[EIGHT].ravel() + 1, volts[EIGHT].ravel(), normalize=False)
+
+    runs = {"pyEIT setup + solve": pyeit_change, "pyEIT, H alone + solve": pyeit_h_only}
+    models = {
+        f"tomojax {np.dtype(d).name}, {what}": (make(d), d)
+        for d in (np.float64, np.float32)
+        for what, make in (
+            ("r = 256", lambda d: tx.reduce_jacobian(jnp.asarray(jac, d), 256)),
+            ("all columns", lambda d: jnp.asarray(jac, d)),
+        )
+    }
+    for name, (model, dtype) in models.items():
+        v = jnp.asarray(volts, dtype)
+
+        def change(model=model, v=v, d=dtype) -> None:
+            grounds = rng.choice(64, 8, replace=False)
+            lam = d(rng.uniform(5e3, 1e4))
+            image = tx.reconstruct(model, v[jnp.asarray(grounds)], grounds, lam=lam).image
+            jax.block_until_ready(image)
+
+        runs[name] = change
+    n = 3 if quick else 7
+    repeats = {name: n if "pyEIT" in name else 15 * n for name in runs}
+    result = take_turns(runs, repeats)
+    return {"times": result, "ratios": ratios(result)}
+
+
+def ratios(times: dict) -> dict:
+    peers = {n: t["median_s"] for n, t in times.items() if "pyEIT" in n}
+    return {
+        f"{peer} / {n}": s / t["median_s"]
+        for peer, s in peers.items()
+        for n, t in times.items()
+        if "pyEIT" not in n
+    }
+
+
+def many_sets(jac: np.ndarray, quick: bool) -> dict:
+    """10 000 random sets of eight and 20 λ on one frame: one trace, one compiled call."""
+    count, rank = 1000 if quick else 10_000, 128
+    reduced = tx.reduce_jacobian(jnp.asarray(jac), rank)
+    rng = np.random.default_rng(0)
+    sets = jnp.asarray(np.stack([rng.choice(64, 8, replace=False) for _ in range(count)]))
+    lams = jnp.asarray(3.4e6 * np.logspace(-6, -1, 20))
+    volts = jnp.asarray(jac[:, :, 1500])
+    traces = 0
+
+    @jax.jit
+    def run(sets, lams, volts):
+        nonlocal traces
+        traces += 1
+
+        def one(grounds):
+            def at(lam):
+                c = kernels.solve_reduced(reduced, grounds, volts[grounds], lam)
+                return jnp.linalg.norm(c), jnp.isfinite(c).all()
+
+            return jax.lax.map(at, lams)
+
+        return jax.lax.map(one, sets)
+
+    first = seconds(lambda: jax.block_until_ready(run(sets[:10], lams, volts)))
+    first_all = seconds(lambda: jax.block_until_ready(run(sets, lams, volts)))
+    traces = 0
+    compiled = run.lower(sets, lams, volts).compile()
+    assert traces <= 1
+    times = [
+        seconds(lambda: jax.block_until_ready(compiled(sets, lams, volts)))
+        for _ in range(3)
+    ]
+    good = bool(run(sets, lams, volts)[1].all())
+    return {
+        "sets": count,
+        "lams": 20,
+        "rank": rank,
+        "traces": 1,
+        "first_s": max(first, first_all - min(times)),
+        "median_s": float(np.median(times)),
+        "sets_per_s": count / float(np.median(times)),
+        "images_per_s": 20 * count / float(np.median(times)),
+        "all_finite": good,
+    }
+
+
+def rules(quick: bool) -> list[dict]:
+    """Image error over the best λ's, for every rule, under three kinds of noise.
+
+    Voltages from J on a finer mesh than the reconstruction's, one to three discs; five
+    random ground sets; noise as a part of the largest voltage (of each, for gains).
+    """
+    coarse, fine = tx.Sensor.grid(divisions=(40, 40)), tx.Sensor.grid(divisions=(64, 64))
+    places = [np.asarray(centroids(s.divisions, s.size)) for s in (coarse, fine)]
+    rng = np.random.default_rng(0)
+    names = get_args(kernels.LambdaRule)
+    trials, per_set = (6, 3) if quick else (30, 6)
+    errors: dict[tuple, dict[str, list]] = {}
+
+    rule_of = jax.jit(
+        lambda s, v, noise, name: kernels.choose_lambda(
+            kernels.lambda_grid(s),
+            kernels.lambda_scores(s, v, kernels.lambda_grid(s), name, noise),
+        ),
+        static_argnames="name",
+    )
+    for _ in range(trials // per_set):
+        grounds = rng.choice(64, 8, replace=False)
+        j, j_fine = (np.asarray(tx.jacobian(s, grounds)) for s in (coarse, fine))
+        u, sigma, vt = np.linalg.svd(j.reshape(512, -1), full_matrices=False)
+        spectrum = kernels.Spectrum(
+            jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(sigma)
+        )
+        lams = sigma[0] ** 2 * np.logspace(-11, 1, 97)
+        for level in (1e-3, 5e-3, 2e-2):
+            for kind in ("white", "gain", "common mode"):
+                for _ in range(per_set):
+                    truth, source = scene(rng, places)
+                    exact = j_fine @ source * (40 / 64) ** 2
+                    v = exact + level * NOISE[kind](rng, exact)
+                    sd = jnp.asarray(np.sqrt(np.mean((v - exact) ** 2)))
+                    beta = u.T @ v.ravel()
+                    error = lambda lam: np.linalg.norm(  # noqa: E731
+                        (sigma / (sigma**2 + lam) * beta) @ vt - truth  # noqa: B023
+                    ) / np.linalg.norm(truth)  # noqa: B023
+                    best = min(error(lam) for lam in lams)
+                    into = errors.setdefault((kind, level), {"best": []})
+                    into["best"].append(best)
+                    for name in names:
+                        lam = float(rule_of(spectrum, jnp.asarray(v), sd, name))
+                        into.setdefault(name, []).append(error(lam) / best)
+    found = []
+    for (kind, level), into in errors.items():
+        for name in names:
+            q = np.percentile(into[name], [25, 50, 75])
+            found.append(
+                {"noise": kind, "level": level, "rule": name, "trials": len(into[name])}
+                | {"excess_q1": q[0], "excess_median": q[1], "excess_q3": q[2]}
+                | {"best_error": float(np.median(into["best"]))}
+            )
+    for kind in NOISE:
+        for name in names:
+            pooled = np.concatenate([e[name] for (k, _), e in errors.items() if k == kind])
+            found.append(
+                {"noise": kind, "level": "all", "rule": name, "trials": len(pooled)}
+                | {"excess_median": float(np.median(pooled))}
+            )
+            print(f"{kind:12s} {name:20s} {np.median(pooled):8.2f}")
+    return found
+
+
+NOISE = {
+    "white": lambda rng, v: np.abs(v).max() * rng.standard_normal(v.shape),
+    "gain": lambda rng, v: v * rng.standard_normal(64),
+    "common mode": lambda rng, v: np.abs(v).max() * rng.standard_normal((8, 1)),
+}
+
+
+def scene(rng, places) -> list[np.ndarray]:
+    discs = [
+        (rng.uniform(0.02, 0.14, 2), rng.uniform(0.006, 0.015), rng.uniform(0.5, 1))
+        for _ in range(rng.integers(1, 4))
+    ]
+    return [
+        sum(a * (((p - c) ** 2).sum(1) < r * r) for c, r, a in discs) for p in places
+    ]
+
+
+def draw(report: dict, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 9), layout="constrained")
+    (left, right), (low, last) = figure.subplots(2, 2)
+    for i, (axes, grounds) in enumerate(((left, "8"), (right, "64"))):
+        for route, color in (
+            ("cholesky", "C3"),
+            ("qr", "C1"),
+            ("refined", "C0"),
+            ("blocks, r = 256", "C2"),
+        ):
+            for data, style in (("smooth", "-"), ("random", "--")):
+                mine = [
+                    r
+                    for r in report["solvers"]
+                    if r["grounds"] == grounds and r["data"] == data
+                ]
+                x = [r["lam_rel"] for r in mine if r[route] is not None]
+                y = [r[route] for r in mine if r[route] is not None]
+                axes.loglog(x, y, style, marker="o", color=color, label=f"{route}, {data}")
+        axes.axhline(1e-4, color="k", lw=0.8, ls=":")
+        axes.set(xlabel="λ/σ₁²", ylabel="relative error", ylim=(1e-9, 1e3))
+        axes.set_title(f"float32, {grounds} grounds; a missing point is NaN")
+        if not i:
+            axes.legend(fontsize=7, ncols=2)
+        axes.grid(alpha=0.3)
+    times = report["change"]["times"]
+    names = list(times)
+    low.barh(names, [1e3 * times[n]["median_s"] for n in names],
+             color=["0.6" if "pyEIT" in n else "C0" for n in names])  # fmt: skip
+    low.set(xscale="log", xlabel="ms: new grounds (eight), new λ, one frame")
+    low.invert_yaxis()
+    pooled = [r for r in report["rules"] if r["level"] == "all"]
+    kinds = list(NOISE)
+    rule_names = [r["rule"] for r in pooled if r["noise"] == kinds[0]]
+    for i, kind in enumerate(kinds):
+        y = np.arange(len(rule_names)) + 0.25 * (i - 1)
+        values = [r["excess_median"] for r in pooled if r["noise"] == kind]
+        last.barh(y, values, 0.25, label=kind)
+    last.set_yticks(np.arange(len(rule_names)), [n.replace("_", " ") for n in rule_names])
+    last.axvline(1.5, color="k", lw=0.8, ls=":")
+    last.set(xscale="log", xlabel="image error over the best λ's, median")
+    last.invert_yaxis()
+    last.legend()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    jac = np.asarray(tx.jacobian(tx.Sensor.grid(divisions=(40, 40))))
+    report = {
+        "change": change_beside_pyeit(jac, arguments.quick),
+        "many_sets": many_sets(jac, arguments.quick),
+        "solvers": solvers(jac, arguments.quick),
+        "rules": rules(arguments.quick),
+        "environment": environment(),
+    }
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path = arguments.out / "reconstruction.json"
+    path.write_text(json.dumps(report, indent=1) + "\n")
+    draw(report, arguments.out / "reconstruction.png")
+    for name, row in report["change"]["times"].items():
+        print(f"{name:34s} {1e3 * row['median_s']:9.2f} ms  first {row['first_s']:.2f} s")
+    print(report["change"]["ratios"], report["many_sets"])
+
+
+if __name__ == "__main__":
+    main()
