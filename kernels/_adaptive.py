@@ -203,16 +203,16 @@ def cop_line(
     on_line = matmul(away, along)
     across = away[:, 1] * along[0] - away[:, 0] * along[1]
     reach = 0.5 * pitch(electrode_xy) * (1 - 1e-3)  # half-way between two lines is neither
-    tier = jnp.where(jnp.abs(across) <= reach, 0, jnp.where(jnp.abs(on_line) <= reach, 1, 2))
+    tier = jnp.where(
+        jnp.abs(across) <= reach, 0, jnp.where(jnp.abs(on_line) <= reach, 1, 2)
+    )
     distance = jnp.sqrt(jnp.sum(away**2, 1))
     # Rounding must not decide between the electrodes on either side of the centre.
     order = jnp.round(distance / (1e-3 * reach)) + tier * 1e6
     return jnp.argsort(order, stable=True)[:count]
 
 
-def point(
-    voltages: Float[Array, "E M"], corners: Int[Array, "4"]
-) -> Int[Array, "6"]:
+def point(voltages: Float[Array, "E M"], corners: Int[Array, "4"]) -> Int[Array, "6"]:
     """*Point*: the four corners and the two other electrodes nearest to the contact.
 
     Nearest are those of the highest summed voltage; NaN counts as lowest.

@@ -56,9 +56,7 @@ def row_basis(maps: Float[Array, "L M K"], rank: int) -> Float[Array, "r K"]:
     return q.T
 
 
-def reduce_slots(
-    maps: Float[Array, "L M K"], basis: Float[Array, "r K"]
-) -> ReducedSlots:
+def reduce_slots(maps: Float[Array, "L M K"], basis: Float[Array, "r K"]) -> ReducedSlots:
     """The factors and blocks of J^l in `basis`."""
     factors = slot_factors(maps, basis)
     grams = matmul(jnp.swapaxes(factors, 1, 2), factors)

@@ -69,8 +69,8 @@ def lambda_scores(
 
     - "cautious", c = 3: the two next; `choose_lambda` takes the largest of their λ. Each
       is blind to some noise and then undersmooths by decades; none oversmooths by much.
-    - "cross_validation", c = 2: squared errors of predicting each electrode's voltages in all
-      slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
+    - "cross_validation", c = 2: squared errors of predicting each electrode's voltages in
+      all slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
       electrode and common-mode noise in a slot: what is left out has to be left out
       whole, or noise predicts itself.
     - "estimated_risk": the image's expected error under the variances of image, white
@@ -171,7 +171,11 @@ def _l_curve(singular, beta, outside, grid) -> Float[Array, " G"]:
     residual = jnp.sum((lam / (singular**2 + lam) * beta) ** 2, 1) + outside
     size = jnp.sum((singular / (singular**2 + lam) * beta) ** 2, 1)
     x, y = jnp.log(residual) / 2, jnp.log(size) / 2
-    dx, dy = jnp.gradient(x), jnp.gradient(y)
-    curvature = dx * jnp.gradient(dy) - dy * jnp.gradient(dx)
+
+    def slope(a: Array) -> Array:
+        return jnp.asarray(jnp.gradient(a))
+
+    dx, dy = slope(x), slope(y)
+    curvature = dx * slope(dy) - dy * slope(dx)
     tiny = jnp.finfo(x.dtype).tiny
     return -curvature / jnp.maximum(dx**2 + dy**2, tiny) ** 1.5

@@ -26,7 +26,7 @@ class GreitFigures(NamedTuple):
 
 
 def pixel_places(
-    shape: tuple[int, int], cell: Float[Array, "2"]
+    shape: tuple[int, ...], cell: Float[Array, "2"]
 ) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
     """Centres of the pixels along x and y, m."""
     x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * d for n, d in zip(shape, cell))

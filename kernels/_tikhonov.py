@@ -19,9 +19,10 @@ from tomojax.kernels._blocktri import matmul
 
 SolveRoute = Literal["auto", "cholesky", "qr", "refined"]
 
-# Each correction gains what QR has of correct digits, four or more in float32 while
-# λ ≥ 1e-8·σ₁² and two at 1e-10: after two of them nothing is left to gain.
-_CORRECTIONS = 2
+# Each correction gains the digits that the triangle has right, in float32 four or more
+# while λ ≥ 1e-8·σ₁² and two at 1e-10. The wide system starts with as many; the tall one
+# starts from AᵀWv, which has lost twice as many, and errors of 1000 were seen.
+_WIDE_CORRECTIONS, _TALL_CORRECTIONS = 2, 5
 
 
 def tikhonov(
@@ -36,8 +37,8 @@ def tikhonov(
     **Arguments:** `rows` J_s, the selected slots' rows; `voltages` V; `regularisation`
     λ > 0 in the unit of J²; `weights` w ≥ 0 of the rows, 1 by default; `route`:
     "cholesky" of the smaller normal system, "qr" of [Aᵀ; √λI] or [A; √λI],
-    "refined" adds two corrections with residuals in two floats (8 significant digits
-    in float32 down to λ = 1e-8·σ₁², five at 1e-10); "auto" is "cholesky" in float64
+    "refined" adds corrections with residuals in two floats (in float32 right to 1e-7
+    down to λ = 1e-8·σ₁² and to 1e-5 at 1e-10); "auto" is "cholesky" in float64
     and "refined" in float32.
 
     Differentiable to any order in J, V, λ and w (also at w = 0) by the solve's own rule.
@@ -67,15 +68,13 @@ def _tikhonov(
     # In two floats all through: φ = Aᵀy cancels as far as λ is small.
     if wide:
         y = two.widen(solve(b))
-        for _ in range(_CORRECTIONS):
-            left = two.add(
-                two.matvec(a, two.matvec(a.T, y)), two.multiply(lam[None], y)
-            )
+        for _ in range(_WIDE_CORRECTIONS):
+            left = two.add(two.matvec(a, two.matvec(a.T, y)), two.multiply(lam[None], y))
             residual = two.add(two.widen(b), two.negative(left))
             y = two.add(y, two.widen(solve(residual[0])))
         return two.matvec(a.T, y)[0]
     phi = two.widen(solve(matmul(a.T, b)))
-    for _ in range(_CORRECTIONS):
+    for _ in range(_TALL_CORRECTIONS):
         residual = two.add(two.widen(b), two.negative(two.matvec(a, phi)))
         left = two.negative(two.multiply(lam[None], phi))
         normal = two.add(two.matvec(a.T, residual), left)

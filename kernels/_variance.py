@@ -17,7 +17,7 @@ from tomojax.kernels._blocktri import matmul
 
 _STEPS = 25  # the chosen λ no longer moves by a grid step after 20
 
-# g² v_i v_iᵀ with g = 1 would explain any voltages at all: gains are errors, of 5 % at most.
+# g² v_i v_iᵀ with g = 1 would explain any voltages: gains are errors, 5 % at most.
 _LARGEST_GAIN = 0.05
 
 

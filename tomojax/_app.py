@@ -47,7 +47,7 @@ def table1(json_path: Path | None, out: Path | None) -> None:
             folder.mkdir(parents=True, exist_ok=True)
     steps = len(_table1.PAPER) + 2
     with click.progressbar(length=steps, label="table1", file=sys.stderr) as bar:
-        study = _table1.run(progress=lambda step: bar.update(1, step))
+        study = _table1.run(progress=lambda step: bar.update(1))
     print(_table1_report.text(study))
     if json_path:
         report = {

@@ -30,10 +30,8 @@ class Reconstruction(NamedTuple):
     flags: Int[Array, "*frames"]  # bits of `Flag`; 0 is good
 
 
-def reduce_jacobian(
-    jacobian: Numbers, rank: int = 256
-) -> kernels.ReducedSlots:
-    """J in an orthonormal basis of `rank` rows: a change of grounds or λ costs a millisecond.
+def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> kernels.ReducedSlots:
+    """J in an orthonormal basis of `rank` rows: new grounds or a new λ cost a millisecond.
 
     `rank` 256 holds J(0) of the paper's sensor to 8e-4 of its norm; an image at
     λ = 2.5e-3·σ₁² then differs by 2e-4 from the full one, at 1e-6·σ₁² by 7e-3.
@@ -87,8 +85,8 @@ def reconstruct(
     grounds, λ ≤ 0, an unknown rule, or "discrepancy" without `noise`.
     """
     reduced = isinstance(jacobian, kernels.ReducedSlots)
-    slots = jacobian if reduced else float_array("jacobian", jacobian)
-    maps = slots.factors if reduced else cast(Array, slots)
+    slots = jacobian if reduced else float_array("jacobian", cast(Numbers, jacobian))
+    maps = slots.factors if isinstance(slots, kernels.ReducedSlots) else slots
     require_shape("jacobian", maps, (None, None, None))
     chosen = _slots(grounds, len(maps))
     shape = (len(chosen), maps.shape[1])
@@ -169,8 +167,7 @@ def _reconstruct(slots, v, grounds, lam, w, noise, rule, per_recording, route):
         image = jnp.where(flags == 0, image, jnp.nan)
         return Reconstruction(image, lam, residual, flags)
 
-    result = jax.vmap(one)(frames, lams)
-    return result if v.ndim == 3 else jax.tree.map(lambda a: a[0], result)
+    return jax.vmap(one)(frames, lams) if v.ndim == 3 else one(v, lams[0])
 
 
 def _chosen_lambda(rows, frames, w, noise, rule, per_recording) -> Float[Array, " frames"]:

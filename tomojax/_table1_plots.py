@@ -96,13 +96,15 @@ def images(study: Study) -> Figure:
     xy = 1e3 * np.asarray(Sensor.grid().electrode_xy)
     w, h = 1e3 * study.size
     for axes, (name, image) in zip(figure.subplots(3, 3).flat, study.images.items()):
-        shown = axes.imshow(image.T / image.max(), origin="lower", extent=(0, w, 0, h))
+        axes.imshow(image.T / image.max(), origin="lower", extent=(0, w, 0, h))
         grounds = study.patterns[name]
         at = xy[grounds if grounds.ndim == 1 else grounds[i]]
         axes.plot(*at.T, "s", color="none", markeredgecolor="w", markersize=6)
         axes.plot(*(1e3 * study.places[i]), "r+", markersize=12)
         width = 1e3 * float(study.own[name].half_width[i, -1])
         axes.set_title(f"{name.replace('_', ' ')}: {width:.0f} mm")
-    figure.colorbar(shown, ax=figure.axes, label="image / maximum", shrink=0.6)
+    figure.colorbar(
+        figure.axes[0].images[0], ax=figure.axes, label="image / maximum", shrink=0.6
+    )
     figure.supxlabel("x, mm; squares: grounded electrodes, cross: the contact")
     return figure

@@ -81,6 +81,7 @@ def sensitivity(study: Study) -> list[dict[str, Any]]:
     found = []
     for margin in MARGINS:
         kept = ((study.places >= margin) & (study.places <= size - margin)).all(1)
+        kept = np.asarray(kept)
         for figure in ("half_width", "half_area_radius"):
             for at, lam in enumerate([*study.sweep, study.lam]):
                 rank, error = agreement(study.own, kept, at, figure)

@@ -58,7 +58,9 @@ def solvers(jac: np.ndarray, quick: bool) -> list[dict]:
                 c = kernels.solve_reduced(reduced, slots, v.reshape(-1, 64), lam)
                 row["blocks, r = 256"] = relative(c @ reduced.basis, exact)
                 found.append(row)
-                print({a: f"{b:.1e}" if isinstance(b, float) else b for a, b in row.items()})
+                print(
+                    {a: f"{b:.1e}" if isinstance(b, float) else b for a, b in row.items()}
+                )
     return found
 
 
@@ -69,7 +71,7 @@ def relative(a, b) -> float | None:
 
 
 def change_beside_pyeit(jac: np.ndarray, quick: bool) -> dict:
-    """A new set of eight grounds and a new λ, then one frame; 3200 elements, 64 electrodes."""
+    """New grounds (eight) and a new λ, then one frame; 3200 elements, 64 electrodes."""
     import references
     from pyeit.eit.jac import JAC
     from pyeit.eit.protocol import PyEITProtocol
@@ -105,24 +107,30 @@ def change_beside_pyeit(jac: np.ndarray, quick: bool) -> dict:
         solver.solve(volts[EIGHT].ravel() + 1, volts[EIGHT].ravel(), normalize=False)
 
     runs = {"pyEIT setup + solve": pyeit_change, "pyEIT, H alone + solve": pyeit_h_only}
-    models = {
-        f"tomojax {np.dtype(d).name}, {what}": (make(d), d)
-        for d in (np.float64, np.float32)
-        for what, make in (
-            ("r = 256", lambda d: tx.reduce_jacobian(jnp.asarray(jac, d), 256)),
-            ("all columns", lambda d: jnp.asarray(jac, d)),
-        )
-    }
-    for name, (model, dtype) in models.items():
-        v = jnp.asarray(volts, dtype)
+    compiled = jax.jit(lambda m, v, g, lam: tx.reconstruct(m, v[g], g, lam=lam).image)
 
-        def change(model=model, v=v, d=dtype) -> None:
+    def eager(m, v, g, lam):
+        return tx.reconstruct(m, v[jnp.asarray(g)], g, lam=lam).image
+
+    whole, single = (jnp.asarray(jac, d) for d in (np.float64, np.float32))
+    r192 = tx.reduce_jacobian(whole, 192)
+    for name, model, call in (
+        ("compiled, r = 128", tx.reduce_jacobian(whole, 128), compiled),
+        ("compiled, r = 192", r192, compiled),
+        ("compiled, r = 256", tx.reduce_jacobian(whole), compiled),
+        ("host checks too, r = 192", r192, eager),
+        ("compiled, float32, r = 192", tx.reduce_jacobian(single, 192), compiled),
+        ("compiled, all columns", whole, compiled),
+        ("compiled, float32, all columns", single, compiled),
+    ):
+        v = jnp.asarray(volts, np.float32 if "float32" in name else np.float64)
+
+        def change(model=model, v=v, call=call) -> None:
             grounds = rng.choice(64, 8, replace=False)
-            lam = d(rng.uniform(5e3, 1e4))
-            image = tx.reconstruct(model, v[jnp.asarray(grounds)], grounds, lam=lam).image
-            jax.block_until_ready(image)
+            lam = v.dtype.type(rng.uniform(5e3, 1e4))
+            jax.block_until_ready(call(model, v, grounds, lam))
 
-        runs[name] = change
+        runs[f"tomojax, {name}"] = change
     n = 3 if quick else 7
     repeats = {name: n if "pyEIT" in name else 15 * n for name in runs}
     result = take_turns(runs, repeats)
@@ -210,9 +218,7 @@ def rules(quick: bool) -> list[dict]:
         grounds = rng.choice(64, 8, replace=False)
         j, j_fine = (np.asarray(tx.jacobian(s, grounds)) for s in (coarse, fine))
         u, sigma, vt = np.linalg.svd(j.reshape(512, -1), full_matrices=False)
-        spectrum = kernels.Spectrum(
-            jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(sigma)
-        )
+        spectrum = kernels.Spectrum(jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(sigma))
         lams = sigma[0] ** 2 * np.logspace(-11, 1, 97)
         for level in (1e-3, 5e-3, 2e-2):
             for kind in ("white", "gain", "common mode"):
@@ -222,9 +228,11 @@ def rules(quick: bool) -> list[dict]:
                     v = exact + level * NOISE[kind](rng, exact)
                     sd = jnp.asarray(np.sqrt(np.mean((v - exact) ** 2)))
                     beta = u.T @ v.ravel()
-                    error = lambda lam: np.linalg.norm(  # noqa: E731
-                        (sigma / (sigma**2 + lam) * beta) @ vt - truth  # noqa: B023
-                    ) / np.linalg.norm(truth)  # noqa: B023
+
+                    def error(lam, beta=beta, truth=truth, sigma=sigma, vt=vt):
+                        image = (sigma / (sigma**2 + lam) * beta) @ vt
+                        return np.linalg.norm(image - truth) / np.linalg.norm(truth)
+
                     best = min(error(lam) for lam in lams)
                     into = errors.setdefault((kind, level), {"best": []})
                     into["best"].append(best)
@@ -263,9 +271,7 @@ def scene(rng, places) -> list[np.ndarray]:
         (rng.uniform(0.02, 0.14, 2), rng.uniform(0.006, 0.015), rng.uniform(0.5, 1))
         for _ in range(rng.integers(1, 4))
     ]
-    return [
-        sum(a * (((p - c) ** 2).sum(1) < r * r) for c, r, a in discs) for p in places
-    ]
+    return [sum(a * (((p - c) ** 2).sum(1) < r * r) for c, r, a in discs) for p in places]
 
 
 def draw(report: dict, path: Path) -> None:
@@ -320,18 +326,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    parser.add_argument("--only", help="one part, into the file of the others")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     jac = np.asarray(tx.jacobian(tx.Sensor.grid(divisions=(40, 40))))
-    report = {
-        "change": change_beside_pyeit(jac, arguments.quick),
-        "many_sets": many_sets(jac, arguments.quick),
-        "solvers": solvers(jac, arguments.quick),
-        "rules": rules(arguments.quick),
-        "environment": environment(),
-    }
-    arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "reconstruction.json"
+    report = json.loads(path.read_text()) if arguments.only and path.is_file() else {}
+    parts = {
+        "change": lambda: change_beside_pyeit(jac, arguments.quick),
+        "many_sets": lambda: many_sets(jac, arguments.quick),
+        "solvers": lambda: solvers(jac, arguments.quick),
+        "rules": lambda: rules(arguments.quick),
+    }
+    for name in [arguments.only] if arguments.only else parts:
+        report[name] = parts[name]()
+    report["environment"] = environment()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(report, indent=1) + "\n")
     draw(report, arguments.out / "reconstruction.png")
     for name, row in report["change"]["times"].items():

@@ -10,7 +10,6 @@ from tomojax import kernels
 from tomojax.kernels._mesh import centroids
 
 
-
 def dense_scores(rows, v, lam, rule, noise):
     """Every score from the hat matrix itself, by NumPy."""
     s, m, k = rows.shape
@@ -44,7 +43,9 @@ def dense_scores(rows, v, lam, rule, noise):
 
 
 @pytest.mark.parametrize("columns", [9, 40])
-@pytest.mark.parametrize("rule", ["cross_validation", "discrepancy", "gcv", "robust_gcv", "marginal_likelihood"])
+@pytest.mark.parametrize(
+    "rule", ["cross_validation", "discrepancy", "gcv", "robust_gcv", "marginal_likelihood"]
+)
 def test_scores_are_their_definitions(rng, columns, rule) -> None:
     rows, v = rng.standard_normal((3, 5, columns)), rng.standard_normal((3, 5))
     grid = np.array([1e-2, 0.3, 20.0])
@@ -106,7 +107,7 @@ def test_l_curve_is_greatest_curvature() -> None:
     scores = kernels.lambda_scores(s, v, grid, "l_curve", none)
     chosen = float(kernels.choose_lambda(grid, scores))
     t = np.linspace(-9, 3, 200001)
-    lam = 10.0**t[:, None]
+    lam = 10.0 ** t[:, None]
     x = np.log(np.sum((lam / (sigma**2 + lam) * np.asarray(v)) ** 2, 1)) / 2
     y = np.log(np.sum((sigma / (sigma**2 + lam) * np.asarray(v)) ** 2, 1)) / 2
     d = lambda a: np.gradient(a, t)  # noqa: E731
@@ -173,11 +174,15 @@ def test_default_under_three_kinds_of_noise(rng, kind) -> None:
         )
         exact = j_fine @ source * (34 / 48) ** 2
         level = 5e-3
-        v = exact + level * {
-            "white": lambda v=exact: np.abs(v).max() * rng.standard_normal(v.shape),
-            "gain": lambda v=exact: v * rng.standard_normal(64),
-            "common": lambda v=exact: np.abs(v).max() * rng.standard_normal((8, 1)),
-        }[kind]()
+        v = (
+            exact
+            + level
+            * {
+                "white": lambda v=exact: np.abs(v).max() * rng.standard_normal(v.shape),
+                "gain": lambda v=exact: v * rng.standard_normal(64),
+                "common": lambda v=exact: np.abs(v).max() * rng.standard_normal((8, 1)),
+            }[kind]()
+        )
         lam = choose(spectrum, jnp.asarray(v))
         images = (singular / (singular**2 + lams[:, None]) * (u.T @ v.ravel())) @ vt
         errors = np.linalg.norm(images - truth, axis=1)

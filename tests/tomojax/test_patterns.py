@@ -135,7 +135,7 @@ def test_any_array(make) -> None:
 
 @pytest.mark.parametrize("name", ["around", "cop_line", "point"])
 def test_scenes_without_a_region(paper_sensor, name) -> None:
-    """Nothing, one electrode, the edge, the whole sheet, NaN: defined, distinct, flagged."""
+    """Nothing, one electrode, the edge, the whole sheet, NaN: defined and flagged."""
     scan = tx.AdaptiveScan(paper_sensor, name)
     run = eqx.filter_jit(scan)
     flag = kernels.Flag

@@ -41,11 +41,15 @@ def test_predicts_the_paper(tmp_path) -> None:
     off = [(a / b - 1) ** 2 for a, b in zip(ours[1:], paper[1:])]
     assert (sum(off) / len(off)) ** 0.5 <= 0.08
     # One condition sets λ: the width of "all", and nothing else.
-    assert rows[0]["pattern"] == "all" and rows[0]["width_mm"] == pytest.approx(32.2, abs=0.1)
+    assert rows[0]["pattern"] == "all" and rows[0]["width_mm"] == pytest.approx(
+        32.2, abs=0.1
+    )
     assert all(set(row) >= KEYS for row in report["rows"])
     assert report["environment"]["device"]
     names = ["dependence", "images", "table"]
-    assert sorted(p.name for p in pictures.iterdir()) == [f"table1_{name}.png" for name in names]
+    assert sorted(p.name for p in pictures.iterdir()) == [
+        f"table1_{name}.png" for name in names
+    ]
     for row in report["rows"]:
         assert row["pattern"] in run.stdout
     # How both figures move is in the JSON, for other margins, λ and another definition.
