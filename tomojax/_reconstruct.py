@@ -149,10 +149,9 @@ def _reconstruct(slots, v, grounds, lam, w, noise, rule, per_recording, route):
     # What has no weight may be anything.
     v = jnp.where(w > 0, v, 0)
     frames = v if v.ndim == 3 else v[None]
-    if rule is None:
-        lams = jnp.broadcast_to(lam, frames.shape[:1])
-    else:
-        lams = _chosen_lambda(rows, frames, w, noise, rule, per_recording)
+    if rule is not None:
+        shared = per_recording or v.ndim == 2
+        lam = _chosen_lambda(rows, frames, w, noise, rule, shared)
 
     def one(frame: Array, lam: Array) -> Reconstruction:
         if route is None:
@@ -167,17 +166,21 @@ def _reconstruct(slots, v, grounds, lam, w, noise, rule, per_recording, route):
         image = jnp.where(flags == 0, image, jnp.nan)
         return Reconstruction(image, lam, residual, flags)
 
-    return jax.vmap(one)(frames, lams) if v.ndim == 3 else one(v, lams[0])
+    if v.ndim == 2:
+        return one(v, lam)
+    if lam.ndim == 0:  # one factor serves all frames
+        return jax.vmap(one, (0, None))(frames, lam)
+    return jax.lax.map(lambda each: one(*each), (frames, lam))
 
 
-def _chosen_lambda(rows, frames, w, noise, rule, per_recording) -> Float[Array, " frames"]:
+def _chosen_lambda(rows, frames, w, noise, rule, shared) -> Float[Array, "*frames"]:
     scale = jnp.sqrt(w)
     s = kernels.spectrum(scale[..., None] * rows)
     grid = kernels.lambda_grid(s)
     score = lambda frame: kernels.lambda_scores(s, scale * frame, grid, rule, noise)  # noqa: E731
     scores = jax.lax.map(score, frames)
-    if per_recording:
-        return jnp.broadcast_to(kernels.choose_lambda(grid, scores), frames.shape[:1])
+    if shared:
+        return kernels.choose_lambda(grid, scores)
     return jax.vmap(lambda one: kernels.choose_lambda(grid, one))(scores)
 
 
