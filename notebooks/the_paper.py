@@ -18,11 +18,13 @@
 
 # %%
 import json
+from io import BytesIO
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from IPython.display import display, Image
 from matplotlib import pyplot as plt
 
 jax.config.update("jax_enable_x64", True)
@@ -44,9 +46,10 @@ assert summary["width_rank_correlation"] >= 0.90
 assert summary["width_ratio_rms_relative_error"] <= 0.08
 
 # %%
-# Shown by the notebook, not by a window.
 for draw in (_table1_plots.table, _table1_plots.images, _table1_plots.dependence):
-    display(draw(study))  # noqa: F821
+    picture = BytesIO()
+    draw(study).savefig(picture, dpi=80)
+    display(Image(picture.getvalue()))
 
 # %% [markdown]
 # ## Fig. 7: single, double and areal contact under four patterns
@@ -105,9 +108,9 @@ else:
 # ## Fig. 8: an object dropped, *All* against *CoP line*
 #
 # The same drop at 10 000 slots/s: 64 slots a scan, and two exploratory slots with eight of
-# the line. What is drawn is the highest voltage of each scan beside the image's sum; the
-# truth is the contact's conductance in every slot. A bounce shorter than a scan is blurred
-# over the scan by *All* and followed by *CoP line*.
+# the line. What is drawn is the sum of each scan's image; the truth is the
+# contact's conductance in every slot. A bounce shorter than a scan is blurred over the scan
+# by *All* and followed by *CoP line*.
 
 
 # %%
