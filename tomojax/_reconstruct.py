@@ -92,13 +92,14 @@ def reconstruct(
     shape = (len(chosen), maps.shape[1])
     v = float_array("voltages", voltages, maps.dtype)
     require_shape("voltages", v, shape, (None, *shape))
-    given = float_array("weights", np.ones(shape[:1]) if weights is None else weights)
+    given = np.ones(shape[:1]) if weights is None else weights
+    given = float_array("weights", given, maps.dtype)
     require_shape("weights", given, shape[:1], shape)
     require_not_negative("weights", given)
     if known(given):
         require(np.asarray(given).any(), "weights", "all 0", "a weight above 0")
     per_row = given if given.ndim == 2 else given[:, None]
-    w = jnp.broadcast_to(per_row, shape).astype(maps.dtype)
+    w = jnp.broadcast_to(per_row, shape)
     if known(v, w):
         require_finite("voltages", jnp.where(w > 0, v, 0))
     rules, routes = get_args(kernels.LambdaRule), get_args(kernels.SolveRoute)
