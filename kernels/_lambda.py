@@ -31,7 +31,6 @@ LambdaRule = Literal[
 # Problems 22, 2006, suggests 0.1 to 0.3).
 _ROBUST_GCV = 0.1
 
-
 # Too small a λ costs decades of error, too large a one at most the image: of the λ whose
 # estimated errors are this close, the largest (as the one-standard-error rule does).
 _ALIKE = 1.1

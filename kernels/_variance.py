@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from tomojax.kernels._blocktri import matmul
 
-_STEPS = 25  # the chosen λ no longer moves by a grid step after 20
+_STEPS = 25  # in trials of the rule 20 did as well as 60
 
 # g² v_i v_iᵀ with g = 1 would explain any voltages: gains are errors, 5 % at most.
 _LARGEST_GAIN = 0.05

@@ -1,6 +1,6 @@
 """Ground patterns: which electrodes a scan grounds, in order."""
 
-from typing import Any, cast, get_args, Literal
+from typing import cast, get_args, Literal
 
 import equinox as eqx
 import jax
@@ -193,7 +193,7 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
         reach = xy @ np.stack([np.cos(angle), np.sin(angle)])
         return np.flatnonzero((reach >= reach.max(0) - near / 100).any(1))
-    count: Any = int(name.removeprefix("random_"))
+    count = int(name.removeprefix("random_"))
     m = sensor.electrode_count
     require(count <= m, "name", repr(name), f"no more than the {m} electrodes")
     return np.random.default_rng(seed).choice(m, count, replace=False)
