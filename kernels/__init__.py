@@ -23,6 +23,11 @@ from tomojax.kernels._basis import (
     slot_factors as slot_factors,
     solve_reduced as solve_reduced,
 )
+from tomojax.kernels._contacts import (
+    Contacts as Contacts,
+    no_contacts as no_contacts,
+    read_contacts as read_contacts,
+)
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
     fem_resistances as fem_resistances,

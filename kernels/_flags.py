@@ -13,3 +13,13 @@ class Flag(enum.IntFlag):
     BAD_LAMBDA = 16  # λ not above 0, or no rule could choose one
     BAD_GROUNDS = 32  # out of range, repeated, or no weight
     SOLVE_FAILED = 64  # a factorisation or the image is not finite
+    # Of a recording's rows:
+    DEAD_CHANNEL = 128  # a channel reads 0 while others change
+    STUCK_CHANNEL = 256  # a channel repeats another value while others change
+    SATURATED = 512  # a voltage at the converter's rail, or beyond what the drive can make
+    UNKNOWN_GROUND = 1024  # a slot whose ground is no electrode of the sensor
+    GAP = 2048  # scans lost just before this row
+    ALL_ZERO = 4096  # every channel reads 0
+    STUCK_SCAN = 8192  # every voltage repeats the scan before or after
+    HIGH_RESIDUAL = 16384  # the model leaves too much of the voltages unexplained
+    NO_DATA = 32768  # too few good channels: no result

@@ -6,7 +6,10 @@ from pathlib import Path as _Path
 if (_Path(__file__).parent.parent / "kernels" / "__init__.py").is_file():
     __path__.append(str(_Path(__file__).parent.parent))
 
+from tomojax._batch import Batch as Batch, Rows as Rows  # noqa: E402
+from tomojax._chunks import Settings as Settings  # noqa: E402
 from tomojax._converter import Converter as Converter  # noqa: E402
+from tomojax._faults import Faults as Faults, find_faults as find_faults  # noqa: E402
 from tomojax._forward import (  # noqa: E402
     contact_conductance as contact_conductance,
     ground_set as ground_set,
@@ -20,6 +23,12 @@ from tomojax._merit import (  # noqa: E402
     figures_of_merit as figures_of_merit,
     pixels as pixels,
 )
+from tomojax._method import (  # noqa: E402
+    AbstractMethod as AbstractMethod,
+    Estimate as Estimate,
+    Frame as Frame,
+    method as method,
+)
 from tomojax._patterns import (  # noqa: E402
     AdaptiveScan as AdaptiveScan,
     exploration as exploration,
@@ -30,6 +39,12 @@ from tomojax._reconstruct import (  # noqa: E402
     reconstruct as reconstruct,
     Reconstruction as Reconstruction,
     reduce_jacobian as reduce_jacobian,
+)
+from tomojax._recording import (  # noqa: E402
+    ArrayRecording as ArrayRecording,
+    open_recording as open_recording,
+    Recording as Recording,
+    Rig as Rig,
 )
 from tomojax._sensor import Sensor as Sensor  # noqa: E402
 from tomojax._shapes import (  # noqa: E402
@@ -44,5 +59,8 @@ from tomojax._shapes import (  # noqa: E402
     Ring as Ring,
     Scene as Scene,
     Shifted as Shifted,
+)
+from tomojax._stream import (  # noqa: E402
+    reconstruct_recording as reconstruct_recording,
 )
 from tomojax.kernels import Flag as Flag, ReducedSlots as ReducedSlots  # noqa: E402

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tomojax import _demo
+from tomojax import _app_recordings, _demo
 from tomojax._environment import environment
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -25,10 +25,10 @@ def app() -> None:
     type=_FOLDER,
     default=Path("tomojax-demo"),
     show_default=True,
-    help="Folder for the pictures.",
+    help="Folder for the pictures and the results.",
 )
 def demo(out: Path) -> None:
-    """Simulate two contacts on the paper's sensor and show what its electrodes read."""
+    """Reconstruct a small recording that comes with the package; pictures and a clip."""
     _demo.run(out)
 
 
@@ -67,6 +67,10 @@ def table1(json_path: Path | None, out: Path | None) -> None:
             path = out / f"table1_{draw.__name__}.png"
             draw(study).savefig(path, dpi=110)
             print(f"picture: {path}")
+
+
+app.add_command(_app_recordings.reconstruct)
+app.add_command(_app_recordings.info)
 
 
 def run() -> None:

@@ -31,7 +31,8 @@ def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
         array = np.asarray(value)
         if dtype is None:
             floating = np.issubdtype(array.dtype, np.floating) and hasattr(value, "dtype")
-            dtype = jnp.result_type(array.dtype if floating else float)
+            # A NumPy float64 is JAX's float where x64 is off: no warning for that.
+            dtype = jax.dtypes.canonicalize_dtype(array.dtype if floating else float)
         array = array.astype(np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {value!r}, expected numbers") from None

@@ -1,35 +1,39 @@
-"""`tomojax demo`: no arguments, no files, a first look at what the library computes."""
+"""`tomojax demo`: a recording that comes with the package, reconstructed and shown.
 
+The recording is simulated (`python -m tomojax._demo_recording` makes it anew), with an
+uneven sheet, gain errors and noise that the reconstruction does not know of.
+"""
+
+import sys
+from importlib.resources import as_file, files
 from pathlib import Path
 
-import jax
-import numpy as np
+import h5py
 
-import tomojax as tx
-from tomojax import _plots
+from tomojax import _results_plots, _results_report
+from tomojax._chunks import Settings
+from tomojax._recording import open_recording
+from tomojax._stream import reconstruct_recording
 
 
 def run(out: Path) -> None:
-    """Voltages of a simulated scene under all ground conditions: a table and a picture."""
-    sensor = tx.Sensor.grid()
-    scene = tx.Scene(
-        tx.Disc([0.050, 0.110], 0.008, 2.0),
-        tx.Bar([0.105, 0.060], 0.060, 0.010, 0.6, 1.0),
-    )
-    conductance = np.asarray(tx.contact_conductance(sensor, scene))
-    volts = np.asarray(
-        tx.voltages(sensor, scene, converter=tx.Converter(), key=jax.random.key(0))
-    )
-    print(
-        f"{sensor.electrode_count} electrodes, {sensor.element_count} elements, "
-        f"a disc and a bar of {1e3 * conductance.sum():.2f} mS in all"
-    )
-    print("grounded   lowest V   highest V   highest at")
-    for ground in (0, 7, 27, 36, 56, 63):
-        row = volts[ground]
-        others = np.delete(row, ground)
-        print(f"{ground:8d}   {others.min():8.4f}   {row.max():9.4f}   {row.argmax():10d}")
+    """Contacts printed; pictures, a clip and the results file in the folder `out`."""
+    from tqdm import tqdm
+
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "voltages.png"
-    _plots.scene_and_voltages(sensor, conductance, volts, 27).savefig(path, dpi=130)
-    print(f"picture: {path}")
+    results = out / "results.h5"
+    with as_file(files("tomojax") / "demo.h5") as path, open_recording(path) as recording:
+        rig = recording.rig
+        print(
+            f"{recording.scans} scans of {recording.slots} slots, {recording.electrodes} "
+            f"electrodes, {recording.scans * recording.interval:.3g} s: {rig.notes}"
+        )
+        reconstruct_recording(recording, results, Settings(grid=32), overwrite=True)
+    print(_results_report.text(_results_report.summary(results), results))
+    _results_plots.timeline(results).savefig(out / "contacts.png", dpi=110)
+    with h5py.File(results) as file:
+        frames = file["t"].shape[0]  # pyright: ignore
+    with tqdm(total=frames, desc="clip", disable=None, file=sys.stderr) as bar:
+        _results_plots.clip(results, out / "contacts.gif", progress=bar.update)
+    for name in ("contacts.png", "contacts.gif"):
+        print(f"picture: {out / name}")

@@ -1,9 +1,14 @@
 """The command line as its user meets it."""
 
+import json
+import os
 import subprocess
 import sys
 
+import h5py
+import numpy as np
 import pytest
+import recordings
 from click.testing import CliRunner
 
 from tomojax import _app
@@ -12,8 +17,13 @@ from tomojax import _app
 def test_demo_prints_and_draws(tmp_path) -> None:
     result = CliRunner().invoke(_app.app, ["demo", "--out", str(tmp_path / "pictures")])
     assert result.exit_code == 0, result.output
-    assert "64 electrodes" in result.output
-    assert (tmp_path / "pictures" / "voltages.png").stat().st_size > 10_000
+    assert "64 electrodes" in result.output and "contacts  rows" in result.output
+    for name in ("contacts.png", "contacts.gif", "results.h5"):
+        assert (tmp_path / "pictures" / name).stat().st_size > 10_000
+    # One finger and, while it taps, another: never a third.
+    with h5py.File(tmp_path / "pictures" / "results.h5") as file:
+        assert np.bincount(file["contact_count"][:]).tolist()[1] > 100
+        assert file["contact_count"][:].max() == 2
 
 
 @pytest.mark.parametrize(
@@ -47,3 +57,96 @@ def test_missing_extra_is_named(monkeypatch, capsys) -> None:
         _cli.main()
     assert stop.value.code == 2
     assert "tomojax[app]" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def recording_path(tmp_path_factory):
+    codes, _ = recordings.touched(scans=30)
+    return recordings.write(tmp_path_factory.mktemp("cli") / "rec.h5", codes)
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(_app.app, [*map(str, arguments)])
+
+
+def test_reconstruct_and_info(recording_path, tmp_path) -> None:
+    shown = invoke("info", recording_path, "--json", tmp_path / "info.json")
+    assert shown.exit_code == 0, shown.output
+    assert "can be read" in shown.output and "no faults" in shown.output
+    assert json.loads((tmp_path / "info.json").read_text())["summary"]["scans"] == 30
+    out, picture = tmp_path / "o.h5", tmp_path / "o.png"
+    arguments = ("reconstruct", recording_path, "-o", out, "--grid", 16)
+    done = invoke(*arguments, "--picture", picture, "--json", tmp_path / "o.json")
+    assert done.exit_code == 0, done.output
+    assert picture.stat().st_size > 10_000 and f"results: {out}" in done.output
+    report = json.loads((tmp_path / "o.json").read_text())
+    assert report["summary"]["rows_by_contacts"] == {"0": 20, "1": 10}
+    assert set(report) == {"rows", "summary", "environment"}
+    slots = invoke(
+        *arguments[:3], tmp_path / "s.h5", "--rate", "slot", "--method", "linear"
+    )
+    assert slots.exit_code == 0, slots.output
+    with h5py.File(tmp_path / "s.h5") as file:
+        assert len(file["t"]) == 60 and "image" not in file
+
+
+def line_of(monkeypatch, capsys, *arguments) -> str:
+    """What a command that fails prints: exactly one line, and status 2."""
+    monkeypatch.setattr(sys, "argv", ["tomojax", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        _app.run()
+    assert stop.value.code == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_path) -> None:
+    good = recording_path.read_bytes()
+    (tmp_path / "empty.h5").write_bytes(b"")
+    (tmp_path / "text.h5").write_text("volts")
+    (tmp_path / "cut.h5").write_bytes(good[: len(good) // 2])
+    codes = np.zeros((3, 2, 64), np.int16)
+    recordings.write(tmp_path / "missing.h5", codes, leave_out=["ground"])
+    recordings.write(tmp_path / "shape.h5", codes, ground=np.zeros((3, 5), np.uint8))
+    recordings.write(tmp_path / "units.h5", codes, units="mV")
+    recordings.write(tmp_path / "future.h5", codes, schema_version=7)
+    words = dict(missing="ground", shape="ground", units="units", future="schema_version")
+    for name in ("absent", "empty", "text", "cut", *words):
+        path = tmp_path / f"{name}.h5"
+        line = line_of(monkeypatch, capsys, "reconstruct", path, "-o", tmp_path / "o.h5")
+        assert str(path) in line and words.get(name, "") in line
+        assert str(path) in line_of(monkeypatch, capsys, "info", path)
+    if os.geteuid():  # root may do everything
+        (tmp_path / "future.h5").chmod(0)
+        line = line_of(monkeypatch, capsys, "info", tmp_path / "future.h5")
+        assert "Permission denied" in line
+    assert not list(tmp_path.glob("o.h5*"))
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--method", "magic"], "method"),
+        (["--rate", "row"], "rate"),
+        (["--lam", "much"], "lam"),
+        (["--lam", "-1"], "lam"),
+        (["--grid", "3"], "grid"),
+        (["--contacts", "0"], "contacts"),
+        (["--threshold", "-1"], "threshold"),
+        (["--chunk", "0"], "chunk"),
+        (["--tdms", "slots=3"], "options"),
+        (["--tdms", "what"], "tdms"),
+        (["--process", "1"], "--coordinator"),
+        (["--coordinator", "x", "--processes", "2", "--process", "5"], "--process"),
+        (["--coordinator", "x", "--processes", "2", "--process", "1"], "--coordinator"),
+        (["--picture", "/absent/p.png"], "/absent"),
+    ],
+)
+def test_bad_options_are_one_line(
+    monkeypatch, capsys, tmp_path, recording_path, options, word
+) -> None:
+    out = tmp_path / "o.h5"
+    line = line_of(monkeypatch, capsys, "reconstruct", recording_path, "-o", out, *options)
+    assert word in line
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,104 @@
+"""Recordings of a rig that is not ours, from file to rows, beside their truth."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax import Flag
+
+LOST = slice(1200, 1237)
+
+
+@pytest.fixture(scope="module")
+def rows_of(tmp_path_factory):
+    """Name and settings to the datasets of its results file."""
+    folder = tmp_path_factory.mktemp("rows")
+    known = {}
+
+    def run(path, **settings):
+        key = (path.name, *settings.items())
+        if key not in known:
+            with tx.open_recording(path) as recording:
+                out = folder / f"{len(known)}.h5"
+                tx.reconstruct_recording(recording, out, tx.Settings(**settings))
+            with h5py.File(out) as file:
+                known[key] = {name: data[()] for name, data in file.items()}
+        return known[key]
+
+    return run
+
+
+def drag_truth(folder):
+    return np.load(folder / "drag_around.truth.npz")["xy"].reshape(2000, 10, 2).mean(1)
+
+
+def test_tdms_and_hdf5_give_identical_rows(shared_data, rows_of):
+    one, other = (
+        rows_of(shared_data / f"bounce_spanner_copline.{kind}") for kind in ("h5", "tdms")
+    )
+    for name, values in one.items():
+        assert values.tobytes() == other[name].tobytes(), name
+
+
+def test_every_fault_where_it_is(shared_data, rows_of):
+    """README's list of faults, in rows: those after the gap are 37 lower."""
+    flags = rows_of(shared_data / "faults.h5")["flags"]
+    want = np.full(1963, Flag.SATURATED.value)  # channel 17 throughout
+    want[400:450] |= Flag.DEAD_CHANNEL
+    want[700:705] |= Flag.NO_DATA
+    want[900:910] |= Flag.UNKNOWN_GROUND
+    want[1200] |= Flag.GAP
+    want[1463:1483] |= Flag.STUCK_SCAN | Flag.NO_DATA
+    np.testing.assert_array_equal(flags, want)
+    assert not rows_of(shared_data / "drag_around.h5")["flags"].any()
+
+
+def test_bad_channels_do_not_move_the_contact(shared_data, rows_of):
+    truth = drag_truth(shared_data)
+    clean = rows_of(shared_data / "drag_around.h5")["contact_xy"][:, 0] - truth
+    faulty = rows_of(shared_data / "faults.h5")["contact_xy"][:, 0]
+    faulty = faulty - np.delete(truth, LOST, 0)
+    clean, faulty = (np.hypot(*d.T) for d in (clean, faulty))
+    assert np.median(clean) < 2e-3 and np.percentile(clean, 90) < 4e-3
+    present = np.isfinite(faulty)
+    assert present.sum() == 1963 - 25
+    for part in (slice(0, 1963), slice(400, 450), slice(900, 910)):
+        same = np.delete(clean, LOST)[part][present[part]]
+        assert np.median(faulty[part][present[part]]) < 1.5 * np.median(same)
+
+
+def test_static_scenes(shared_data, rows_of):
+    """Single contacts: one, in place, with their current; three are three."""
+    rows = rows_of(shared_data / "static_all.h5")
+    truth = json.loads((shared_data / "truth.json").read_text())["static_all"]["scenes"]
+    for scene in truth:
+        part = slice(*scene["scans"])
+        count, contacts = rows["contact_count"][part], scene["contacts"]
+        if scene["name"] in ("nothing", "three_contacts", "two_weights_60mm"):
+            assert (count == len(contacts)).all(), scene["name"]
+        if len(contacts) == 1 and contacts[0]["kind"] == "disc":
+            assert (count == 1).all(), scene["name"]
+            apart = rows["contact_xy"][part, 0] - contacts[0]["centre"]
+            # Over the grounded electrode itself one slot of 64 outweighs the others.
+            limit = 8e-3 if scene["name"] == "hard_short" else 3e-3
+            assert np.hypot(*apart.T).max() < limit, scene["name"]
+            if scene["name"] != "hard_short":
+                current = rows["contact_current"][part, 0]
+                np.testing.assert_allclose(current, np.mean(scene["current"]), rtol=0.1)
+
+
+@pytest.mark.parametrize("pattern", ["all", "copline", "corners"])
+@pytest.mark.parametrize("thing", ["spanner", "orange"])
+def test_contact_and_none_in_a_bounce(shared_data, rows_of, thing, pattern):
+    """As the truth has it, but for scans in which it begins, ends or is feeble."""
+    path = shared_data / f"bounce_{thing}_{pattern}.h5"
+    count = rows_of(path)["contact_count"]
+    truth = np.load(path.with_name(path.stem + ".truth.npz"))["total_conductance"]
+    slots = len(truth) // len(count)
+    truth = truth[: slots * len(count)].reshape(len(count), slots)
+    clear = (truth > 0.05 * truth.max()).all(1)
+    assert (count[clear] > 0).all()
+    assert (count[(truth == 0).all(1)] == 0).all()

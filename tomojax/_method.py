@@ -1,0 +1,126 @@
+"""What a step of the ladder of models is, and how one is found by its name.
+
+A method prepares once for a set of grounds and of good channels, and is then applied to
+many frames. Its file is all that a new one needs, and a line in `METHODS`.
+"""
+
+from abc import abstractmethod
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Integer
+
+from tomojax import kernels
+from tomojax._checks import require
+from tomojax._sensor import Sensor
+
+# Name of the method: its module and class. Imported when asked for.
+METHODS = {
+    "source": ("tomojax._source", "Source"),
+    "linear": ("tomojax._linear", "Linear"),
+}
+
+
+class Estimate(NamedTuple):
+    """What a method says of one frame."""
+
+    contacts: kernels.Contacts
+    image: Float[Array, "nx ny"]
+    residual: Float[Array, ""]  # rms over the voltages used, V
+
+
+class Frame(NamedTuple):
+    """One scan, or one slot of it, as measured (NumPy)."""
+
+    voltages: Float[np.ndarray, "S M"]
+    grounds: Integer[np.ndarray, " S"]
+    good: Bool[np.ndarray, "S M"]
+
+
+class AbstractMethod(eqx.Module):
+    """From the voltages of one frame to contacts and an image."""
+
+    shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
+    cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
+    image_unit: eqx.AbstractClassVar[str]
+    # Residual beyond this part of the voltages' rms: the model does not hold.
+    residual_limit: eqx.AbstractClassVar[float]
+
+    @property
+    @abstractmethod
+    def electrode_count(self) -> int:
+        """M."""
+
+    @abstractmethod
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """λ for a recording, from a few of its frames with a contact."""
+
+    @abstractmethod
+    def scale(self) -> float:
+        """σ₁², which λ is relative to."""
+
+    @abstractmethod
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
+        """Arrays that serve every frame with these grounds (S,) and good channels (S, M).
+
+        A slot without a good channel is not used. Host code, in float64.
+        """
+
+    @abstractmethod
+    def estimate(
+        self, prepared: Any, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        """Up to `count` contacts, an image and a residual, of one frame. Compiled.
+
+        Channels that are not good come as 0.
+        """
+
+
+def method(sensor: Sensor, name: str = "source", grid: int = 32) -> AbstractMethod:
+    """The method of that name on an image of `grid` × `grid` pixels.
+
+    "source" finds the current image of each slot, with nothing assumed of the contact;
+    "linear" is the paper's Eq. 3 with J(0).
+
+    **Raises:** `ValueError` for an unknown name or a grid below 8.
+    """
+    require(name in METHODS, "method", repr(name), f"one of {', '.join(METHODS)}")
+    whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
+    require(whole, "grid", repr(grid), "a whole number from 8 to 512")
+    module, kind = METHODS[name]
+    return getattr(import_module(module), kind).of(sensor, (int(grid), int(grid)))
+
+
+class Pixels(NamedTuple):
+    """Pixels as groups of elements on a mesh that is fine enough for the electrodes."""
+
+    sensor: Sensor
+    shape: tuple[int, int]
+    cell: Float[Array, "2"]
+
+    def mean(self, values: jax.Array) -> Float[Array, "*before pixels"]:
+        """The mean over the elements of each pixel, of values (..., K)."""
+        (nx, ny), (mx, my) = self.shape, self.sensor.divisions
+        split = values.reshape(*values.shape[:-1], nx, mx // nx, ny, my // ny, 2)
+        return split.mean((-4, -2, -1)).reshape(*values.shape[:-1], nx * ny)
+
+
+def pixels_of(sensor: Sensor, shape: tuple[int, int]) -> Pixels:
+    """Pixels of `shape`, with the mesh refined until a cell is no wider than a disc."""
+    size = np.asarray(sensor.size, float)
+    widest = float(sensor.electrode_diameter) * (1 + 1e-5)
+    finer = np.ceil(size / np.array(shape) / widest).astype(int)
+    divisions = tuple(int(n) for n in np.array(shape) * finer)
+    # A sheet with a value per element keeps the mesh that they are given on.
+    if sensor.sheet_resistance.ndim:
+        fits = all(m % n == 0 for m, n in zip(sensor.divisions, shape))
+        require(fits, "grid", shape, f"divisors of the sensor's mesh, {sensor.divisions}")
+    else:
+        sensor = replace(sensor, divisions=divisions)
+    cell = sensor.size / jnp.asarray(shape, sensor.dtype)
+    return Pixels(sensor, shape, cell)

@@ -1,0 +1,173 @@
+"""`source`: the current that the object feeds into the sheet, slot by slot.
+
+V^l = T^l s^l holds exactly for any contact (DESIGN: one slot is linear in the injected
+current), and one slot has M − 1 of the M numbers that can be known of s. A scan's image
+is the mean of its slots' images: the slots' currents differ, their places do not.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from tomojax import kernels
+from tomojax._forward import resistances
+from tomojax._method import AbstractMethod, Estimate, Frame, Pixels, pixels_of
+from tomojax._sensor import Sensor
+from tomojax.kernels._blocktri import matmul
+
+# What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9
+# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py). And the converter's noise.
+_MODEL_ERROR, _NOISE = 0.015, 5e-4
+
+# A peak stands out of that noise by this factor of its standard deviation; offsets do not
+# average out over slots, so that no number of them lowers it.
+_STANDS_OUT = 5.0
+
+# Slots that λ is chosen from; and λ/σ₁² where nothing ever touches.
+_SLOTS, _RELATIVE = 64, 1e-4
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    operators: Float[Array, "SM r"]  # coefficients of the mean image from the voltages
+    misfits: Float[Array, "S M M"]  # T A − I on the good channels
+    spread: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
+    lowest: Float[Array, ""]  # statistic that noise does not reach
+    used: Bool[Array, "S M"]
+
+
+class Source(AbstractMethod):
+    """s^l = T^lᵀ(T^lT^lᵀ + λI)⁻¹V^l, in an orthonormal basis of T's row space (rank M).
+
+    The minimum-norm image is highest at electrodes wherever the contact is. Contacts are
+    read off s_k/√(resolution matrix)_kk, which without noise is highest at a lone point
+    source exactly (sLORETA: Pascual-Marqui, Methods Find. Exp. Clin. Pharmacol. 24D,
+    2002); their currents are sums of s.
+    """
+
+    image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    basis: Float[Array, "r pixels"]
+    factors: Float[Array, "L M r"]  # T^l Bᵀ
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
+        """On an image of `shape` pixels."""
+        pixels = pixels_of(sensor, shape)
+        return cls.from_maps(slot_maps(pixels), shape, pixels.cell)
+
+    @classmethod
+    def from_maps(
+        cls, maps: Float[np.ndarray, "L M pixels"], shape: tuple[int, int], cell: Array
+    ) -> "Source":
+        """Of any T^l."""
+        # The rows of every slot span the same M dimensions; a few slots show them all.
+        some = maps[:: max(1, len(maps) // 4)].reshape(-1, maps.shape[-1])
+        basis = np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
+        dtype = cell.dtype
+        factors = jnp.asarray(maps @ basis.T, dtype)
+        return cls(shape, cell, jnp.asarray(basis, dtype), factors)
+
+    @property
+    def electrode_count(self) -> int:
+        return self.factors.shape[1]
+
+    def scale(self) -> float:
+        return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The λ that leaves the residual which nominal values would leave in any case."""
+        factors = np.asarray(self.factors, float)
+        if not frames:
+            return _RELATIVE * self.scale()
+        # A scan may begin before its contact: those slots have nothing to say.
+        enough = max(np.abs(frame.voltages).max() for frame in frames) / 2
+        slots = [
+            (v[g].astype(float), factors[ground][g])
+            for frame in frames
+            for v, ground, g in zip(*frame)
+            if np.abs(v).max() >= enough
+        ]
+        chosen = []
+        for v, rows in slots[:: max(1, len(slots) // _SLOTS)]:
+            left, s, _ = np.linalg.svd(rows, full_matrices=False)
+            beta = left.T @ v
+            outside = max(0.0, float(v @ v - beta @ beta))
+            lam = s[0] ** 2 * np.logspace(-9, 0, 37)
+            rest = lam[:, None] / (s**2 + lam[:, None]) * beta
+            misfit = (rest**2).sum(1) + outside
+            target = len(v) * _NOISE**2 + _MODEL_ERROR**2 * (v @ v)
+            chosen.append(np.interp(np.log(target), np.log(misfit), np.log(lam)))
+        return float(np.exp(np.median(chosen)))
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        used = good.any(1)
+        basis, dtype = np.asarray(self.basis, float), self.basis.dtype
+        factors = np.asarray(self.factors, float)
+        operators, misfits = [], []
+        spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
+        for ground, channels in zip(grounds, good):
+            if not channels.any():
+                operators.append(np.zeros_like(factors[0].T))
+                misfits.append(np.zeros((good.shape[1],) * 2))
+                continue
+            rows = np.where(channels[:, None], factors[ground], 0)
+            normal = rows.T @ rows + lam * np.eye(rows.shape[1])
+            operator = np.linalg.solve(normal, rows.T)
+            operators.append(operator)
+            misfits.append(rows @ operator - np.diag(channels.astype(float)))
+            spread += ((operator @ rows @ basis).T * basis.T).sum(1)
+            noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
+        count = max(1, used.sum())
+        spread = np.maximum(spread, 1e-30)
+        lowest = _STANDS_OUT * _NOISE * np.sqrt((noise / spread).max())
+        return Prepared(
+            jnp.asarray(np.concatenate([o.T for o in operators]) / count, dtype),
+            jnp.asarray(np.stack(misfits), dtype),
+            jnp.asarray(np.sqrt(count / spread), dtype),
+            jnp.asarray(lowest, dtype),
+            jnp.asarray(good),
+        )
+
+    def image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
+        """The mean current image of the slots, A per pixel (or element of T)."""
+        return matmul(matmul(voltages.ravel(), prepared.operators), self.basis)
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        source = self.image(prepared, voltages)
+        statistic = (source * prepared.spread).reshape(self.shape)
+        current = source.reshape(self.shape)
+        contacts = kernels.read_contacts(
+            statistic, current, self.cell, count, lowest=prepared.lowest
+        )
+
+        # Slot by slot: of a batch each is one product, where a batch of products is slow.
+        def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
+            misfit, v = slot
+            return total + jnp.sum(matmul(misfit, v) ** 2), None
+
+        zero = jnp.zeros((), voltages.dtype)
+        total, _ = lax.scan(add, zero, (prepared.misfits, voltages))
+        residual = jnp.sqrt(total / jnp.sum(prepared.used).astype(total.dtype))
+        return Estimate(contacts, current / self.cell.prod(), residual)
+
+
+def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
+    """T^l of every ground, volts per ampere into a pixel; float64 on the host."""
+    sensor = pixels.sensor
+    route = "fem" if sensor.sheet_resistance.ndim else "series"
+    table = resistances(sensor, route)
+    ee, ek = np.asarray(table.electrodes, float), np.asarray(pixels.mean(table.elements))
+    z = np.broadcast_to(np.asarray(sensor.ground_resistance, float), len(ee))
+    offset = (np.diagonal(ee) + z)[:, None] - ee
+    return ek.astype(float)[None] - ek.astype(float)[:, None] + offset[:, :, None]
