@@ -1,8 +1,12 @@
 """Commands on recordings: `tomojax reconstruct` and `tomojax info`."""
 
 import json
+import os
+import signal
 import sys
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import click
@@ -101,11 +105,17 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     for path in (options["picture"], options["json_path"]):
         if path and not path.parent.is_dir():
             raise ValueError(f"{path}: no such folder; make it, or give another")
-    with open_recording(rec, **options["tdms"]) as recording, _bar(share) as bar:
+    with (
+        open_recording(rec, **options["tdms"]) as recording,
+        _bar(share) as bar,
+        _interrupts() as interrupted,
+    ):
 
         def progress(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
+            if interrupted.is_set():
+                raise KeyboardInterrupt
 
         try:
             reconstruct_recording(
@@ -139,6 +149,26 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
 
         timeline(out).savefig(options["picture"], dpi=110)
         print(f"picture: {options['picture']}")
+
+
+@contextmanager
+def _interrupts():
+    """Ctrl-C as an event: as an exception it may come up inside a callback and be lost.
+
+    A second one ends the process at once, which loses nothing that has been written.
+    """
+    event = Event()
+
+    def handle(number: int, frame: Any) -> None:
+        if event.is_set():
+            os._exit(130)
+        event.set()
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _bar(share: tuple[int, int]):
