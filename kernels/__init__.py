@@ -28,6 +28,10 @@ from tomojax.kernels._contacts import (
     no_contacts as no_contacts,
     read_contacts as read_contacts,
 )
+from tomojax.kernels._drawing import (
+    points_as_contacts as points_as_contacts,
+    points_image as points_image,
+)
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
     fem_resistances as fem_resistances,
@@ -35,6 +39,12 @@ from tomojax.kernels._fem import (
     fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
     site_conductance as site_conductance,
+)
+from tomojax.kernels._field import (
+    Field as Field,
+    field_and_slope as field_and_slope,
+    field_at as field_at,
+    slot_columns as slot_columns,
 )
 from tomojax.kernels._flags import Flag as Flag
 from tomojax.kernels._lambda import (
@@ -55,6 +65,7 @@ from tomojax.kernels._merit import (
     two_point_dip as two_point_dip,
 )
 from tomojax.kernels._rectangle import (
+    rectangle_fields as rectangle_fields,
     rectangle_green as rectangle_green,
     rectangle_resistances as rectangle_resistances,
 )

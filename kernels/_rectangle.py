@@ -26,6 +26,9 @@ from tomojax.kernels._table import centred, Resistances
 
 _TERMS = 6
 
+# Where among (4, terms) the factor is that vanishes as the places meet.
+_VANISHING = np.arange(4 * _TERMS).reshape(4, _TERMS) == 0
+
 
 def rectangle_green(
     one: Float[Array, "*#batch 2"],
@@ -57,16 +60,16 @@ def rectangle_green(
     # q/far would underflow in float32 on a long sheet.
     far_ = jnp.exp(-jnp.pi * (2 * b - total) / a)
     near_ = jnp.exp(-jnp.pi * (2 * b - gap) / a)
-    product = factor(near, turn_)
-    for j in range(_TERMS):
-        for k, r in enumerate((near, far, far_, near_)):
-            if j or k:
-                product = product * factor(r * q**j, turn)
-            if j or k:
-                product = product * factor(r * q**j, turn_)
-    # The one factor that vanishes where the two places meet, as (π d/a)²·ratio.
+    # (places, 4, terms): as an axis, not unrolled, for the sake of compile time.
+    powers = q ** np.arange(_TERMS, dtype=near.dtype)
+    sizes = jnp.stack([near, far, far_, near_], -1)[..., None] * powers
+    turns, turns_ = turn[..., None, None], turn_[..., None, None]
+    factors = factor(sizes, turns_) * jnp.where(_VANISHING, 1, factor(sizes, turns))
+    product = jnp.prod(factors, (-2, -1))
+    # The one factor that vanishes where the two places meet, as (π d/a)²·ratio. Nearer
+    # than rounding tells apart they are one place: the ratio's slope would be noise.
     square = (x - x_) ** 2 + (y - y_) ** 2
-    meet = square == 0
+    meet = square < jnp.finfo(square.dtype).eps * a**2
     vanishing = factor(near, turn)
     ratio = jnp.where(meet, (jnp.pi / a) ** 2, vanishing / jnp.where(meet, 1, square))
     inside = square < rim**2
@@ -95,17 +98,31 @@ def rectangle_resistances(
     """
     elements = centroids(shape, size)
     rim = element_radius(shape, size)
-
-    rows = jax.vmap(rectangle_green, (0, None, None, None))
-    ee, ek = rows(places, places, radius, size), rows(places, elements, radius, size)
-    kk = rectangle_green(elements, elements, rim, size)
-    if shunt is not None:
-        at_places, at_elements = _shunts(places, elements, radius, size, shunt)
-        ee = ee - matmul(at_places.T, at_places)
-        ek = ek - matmul(at_places.T, at_elements)
-        kk = kk - (at_elements**2).sum(0)
+    ee, ek, at_elements = rectangle_fields(places, elements, radius, size, shunt)
+    kk = rectangle_green(elements, elements, rim, size) - (at_elements**2).sum(0)
     rho = sheet_resistance
     return centred(Resistances(rho * ee, rho * ek, rho * kk))
+
+
+def rectangle_fields(
+    places: Float[Array, "M 2"],
+    others: Float[Array, "P 2"],
+    radius: Float[Array, ""],
+    size: Float[Array, "2"],
+    shunt: Float[Array, ""] | None = None,
+) -> tuple[Float[Array, "M M"], Float[Array, "M P"], Float[Array, "D P"]]:
+    """Potentials of electrodes at each other and at `others`, at 1 Ω per square.
+
+    And L⁻¹·(dipoles' field at `others`), whose products are what the shunts take from the
+    resistance between two of them (D = 2M, or 0 without).
+    """
+    rows = jax.vmap(rectangle_green, (0, None, None, None))
+    ee, ep = rows(places, places, radius, size), rows(places, others, radius, size)
+    if shunt is None:
+        return ee, ep, ep[:0]
+    at_places, at_others = _shunts(places, others, radius, size, shunt)
+    ee = ee - matmul(at_places.T, at_places)
+    return ee, ep - matmul(at_places.T, at_others), at_others
 
 
 def _shunts(

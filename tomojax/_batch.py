@@ -5,14 +5,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Integer
 
-from tomojax import kernels
 from tomojax._checks import require
 from tomojax._method import AbstractMethod, Frame
 from tomojax.kernels import Flag
@@ -23,9 +21,6 @@ _BLOCKS = (32, 256, 1024)
 
 # Calls that run side by side: the parts of one call are not all parallel.
 _WORKERS = 2
-
-# What noise and offsets of a converter leave in any case, V rms.
-_NOISE = 1e-3
 
 # Ground sets whose preparation is kept: 2 MB each for 64 slots.
 _KEPT = 128
@@ -170,7 +165,7 @@ class Batch:
         block = np.zeros((size, *voltages.shape[1:]), dtype)
         np.copyto(block[: len(part)], voltages[part], where=good[part])
         shared = self._shared(jnp.asarray(block))
-        found = _estimate(self.method, prepared, shared, self.contacts, self.images)
+        found = self.method.block(prepared, shared, self.contacts, self.images)
         for name, values in zip(Rows._fields, found):
             if values is None:
                 continue
@@ -224,30 +219,6 @@ def _groups(grounds, good, usable) -> Iterator[np.ndarray]:
 def _slices(items: Any, size: int) -> list[Any]:
     """Of `size` items, but for the last."""
     return [items[k : k + size] for k in range(0, len(items), size)]
-
-
-@eqx.filter_jit
-def _estimate(
-    method: AbstractMethod,
-    prepared: Any,
-    voltages: Float[Array, "n S M"],
-    count: int,
-    images: bool,
-) -> tuple:
-    def one(v: Float[Array, "S M"]) -> tuple:
-        contacts, image, residual = method.estimate(prepared, v, count)
-        failed = ~jnp.isfinite(residual)
-        # A channel that is not good is 0: the limit is the lower for it.
-        rms = jnp.sqrt(jnp.mean(v**2))
-        high = residual > method.residual_limit * rms + _NOISE
-        none = kernels.no_contacts(count, v.dtype)
-        contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
-        flags = jnp.where(failed, Flag.SOLVE_FAILED.value, 0)
-        flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-        flags = flags | jnp.where(contacts.count == 0, Flag.NO_CONTACT.value, 0)
-        return *contacts, residual, flags, image if images else None
-
-    return jax.vmap(one)(voltages)
 
 
 def frames_of(

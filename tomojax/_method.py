@@ -23,7 +23,12 @@ from tomojax._sensor import Sensor
 METHODS = {
     "source": ("tomojax._source", "Source"),
     "linear": ("tomojax._linear", "Linear"),
+    "points": ("tomojax._points", "Points"),
 }
+
+
+# What noise and offsets of a converter leave in any case, V rms.
+_NOISE = 1e-3
 
 
 class Estimate(NamedTuple):
@@ -80,12 +85,56 @@ class AbstractMethod(eqx.Module):
         Channels that are not good come as 0.
         """
 
+    def block(
+        self, prepared: Any, voltages: Float[Array, "n S M"], count: int, images: bool
+    ) -> tuple:
+        """`estimate` of n frames, `judged`; a method may do it in several calls."""
+        return _block(self, prepared, voltages, count, images)
+
+
+@eqx.filter_jit
+def _block(
+    method: AbstractMethod,
+    prepared: Any,
+    voltages: Float[Array, "n S M"],
+    count: int,
+    images: bool,
+) -> tuple:
+    def one(v: Float[Array, "S M"]) -> tuple:
+        return judged(method, method.estimate(prepared, v, count), v, count, images)
+
+    return jax.vmap(one)(voltages)
+
+
+def judged(
+    method: AbstractMethod,
+    estimate: Estimate,
+    voltages: Float[Array, "S M"],
+    count: int,
+    images: bool,
+) -> tuple:
+    """A row of results: contacts, residual, flags, image (or None).
+
+    Nothing is said of a frame whose residual is no number.
+    """
+    contacts, image, residual = estimate
+    failed = ~jnp.isfinite(residual)
+    # A channel that is not good is 0: the limit is the lower for it.
+    rms = jnp.sqrt(jnp.mean(voltages**2))
+    high = residual > method.residual_limit * rms + _NOISE
+    none = kernels.no_contacts(count, voltages.dtype)
+    contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
+    flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, 0)
+    flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
+    flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
+    return *contacts, residual, flags, image if images else None
+
 
 def method(sensor: Sensor, name: str = "source", grid: int = 32) -> AbstractMethod:
     """The method of that name on an image of `grid` × `grid` pixels.
 
     "source" finds the current image of each slot, with nothing assumed of the contact;
-    "linear" is the paper's Eq. 3 with J(0).
+    "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
     """

@@ -1,0 +1,86 @@
+"""Where contacts may be: the best places of a coarse grid, for a fit to start from."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def best_place(
+    columns: Float[Array, "K S M"], rest: Float[Array, "S M"]
+) -> tuple[Array, Float[Array, " K"]]:
+    """The candidate whose current explains most of `rest`, and what each explains.
+
+    `columns` and `rest` whitened; Σ_s (c_s·r_s)²/|c_s|², currents in the drive's direction
+    alone being what an object feeds.
+    """
+    along = jnp.einsum("ksm,sm->ks", columns, rest, precision="highest")
+    own = jnp.sum(columns**2, -1)
+    explained = jnp.where(along > 0, along**2 / jnp.where(own > 0, own, 1), 0).sum(1)
+    return jnp.argmax(explained), explained
+
+
+def best_pairs(
+    columns: Float[Array, "K S M"],
+    whitened: Float[Array, "S M"],
+    places: Float[Array, "K 2"],
+    apart: Float[Array, ""],
+    count: int,
+) -> Float[Array, "count 2 2"]:
+    """The pairs of candidates that explain most, one after another.
+
+    Both currents positive in each slot; pairs whose places are both nearer than `apart` to
+    one that is chosen are passed over.
+    """
+    gram = jnp.einsum("ksm,jsm->skj", columns, columns, precision="highest")
+    along = jnp.einsum("ksm,sm->sk", columns, whitened, precision="highest")
+    own = jnp.maximum(jnp.diagonal(gram, axis1=1, axis2=2), 1e-30)
+    one, other = along[:, :, None], along[:, None, :]
+    own_one, own_other = own[:, :, None], own[:, None, :]
+    det = own_one * own_other - gram**2
+    apart_enough = det > 1e-5 * own_one * own_other
+    det = jnp.where(apart_enough, det, 1)
+    first = (own_other * one - gram * other) / det
+    second = (own_one * other - gram * one) / det
+    both = apart_enough & (first > 0) & (second > 0)
+    alone = jnp.maximum(jnp.where(one > 0, one**2 / own_one, 0), other**2 / own_other)
+    explained = jnp.where(both, first * one + second * other, alone).sum(0)
+    explained = jnp.where(jnp.tri(len(places), dtype=bool).T, -jnp.inf, explained)
+    chosen = []
+    for _ in range(count):
+        k = jnp.argmax(explained)
+        i, j = k // len(places), k % len(places)
+        chosen.append(jnp.stack([places[i], places[j]]))
+        near_i, near_j = (_near(places, places[p], apart) for p in (i, j))
+        taken = near_i[:, None] & near_j[None] | near_j[:, None] & near_i[None]
+        explained = jnp.where(taken, -jnp.inf, explained)
+    return jnp.stack(chosen)
+
+
+def _near(places: Array, place: Array, apart: Array) -> Array:
+    return ((places - place) ** 2).sum(1) < apart**2
+
+
+def next_places(
+    columns: Float[Array, "K S M"],
+    known: Float[Array, "C S M"],
+    rest: Float[Array, "S M"],
+    places: Float[Array, "K 2"],
+    apart: Float[Array, ""],
+    count: int,
+) -> Float[Array, "count 2"]:
+    """The candidates that explain most of what the `known` columns leave, `rest`."""
+
+    def slot(known: Float[Array, "C M"], columns: Float[Array, "K M"]) -> Array:
+        basis = jnp.linalg.qr(known.T)[0]
+        part = jnp.matmul(columns, basis, precision="highest")
+        return columns - jnp.matmul(part, basis.T, precision="highest")
+
+    new = jax.vmap(slot, (1, 1), 1)(known, columns)
+    kept = jnp.sum(new**2, -1) > 1e-3 * jnp.sum(columns**2, -1)
+    _, explained = best_place(jnp.where(kept[..., None], new, 0), rest)
+    chosen = []
+    for _ in range(count):
+        k = jnp.argmax(explained)
+        chosen.append(places[k])
+        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
+    return jnp.stack(chosen)

@@ -1,0 +1,88 @@
+"""The table of electrodes' potentials that `points` looks up."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import fft, special
+
+from tomojax import kernels
+from tomojax._checks import require
+from tomojax._sensor import Sensor
+
+# Of the electrodes' diameter: radii that potentials are averaged over, and the spacing of
+# the table they are computed on, which resolves an electrode's rim. Every second point of
+# the averages is kept.
+_RADII, _SPACING = (0.4, 0.8, 1.6, 2.6), 0.2
+
+# Points of the table along a side; beyond, the sheet is too large for its electrodes.
+_MOST = 640
+
+# Points whose potentials are computed at once.
+_BLOCK = 2048
+
+
+def make_field(sensor: Sensor) -> kernels.Field:
+    """The potentials of a homogeneous sheet, in closed form, averaged over discs.
+
+    Electrodes even out the potential under them (`electrode_shunt`, 1 where the sensor
+    leaves it open: metal discs): without it places are off by 1 mm and more.
+
+    **Raises:** `ValueError` for a sheet with a value per element, and for one more than
+    128 electrode diameters wide.
+    """
+    shape = sensor.sheet_resistance.shape
+    require(shape == (), "sheet_resistance", f"shape {shape}", "one value")
+    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
+    cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
+    wide = f"at most {_MOST * _SPACING:g} electrode diameters"
+    require(cells.max() <= _MOST, "size", size.tolist(), wide)
+    axes = [np.linspace(0, side, n + 1) for side, n in zip(size, cells)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    ee, ep = _potentials(sensor, points)
+    rows = ep.reshape(-1, *(cells + 1))
+    radii = np.array(_RADII) * diameter
+    averaged = [disc_average(rows, size, a)[:, ::2, ::2] for a in radii]
+    values = np.stack(averaged).transpose(2, 3, 0, 1)
+    rho, dtype = float(sensor.sheet_resistance), sensor.dtype
+    return kernels.Field(
+        jnp.asarray(rho * values, dtype),
+        jnp.asarray(radii, dtype),
+        jnp.asarray(rho * ee, dtype),
+        sensor.size,
+    )
+
+
+def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    dtype = sensor.dtype
+    padded = np.resize(points, (-(-len(points) // _BLOCK) * _BLOCK, 2))
+    parts = []
+    for start in range(0, len(padded), _BLOCK):
+        part = jnp.asarray(padded[start : start + _BLOCK], dtype)
+        ee, ep = _rectangle(sensor, part)
+        parts.append(np.asarray(ep, float))
+    return np.asarray(ee, float), np.concatenate(parts, 1)[:, : len(points)]
+
+
+@eqx.filter_jit
+def _rectangle(sensor: Sensor, points: Float[Array, "P 2"]) -> tuple[Array, Array]:
+    shunt = sensor.electrode_shunt
+    metal = jnp.ones((), sensor.dtype) if shunt is None else shunt
+    radius = sensor.electrode_diameter / 2
+    ee, ep, _ = kernels.rectangle_fields(
+        sensor.electrode_xy, points, radius, sensor.size, metal
+    )
+    return ee, ep
+
+
+def disc_average(
+    values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radius: float
+) -> Float[np.ndarray, "*batch nx ny"]:
+    """The mean over a disc around each point of a table that mirrors at its edges.
+
+    A cosine of wave vector k is averaged to 2J₁(|k|a)/(|k|a) of itself.
+    """
+    k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
+    ka = np.hypot(*np.meshgrid(*k, indexing="ij")) * radius
+    factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
+    return fft.idctn(fft.dctn(values, 1, axes=(-2, -1)) * factor, 1, axes=(-2, -1))

@@ -1,0 +1,205 @@
+"""`points`: a few compact contacts, fitted; as many as the voltages ask for."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from tomojax import kernels
+from tomojax._field import make_field
+from tomojax._method import AbstractMethod, Estimate, Frame, judged
+from tomojax._points_fit import due, first, Found, larger, Prepared, scene_of
+from tomojax._sensor import Sensor
+from tomojax.kernels import _points as model
+
+# What nominal values leave of measured voltages, as parts of them: each electrode's own
+# (place, gain), and what neighbours share (the sheet's variation) over this part of the
+# sheet. From a sheet that varies smoothly by 3 %, electrodes 0.15 mm off their places.
+_LOCAL, _SHARED, _LENGTH = 0.003, 0.01, 0.3
+
+# The converter's noise and offsets, V.
+_NOISE = 5e-4
+
+# Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
+_USUAL, _UNIT = 1.2, 0.2
+
+# Candidates along a side, and the slots that they are compared in.
+_CANDIDATES, _SLOTS = 20, 4
+
+# Frames of a compiled call.
+_BLOCK = 32
+
+
+class Points(AbstractMethod):
+    """Contacts as discs, or one bar, with a current of their own in each slot.
+
+    The model grows while it gains: one disc, two discs or a bar, three discs, … Slots
+    share places and sizes, not currents. λ multiplies the variance of the model's error.
+    """
+
+    image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    sheet: model.Sheet
+    candidates: Float[Array, "K 2"]
+    potentials: Float[Array, "K M"]  # of a usual contact at each
+    electrode_xy: Float[Array, "M 2"]
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
+        """On an image of `shape` pixels."""
+        diameter = sensor.electrode_diameter
+        sheet = model.Sheet(
+            make_field(sensor),
+            sensor.sheet_resistance,
+            sensor.ground_resistance,
+            sensor.drive_voltage,
+            _UNIT * diameter,
+            _USUAL * diameter,
+        )
+        size = np.asarray(sensor.size)
+        parts = (np.arange(_CANDIDATES) + 0.5) / _CANDIDATES
+        grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
+        candidates = jnp.asarray(grid * size, sensor.dtype)
+        each = jax.vmap(kernels.field_at, (None, 0, None))
+        potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
+        cell = sensor.size / jnp.asarray(shape, sensor.dtype)
+        return cls(shape, cell, sheet, candidates, potentials, sensor.electrode_xy)
+
+    @property
+    def electrode_count(self) -> int:
+        return self.potentials.shape[1]
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The error of a sheet with nominal values."""
+        return 1.0
+
+    def scale(self) -> float:
+        return 1.0
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        used = _common(good)
+        channels = used.any(0)
+        xy = np.asarray(self.electrode_xy, float)
+        apart = ((xy[:, None] - xy) ** 2).sum(-1)
+        length = _LENGTH * float(self.sheet.field.size.max())
+        shared = _SHARED**2 * np.exp(-apart / (2 * length**2))
+        error = lam * (shared + _LOCAL**2 * np.eye(len(xy)))[np.ix_(channels, channels)]
+        whiten = np.zeros_like(apart)
+        whiten[np.ix_(channels, channels)] = np.linalg.inv(np.linalg.cholesky(error))
+        slots = np.flatnonzero(used.any(1))
+        compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
+        if len(slots) <= _SLOTS:
+            compared = slots
+        z = self.sheet.ground_resistance
+        columns = kernels.slot_columns(
+            self.sheet.field, self.potentials, jnp.asarray(grounds[compared]), z
+        )
+        dtype = self.cell.dtype
+        return Prepared(
+            jnp.asarray(grounds, int),
+            jnp.asarray(used),
+            jnp.asarray(whiten, dtype),
+            jnp.asarray(_NOISE / _LOCAL, dtype),
+            jnp.asarray(compared),
+            columns,
+            jnp.asarray(lam * _SHARED**2, dtype),
+            jnp.asarray(length, dtype),
+            jnp.asarray(_NOISE, dtype),
+        )
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        scene = scene_of(self, prepared, voltages, count)
+        found = first(scene)
+        for size in range(2, count + 1):
+            found = jax.lax.cond(
+                due(found, size),
+                lambda f, size=size: larger(scene, f, size),
+                lambda f: f,
+                found,
+            )
+        return self._described(found)
+
+    def block(
+        self, prepared: Prepared, voltages: Float[Array, "n S M"], count: int, images: bool
+    ) -> tuple:
+        """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        parts = [
+            _first(self, prepared, voltages[k : k + _BLOCK], count)
+            for k in range(0, len(voltages), _BLOCK)
+        ]
+        found = jax.tree.map(lambda *p: np.concatenate(p), *map(_to_host, parts))
+        for size in range(2, count + 1):
+            rest = np.flatnonzero(due(found, size))
+            for k in range(0, len(rest), _BLOCK):
+                rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
+                part = jax.tree.map(lambda a, rows=rows: a[rows], found)
+                new = _larger(self, prepared, voltages[rows], part, count, size)
+                for old, values in zip(found, _to_host(new)):
+                    old[rows] = values
+        return _described_all(self, found, voltages, count, images)
+
+    def _described(self, found: Found) -> Estimate:
+        contacts = kernels.points_as_contacts(
+            found.count,
+            found.place,
+            found.extent,
+            found.ring,
+            found.radius,
+            found.current,
+            found.conductance,
+        )
+        image = kernels.points_image(
+            found.place,
+            found.extent,
+            found.ring,
+            found.radius,
+            found.current,
+            self.cell,
+            self.shape,
+        )
+        return Estimate(contacts, image, found.residual)
+
+
+def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
+    """Slots by the channels that are good in all of them.
+
+    One set of channels serves all slots; slots that have lost more than half of what the
+    best has are left out for it.
+    """
+    each = good.sum(1)
+    slots = each * 2 > each.max()
+    channels = good[slots].all(0) if slots.any() else good.any(0)
+    return slots[:, None] & channels
+
+
+def _to_host(found: Found) -> Found:
+    return Found(*(np.array(a) for a in found))
+
+
+@eqx.filter_jit
+def _first(method, prepared, voltages: Float[Array, "n S M"], count: int) -> Found:
+    return jax.vmap(lambda v: first(scene_of(method, prepared, v, count)))(voltages)
+
+
+@eqx.filter_jit
+def _larger(method, prepared, voltages, found: Found, count: int, size: int) -> Found:
+    def one(v: Array, found: Found) -> Found:
+        return larger(scene_of(method, prepared, v, count), found, size)
+
+    return jax.vmap(one)(voltages, found)
+
+
+@eqx.filter_jit
+def _described_all(method, found: Found, voltages, count: int, images: bool) -> tuple:
+    def one(found: Found, v: Array) -> tuple:
+        return judged(method, method._described(found), v, count, images)
+
+    return jax.vmap(one)(found, voltages)

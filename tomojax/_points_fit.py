@@ -1,0 +1,240 @@
+"""The steps of `points`: one disc; then more discs, a bar or a ring, while that gains."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax import kernels
+from tomojax.kernels import _points as model
+from tomojax.kernels._candidates import best_pairs, best_place, next_places
+from tomojax.kernels._curves import bar, ring
+from tomojax.kernels._least_squares import least_squares
+
+# Fits begun from as many candidates.
+_STARTS = 3
+
+# A slot's misfit (64 channels) beyond which it counts little; and by how much, per slot, a
+# larger model must fit better to be believed, for each contact beyond the first.
+_TOLERANCE, _GAIN = 64.0, 6.0
+
+# Discs nearer than this many usual radii, and a second or further one below this part of
+# the strongest, are what the model's error makes of fewer.
+_APART, _WEAKEST = 2.0, (0.04, 0.1)
+
+# Of the first guesses, in usual radii: half a bar's length, with its directions; radii of
+# rings. A ring narrower than the least is a disc.
+_BAR, _DIRECTIONS, _RINGS, _NARROWEST = 4.0, 4, (2.0, 5.0), 1.2
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    grounds: Int[Array, " S"]
+    used: Bool[Array, "S M"]
+    whiten: Float[Array, "M M"]
+    floor: Float[Array, ""]  # V
+    compared: Int[Array, " s"]  # slots that candidates are compared in
+    columns: Float[Array, "K s M"]
+    shared: Float[Array, ""]  # variance of the relative error that neighbours share
+    length: Float[Array, ""]  # over which they do, m
+    noise: Float[Array, ""]  # of the converter, V
+
+
+class Found(NamedTuple):
+    """Contacts of one frame as they were fitted, `count` of at most C."""
+
+    cost: Float[Array, ""]  # per slot
+    misfits: Float[Array, " S"]  # of each slot
+    count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
+    parameters: Float[Array, "C 3"]
+    place: Float[Array, "C 2"]
+    extent: Float[Array, "C 2"]
+    ring: Float[Array, " C"]
+    radius: Float[Array, " C"]
+    current: Float[Array, " C"]  # A, the mean over the slots
+    conductance: Float[Array, " C"]
+    residual: Float[Array, ""]  # V rms
+
+
+class Scene(NamedTuple):
+    """One frame, and what it is fitted with."""
+
+    method: Any
+    prepared: Prepared
+    frame: model.Frame
+    voltages: Float[Array, "S M"]
+    most: int  # contacts
+
+
+def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: int) -> Scene:
+    """A frame, whitened."""
+    grounds, used, whiten, floor, *_ = prepared
+    frame = model.whiten(voltages, grounds, used, whiten, floor)
+    return Scene(method, prepared, frame, voltages, most)
+
+
+def due(found: Found, size: int) -> Any:
+    """Whether a model of `size` contacts is worth a try: one that is long stays alone."""
+    alone = ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
+    return (found.cost > _GAIN) & (found.count == size - 1) & ~alone
+
+
+def first(scene: Scene) -> Found:
+    """One disc, from the best candidate."""
+    columns, compared = _candidates(scene)
+    at, _ = best_place(columns, compared)
+    start = _starts(scene, scene.method.candidates[at][None, None])
+    return _best(scene, model.discs, start)
+
+
+def larger(scene: Scene, found: Found, size: int) -> Found:
+    """`size` discs, for two also a bar or a ring, if that gains enough; else as it was."""
+    sheet, candidates = scene.method.sheet, scene.method.candidates
+    columns, compared = _candidates(scene)
+    spacing = 1.5 * (candidates[1, 1] - candidates[0, 1])
+    known = found.parameters[: size - 1]
+    rest, _, now = _of(scene, model.discs)(known.ravel())
+    own = jax.vmap(kernels.field_at, (None, 0, 0))(sheet.field, now.place, now.radius)
+    own = kernels.slot_columns(
+        sheet.field, own, scene.frame.grounds, sheet.ground_resistance
+    )
+    some = scene.prepared.compared
+    own = model.whitened_columns(scene.frame, own)[:, some]
+    more = next_places(columns, own, rest[some, :-1], candidates, spacing, _STARTS)
+    kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
+    starts = jnp.concatenate([kept, _starts(scene, more[:, None])], 1)
+    if size == 2:
+        pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
+        starts = jnp.concatenate([starts, _starts(scene, pairs)])
+    new = _believed(scene, _best(scene, model.discs, starts), size)
+    if size == 2:
+        for alone in (_bar(scene, known[0, :2]), _ring(scene, known[0, :2])):
+            new = _choose(alone.cost < new.cost, alone, new)
+    return _choose(_gains(scene, found, new, size), new, found)
+
+
+def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
+    """Whether each slot fits better by enough, in the mean.
+
+    Of which no slot may make out much more than its part: a contact shows in every slot,
+    and what only one asks for is near that slot's ground, where the sheet is not known
+    well enough.
+    """
+    enough = _GAIN * (size - 1)
+    slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
+    each = jnp.minimum(old.misfits - new.misfits, 2 * enough)
+    gain = jnp.minimum(each.sum() / slots.astype(each.dtype), old.cost - new.cost)
+    return gain > enough
+
+
+def _believed(scene: Scene, found: Found, size: int) -> Found:
+    """At infinite cost where two discs are one, or one is a ghost."""
+    place, current = found.place[:size], found.current[:size]
+    apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
+    near = apart.min() < (_APART * scene.method.sheet.size) ** 2
+    weak = current.min() < _WEAKEST[size > 2] * current.max()
+    return found._replace(cost=jnp.where(near | weak, jnp.inf, found.cost))
+
+
+def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
+    turn = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
+    ends = jnp.asarray(np.stack([np.cos(turn), np.sin(turn)], 1), middle.dtype)
+    ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
+    middles = jnp.broadcast_to(middle, ends.shape)
+    starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends[:, :1])], 1)
+    return _best(scene, bar, starts)
+
+
+def _ring(scene: Scene, middle: Float[Array, "2"]) -> Found:
+    sheet = scene.method.sheet
+    wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
+    starts = [jnp.append(middle, w) for w in wide]
+    found = _best(scene, ring, jnp.stack(starts))
+    narrow = found.ring[0] < _NARROWEST * sheet.size
+    return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
+
+
+def _choose(first: Array, one: Found, other: Found) -> Found:
+    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
+
+
+def _candidates(scene: Scene) -> tuple[Array, Array]:
+    prepared, frame = scene.prepared, scene.frame
+    part = frame._replace(scale=frame.scale[prepared.compared])
+    columns = model.whitened_columns(part, prepared.columns)
+    return columns, frame.whitened[prepared.compared]
+
+
+def _starts(scene: Scene, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
+    lengths = places / scene.method.sheet.unit
+    usual = jnp.zeros_like(lengths[..., :1])
+    return jnp.concatenate([lengths, usual], -1).reshape(len(places), -1)
+
+
+def _of(scene: Scene, kind: Callable) -> Callable:
+    """That model, of a flat vector of parameters."""
+    width = (-1, 3) if kind is model.discs else (-1,)
+    return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
+
+
+def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
+    """The best of the fits from `starts`."""
+    fit, prepared = _of(scene, kind), scene.prepared
+    ended = jax.vmap(lambda p: least_squares(fit, p, _TOLERANCE))(starts)
+    k = jnp.argmin(jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf))
+    parameters, cost = ended.parameters[k], ended.cost[k]
+    rest, _, fitted = fit(parameters)
+    slots = prepared.used.any(1)
+    n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
+    misfit = jnp.where(prepared.used, fitted.voltages - scene.voltages, 0)
+    channels = jnp.maximum(prepared.used.sum(), 1).astype(cost.dtype)
+    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
+    drop = _drop(scene, fitted, rest)
+    count = len(fitted.radius)
+    # What is long is not added to.
+    of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
+    values = (
+        of_discs.reshape(count, 3),
+        fitted.place,
+        fitted.extent,
+        fitted.ring,
+        fitted.radius,
+        current,
+        current / drop,
+    )
+    return Found(
+        cost / n,
+        _TOLERANCE * jnp.log1p((rest**2).sum(1) / _TOLERANCE),
+        jnp.asarray(count),
+        *(_padded(a, scene.most) for a in values),
+        jnp.sqrt((misfit**2).sum() / channels),
+    )
+
+
+def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
+    """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
+
+    The error that electrodes near the contact share is there too: its mean given what is
+    left, kᵀC⁻¹r, k its covariance with the place.
+    """
+    prepared, sheet = scene.prepared, scene.method.sheet
+    apart = fitted.place[:, None] - scene.method.electrode_xy
+    near = prepared.shared * jnp.exp(-(apart**2).sum(-1) / (2 * prepared.length**2))
+    shared = jnp.matmul(prepared.whiten, near.T, precision="highest")
+    error = jnp.matmul(rest[:, :-1], shared, precision="highest")
+    u = sheet.drive_voltage - fitted.drop
+    drop = fitted.drop - error * jnp.sqrt(u**2 + prepared.floor**2)
+    slots = prepared.used.any(1)
+    mean = jnp.where(slots[:, None], drop, 0).sum(0) / jnp.maximum(slots.sum(), 1)
+    forward = jnp.sign(sheet.drive_voltage)
+    least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
+    return forward * jnp.maximum(forward * mean, least)
+
+
+def _padded(values: Array, count: int) -> Array:
+    missing = count - len(values)
+    return jnp.pad(values, ((0, missing),) + ((0, 0),) * (values.ndim - 1))
