@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tomojax.kernels._least_squares import solve_positive
+
 
 def best_place(
     columns: Float[Array, "K S M"], rest: Float[Array, "S M"]
@@ -71,9 +73,11 @@ def next_places(
     """The candidates that explain most of what the `known` columns leave, `rest`."""
 
     def slot(known: Float[Array, "C M"], columns: Float[Array, "K M"]) -> Array:
-        basis = jnp.linalg.qr(known.T)[0]
-        part = jnp.matmul(columns, basis, precision="highest")
-        return columns - jnp.matmul(part, basis.T, precision="highest")
+        own = jnp.matmul(known, known.T, precision="highest")
+        own = own + 1e-6 * jnp.trace(own) * jnp.eye(len(known), dtype=own.dtype)
+        both = jnp.matmul(known, columns.T, precision="highest")
+        part = solve_positive(own, both)
+        return columns - jnp.matmul(part.T, known, precision="highest")
 
     new = jax.vmap(slot, (1, 1), 1)(known, columns)
     kept = jnp.sum(new**2, -1) > 1e-3 * jnp.sum(columns**2, -1)

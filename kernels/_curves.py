@@ -10,17 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels._field import field_at, slot_columns
-from tomojax.kernels._points import (
-    currents,
-    drops,
-    Fitted,
-    Frame,
-    green_of,
-    in_volts,
-    Sheet,
-    unpack,
-    whitened_columns,
-)
+from tomojax.kernels._points import drops, Fitted, green_of, in_volts, Sheet, unpack
+from tomojax.kernels._whiten import currents, Frame, whitened_columns
 
 # Points on the axis of a bar, and around a ring; a mode's current is this part of the
 # mean's, about.
@@ -32,7 +23,7 @@ _RIM = 0.5
 
 def bar(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "5"]
-) -> tuple[Float[Array, "S M+1"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
     """Middle, from there to its end, half its width; modes: Legendre's P₀, P₁, P₂."""
     shape = jnp.concatenate([parameters[:2], parameters[4:]])[None]
     place, radius = unpack(sheet, shape)
@@ -50,7 +41,7 @@ def bar(
 
 def ring(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "3"]
-) -> tuple[Float[Array, "S M+1"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
     """Middle and radius of a rim; modes: 1, cos, sin of the angle and of its double."""
     place, _ = unpack(sheet, parameters[None])
     wide = jnp.abs(parameters[2]) * sheet.unit
@@ -85,14 +76,14 @@ def _curve(
     z = sheet.ground_resistance
     columns = slot_columns(sheet.field, potential, frame.grounds, z, total)
     whitened = whitened_columns(frame, columns)
-    even, _, _ = currents(frame, whitened[:1])
+    even, _ = currents(frame, whitened[:1])
     uneven = 1 / (_UNEVEN * jnp.abs(even) + 1e-15) ** 2
     ridge = uneven * (1 - total)
-    current, offset, rest = currents(frame, whitened, ridge)
+    current, rest = currents(frame, whitened, ridge)
     penalty = (current * jnp.sqrt(uneven))[:, 1:].ravel()
-    volts = in_volts(offset, columns, current)
+    volts = in_volts(columns, current)
     among = jax.vmap(green_of(sheet, at, jnp.full(len(at), radius)))(at)
     fed = jnp.matmul(current, shares, precision="highest")
-    drop = drops(sheet, frame, among, each, fed) - offset[:, None]
+    drop = drops(sheet, frame, among, each, fed)
     drop = jnp.matmul(drop, jnp.asarray(weights, dtype)[:, None], precision="highest")
     return rest, penalty, current[:, :1], drop, volts

@@ -9,30 +9,17 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from tomojax.kernels._field import Field, field_and_slope, slot_columns
 from tomojax.kernels._rectangle import rectangle_green
+from tomojax.kernels._whiten import currents, Frame, whitened_columns
 
 # ln of the width of what is known of a contact's size beforehand.
 _SIZE_WIDTH = 0.5
 
-# Of a slot's mean voltage: the offset that all of its channels may share.
-_OFFSET = 0.04
-
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
-
-
-class Frame(NamedTuple):
-    """What S slots measured, whitened: with it, errors are independent and of size 1."""
-
-    grounds: Int[Array, " S"]
-    whitened: Float[Array, "S M"]
-    scale: Float[Array, "S M"]  # 1/V; 0 where not used
-    whiten: Float[Array, "M M"]
-    offset: Float[Array, " S"]  # V, that all channels of a slot may be off
-    whitened_offset: Float[Array, "S M"]
 
 
 class Sheet(NamedTuple):
@@ -58,59 +45,6 @@ class Fitted(NamedTuple):
     voltages: Float[Array, "S M"]  # what they make, V
 
 
-def whiten(
-    voltages: Float[Array, "S M"],
-    grounds: Int[Array, " S"],
-    used: Array,
-    matrix: Float[Array, "M M"],
-    floor: Float[Array, ""],
-) -> Frame:
-    """The error of a voltage is relative above `floor` (V), with covariance (WᵀW)⁻¹.
-
-    C = D(WᵀW)⁻¹D, D = diag √(V² + floor²). And all of a slot's voltages have an offset in
-    common, since R_ll, the way into its ground, is not better known than the sheet there.
-    """
-    scale = jnp.where(used, 1 / jnp.sqrt(voltages**2 + floor**2), 0)
-    count = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
-    offset = _OFFSET * jnp.sum(jnp.abs(voltages), 1, where=used) / count
-    return Frame(
-        grounds,
-        _product(voltages * scale, matrix),
-        scale,
-        matrix,
-        offset,
-        _product(offset[:, None] * scale, matrix),
-    )
-
-
-def _product(values: Array, matrix: Float[Array, "M M"]) -> Array:
-    flat = values.reshape(-1, values.shape[-1])
-    return jnp.matmul(flat, matrix.T, precision="highest").reshape(values.shape)
-
-
-def whitened_columns(frame: Frame, columns: Float[Array, "*C S M"]) -> Array:
-    """Columns as the frame's voltages are."""
-    return _product(columns * frame.scale, frame.whiten)
-
-
-def currents(
-    frame: Frame, columns: Float[Array, "C S M"], ridge: Array | float = 0.0
-) -> tuple[Float[Array, "S C"], Float[Array, " S"], Float[Array, "S M+1"]]:
-    """Each slot's currents, offset (V), and what is left with its prior: least squares."""
-    columns = jnp.concatenate([columns, frame.whitened_offset[None]])
-    normal = jnp.einsum("csm,dsm->scd", columns, columns, precision="highest")
-    right = jnp.einsum("csm,sm->sc", columns, frame.whitened, precision="highest")
-    trace = jnp.trace(normal, axis1=1, axis2=2)
-    tiny = 16 * jnp.finfo(normal.dtype).eps * trace + jnp.finfo(normal.dtype).tiny
-    some = jnp.broadcast_to(ridge, right[:, 1:].shape)
-    diagonal = tiny[:, None] + jnp.concatenate([some, jnp.ones_like(right[:, :1])], 1)
-    normal = normal + diagonal[..., None] * jnp.eye(len(columns), dtype=normal.dtype)
-    found = jnp.linalg.solve(normal, right[..., None])[..., 0]
-    rest = frame.whitened - jnp.einsum("csm,sc->sm", columns, found, precision="highest")
-    rest = jnp.concatenate([rest, found[:, -1:]], 1)
-    return found[:, :-1], found[:, -1] * frame.offset, rest
-
-
 def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]:
     """Places (C, 2) and radii (C,), m; beyond an edge is mirrored to this side of it."""
     size = sheet.field.size
@@ -122,7 +56,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]
 
 def discs(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "C 3"]
-) -> tuple[Float[Array, "S M+1"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
     """Round contacts; each leans towards where its current flows, as metal would.
 
     A disc of radius a whose contact is better than the sheet below it is polarised: its
@@ -133,16 +67,15 @@ def discs(
     z = sheet.ground_resistance
     columns = slot_columns(sheet.field, potential, frame.grounds, z)
     whitened = whitened_columns(frame, columns)
-    current, _, _ = currents(frame, whitened)
+    current, _ = currents(frame, whitened)
     drop, pull = _surroundings(sheet, frame, place, radius, potential, slope, current)
     shift = _lean(sheet, radius, current, drop, pull)
     tilt = slope[:, None] - slope[:, frame.grounds][:, :, None]  # (C, S, M, 2)
     moved = jnp.einsum("csmk,sck->csm", tilt, shift, precision="highest")
     whitened = whitened + whitened_columns(frame, moved)
-    current, offset, rest = currents(frame, whitened)
-    volts = in_volts(offset, columns + moved, current)
+    current, rest = currents(frame, whitened)
+    volts = in_volts(columns + moved, current)
     none = jnp.zeros_like(place)
-    drop = drop - offset[:, None]
     return (
         rest,
         parameters[:, 2],
@@ -150,9 +83,9 @@ def discs(
     )
 
 
-def in_volts(offset: Array, columns: Float[Array, "C S M"], current: Array) -> Array:
+def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:
     """What currents (S, C) make, V."""
-    return offset[:, None] + jnp.einsum("csm,sc->sm", columns, current, precision="highest")
+    return jnp.einsum("csm,sc->sm", columns, current, precision="highest")
 
 
 def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):

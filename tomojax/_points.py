@@ -14,11 +14,13 @@ from tomojax._method import AbstractMethod, Estimate, Frame, judged
 from tomojax._points_fit import due, first, Found, larger, Prepared, scene_of
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
+from tomojax.kernels._whiten import smooth_modes
 
 # What nominal values leave of measured voltages, as parts of them: each electrode's own
-# (place, gain), and what neighbours share (the sheet's variation) over this part of the
-# sheet. From a sheet that varies smoothly by 3 %, electrodes 0.15 mm off their places.
-_LOCAL, _SHARED, _LENGTH = 0.003, 0.01, 0.3
+# error (place, gain, detail of the sheet), of which this part of how its voltage differs
+# from its neighbours'; what they have in common, the longest waves over the sheet; and a
+# slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
+_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
 
 # The converter's noise and offsets, V.
 _NOISE = 5e-4
@@ -86,12 +88,6 @@ class Points(AbstractMethod):
         used = _common(good)
         channels = used.any(0)
         xy = np.asarray(self.electrode_xy, float)
-        apart = ((xy[:, None] - xy) ** 2).sum(-1)
-        length = _LENGTH * float(self.sheet.field.size.max())
-        shared = _SHARED**2 * np.exp(-apart / (2 * length**2))
-        error = lam * (shared + _LOCAL**2 * np.eye(len(xy)))[np.ix_(channels, channels)]
-        whiten = np.zeros_like(apart)
-        whiten[np.ix_(channels, channels)] = np.linalg.inv(np.linalg.cholesky(error))
         slots = np.flatnonzero(used.any(1))
         compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
         if len(slots) <= _SLOTS:
@@ -100,18 +96,24 @@ class Points(AbstractMethod):
         columns = kernels.slot_columns(
             self.sheet.field, self.potentials, jnp.asarray(grounds[compared]), z
         )
-        dtype = self.cell.dtype
+        dtype, spread = self.cell.dtype, np.sqrt(lam)
         return Prepared(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
-            jnp.asarray(whiten, dtype),
-            jnp.asarray(_NOISE / _LOCAL, dtype),
+            jnp.asarray(spread * _OWN, dtype),
+            jnp.asarray(spread * _BEND * bends(xy, channels), dtype),
+            spread * self.smooth(self.electrode_xy),
+            jnp.asarray(spread, dtype),
+            jnp.asarray(spread * _OFFSET, dtype),
+            jnp.asarray(_NOISE, dtype),
             jnp.asarray(compared),
             columns,
-            jnp.asarray(lam * _SHARED**2, dtype),
-            jnp.asarray(length, dtype),
-            jnp.asarray(_NOISE, dtype),
         )
+
+    def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
+        """What neighbours' relative errors have in common, 1 σ of each wave."""
+        modes, strength = smooth_modes(places, self.sheet.field.size)
+        return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
 
     def estimate(
         self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
@@ -182,6 +184,24 @@ def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
 
 def _to_host(found: Found) -> Found:
     return Found(*(np.array(a) for a in found))
+
+
+def bends(
+    xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
+) -> Float[np.ndarray, "M M"]:
+    """From voltages to how far each is from the plane through its neighbours'."""
+    apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
+    pitch = np.median(apart.min(1))
+    matrix = np.zeros(apart.shape)
+    for k in np.flatnonzero(channels):
+        near = np.flatnonzero(channels & (apart[k] < 1.6 * pitch))
+        if len(near) < 3:  # what is left of few: those that are nearest
+            near = np.flatnonzero(channels)[np.argsort(apart[k, channels])[:4]]
+            near = near[near != k]
+        plane = np.column_stack([np.ones(len(near)), (xy[near] - xy[k]) / pitch])
+        matrix[k, near] = -np.linalg.pinv(plane)[0]
+        matrix[k, k] = 1
+    return matrix
 
 
 @eqx.filter_jit

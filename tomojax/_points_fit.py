@@ -13,13 +13,14 @@ from tomojax.kernels import _points as model
 from tomojax.kernels._candidates import best_pairs, best_place, next_places
 from tomojax.kernels._curves import bar, ring
 from tomojax.kernels._least_squares import least_squares
+from tomojax.kernels._whiten import Frame, whiten, whitened_columns
 
 # Fits begun from as many candidates.
 _STARTS = 3
 
 # A slot's misfit (64 channels) beyond which it counts little; and by how much, per slot, a
 # larger model must fit better to be believed, for each contact beyond the first.
-_TOLERANCE, _GAIN = 64.0, 6.0
+_TOLERANCE, _GAIN = 64.0, 8.0
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
 # the strongest, are what the model's error makes of fewer.
@@ -35,13 +36,14 @@ class Prepared(NamedTuple):
 
     grounds: Int[Array, " S"]
     used: Bool[Array, "S M"]
-    whiten: Float[Array, "M M"]
-    floor: Float[Array, ""]  # V
+    own: Float[Array, ""]  # a channel's own error, as a part of its voltage
+    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
+    smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
+    spread: Float[Array, ""]  # of the model's error, by λ
+    offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
+    noise: Float[Array, ""]  # of the converter, V
     compared: Int[Array, " s"]  # slots that candidates are compared in
     columns: Float[Array, "K s M"]
-    shared: Float[Array, ""]  # variance of the relative error that neighbours share
-    length: Float[Array, ""]  # over which they do, m
-    noise: Float[Array, ""]  # of the converter, V
 
 
 class Found(NamedTuple):
@@ -65,16 +67,24 @@ class Scene(NamedTuple):
 
     method: Any
     prepared: Prepared
-    frame: model.Frame
+    frame: Frame
+    offset: Float[Array, " S"]  # σ of what all channels of a slot may be off, V
     voltages: Float[Array, "S M"]
     most: int  # contacts
 
 
 def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: int) -> Scene:
     """A frame, whitened."""
-    grounds, used, whiten, floor, *_ = prepared
-    frame = model.whiten(voltages, grounds, used, whiten, floor)
-    return Scene(method, prepared, frame, voltages, most)
+    used = prepared.used
+    bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
+    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2 + prepared.noise**2)
+    high = jnp.where(used, jnp.abs(voltages), 0)
+    channels = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
+    offset = prepared.offset * high.sum(1) / channels
+    flat = jnp.broadcast_to(offset[:, None], voltages.shape)
+    common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
+    frame = whiten(voltages, prepared.grounds, jnp.where(used, own, 0), common)
+    return Scene(method, prepared, frame, offset, voltages, most)
 
 
 def due(found: Found, size: int) -> Any:
@@ -103,8 +113,8 @@ def larger(scene: Scene, found: Found, size: int) -> Found:
         sheet.field, own, scene.frame.grounds, sheet.ground_resistance
     )
     some = scene.prepared.compared
-    own = model.whitened_columns(scene.frame, own)[:, some]
-    more = next_places(columns, own, rest[some, :-1], candidates, spacing, _STARTS)
+    own = whitened_columns(scene.frame, own)[:, some]
+    more = next_places(columns, own, rest[some], candidates, spacing, _STARTS)
     kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
     starts = jnp.concatenate([kept, _starts(scene, more[:, None])], 1)
     if size == 2:
@@ -128,7 +138,8 @@ def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
     each = jnp.minimum(old.misfits - new.misfits, 2 * enough)
     gain = jnp.minimum(each.sum() / slots.astype(each.dtype), old.cost - new.cost)
-    return gain > enough
+    # Where the model's error is larger than thought, so is what a ghost would gain.
+    return gain > enough * jnp.maximum(1, new.cost / _TOLERANCE)
 
 
 def _believed(scene: Scene, found: Found, size: int) -> Found:
@@ -164,9 +175,12 @@ def _choose(first: Array, one: Found, other: Found) -> Found:
 
 def _candidates(scene: Scene) -> tuple[Array, Array]:
     prepared, frame = scene.prepared, scene.frame
-    part = frame._replace(scale=frame.scale[prepared.compared])
-    columns = model.whitened_columns(part, prepared.columns)
-    return columns, frame.whitened[prepared.compared]
+    some = prepared.compared
+    part = frame._replace(
+        scale=frame.scale[some], common=frame.common[some], filter=frame.filter[some]
+    )
+    columns = whitened_columns(part, prepared.columns)
+    return columns, frame.whitened[some]
 
 
 def _starts(scene: Scene, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
@@ -218,16 +232,15 @@ def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
 def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
     """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
 
-    The error that electrodes near the contact share is there too: its mean given what is
-    left, kᵀC⁻¹r, k its covariance with the place.
+    What the channels have in common is there too, as the fit has found it.
     """
     prepared, sheet = scene.prepared, scene.method.sheet
-    apart = fitted.place[:, None] - scene.method.electrode_xy
-    near = prepared.shared * jnp.exp(-(apart**2).sum(-1) / (2 * prepared.length**2))
-    shared = jnp.matmul(prepared.whiten, near.T, precision="highest")
-    error = jnp.matmul(rest[:, :-1], shared, precision="highest")
+    # What is left ends with the common errors, in standard deviations, see `whiten`.
+    found = rest[:, scene.voltages.shape[1] :]
+    at = prepared.spread * scene.method.smooth(fitted.place)
+    relative = jnp.matmul(found[:, :-1], at, precision="highest")
     u = sheet.drive_voltage - fitted.drop
-    drop = fitted.drop - error * jnp.sqrt(u**2 + prepared.floor**2)
+    drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]
     slots = prepared.used.any(1)
     mean = jnp.where(slots[:, None], drop, 0).sum(0) / jnp.maximum(slots.sum(), 1)
     forward = jnp.sign(sheet.drive_voltage)
