@@ -36,14 +36,14 @@ class Contacts(NamedTuple):
     angle: Float[Array, " C"]  # of the longest axis from x, rad in [0, π); NaN where round
     current: Float[Array, " C"]  # A
     conductance: Float[Array, " C"]  # S; NaN where the method does not tell it
+    covariance: Float[Array, "C 3"]  # of the place, xx, yy, xy, m²; NaN as well
 
 
 def no_contacts(count: int, dtype) -> Contacts:
     """None of `count`."""
     nan = jnp.full(count, jnp.nan, dtype)
-    return Contacts(
-        jnp.zeros((), jnp.uint8), jnp.full((count, 2), jnp.nan, dtype), nan, nan, nan, nan
-    )
+    xy, covariance = (jnp.full((count, n), jnp.nan, dtype) for n in (2, 3))
+    return Contacts(jnp.zeros((), jnp.uint8), xy, nan, nan, nan, nan, covariance)
 
 
 def read_contacts(
@@ -252,6 +252,7 @@ def _described(
         jnp.where(angle < 0, angle + jnp.pi, angle),
         current,
         jnp.full_like(current, jnp.nan),
+        jnp.full((len(current), 3), jnp.nan, current.dtype),
     )
 
 

@@ -23,7 +23,7 @@ _RIM = 0.5
 
 def bar(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "5"]
-) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Middle, from there to its end, half its width; modes: Legendre's P₀, P₁, P₂."""
     shape = jnp.concatenate([parameters[:2], parameters[4:]])[None]
     place, radius = unpack(sheet, shape)
@@ -41,7 +41,7 @@ def bar(
 
 def ring(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "3"]
-) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Middle and radius of a rim; modes: 1, cos, sin of the angle and of its double."""
     place, _ = unpack(sheet, parameters[None])
     wide = jnp.abs(parameters[2]) * sheet.unit

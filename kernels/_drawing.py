@@ -16,6 +16,7 @@ def points_as_contacts(
     radius: Float[Array, " C"],
     current: Float[Array, " C"],
     conductance: Float[Array, " C"],
+    covariance: Float[Array, "C 3"],
 ) -> Contacts:
     """The first `count` as contacts, strongest first.
 
@@ -28,7 +29,7 @@ def points_as_contacts(
     angle = jnp.arctan2(extent[:, 1], extent[:, 0]) % np.pi
     whole = jnp.sqrt(radius**2 + 2 / 3 * reach + 2 * ring**2)
     order = jnp.argsort(jnp.where(there, -current, jnp.inf))
-    values = place, whole, jnp.where(long, angle, jnp.nan), current, conductance
+    values = place, whole, jnp.where(long, angle, jnp.nan), current, conductance, covariance
 
     def sorted_(values: Array) -> Array:
         mask = there[order].reshape((-1,) + (1,) * (values.ndim - 1))

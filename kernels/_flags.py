@@ -23,3 +23,4 @@ class Flag(enum.IntFlag):
     STUCK_SCAN = 8192  # every voltage repeats the scan before or after
     HIGH_RESIDUAL = 16384  # the model leaves too much of the voltages unexplained
     NO_DATA = 32768  # too few good channels: no result
+    MODEL_LIMITED = 65536  # of what a place is uncertain by, noise is the lesser part

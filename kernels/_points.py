@@ -56,7 +56,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]
 
 def discs(
     sheet: Sheet, frame: Frame, parameters: Float[Array, "C 3"]
-) -> tuple[Float[Array, "S M+q"], Float[Array, " priors"], Fitted]:
+) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Round contacts; each leans towards where its current flows, as metal would.
 
     A disc of radius a whose contact is better than the sheet below it is polarised: its

@@ -13,10 +13,10 @@ _WAVES = 4
 
 
 class Frame(NamedTuple):
-    """What S slots measured, whitened: with it, errors are independent and of size 1."""
+    """What S slots measured, whitened: errors are independent and of size 1. W = M + q."""
 
     grounds: Int[Array, " S"]
-    whitened: Float[Array, "S M+q"]
+    whitened: Float[Array, "S W"]
     scale: Float[Array, "S M"]  # 1/V; 0 where not used
     common: Float[Array, "S q M"]  # what one σ of each common error makes, times scale
     filter: Float[Array, "S q M"]  # finds them
@@ -62,6 +62,15 @@ def whitened_columns(frame: Frame, columns: Float[Array, "*C S M"]) -> Array:
     found = jnp.einsum("sqm,...sm->...sq", frame.filter, scaled, precision="highest")
     shared = jnp.einsum("sqm,...sq->...sm", frame.common, found, precision="highest")
     return jnp.concatenate([scaled - shared, found], -1)
+
+
+def unwhitened(frame: Frame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
+    """From slopes of something by whitened voltages to those by voltages: the transpose."""
+    count = frame.scale.shape[1]
+    rest, found = slope[:, :count], slope[:, count:]
+    back = jnp.einsum("sqm,smp->sqp", frame.common, rest, precision="highest")
+    back = jnp.einsum("sqm,sqp->smp", frame.filter, found - back, precision="highest")
+    return (rest + back) * frame.scale[..., None]
 
 
 def currents(

@@ -35,6 +35,7 @@ class Rows(NamedTuple):
     contact_angle: Float[np.ndarray, "n C"]  # rad
     contact_current: Float[np.ndarray, "n C"]  # A
     contact_conductance: Float[np.ndarray, "n C"]  # S
+    contact_covariance: Float[np.ndarray, "n C 3"]  # of the place: xx, yy, xy, m²
     residual: Float[np.ndarray, " n"]  # V rms
     flags: Integer[np.ndarray, " n"]  # bits of `Flag`
     image: Float[np.ndarray, "n nx ny"] | None
@@ -127,6 +128,7 @@ class Batch:
             nan.copy(),
             nan.copy(),
             nan.copy(),
+            np.full((n, c, 3), np.nan, kind),
             np.full(n, np.nan, kind),
             np.zeros(n, np.uint32),
             image,

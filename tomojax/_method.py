@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax import kernels
 from tomojax._checks import require
@@ -37,6 +37,7 @@ class Estimate(NamedTuple):
     contacts: kernels.Contacts
     image: Float[Array, "nx ny"]
     residual: Float[Array, ""]  # rms over the voltages used, V
+    flags: Int[Array, ""] | int = 0  # bits that the method sets
 
 
 class Frame(NamedTuple):
@@ -117,14 +118,14 @@ def judged(
 
     Nothing is said of a frame whose residual is no number.
     """
-    contacts, image, residual = estimate
+    contacts, image, residual, flags = estimate
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
     rms = jnp.sqrt(jnp.mean(voltages**2))
     high = residual > method.residual_limit * rms + _NOISE
     none = kernels.no_contacts(count, voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
-    flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, 0)
+    flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
     flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
     return *contacts, residual, flags, image if images else None

@@ -23,7 +23,7 @@ from tomojax.kernels._whiten import smooth_modes
 _OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
 
 # The converter's noise and offsets, V.
-_NOISE = 5e-4
+_NOISE = 4.5e-4
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
 _USUAL, _UNIT = 1.2, 0.2
@@ -96,7 +96,7 @@ class Points(AbstractMethod):
         columns = kernels.slot_columns(
             self.sheet.field, self.potentials, jnp.asarray(grounds[compared]), z
         )
-        dtype, spread = self.cell.dtype, np.sqrt(lam)
+        dtype, spread = self.cell.dtype, float(np.sqrt(lam))
         return Prepared(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
@@ -157,6 +157,7 @@ class Points(AbstractMethod):
             found.radius,
             found.current,
             found.conductance,
+            found.covariance,
         )
         image = kernels.points_image(
             found.place,
@@ -167,7 +168,8 @@ class Points(AbstractMethod):
             self.cell,
             self.shape,
         )
-        return Estimate(contacts, image, found.residual)
+        flags = jnp.where(found.limited, kernels.Flag.MODEL_LIMITED.value, 0)
+        return Estimate(contacts, image, found.residual, flags)
 
 
 def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:

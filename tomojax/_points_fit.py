@@ -12,8 +12,8 @@ from tomojax import kernels
 from tomojax.kernels import _points as model
 from tomojax.kernels._candidates import best_pairs, best_place, next_places
 from tomojax.kernels._curves import bar, ring
-from tomojax.kernels._least_squares import least_squares
-from tomojax.kernels._whiten import Frame, whiten, whitened_columns
+from tomojax.kernels._least_squares import least_squares, solve_positive
+from tomojax.kernels._whiten import Frame, unwhitened, whiten, whitened_columns
 
 # Fits begun from as many candidates.
 _STARTS = 3
@@ -59,6 +59,8 @@ class Found(NamedTuple):
     radius: Float[Array, " C"]
     current: Float[Array, " C"]  # A, the mean over the slots
     conductance: Float[Array, " C"]
+    covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
+    limited: Bool[Array, ""]  # by the model's error rather than noise
     residual: Float[Array, ""]  # V rms
 
 
@@ -68,6 +70,8 @@ class Scene(NamedTuple):
     method: Any
     prepared: Prepared
     frame: Frame
+    own: Float[Array, "S M"]  # σ of a channel's own error but for noise, V
+    common: Float[Array, "S q M"]  # and of what they have in common, V, the offset last
     offset: Float[Array, " S"]  # σ of what all channels of a slot may be off, V
     voltages: Float[Array, "S M"]
     most: int  # contacts
@@ -77,14 +81,15 @@ def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: in
     """A frame, whitened."""
     used = prepared.used
     bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
-    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2 + prepared.noise**2)
+    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
+    each = jnp.sqrt(own**2 + prepared.noise**2)
     high = jnp.where(used, jnp.abs(voltages), 0)
     channels = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
     offset = prepared.offset * high.sum(1) / channels
     flat = jnp.broadcast_to(offset[:, None], voltages.shape)
     common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
-    frame = whiten(voltages, prepared.grounds, jnp.where(used, own, 0), common)
-    return Scene(method, prepared, frame, offset, voltages, most)
+    frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)
+    return Scene(method, prepared, frame, own, common, offset, voltages, most)
 
 
 def due(found: Found, size: int) -> Any:
@@ -211,6 +216,7 @@ def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
     count = len(fitted.radius)
     # What is long is not added to.
     of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
+    spread, limited = _uncertainty(scene, kind, ended.normal[k], parameters, count)
     values = (
         of_discs.reshape(count, 3),
         fitted.place,
@@ -219,14 +225,54 @@ def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
         fitted.radius,
         current,
         current / drop,
+        spread,
     )
     return Found(
         cost / n,
         _TOLERANCE * jnp.log1p((rest**2).sum(1) / _TOLERANCE),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
+        limited,
         jnp.sqrt((misfit**2).sum() / channels),
     )
+
+
+def _uncertainty(
+    scene: Scene, kind: Callable, normal: Array, parameters: Array, count: int
+) -> tuple[Float[Array, "C 3"], Bool[Array, ""]]:
+    """Covariance of the places, and whether noise has the lesser part in it.
+
+    N⁻¹(ΣGᵀσ²G + Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
+    another in each slot, the model's errors e_k are the same ones. So more slots average
+    the one and not the other.
+    """
+    fit, used, frame = _of(scene, kind), scene.prepared.used, scene.frame
+    rest, slope = fit(parameters)[0], jax.jacfwd(lambda p: fit(p)[0])(parameters)
+    weight = 1 / (1 + (rest**2).sum(1) / _TOLERANCE)
+    by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
+    noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
+    own = jnp.where(used, scene.own, 0)
+    shared = jnp.concatenate(
+        [
+            jnp.einsum("smp,sm->mp", by_voltage, own),
+            jnp.einsum("smp,sqm->qp", by_voltage, scene.common[:, :-1]),
+            # Another in each slot: its ground's.
+            jnp.einsum("smp,sm->sp", by_voltage, scene.common[:, -1]),
+        ]
+    )
+    # Of each contact the first two parameters are its place.
+    blocks = len(parameters) // count * np.arange(count)
+    unit = jnp.eye(len(parameters), dtype=normal.dtype)
+    inverse = solve_positive(normal, unit) * scene.method.sheet.unit
+
+    def of_places(middle: Array) -> Float[Array, "C 3"]:
+        whole = jnp.matmul(inverse.T, jnp.matmul(middle, inverse))
+        return jnp.stack(
+            [whole[blocks + i, blocks + j] for i, j in ((0, 0), (1, 1), (0, 1))], 1
+        )
+
+    by_noise, by_model = of_places(noise), of_places(jnp.matmul(shared.T, shared))
+    return by_noise + by_model, by_model[:, :2].sum() > by_noise[:, :2].sum()
 
 
 def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
@@ -242,7 +288,8 @@ def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]
     u = sheet.drive_voltage - fitted.drop
     drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]
     slots = prepared.used.any(1)
-    mean = jnp.where(slots[:, None], drop, 0).sum(0) / jnp.maximum(slots.sum(), 1)
+    n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
+    mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
     forward = jnp.sign(sheet.drive_voltage)
     least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
     return forward * jnp.maximum(forward * mean, least)

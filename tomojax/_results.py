@@ -37,6 +37,7 @@ def fields(contacts: int, shape: tuple[int, int] | None, image_unit: str) -> dic
         "contact_angle": ((contacts,), "<f4", "rad"),
         "contact_current": ((contacts,), "<f4", "A"),
         "contact_conductance": ((contacts,), "<f4", "S"),
+        "contact_covariance": ((contacts, 3), "<f4", "m^2"),  # of the place: xx, yy, xy
         "residual": ((), "<f4", "V"),
         "flags": ((), "<u4", "1"),
     }

@@ -1,0 +1,141 @@
+"""What `points` is made of, each part beside an independent answer."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import optimize
+
+import tomojax as tx
+from tomojax import kernels
+from tomojax._field import make_field
+from tomojax.kernels._least_squares import least_squares, solve_positive
+from tomojax.kernels._whiten import unwhitened, whiten, whitened_columns
+
+
+@pytest.fixture(scope="module")
+def field(paper_sensor):
+    return make_field(paper_sensor)
+
+
+PLACES = [(0.0621, 0.1043), (0.07, 0.09), (0.012, 0.011), (0.08, 0.0743)]
+
+
+def test_table_is_the_mean_over_a_disc(paper_sensor, field):
+    """Beside the closed form at 400 places spread over the disc."""
+    diameter, xy = paper_sensor.electrode_diameter, paper_sensor.electrode_xy
+    metal = jnp.asarray(1.0)
+    exact = jax.jit(
+        lambda at: kernels.rectangle_fields(xy, at, diameter / 2, paper_sensor.size, metal)
+    )
+    k = np.arange(400) + 0.5
+    spiral = np.stack([np.cos(k * 2.399963), np.sin(k * 2.399963)], 1)
+    for place in PLACES:
+        for radius in (0.003, 0.006, 0.0105):
+            at = np.array(place) + radius * np.sqrt(k / 400)[:, None] * spiral
+            # What is beyond an edge is mirrored.
+            want = 1e4 * np.asarray(exact(jnp.asarray(np.abs(at)))[1]).mean(1)
+            got = kernels.field_at(field, jnp.array(place), jnp.asarray(radius))
+            # An electrode's own disc is where the table's spacing shows.
+            np.testing.assert_allclose(got, want, atol=5e-3 * 1e4)
+            away = np.hypot(*(np.asarray(xy) - place).T) > radius + diameter
+            np.testing.assert_allclose(got[away], want[away], atol=6e-4 * 1e4)
+
+
+def test_slope_of_the_table(field, rng):
+    radius = jnp.asarray(0.006)
+    for place in rng.uniform(0.01, 0.15, (5, 2)):
+        _, slope = kernels.field_and_slope(field, jnp.asarray(place), radius)
+        for axis in range(2):
+            step = np.zeros(2)
+            step[axis] = 1e-6
+            one, other = (
+                kernels.field_at(field, jnp.asarray(place + s * step), radius)
+                for s in (1, -1)
+            )
+            want = (one - other) / 2e-6
+            np.testing.assert_allclose(slope[:, axis], want, rtol=1e-4, atol=1)
+
+
+def test_slope_of_the_closed_form_where_places_meet(paper_sensor):
+    """An element's centre on an electrode's, or off it by less than rounding."""
+    at = paper_sensor.electrode_xy[10].astype(np.float32)
+    size, radius = paper_sensor.size.astype(np.float32), jnp.float32(0.0025)
+    for off in (0.0, 1e-9, 1e-7):
+        slope = jax.jacfwd(kernels.rectangle_green)(at + np.float32(off), at, radius, size)
+        assert np.isfinite(slope).all() and np.abs(slope).max() < 1e3
+
+
+def test_least_squares_beside_scipy(rng):
+    """Cauchy's loss on each row, and priors: the same minimum."""
+    t = np.linspace(0, 1, 40)
+    data = 2 * np.exp(-3 * t) + 0.5 + 0.01 * rng.normal(size=40)
+    data[[3, 20]] += 5  # no model explains these
+
+    def model(p):
+        a, b, c = p
+        rest = (a * jnp.exp(-b * t) + c - data) / 0.01
+        return rest[:, None], 0.1 * p, None
+
+    start = jnp.array([1.0, 1.0, 0.0])
+    got = least_squares(model, start, 9.0, most=200)
+
+    def both(p):
+        rest, priors, _ = model(p)
+        r = np.asarray(rest)[:, 0]
+        # Cauchy's loss as a plain residual, so that priors stay quadratic.
+        return np.append(np.sign(r) * 3 * np.sqrt(np.log1p(r**2 / 9)), priors)
+
+    want = optimize.least_squares(both, start, xtol=1e-14, ftol=1e-14, gtol=1e-12)
+    np.testing.assert_allclose(got.cost, 2 * want.cost, rtol=1e-4)
+    np.testing.assert_allclose(got.parameters, want.x, rtol=2e-3)
+
+
+@pytest.mark.parametrize(("dtype", "close"), [(np.float32, 1e-4), (np.float64, 1e-11)])
+def test_elimination(rng, dtype, close):
+    """Also of numbers as large and small as squares of resistances and currents."""
+    a = rng.normal(size=(7, 5, 12))
+    a, b = a @ a.transpose(0, 2, 1), rng.normal(size=(7, 5, 3))
+    for scale in (1.0, 1e10, 1e-10):
+        got = solve_positive(jnp.asarray(scale * a, dtype), jnp.asarray(b, dtype)) * scale
+        want = np.linalg.solve(a, b)
+        np.testing.assert_allclose(got, want, atol=close * np.abs(want).max())
+
+
+def test_whitening_is_the_inverse_covariance(rng):
+    volts, own = rng.normal(size=(3, 9)), rng.uniform(0.1, 1, (3, 9))
+    common, grounds = rng.normal(size=(3, 4, 9)), jnp.arange(3)
+    frame = whiten(*map(jnp.asarray, (volts, grounds, own, common)))
+    for k in range(3):
+        c = np.diag(own[k] ** 2) + common[k].T @ common[k]
+        want = volts[k] @ np.linalg.solve(c, volts[k])
+        np.testing.assert_allclose((frame.whitened[k] ** 2).sum(), want)
+    # A channel that is not used counts for nothing, whatever it reads.
+    unused = jnp.asarray(own).at[:, 2].set(0)
+    one = whiten(jnp.asarray(volts), grounds, unused, jnp.asarray(common))
+    other = whiten(jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common))
+    np.testing.assert_array_equal(one.whitened, other.whitened)
+    # <F v, r> = <v, Fᵀ r>.
+    v, r = rng.normal(size=(3, 9)), rng.normal(size=(3, 13, 1))
+    forward = whitened_columns(frame, jnp.asarray(v))
+    back = unwhitened(frame, jnp.asarray(r))
+    np.testing.assert_allclose((forward * r[..., 0]).sum(), (v * back[..., 0]).sum())
+
+
+def test_image_holds_the_current():
+    cell, current = jnp.array([0.005, 0.0025]), jnp.array([1e-4, 2e-5, 3e-5])
+    place = jnp.array([[0.08, 0.04], [0.001, 0.079], [0.1, 0.05]])
+    extent = jnp.array([[0.03, 0.02], [0.0, 0.0], [0.0, 0.0]])
+    ring = jnp.array([0.0, 0.0, 0.02])
+    radius = jnp.array([0.005, 0.0001, 0.004])
+    image = kernels.points_image(place, extent, ring, radius, current, cell, (32, 32))
+    np.testing.assert_allclose(image.sum() * cell.prod(), current.sum())
+    only = kernels.points_image(
+        place, extent, ring, radius, current.at[:2].set(0), cell, (32, 32)
+    )
+    assert only[20, 20] < 0.01 * only.max()  # the hole
+
+
+def test_field_needs_a_sheet_of_one_value(paper_sensor):
+    with pytest.raises(ValueError, match="sheet_resistance"):
+        make_field(tx.Sensor.grid(sheet_resistance=np.full(3200, 1e4)))

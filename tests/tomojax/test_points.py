@@ -1,0 +1,215 @@
+"""`points` on a rig that is not ours, with noise, told nominal values alone."""
+
+import jax
+import numpy as np
+import pytest
+from rig import NOMINAL, Rig
+
+import tomojax as tx
+from tomojax import Flag
+
+CORNERS, ALL = [0, 63], list(range(64))
+
+
+def around(xy):
+    """Two corners and eight grounds around a place, as *CoP line* has them."""
+    i, j = np.clip(np.round((np.asarray(xy) - 0.01) / 0.02), 1, 6).astype(int)
+    return CORNERS + [8 * (i + a) + j + b for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return Rig(np.random.default_rng(11))
+
+
+@pytest.fixture(scope="module")
+def scenes(rig):
+    """Name: voltages of all 64 grounds, and of each contact place and conductance."""
+    rng = np.random.default_rng(12)
+    found = {}
+    for k in range(10):
+        radius, total = rng.uniform(0.003, 0.009), 10 ** rng.uniform(-5.5, -3)
+        inside = rig.disc(rng.uniform(radius + 1e-3, 0.159 - radius, 2), radius)
+        found[f"one_{k}"] = [(inside, total)]
+    for k, apart in enumerate((0.03, 0.03, 0.02)):
+        turn, middle = rng.uniform(0, np.pi), rng.uniform(0.03, 0.13, 2)
+        half = apart / 2 * np.array([np.cos(turn), np.sin(turn)])
+        total = 10 ** rng.uniform(-4.5, -3.5)
+        found[f"two_{k}"] = [
+            (rig.disc(middle + half, 0.005), total),
+            (rig.disc(middle - half, 0.005), total / rng.uniform(1, 8)),
+        ]
+    found["bar"] = [(rig.bar([0.083, 0.071], 0.075, 0.01, 0.6), 8e-4)]
+    found["ring"] = [(rig.ring([0.075, 0.084], 0.024, 0.03), 6e-4)]
+    found["metal"] = [(rig.disc([0.091, 0.066], 0.012), 5.0)]
+    found["three"] = [
+        (rig.disc(xy, 0.006), 2e-4) for xy in ([0.04, 0.05], [0.12, 0.04], [0.07, 0.12])
+    ]
+    return {name: rig.scene(*contacts) for name, contacts in found.items()}
+
+
+@pytest.fixture(scope="module")
+def method():
+    return tx.method(tx.Sensor.grid(dtype=np.float32), "points", 32)
+
+
+@pytest.fixture(scope="module")
+def rows_of(rig, scenes, method):
+    """Rows of all scenes, in their order, with the grounds that `slots` names."""
+    read = {name: rig.measure(volts) for name, (volts, _) in scenes.items()}
+    known = {}
+
+    def run(slots: str) -> tx.Rows:
+        if slots not in known:
+            which = {"corners": lambda _: CORNERS, "ten": around, "all": lambda _: ALL}
+            grounds = np.array([which[slots](t[0][0]) for _, t in scenes.values()])
+            volts = np.stack([v[g] for v, g in zip(read.values(), grounds)])
+            known[slots] = tx.Batch(method, 1.0)(volts, grounds)
+        return known[slots]
+
+    return run
+
+
+def apart(row_xy, truth):
+    """The farthest of the places from its truth, matched as fits best, m."""
+    places = np.array([place for place, _ in truth])
+    ways = np.hypot(*(row_xy[: len(places), None] - places).transpose(2, 0, 1))
+    return ways.min(0).max()
+
+
+@pytest.mark.parametrize("slots", ["corners", "ten", "all"])
+def test_how_many_and_where(scenes, rows_of, slots):
+    rows = rows_of(slots)
+    errors = {}
+    for k, (name, (_, truth)) in enumerate(scenes.items()):
+        assert rows.contact_count[k] == len(truth), name
+        errors[name] = apart(rows.contact_xy[k], truth)
+    ones = [e for name, e in errors.items() if name.startswith("one")]
+    assert np.median(ones) < 0.3e-3 and max(ones) < 1e-3
+    assert max(errors.values()) < 3e-3
+    assert not (rows.flags & (Flag.HIGH_RESIDUAL | Flag.SOLVE_FAILED)).any()
+
+
+def test_shapes(scenes, rows_of):
+    for slots, close in (("corners", 2.0), ("all", 1.0)):
+        rows = dict(zip(scenes, zip(*(v for v in rows_of(slots)))))
+        named = {name: dict(zip(tx.Rows._fields, row)) for name, row in rows.items()}
+        bar, ring, metal = (named[name] for name in ("bar", "ring", "metal"))
+        assert abs(np.degrees(bar["contact_angle"][0] - 0.6)) < close
+        # Discs with the same second moments.
+        assert abs(bar["contact_radius"][0] / (0.075 / np.sqrt(6)) - 1) < 0.12
+        assert abs(ring["contact_radius"][0] / (0.027 * np.sqrt(2)) - 1) < 0.1
+        assert np.isnan(ring["contact_angle"][0])
+        assert abs(metal["contact_radius"][0] / (0.012 * np.sqrt(2)) - 1) < 0.15
+        image = ring["image"]
+        assert image[15, 16] < 0.1 * image.max()  # the hole
+
+
+def test_conductance(scenes, rows_of):
+    """Where the contact itself is not a short beside the sheet."""
+    for slots, median in (("corners", 0.12), ("all", 0.1)):
+        rows, errors = rows_of(slots), []
+        for k, (name, (_, truth)) in enumerate(scenes.items()):
+            if name.startswith("one"):
+                errors.append(rows.contact_conductance[k, 0] / truth[0][1] - 1)
+        errors = np.abs(errors)
+        assert np.median(errors) < median
+        light = [t[0][1] < 2e-4 for n, (_, t) in scenes.items() if n.startswith("one")]
+        assert errors[light].max() < 0.2
+
+
+def test_float32_beside_float64(rig, scenes, rows_of):
+    wide = tx.method(tx.Sensor.grid(), "points", 32)
+    names = list(scenes)[:13]  # single contacts and pairs
+    volts = np.stack([scenes[name][0][CORNERS] for name in names])
+    grounds = np.tile(CORNERS, (len(names), 1))
+    narrow = tx.method(tx.Sensor.grid(dtype=np.float32), "points", 32)
+    one, other = (tx.Batch(m, 1.0)(volts, grounds) for m in (narrow, wide))
+    np.testing.assert_array_equal(one.contact_count, other.contact_count)
+    np.testing.assert_allclose(one.contact_xy, other.contact_xy, atol=5e-5)
+
+
+def test_one_frame_compiled_whole(rig, scenes, method):
+    """`estimate` under `jit`, as a step function has it: what `Batch` says in parts."""
+    names = ["one_0", "two_0"]
+    prepared = method.prepare(np.array(CORNERS), np.ones((2, 64), bool), 1.0)
+    run = jax.jit(lambda p, v: method.estimate(p, v, 2))
+    volts = np.stack([scenes[name][0][CORNERS] for name in names]).astype(np.float32)
+    rows = tx.Batch(method, 1.0, contacts=2)(volts, np.tile(CORNERS, (2, 1)))
+    for k in range(2):
+        contacts, image, residual, _ = run(prepared, volts[k])
+        assert contacts.count == rows.contact_count[k]
+        np.testing.assert_allclose(contacts.xy, rows.contact_xy[k], atol=1e-5)
+        np.testing.assert_allclose(image, rows.image[k], atol=0.01 * rows.image[k].max())
+        np.testing.assert_allclose(residual, rows.residual[k], rtol=0.01)
+
+
+def test_stated_deviations(rig, method):
+    """Feeble contacts, where noise is all that there is, and strong ones, which say so."""
+    rng = np.random.default_rng(5)
+    volts, places = [], []
+    for _ in range(12):
+        exact, truth = rig.scene((rig.disc(rng.uniform(0.02, 0.14, 2), 0.006), 3e-7))
+        # Noise is what is tested: six readings of each, without the channels' zeros.
+        volts += [rig.measure(exact)[CORNERS] - rig.zero for _ in range(6)]
+        places += [truth[0][0]] * 6
+    rows = tx.Batch(method, 1.0, images=False)(
+        np.array(volts), np.tile(CORNERS, (len(volts), 1))
+    )
+    assert (rows.contact_count == 1).all()
+    assert not (rows.flags & Flag.MODEL_LIMITED).any()
+    z = (rows.contact_xy[:, 0] - places) / np.sqrt(rows.contact_covariance[:, 0, :2])
+    # Zeros are part of the noise that is expected, a third of its square.
+    inside = (np.abs(z) < np.sqrt(0.3**2 / 0.45**2)).mean()
+    assert 0.58 < inside < 0.78
+
+
+def test_strong_contacts_are_limited_by_the_model(rows_of):
+    rows = rows_of("all")
+    assert ((rows.flags & Flag.MODEL_LIMITED) > 0).sum() >= 15
+    c = rows.contact_covariance[:, 0]
+    assert (c[:, 0] * c[:, 1] > c[:, 2] ** 2).all()  # an ellipse
+
+
+def test_scenes_that_no_disc_explains(rig, method):
+    """Each has a result that is defined, or a flag that says that there is none."""
+    inside = [
+        rig.disc(NOMINAL[27], 0.006),  # on the grounded electrode
+        rig.disc([0.08, 0.08], 0.07),  # a whole hand
+    ]
+    scenes = [rig.scene((inside[0], 3e-4))[0][[27, 0]]]
+    scenes.append(rig.scene((inside[1], 2e-3))[0][[27, 0]])
+    ten = rng_places(10)
+    scenes.append(rig.scene(*((rig.disc(p, 0.004), 5e-5) for p in ten))[0][[27, 0]])
+    scenes.append(np.zeros((2, 64)))
+    volts = rig.measure(np.array(scenes))
+    good = np.ones(volts.shape, bool)
+    rows = tx.Batch(method, 1.0)(volts, np.tile([27, 0], (4, 1)), good)
+    assert rows.contact_count[0] == 1
+    assert np.hypot(*(rows.contact_xy[0, 0] - NOMINAL[27])) < 3e-3
+    assert rows.contact_count[1] >= 1 and rows.contact_count[2] >= 3
+    assert rows.flags[3] == Flag.NO_CONTACT and rows.contact_count[3] == 0
+    inside = np.isfinite(rows.contact_xy)
+    assert ((rows.contact_xy >= 0) & (rows.contact_xy <= 0.16))[inside].all()
+
+
+def rng_places(count):
+    """Places at least 25 mm from each other."""
+    rng, places = np.random.default_rng(3), np.zeros((0, 2))
+    while len(places) < count:
+        new = rng.uniform(0.015, 0.145, 2)
+        if (np.hypot(*(places - new).T) > 0.025).all():
+            places = np.vstack([places, new])
+    return places
+
+
+def test_dead_electrodes_are_left_out(rig, scenes, method):
+    volts, truth = scenes["one_0"]
+    volts = rig.measure(volts)[CORNERS][None].repeat(2, 0)
+    near = np.argsort(np.hypot(*(NOMINAL - truth[0][0]).T))[:2]
+    good = np.ones(volts.shape, bool)
+    good[1, :, near] = False
+    volts[1, :, near] = 5.0
+    rows = tx.Batch(method, 1.0)(volts, np.tile(CORNERS, (2, 1)), good)
+    assert (rows.contact_count == 1).all()
+    assert np.hypot(*(rows.contact_xy[1, 0] - truth[0][0])) < 2e-3
