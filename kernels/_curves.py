@@ -15,7 +15,7 @@ from tomojax.kernels._whiten import currents, Frame, whitened_columns
 
 # Points on the axis of a bar, and around a ring; a mode's current is this part of the
 # mean's, about.
-_ALONG, _AROUND, _UNEVEN = 9, 16, 0.3
+_ALONG, _AROUND, _UNEVEN = 9, 16, 0.6
 
 # Half a ring's width, of a contact's usual radius.
 _RIM = 0.5

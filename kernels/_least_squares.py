@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 _DAMPING, _LESS, _MORE = 1e-3, 1 / 8, 6.0
 
 # The longest step of a parameter, in its unit; when to stop.
-_LONGEST, _ENOUGH, _HOPELESS = 5.0, 1e-4, 1e5
+_LONGEST, _ENOUGH, _HOPELESS = 2.0, 1e-5, 1e5
 
 
 def solve_positive(
@@ -52,7 +52,7 @@ def least_squares(
     model: Callable[[Array], tuple[Float[Array, "S M"], Float[Array, " priors"], Any]],
     start: Float[Array, " P"],
     tolerance: float,
-    most: int = 20,
+    most: int = 30,
 ) -> LeastSquares:
     """min Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² over parameters of about unit size.
 

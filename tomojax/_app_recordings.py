@@ -54,7 +54,9 @@ _tdms_option = click.option(
 @click.option(
     "--rate", type=click.Choice(["scan", "slot"]), default="scan", show_default=True
 )
-@click.option("--method", default="source", show_default=True, help="source or linear.")
+@click.option(
+    "--method", default="source", show_default=True, help="source, points or linear."
+)
 @click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
 @click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
 @click.option(

@@ -11,7 +11,16 @@ from jaxtyping import Array, Bool, Float
 from tomojax import kernels
 from tomojax._field import make_field
 from tomojax._method import AbstractMethod, Estimate, Frame, judged
-from tomojax._points_fit import due, first, Found, larger, Prepared, scene_of
+from tomojax._points_fit import (
+    due,
+    first,
+    Found,
+    Ladder,
+    larger,
+    Prepared,
+    scene_of,
+    TOLERANCE,
+)
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
 from tomojax.kernels._whiten import smooth_modes
@@ -119,15 +128,15 @@ class Points(AbstractMethod):
         self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         scene = scene_of(self, prepared, voltages, count)
-        found = first(scene)
+        ladder = first(scene)
         for size in range(2, count + 1):
-            found = jax.lax.cond(
-                due(found, size),
-                lambda f, size=size: larger(scene, f, size),
-                lambda f: f,
-                found,
+            ladder = jax.lax.cond(
+                due(ladder, size),
+                lambda found, size=size: larger(scene, found, size),
+                lambda found: found,
+                ladder,
             )
-        return self._described(found)
+        return self._described(ladder.best)
 
     def block(
         self, prepared: Prepared, voltages: Float[Array, "n S M"], count: int, images: bool
@@ -137,16 +146,16 @@ class Points(AbstractMethod):
             _first(self, prepared, voltages[k : k + _BLOCK], count)
             for k in range(0, len(voltages), _BLOCK)
         ]
-        found = jax.tree.map(lambda *p: np.concatenate(p), *map(_to_host, parts))
+        ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
         for size in range(2, count + 1):
-            rest = np.flatnonzero(due(found, size))
+            rest = np.flatnonzero(due(ladder, size))
             for k in range(0, len(rest), _BLOCK):
                 rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
-                part = jax.tree.map(lambda a, rows=rows: a[rows], found)
+                part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
                 new = _larger(self, prepared, voltages[rows], part, count, size)
-                for old, values in zip(found, _to_host(new)):
+                for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
                     old[rows] = values
-        return _described_all(self, found, voltages, count, images)
+        return _described_all(self, ladder.best, voltages, count, images)
 
     def _described(self, found: Found) -> Estimate:
         contacts = kernels.points_as_contacts(
@@ -169,6 +178,9 @@ class Points(AbstractMethod):
             self.shape,
         )
         flags = jnp.where(found.limited, kernels.Flag.MODEL_LIMITED.value, 0)
+        # Of all channels together: what is left of a part of them is little of the whole.
+        high = found.cost > TOLERANCE
+        flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
         return Estimate(contacts, image, found.residual, flags)
 
 
@@ -182,10 +194,6 @@ def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
     slots = each * 2 > each.max()
     channels = good[slots].all(0) if slots.any() else good.any(0)
     return slots[:, None] & channels
-
-
-def _to_host(found: Found) -> Found:
-    return Found(*(np.array(a) for a in found))
 
 
 def bends(
@@ -207,16 +215,16 @@ def bends(
 
 
 @eqx.filter_jit
-def _first(method, prepared, voltages: Float[Array, "n S M"], count: int) -> Found:
+def _first(method, prepared, voltages: Float[Array, "n S M"], count: int) -> Ladder:
     return jax.vmap(lambda v: first(scene_of(method, prepared, v, count)))(voltages)
 
 
 @eqx.filter_jit
-def _larger(method, prepared, voltages, found: Found, count: int, size: int) -> Found:
-    def one(v: Array, found: Found) -> Found:
-        return larger(scene_of(method, prepared, v, count), found, size)
+def _larger(method, prepared, voltages, ladder: Ladder, count: int, size: int) -> Ladder:
+    def one(v: Array, ladder: Ladder) -> Ladder:
+        return larger(scene_of(method, prepared, v, count), ladder, size)
 
-    return jax.vmap(one)(voltages, found)
+    return jax.vmap(one)(voltages, ladder)
 
 
 @eqx.filter_jit

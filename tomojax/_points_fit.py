@@ -20,7 +20,7 @@ _STARTS = 3
 
 # A slot's misfit (64 channels) beyond which it counts little; and by how much, per slot, a
 # larger model must fit better to be believed, for each contact beyond the first.
-_TOLERANCE, _GAIN = 64.0, 8.0
+TOLERANCE, _GAIN = 64.0, 8.0
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
 # the strongest, are what the model's error makes of fewer.
@@ -64,6 +64,13 @@ class Found(NamedTuple):
     residual: Float[Array, ""]  # V rms
 
 
+class Ladder(NamedTuple):
+    """The best so far, and the most discs so far: three may do what no ring does."""
+
+    best: Found
+    discs: Found
+
+
 class Scene(NamedTuple):
     """One frame, and what it is fitted with."""
 
@@ -92,26 +99,49 @@ def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: in
     return Scene(method, prepared, frame, own, common, offset, voltages, most)
 
 
-def due(found: Found, size: int) -> Any:
-    """Whether a model of `size` contacts is worth a try: one that is long stays alone."""
-    alone = ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
-    return (found.cost > _GAIN) & (found.count == size - 1) & ~alone
+def due(ladder: Ladder, size: int) -> Any:
+    """Whether `size` discs are worth a try: the next step, with that much to gain."""
+    return (ladder.best.cost > _GAIN * (size - 1)) & (ladder.discs.count == size - 1)
 
 
-def first(scene: Scene) -> Found:
+def first(scene: Scene) -> Ladder:
     """One disc, from the best candidate."""
     columns, compared = _candidates(scene)
     at, _ = best_place(columns, compared)
-    start = _starts(scene, scene.method.candidates[at][None, None])
-    return _best(scene, model.discs, start)
+    found = _best(
+        scene, model.discs, _starts(scene, scene.method.candidates[at][None, None])
+    )
+    return Ladder(found, found)
 
 
-def larger(scene: Scene, found: Found, size: int) -> Found:
-    """`size` discs, for two also a bar or a ring, if that gains enough; else as it was."""
+def larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
+    """`size` discs, for two also a bar or a ring, where they gain enough."""
+    best, discs = ladder
+    new = _believed(scene, _more_discs(scene, discs, size), size)
+    gained = _gains(scene, discs, new, size)
+    choices = [(new, gained)]
+    if size == 2:
+        middle = discs.parameters[0, :2]
+        for alone in (_bar(scene, middle), _ring(scene, middle)):
+            choices.append((alone, _gains(scene, discs, alone, size)))
+    for other, enough in choices:
+        best = _choose(enough & (_score(other) < _score(best)), other, best)
+    return Ladder(best, _choose(gained, new, discs))
+
+
+def _score(found: Found) -> Array:
+    """Cost, with what `_gains` asks of each contact beyond the first, and of a shape."""
+    shaped = ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
+    extra = jnp.where(shaped, 1, found.count * (found.count - 1) // 2)
+    return found.cost + _GAIN * extra.astype(found.cost.dtype)
+
+
+def _more_discs(scene: Scene, discs: Found, size: int) -> Found:
+    """One more than there are; two also from pairs of candidates."""
     sheet, candidates = scene.method.sheet, scene.method.candidates
     columns, compared = _candidates(scene)
     spacing = 1.5 * (candidates[1, 1] - candidates[0, 1])
-    known = found.parameters[: size - 1]
+    known = discs.parameters[: size - 1]
     rest, _, now = _of(scene, model.discs)(known.ravel())
     own = jax.vmap(kernels.field_at, (None, 0, 0))(sheet.field, now.place, now.radius)
     own = kernels.slot_columns(
@@ -125,11 +155,7 @@ def larger(scene: Scene, found: Found, size: int) -> Found:
     if size == 2:
         pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
         starts = jnp.concatenate([starts, _starts(scene, pairs)])
-    new = _believed(scene, _best(scene, model.discs, starts), size)
-    if size == 2:
-        for alone in (_bar(scene, known[0, :2]), _ring(scene, known[0, :2])):
-            new = _choose(alone.cost < new.cost, alone, new)
-    return _choose(_gains(scene, found, new, size), new, found)
+    return _best(scene, model.discs, starts)
 
 
 def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
@@ -139,12 +165,12 @@ def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
     and what only one asks for is near that slot's ground, where the sheet is not known
     well enough.
     """
-    enough = _GAIN * (size - 1)
+    # Where the model's error is larger than thought, so is what a ghost would gain.
+    enough = _GAIN * (size - 1) * jnp.maximum(1, new.cost / TOLERANCE)
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
     each = jnp.minimum(old.misfits - new.misfits, 2 * enough)
     gain = jnp.minimum(each.sum() / slots.astype(each.dtype), old.cost - new.cost)
-    # Where the model's error is larger than thought, so is what a ghost would gain.
-    return gain > enough * jnp.maximum(1, new.cost / _TOLERANCE)
+    return gain > enough
 
 
 def _believed(scene: Scene, found: Found, size: int) -> Found:
@@ -162,7 +188,10 @@ def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
     ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
     middles = jnp.broadcast_to(middle, ends.shape)
     starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends[:, :1])], 1)
-    return _best(scene, bar, starts)
+    found = _best(scene, bar, starts)
+    # No longer than wide: a disc, which says so with less.
+    short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
+    return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
 
 
 def _ring(scene: Scene, middle: Float[Array, "2"]) -> Found:
@@ -203,7 +232,7 @@ def _of(scene: Scene, kind: Callable) -> Callable:
 def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
     """The best of the fits from `starts`."""
     fit, prepared = _of(scene, kind), scene.prepared
-    ended = jax.vmap(lambda p: least_squares(fit, p, _TOLERANCE))(starts)
+    ended = jax.vmap(lambda p: least_squares(fit, p, TOLERANCE))(starts)
     k = jnp.argmin(jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf))
     parameters, cost = ended.parameters[k], ended.cost[k]
     rest, _, fitted = fit(parameters)
@@ -229,7 +258,7 @@ def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
     )
     return Found(
         cost / n,
-        _TOLERANCE * jnp.log1p((rest**2).sum(1) / _TOLERANCE),
+        TOLERANCE * jnp.log1p((rest**2).sum(1) / TOLERANCE),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
         limited,
@@ -248,7 +277,7 @@ def _uncertainty(
     """
     fit, used, frame = _of(scene, kind), scene.prepared.used, scene.frame
     rest, slope = fit(parameters)[0], jax.jacfwd(lambda p: fit(p)[0])(parameters)
-    weight = 1 / (1 + (rest**2).sum(1) / _TOLERANCE)
+    weight = 1 / (1 + (rest**2).sum(1) / TOLERANCE)
     by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
     noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
     own = jnp.where(used, scene.own, 0)

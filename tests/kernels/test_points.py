@@ -22,24 +22,26 @@ PLACES = [(0.0621, 0.1043), (0.07, 0.09), (0.012, 0.011), (0.08, 0.0743)]
 
 
 def test_table_is_the_mean_over_a_disc(paper_sensor, field):
-    """Beside the closed form at 400 places spread over the disc."""
+    """Beside the closed form at 4000 places spread over the disc."""
     diameter, xy = paper_sensor.electrode_diameter, paper_sensor.electrode_xy
     metal = jnp.asarray(1.0)
     exact = jax.jit(
         lambda at: kernels.rectangle_fields(xy, at, diameter / 2, paper_sensor.size, metal)
     )
-    k = np.arange(400) + 0.5
+    k = np.arange(4000) + 0.5
     spiral = np.stack([np.cos(k * 2.399963), np.sin(k * 2.399963)], 1)
     for place in PLACES:
         for radius in (0.003, 0.006, 0.0105):
-            at = np.array(place) + radius * np.sqrt(k / 400)[:, None] * spiral
+            at = np.array(place) + radius * np.sqrt(k / 4000)[:, None] * spiral
             # What is beyond an edge is mirrored.
             want = 1e4 * np.asarray(exact(jnp.asarray(np.abs(at)))[1]).mean(1)
             got = kernels.field_at(field, jnp.array(place), jnp.asarray(radius))
-            # An electrode's own disc is where the table's spacing shows.
-            np.testing.assert_allclose(got, want, atol=5e-3 * 1e4)
+            # Under an electrode itself the radii are too few: 4 % of its own potential.
+            np.testing.assert_allclose(got, want, atol=0.04 * np.abs(want).max())
             away = np.hypot(*(np.asarray(xy) - place).T) > radius + diameter
-            np.testing.assert_allclose(got[away], want[away], atol=6e-4 * 1e4)
+            # And over one, between the radii of the table, half a per cent of all others.
+            close = 6e-3 * np.abs(want).max()
+            np.testing.assert_allclose(got[away], want[away], atol=close)
 
 
 def test_slope_of_the_table(field, rng):

@@ -11,12 +11,6 @@ from tomojax import Flag
 CORNERS, ALL = [0, 63], list(range(64))
 
 
-def around(xy):
-    """Two corners and eight grounds around a place, as *CoP line* has them."""
-    i, j = np.clip(np.round((np.asarray(xy) - 0.01) / 0.02), 1, 6).astype(int)
-    return CORNERS + [8 * (i + a) + j + b for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
-
-
 @pytest.fixture(scope="module")
 def rig():
     return Rig(np.random.default_rng(11))
@@ -61,10 +55,10 @@ def rows_of(rig, scenes, method):
 
     def run(slots: str) -> tx.Rows:
         if slots not in known:
-            which = {"corners": lambda _: CORNERS, "ten": around, "all": lambda _: ALL}
-            grounds = np.array([which[slots](t[0][0]) for _, t in scenes.values()])
-            volts = np.stack([v[g] for v, g in zip(read.values(), grounds)])
-            known[slots] = tx.Batch(method, 1.0)(volts, grounds)
+            grounds = {"corners": CORNERS, "all": ALL}[slots]
+            volts = np.stack([v[grounds] for v in read.values()])
+            rows = tx.Batch(method, 1.0, contacts=3 if slots == "corners" else 2)
+            known[slots] = rows(volts, np.tile(grounds, (len(volts), 1)))
         return known[slots]
 
     return run
@@ -77,17 +71,21 @@ def apart(row_xy, truth):
     return ways.min(0).max()
 
 
-@pytest.mark.parametrize("slots", ["corners", "ten", "all"])
+@pytest.mark.parametrize("slots", ["corners", "all"])
 def test_how_many_and_where(scenes, rows_of, slots):
     rows = rows_of(slots)
     errors = {}
     for k, (name, (_, truth)) in enumerate(scenes.items()):
+        if len(truth) > rows.contact_xy.shape[1]:
+            continue  # more than were asked for
         assert rows.contact_count[k] == len(truth), name
         errors[name] = apart(rows.contact_xy[k], truth)
     ones = [e for name, e in errors.items() if name.startswith("one")]
     assert np.median(ones) < 0.3e-3 and max(ones) < 1e-3
     assert max(errors.values()) < 3e-3
-    assert not (rows.flags & (Flag.HIGH_RESIDUAL | Flag.SOLVE_FAILED)).any()
+    high = (rows.flags & (Flag.HIGH_RESIDUAL | Flag.SOLVE_FAILED)) > 0
+    too_many = [len(truth) > rows.contact_xy.shape[1] for _, truth in scenes.values()]
+    np.testing.assert_array_equal(high, too_many)
 
 
 def test_shapes(scenes, rows_of):
@@ -107,24 +105,21 @@ def test_shapes(scenes, rows_of):
 
 def test_conductance(scenes, rows_of):
     """Where the contact itself is not a short beside the sheet."""
-    for slots, median in (("corners", 0.12), ("all", 0.1)):
+    for slots in ("corners", "all"):
         rows, errors = rows_of(slots), []
         for k, (name, (_, truth)) in enumerate(scenes.items()):
-            if name.startswith("one"):
+            if name.startswith("one") and truth[0][1] < 2e-4:
                 errors.append(rows.contact_conductance[k, 0] / truth[0][1] - 1)
-        errors = np.abs(errors)
-        assert np.median(errors) < median
-        light = [t[0][1] < 2e-4 for n, (_, t) in scenes.items() if n.startswith("one")]
-        assert errors[light].max() < 0.2
+        assert len(errors) >= 4
+        assert np.median(np.abs(errors)) < 0.06 and np.abs(errors).max() < 0.2
 
 
-def test_float32_beside_float64(rig, scenes, rows_of):
+def test_float32_beside_float64(scenes, method):
     wide = tx.method(tx.Sensor.grid(), "points", 32)
     names = list(scenes)[:13]  # single contacts and pairs
     volts = np.stack([scenes[name][0][CORNERS] for name in names])
     grounds = np.tile(CORNERS, (len(names), 1))
-    narrow = tx.method(tx.Sensor.grid(dtype=np.float32), "points", 32)
-    one, other = (tx.Batch(m, 1.0)(volts, grounds) for m in (narrow, wide))
+    one, other = (tx.Batch(m, 1.0, contacts=2)(volts, grounds) for m in (method, wide))
     np.testing.assert_array_equal(one.contact_count, other.contact_count)
     np.testing.assert_allclose(one.contact_xy, other.contact_xy, atol=5e-5)
 
@@ -153,7 +148,7 @@ def test_stated_deviations(rig, method):
         # Noise is what is tested: six readings of each, without the channels' zeros.
         volts += [rig.measure(exact)[CORNERS] - rig.zero for _ in range(6)]
         places += [truth[0][0]] * 6
-    rows = tx.Batch(method, 1.0, images=False)(
+    rows = tx.Batch(method, 1.0, contacts=2, images=False)(
         np.array(volts), np.tile(CORNERS, (len(volts), 1))
     )
     assert (rows.contact_count == 1).all()
@@ -184,10 +179,12 @@ def test_scenes_that_no_disc_explains(rig, method):
     scenes.append(np.zeros((2, 64)))
     volts = rig.measure(np.array(scenes))
     good = np.ones(volts.shape, bool)
-    rows = tx.Batch(method, 1.0)(volts, np.tile([27, 0], (4, 1)), good)
+    rows = tx.Batch(method, 1.0, contacts=3)(volts, np.tile([27, 0], (4, 1)), good)
     assert rows.contact_count[0] == 1
     assert np.hypot(*(rows.contact_xy[0, 0] - NOMINAL[27])) < 3e-3
-    assert rows.contact_count[1] >= 1 and rows.contact_count[2] >= 3
+    # A hand or ten contacts are not what three discs explain: that is said.
+    assert (rows.contact_count[1:3] >= 1).all()
+    assert rows.flags[2] & Flag.HIGH_RESIDUAL
     assert rows.flags[3] == Flag.NO_CONTACT and rows.contact_count[3] == 0
     inside = np.isfinite(rows.contact_xy)
     assert ((rows.contact_xy >= 0) & (rows.contact_xy <= 0.16))[inside].all()
@@ -210,6 +207,6 @@ def test_dead_electrodes_are_left_out(rig, scenes, method):
     good = np.ones(volts.shape, bool)
     good[1, :, near] = False
     volts[1, :, near] = 5.0
-    rows = tx.Batch(method, 1.0)(volts, np.tile(CORNERS, (2, 1)), good)
+    rows = tx.Batch(method, 1.0, contacts=3)(volts, np.tile(CORNERS, (2, 1)), good)
     assert (rows.contact_count == 1).all()
     assert np.hypot(*(rows.contact_xy[1, 0] - truth[0][0])) < 2e-3

@@ -90,6 +90,19 @@ def test_static_scenes(shared_data, rows_of):
                 np.testing.assert_allclose(current, np.mean(scene["current"]), rtol=0.1)
 
 
+def test_points_count_every_scene(shared_data, rows_of):
+    """Discs, bars, a rim and a short: as many as there are, from all 64 slots."""
+    rows = rows_of(shared_data / "static_all.h5", method="points", contacts=3)
+    truth = json.loads((shared_data / "truth.json").read_text())["static_all"]["scenes"]
+    for scene in truth:
+        part, places = slice(*scene["scans"]), [c["centre"] for c in scene["contacts"]]
+        assert (rows["contact_count"][part] == len(places)).all(), scene["name"]
+        xy = rows["contact_xy"][part, : len(places)]
+        for place in places:
+            apart = np.hypot(*(xy - place).transpose(2, 0, 1)).min(1)
+            assert apart.max() < 1e-3, scene["name"]
+
+
 @pytest.mark.parametrize("pattern", ["all", "copline", "corners"])
 @pytest.mark.parametrize("thing", ["spanner", "orange"])
 def test_contact_and_none_in_a_bounce(shared_data, rows_of, thing, pattern):
