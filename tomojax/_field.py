@@ -54,7 +54,7 @@ def make_field(sensor: Sensor) -> kernels.Field:
 
 
 def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    dtype = sensor.dtype
+    dtype, ee = sensor.dtype, np.zeros(0)
     padded = np.resize(points, (-(-len(points) // _BLOCK) * _BLOCK, 2))
     parts = []
     for start in range(0, len(padded), _BLOCK):
@@ -85,4 +85,5 @@ def disc_average(
     k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
     ka = np.hypot(*np.meshgrid(*k, indexing="ij")) * radius
     factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
-    return fft.idctn(fft.dctn(values, 1, axes=(-2, -1)) * factor, 1, axes=(-2, -1))
+    averaged = fft.dctn(values, 1, axes=(-2, -1)) * factor
+    return np.asarray(fft.idctn(averaged, 1, axes=(-2, -1)))

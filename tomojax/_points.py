@@ -95,7 +95,7 @@ class Points(AbstractMethod):
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
         used = _common(good)
-        channels = used.any(0)
+        channels = np.asarray(used.any(0))
         xy = np.asarray(self.electrode_xy, float)
         slots = np.flatnonzero(used.any(1))
         compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]

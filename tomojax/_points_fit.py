@@ -261,8 +261,8 @@ def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
         TOLERANCE * jnp.log1p((rest**2).sum(1) / TOLERANCE),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
-        limited,
-        jnp.sqrt((misfit**2).sum() / channels),
+        limited=limited,
+        residual=jnp.sqrt((misfit**2).sum() / channels),
     )
 
 
