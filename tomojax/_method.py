@@ -7,7 +7,7 @@ many frames. Its file is all that a new one needs, and a line in `METHODS`.
 from abc import abstractmethod
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -56,6 +56,8 @@ class AbstractMethod(eqx.Module):
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
+    # Whether contacts come with the covariance of their place.
+    tells_covariance: ClassVar[bool] = False
 
     @property
     @abstractmethod

@@ -53,6 +53,7 @@ class Points(AbstractMethod):
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+    tells_covariance: ClassVar[bool] = True
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]

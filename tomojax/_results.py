@@ -27,8 +27,10 @@ from tomojax.kernels import Flag
 SCHEMA, VERSION = "tomojax-results", 1
 
 
-def fields(contacts: int, shape: tuple[int, int] | None, image_unit: str) -> dict:
-    """Name: (shape of a row, type, unit)."""
+def fields(
+    contacts: int, shape: tuple[int, int] | None, image_unit: str, covariance: bool
+) -> dict:
+    """Name: (shape of a row, type, unit); `covariance` only of methods that tell it."""
     each: dict[str, tuple] = {
         "t": ((), "<f8", "s"),
         "contact_count": ((), "u1", "1"),
@@ -37,10 +39,11 @@ def fields(contacts: int, shape: tuple[int, int] | None, image_unit: str) -> dic
         "contact_angle": ((contacts,), "<f4", "rad"),
         "contact_current": ((contacts,), "<f4", "A"),
         "contact_conductance": ((contacts,), "<f4", "S"),
-        "contact_covariance": ((contacts, 3), "<f4", "m^2"),  # of the place: xx, yy, xy
         "residual": ((), "<f4", "V"),
         "flags": ((), "<u4", "1"),
     }
+    if covariance:  # of the place: xx, yy, xy
+        each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
     return each | ({"image": (shape, "<f4", image_unit)} if shape else {})
 
 

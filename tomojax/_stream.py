@@ -125,7 +125,9 @@ def _create(file, recording, settings, model, lam, config) -> None:
 
     rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
     shape = model.shape if settings.images else None
-    layout = _results.fields(settings.contacts, shape, model.image_unit)
+    layout = _results.fields(
+        settings.contacts, shape, model.image_unit, model.tells_covariance
+    )
     file.create(
         rows,
         layout,
