@@ -45,10 +45,11 @@ _BLOCK = 32
 
 
 class Points(AbstractMethod):
-    """Contacts as discs, or one bar, with a current of their own in each slot.
+    """Contacts as discs, or one bar or ring, with a current of their own in each slot.
 
-    The model grows while it gains: one disc, two discs or a bar, three discs, … Slots
-    share places and sizes, not currents. λ multiplies the variance of the model's error.
+    The model grows while it gains: one disc, two discs or a bar or a ring, three discs, …
+    Slots share places and sizes, not currents. λ multiplies the variance of the model's
+    error: 1 for nominal values.
     """
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
