@@ -79,7 +79,7 @@ def read_contacts(
         alone = jnp.sum(label[:, None] == jnp.arange(count), 0, where=there[:, None]) == 1
         refined = _parabola(image, i, j, cell)
         found = found._replace(xy=jnp.where(alone[:, None], refined, found.xy))
-    return _strongest_first(found, first)
+    return strongest_first(found, first)
 
 
 # Frames with several contacts that are measured at once, see `_measure`.
@@ -273,7 +273,8 @@ def _parabola(image, i, j, cell) -> Float[Array, "C 2"]:
     return (jnp.stack([x, y], 1) + 0.5) * cell
 
 
-def _strongest_first(found: Contacts, first: Bool[Array, " C"]) -> Contacts:
+def strongest_first(found: Contacts, first: Bool[Array, " C"]) -> Contacts:
+    """Those that are `first`, by their current, and how many."""
     order = jnp.argsort(jnp.where(first, -found.current, jnp.inf))
     keep = first[order]
 

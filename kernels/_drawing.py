@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax.kernels._contacts import Contacts
+from tomojax.kernels._contacts import Contacts, strongest_first
 
 
 def points_as_contacts(
@@ -28,14 +28,10 @@ def points_as_contacts(
     long = reach > radius**2
     angle = jnp.arctan2(extent[:, 1], extent[:, 0]) % np.pi
     whole = jnp.sqrt(radius**2 + 2 / 3 * reach + 2 * ring**2)
-    order = jnp.argsort(jnp.where(there, -current, jnp.inf))
-    values = place, whole, jnp.where(long, angle, jnp.nan), current, conductance, covariance
-
-    def sorted_(values: Array) -> Array:
-        mask = there[order].reshape((-1,) + (1,) * (values.ndim - 1))
-        return jnp.where(mask, values[order], jnp.nan)
-
-    return Contacts(count.astype(jnp.uint8), *map(sorted_, values))
+    angle = jnp.where(long, angle, jnp.nan)
+    none = jnp.zeros((), jnp.uint8)
+    found = Contacts(none, place, whole, angle, current, conductance, covariance)
+    return strongest_first(found, there)
 
 
 def points_image(

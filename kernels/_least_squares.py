@@ -45,7 +45,6 @@ class LeastSquares(NamedTuple):
     parameters: Float[Array, " P"]
     cost: Float[Array, ""]
     normal: Float[Array, "P P"]  # JᵀWJ
-    steps: Array
 
 
 def least_squares(
@@ -106,5 +105,5 @@ def least_squares(
         one,
     )
     going = lambda c: (c[5] < most) & (c[6] > _ENOUGH)  # noqa: E731
-    p, cost, normal, _, _, k, _ = jax.lax.while_loop(going, step, first)
-    return LeastSquares(p, cost, normal, k)
+    p, cost, normal, *_ = jax.lax.while_loop(going, step, first)
+    return LeastSquares(p, cost, normal)

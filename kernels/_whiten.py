@@ -45,7 +45,7 @@ def whiten(
     Of each of these `common` is what one standard deviation makes, V. Together they have
     the covariance C = diag(own²) + BᵀB, and |whitened|² = VᵀC⁻¹V: the last q values are
     the common errors that are most likely, in standard deviations, and the first M what
-    is left then. It costs q/M of what a matrix for each slot would.
+    is left then. It costs 2q/M of what a matrix for each slot would.
     """
     scale = jnp.where(own > 0, 1 / jnp.where(own > 0, own, 1), 0)
     common = common * scale[:, None]
