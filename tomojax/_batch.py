@@ -15,10 +15,6 @@ from tomojax._checks import require
 from tomojax._method import AbstractMethod, Frame
 from tomojax.kernels import Flag
 
-# Frames of a compiled call: as many as keep the working set in the cache. What is left of
-# a group fills the smallest that holds it, so that at most three are compiled.
-_BLOCKS = (32, 256, 1024)
-
 # Calls that run side by side: the parts of one call are not all parallel.
 _WORKERS = 2
 
@@ -87,20 +83,22 @@ class Batch:
         if flags is not None:
             rows.flags[:] = flags
         usable = self._nothing(voltages, good, rows)
-        groups = list(_groups(grounds, good, np.flatnonzero(usable)))
+        grounds = np.where(good.any(2), grounds, 0)
+        keys = grounds * 0 if self.method.any_grounds else grounds
+        groups = list(_groups(keys, good, np.flatnonzero(usable)))
 
         def work(job: tuple[Any, np.ndarray]) -> None:
             prepared, part = job
-            self._run(prepared, part, voltages, good, rows)
+            self._run(prepared, part, voltages, grounds, good, rows)
 
         with ThreadPoolExecutor(_WORKERS) as pool:
             # The first alone: what it compiles serves the others. Then as many as the
             # preparations that are kept, so that no more of them are ever held.
             for some in (groups[:1], *_slices(groups[1:], _KEPT)):
                 jobs = [
-                    (self._prepare(grounds[group[0]], good[group[0]]), part)
+                    (self._prepare(keys[group[0]], good[group[0]]), part)
                     for group in some
-                    for part in _slices(group, _BLOCKS[-1])
+                    for part in _slices(group, self.method.blocks[-1])
                 ]
                 list(pool.map(work, jobs))
         return rows
@@ -154,20 +152,22 @@ class Batch:
     def _prepare(self, grounds: np.ndarray, good: np.ndarray) -> Any:
         key = grounds.tobytes() + np.packbits(good).tobytes()
         if key not in self._prepared:
-            known = np.where(good.any(1), grounds, 0)
-            self._prepared[key] = self.method.prepare(known, good, self.lam)
+            self._prepared[key] = self.method.prepare(grounds, good, self.lam)
             if len(self._prepared) > _KEPT:
                 self._prepared.popitem(last=False)
         self._prepared.move_to_end(key)
         return self._prepared[key]
 
-    def _run(self, prepared, part, voltages, good, rows) -> None:
+    def _run(self, prepared, part, voltages, grounds, good, rows) -> None:
         dtype = self.method.cell.dtype
-        size = next(b for b in _BLOCKS if b >= len(part))
+        size = next(b for b in self.method.blocks if b >= len(part))
         block = np.zeros((size, *voltages.shape[1:]), dtype)
         np.copyto(block[: len(part)], voltages[part], where=good[part])
-        shared = self._shared(jnp.asarray(block))
-        found = self.method.block(prepared, shared, self.contacts, self.images)
+        shared, under = (
+            self._shared(jnp.asarray(block)),
+            np.resize(grounds[part], (size, grounds.shape[1])),
+        )
+        found = self.method.block(prepared, shared, under, self.contacts, self.images)
         for name, values in zip(Rows._fields, found):
             if values is None:
                 continue

@@ -58,6 +58,11 @@ class AbstractMethod(eqx.Module):
     residual_limit: eqx.AbstractClassVar[float]
     # Whether contacts come with the covariance of their place.
     tells_covariance: ClassVar[bool] = False
+    # Whether a call may have frames of different grounds.
+    any_grounds: ClassVar[bool] = False
+    # Frames of a compiled call: as many as keep the working set in the cache. What is left
+    # of a group fills the smallest that holds it, so that at most three are compiled.
+    blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)
 
     @property
     @abstractmethod
@@ -89,9 +94,17 @@ class AbstractMethod(eqx.Module):
         """
 
     def block(
-        self, prepared: Any, voltages: Float[Array, "n S M"], count: int, images: bool
+        self,
+        prepared: Any,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
     ) -> tuple:
-        """`estimate` of n frames, `judged`; a method may do it in several calls."""
+        """`estimate` of n frames, `judged`; a method may do it in several calls.
+
+        The grounds are those prepared for, but where the method takes `any_grounds`.
+        """
         return _block(self, prepared, voltages, count, images)
 
 

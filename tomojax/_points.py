@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax import kernels
 from tomojax._field import make_field
@@ -55,6 +55,8 @@ class Points(AbstractMethod):
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
     tells_covariance: ClassVar[bool] = True
+    any_grounds: ClassVar[bool] = True
+    blocks: ClassVar[tuple[int, ...]] = tuple(range(_BLOCK, 33 * _BLOCK, _BLOCK))
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
@@ -103,10 +105,6 @@ class Points(AbstractMethod):
         compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
         if len(slots) <= _SLOTS:
             compared = slots
-        z = self.sheet.ground_resistance
-        columns = kernels.slot_columns(
-            self.sheet.field, self.potentials, jnp.asarray(grounds[compared]), z
-        )
         dtype, spread = self.cell.dtype, float(np.sqrt(lam))
         return Prepared(
             jnp.asarray(grounds, int),
@@ -118,7 +116,6 @@ class Points(AbstractMethod):
             jnp.asarray(spread * _OFFSET, dtype),
             jnp.asarray(_NOISE, dtype),
             jnp.asarray(compared),
-            columns,
         )
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
@@ -141,23 +138,32 @@ class Points(AbstractMethod):
         return self._described(ladder.best)
 
     def block(
-        self, prepared: Prepared, voltages: Float[Array, "n S M"], count: int, images: bool
+        self,
+        prepared: Prepared,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
     ) -> tuple:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
-        parts = [
-            _first(self, prepared, voltages[k : k + _BLOCK], count)
-            for k in range(0, len(voltages), _BLOCK)
-        ]
+        blocks = [slice(k, k + _BLOCK) for k in range(0, len(voltages), _BLOCK)]
+        parts = [_first(self, prepared, voltages[b], grounds[b], count) for b in blocks]
         ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
         for size in range(2, count + 1):
             rest = np.flatnonzero(due(ladder, size))
             for k in range(0, len(rest), _BLOCK):
                 rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
                 part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
-                new = _larger(self, prepared, voltages[rows], part, count, size)
+                new = _larger(
+                    self, prepared, voltages[rows], grounds[rows], part, count, size
+                )
                 for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
                     old[rows] = values
-        return _described_all(self, ladder.best, voltages, count, images)
+        rows = []
+        for b in blocks:
+            found = jax.tree.map(lambda a, b=b: a[b], ladder.best)
+            rows.append(_described_all(self, found, voltages[b], count, images))
+        return jax.tree.map(lambda *p: np.concatenate(p), *rows)
 
     def _described(self, found: Found) -> Estimate:
         contacts = kernels.points_as_contacts(
@@ -217,16 +223,22 @@ def bends(
 
 
 @eqx.filter_jit
-def _first(method, prepared, voltages: Float[Array, "n S M"], count: int) -> Ladder:
-    return jax.vmap(lambda v: first(scene_of(method, prepared, v, count)))(voltages)
+def _first(method, prepared, voltages, grounds: Int[Array, "n S"], count: int) -> Ladder:
+    def one(v: Array, grounds: Array) -> Ladder:
+        return first(scene_of(method, prepared._replace(grounds=grounds), v, count))
+
+    return jax.vmap(one)(voltages, grounds)
 
 
 @eqx.filter_jit
-def _larger(method, prepared, voltages, ladder: Ladder, count: int, size: int) -> Ladder:
-    def one(v: Array, ladder: Ladder) -> Ladder:
-        return larger(scene_of(method, prepared, v, count), ladder, size)
+def _larger(
+    method, prepared, voltages, grounds, ladder: Ladder, count: int, size: int
+) -> Ladder:
+    def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
+        scene = scene_of(method, prepared._replace(grounds=grounds), v, count)
+        return larger(scene, ladder, size)
 
-    return jax.vmap(one)(voltages, ladder)
+    return jax.vmap(one)(voltages, grounds, ladder)
 
 
 @eqx.filter_jit

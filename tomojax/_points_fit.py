@@ -43,7 +43,6 @@ class Prepared(NamedTuple):
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
     noise: Float[Array, ""]  # of the converter, V
     compared: Int[Array, " s"]  # slots that candidates are compared in
-    columns: Float[Array, "K s M"]
 
 
 class Found(NamedTuple):
@@ -208,13 +207,13 @@ def _choose(first: Array, one: Found, other: Found) -> Found:
 
 
 def _candidates(scene: Scene) -> tuple[Array, Array]:
-    prepared, frame = scene.prepared, scene.frame
-    some = prepared.compared
-    part = frame._replace(
-        scale=frame.scale[some], common=frame.common[some], filter=frame.filter[some]
-    )
-    columns = whitened_columns(part, prepared.columns)
-    return columns, frame.whitened[some]
+    """Of each candidate in some slots, and the frame in these; whitened."""
+    some = scene.prepared.compared
+    part: Frame = jax.tree.map(lambda a: a[some], scene.frame)
+    sheet, potentials = scene.method.sheet, scene.method.potentials
+    z = sheet.ground_resistance
+    columns = kernels.slot_columns(sheet.field, potentials, part.grounds, z)
+    return whitened_columns(part, columns), part.whitened
 
 
 def _starts(scene: Scene, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
