@@ -71,6 +71,19 @@ def next_places(
     count: int,
 ) -> Float[Array, "count 2"]:
     """The candidates that explain most of what the `known` columns leave, `rest`."""
+    _, explained = best_place(apart_from(columns, known), rest)
+    chosen = []
+    for _ in range(count):
+        k = jnp.argmax(explained)
+        chosen.append(places[k])
+        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
+    return jnp.stack(chosen)
+
+
+def apart_from(
+    columns: Float[Array, "K S M"], known: Float[Array, "C S M"]
+) -> Float[Array, "K S M"]:
+    """Columns without what `known` ones make of them; 0 where nearly nothing is left."""
 
     def slot(known: Float[Array, "C M"], columns: Float[Array, "K M"]) -> Array:
         own = jnp.matmul(known, known.T, precision="highest")
@@ -81,10 +94,28 @@ def next_places(
 
     new = jax.vmap(slot, (1, 1), 1)(known, columns)
     kept = jnp.sum(new**2, -1) > 1e-3 * jnp.sum(columns**2, -1)
-    _, explained = best_place(jnp.where(kept[..., None], new, 0), rest)
-    chosen = []
-    for _ in range(count):
-        k = jnp.argmax(explained)
-        chosen.append(places[k])
-        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
-    return jnp.stack(chosen)
+    return jnp.where(kept[..., None], new, 0)
+
+
+def gains_beside(
+    columns: Float[Array, "K S M"],
+    rest: Float[Array, "S M"],
+    slope: Float[Array, "S M P"],
+) -> Float[Array, " K"]:
+    """By how much each candidate lowers |rest|² while P parameters may move as well.
+
+    Each has a current of its own in each slot; the parameters are shared by the slots.
+    """
+    own = jnp.sum(columns**2, -1)
+    scaled = columns * jax.lax.rsqrt(jnp.where(own > 0, own, 1))[..., None]
+    along = jnp.einsum("ksm,sm->ks", scaled, rest, precision="highest")
+    with_slope = jnp.einsum("ksm,smp->ksp", scaled, slope, precision="highest")
+    normal = jnp.einsum("smp,smq->pq", slope, slope, precision="highest")
+    right = jnp.einsum("smp,sm->p", slope, rest, precision="highest")
+    # Parameters are known to their unit, about, before anything is measured.
+    known = jnp.diag(1 + 1e-3 * jnp.diagonal(normal))
+    before = solve_positive(normal + known, right[:, None])[:, 0] @ right
+    normal = normal + known - jnp.einsum("ksp,ksq->kpq", with_slope, with_slope)
+    right = right - jnp.einsum("ksp,ks->kp", with_slope, along)
+    moved = solve_positive(normal, right[..., None])[..., 0]
+    return (along**2).sum(1) + (moved * right).sum(1) - before

@@ -51,7 +51,7 @@ def least_squares(
     model: Callable[[Array], tuple[Float[Array, "S M"], Float[Array, " priors"], Any]],
     start: Float[Array, " P"],
     tolerance: float,
-    most: int = 30,
+    most: int,
 ) -> LeastSquares:
     """min Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² over parameters of about unit size.
 

@@ -1,5 +1,6 @@
 """`points`: a few compact contacts, fitted; as many as the voltages ask for."""
 
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -12,13 +13,12 @@ from tomojax import kernels
 from tomojax._field import make_field
 from tomojax._method import AbstractMethod, Estimate, Frame, judged
 from tomojax._points_fit import (
-    due,
     first,
     Found,
     Ladder,
-    larger,
     Prepared,
     scene_of,
+    steps,
     TOLERANCE,
 )
 from tomojax._sensor import Sensor
@@ -128,12 +128,9 @@ class Points(AbstractMethod):
     ) -> Estimate:
         scene = scene_of(self, prepared, voltages, count)
         ladder = first(scene)
-        for size in range(2, count + 1):
+        for due, step in steps(count):
             ladder = jax.lax.cond(
-                due(ladder, size),
-                lambda found, size=size: larger(scene, found, size),
-                lambda found: found,
-                ladder,
+                due(ladder), partial(step, scene), lambda found: found, ladder
             )
         return self._described(ladder.best)
 
@@ -149,13 +146,13 @@ class Points(AbstractMethod):
         blocks = [slice(k, k + _BLOCK) for k in range(0, len(voltages), _BLOCK)]
         parts = [_first(self, prepared, voltages[b], grounds[b], count) for b in blocks]
         ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
-        for size in range(2, count + 1):
-            rest = np.flatnonzero(due(ladder, size))
+        for number, (due, _) in enumerate(steps(count)):
+            rest = np.flatnonzero(due(ladder))
             for k in range(0, len(rest), _BLOCK):
                 rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
                 part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
-                new = _larger(
-                    self, prepared, voltages[rows], grounds[rows], part, count, size
+                new = _step(
+                    self, prepared, voltages[rows], grounds[rows], part, count, number
                 )
                 for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
                     old[rows] = values
@@ -231,12 +228,12 @@ def _first(method, prepared, voltages, grounds: Int[Array, "n S"], count: int) -
 
 
 @eqx.filter_jit
-def _larger(
-    method, prepared, voltages, grounds, ladder: Ladder, count: int, size: int
+def _step(
+    method, prepared, voltages, grounds, ladder: Ladder, count: int, number: int
 ) -> Ladder:
     def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
         scene = scene_of(method, prepared._replace(grounds=grounds), v, count)
-        return larger(scene, ladder, size)
+        return steps(count)[number][1](scene, ladder=ladder)
 
     return jax.vmap(one)(voltages, grounds, ladder)
 

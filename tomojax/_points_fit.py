@@ -1,6 +1,7 @@
 """The steps of `points`: one disc; then more discs, a bar or a ring, while that gains."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,17 +11,26 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
 from tomojax.kernels import _points as model
-from tomojax.kernels._candidates import best_pairs, best_place, next_places
+from tomojax.kernels._candidates import (
+    apart_from,
+    best_pairs,
+    best_place,
+    gains_beside,
+    next_places,
+)
 from tomojax.kernels._curves import bar, ring
-from tomojax.kernels._least_squares import least_squares, solve_positive
+from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_positive
 from tomojax.kernels._whiten import Frame, unwhitened, whiten, whitened_columns
 
-# Fits begun from as many candidates.
-_STARTS = 3
+# Fits begun from as many candidates; the best of them, after a few steps, are gone on with.
+_STARTS, _KEPT, _FEW, _MOST = 3, 1, 6, 30
 
 # A slot's misfit (64 channels) beyond which it counts little; and by how much, per slot, a
 # larger model must fit better to be believed, for each contact beyond the first.
 TOLERANCE, _GAIN = 64.0, 8.0
+
+# Part of that gain which slopes have to promise before a larger model is fitted.
+_PROMISE = 0.6
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
 # the strongest, are what the model's error makes of fewer.
@@ -67,7 +77,9 @@ class Ladder(NamedTuple):
     """The best so far, and the most discs so far: three may do what no ring does."""
 
     best: Found
+    one: Found  # disc
     discs: Found
+    promise: Float[Array, ""]  # of one more disc, per slot, as far as slopes tell
 
 
 class Scene(NamedTuple):
@@ -98,9 +110,10 @@ def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: in
     return Scene(method, prepared, frame, own, common, offset, voltages, most)
 
 
-def due(ladder: Ladder, size: int) -> Any:
+def _due(ladder: Ladder, size: int) -> Any:
     """Whether `size` discs are worth a try: the next step, with that much to gain."""
-    return (ladder.best.cost > _GAIN * (size - 1)) & (ladder.discs.count == size - 1)
+    enough = _PROMISE * _GAIN * (size - 1)
+    return ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
 
 
 def first(scene: Scene) -> Ladder:
@@ -110,22 +123,55 @@ def first(scene: Scene) -> Ladder:
     found = _best(
         scene, model.discs, _starts(scene, scene.method.candidates[at][None, None])
     )
-    return Ladder(found, found)
+    return Ladder(found, found, found, _promise(scene, found, 1))
 
 
-def larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
-    """`size` discs, for two also a bar or a ring, where they gain enough."""
-    best, discs = ladder
+def _larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
+    """`size` discs, where they gain enough."""
+    best, one, discs, _ = ladder
     new = _believed(scene, _more_discs(scene, discs, size), size)
     gained = _gains(scene, discs, new, size)
-    choices = [(new, gained)]
-    if size == 2:
-        middle = discs.parameters[0, :2]
-        for alone in (_bar(scene, middle), _ring(scene, middle)):
-            choices.append((alone, _gains(scene, discs, alone, size)))
-    for other, enough in choices:
-        best = _choose(enough & (_score(other) < _score(best)), other, best)
-    return Ladder(best, _choose(gained, new, discs))
+    best = _choose(gained & (_score(new) < _score(best)), new, best)
+    promise = jnp.where(gained, _promise(scene, new, size), 0)
+    return Ladder(best, one, _choose(gained, new, discs), promise)
+
+
+def _longer(scene: Scene, ladder: Ladder) -> Ladder:
+    """A bar or a ring in the place of two discs, where it fits better yet."""
+    best, one = ladder.best, ladder.one
+    middle = one.parameters[0, :2]
+    for alone in (_bar(scene, middle), _ring(scene, middle)):
+        gained = _gains(scene, one, alone, 2)
+        best = _choose(gained & (_score(alone) < _score(best)), alone, best)
+    return ladder._replace(best=best)
+
+
+def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
+    """What follows the first disc: whether a frame asks for it, and the step."""
+    found: list[tuple[Callable, Callable]] = []
+    for size in range(2, count + 1):
+        found.append((partial(_due, size=size), partial(_larger, size=size)))
+        if size == 2:
+            found.append((lambda ladder: ladder.discs.count == 2, _longer))
+    return found
+
+
+def _promise(scene: Scene, discs: Found, size: int) -> Array:
+    """What the best candidate for one more would gain, per slot compared.
+
+    The discs that there are may move a little then: each candidate is told apart from
+    the slopes of their fit. Much less work than to fit it.
+    """
+    if size >= scene.most:
+        return jnp.zeros_like(discs.cost)
+    parameters = discs.parameters[:size].ravel()
+    fit = lambda p: _of(scene, model.discs)(p)[0]  # noqa: E731
+    some = scene.prepared.compared
+    rest, slope = fit(parameters)[some], jax.jacfwd(fit)(parameters)[some]
+    columns, _ = _candidates(scene)
+    known = whitened_columns(scene.frame, _own_columns(scene, discs, size))[:, some]
+    new = apart_from(columns, known)
+    return gains_beside(new, rest, slope).max() / len(some)
 
 
 def _score(found: Found) -> Array:
@@ -137,17 +183,13 @@ def _score(found: Found) -> Array:
 
 def _more_discs(scene: Scene, discs: Found, size: int) -> Found:
     """One more than there are; two also from pairs of candidates."""
-    sheet, candidates = scene.method.sheet, scene.method.candidates
+    candidates = scene.method.candidates
     columns, compared = _candidates(scene)
     spacing = 1.5 * (candidates[1, 1] - candidates[0, 1])
     known = discs.parameters[: size - 1]
-    rest, _, now = _of(scene, model.discs)(known.ravel())
-    own = jax.vmap(kernels.field_at, (None, 0, 0))(sheet.field, now.place, now.radius)
-    own = kernels.slot_columns(
-        sheet.field, own, scene.frame.grounds, sheet.ground_resistance
-    )
+    rest, _, _ = _of(scene, model.discs)(known.ravel())
     some = scene.prepared.compared
-    own = whitened_columns(scene.frame, own)[:, some]
+    own = whitened_columns(scene.frame, _own_columns(scene, discs, size - 1))[:, some]
     more = next_places(columns, own, rest[some], candidates, spacing, _STARTS)
     kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
     starts = jnp.concatenate([kept, _starts(scene, more[:, None])], 1)
@@ -155,6 +197,15 @@ def _more_discs(scene: Scene, discs: Found, size: int) -> Found:
         pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
         starts = jnp.concatenate([starts, _starts(scene, pairs)])
     return _best(scene, model.discs, starts)
+
+
+def _own_columns(scene: Scene, discs: Found, size: int) -> Float[Array, "C S M"]:
+    """What the discs make per ampere."""
+    sheet = scene.method.sheet
+    each = jax.vmap(kernels.field_at, (None, 0, 0))
+    own = each(sheet.field, discs.place[:size], discs.radius[:size])
+    grounds, z = scene.frame.grounds, sheet.ground_resistance
+    return kernels.slot_columns(sheet.field, own, grounds, z)
 
 
 def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
@@ -231,8 +282,16 @@ def _of(scene: Scene, kind: Callable) -> Callable:
 def _best(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
     """The best of the fits from `starts`."""
     fit, prepared = _of(scene, kind), scene.prepared
-    ended = jax.vmap(lambda p: least_squares(fit, p, TOLERANCE))(starts)
-    k = jnp.argmin(jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf))
+
+    def ended_from(starts: Array, most: int) -> tuple[LeastSquares, Array]:
+        ended = jax.vmap(lambda p: least_squares(fit, p, TOLERANCE, most))(starts)
+        return ended, jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
+
+    if len(starts) > _KEPT:
+        begun, cost = ended_from(starts, _FEW)
+        starts = begun.parameters[jnp.argsort(cost)[:_KEPT]]
+    ended, cost = ended_from(starts, _MOST)
+    k = jnp.argmin(cost)
     parameters, cost = ended.parameters[k], ended.cost[k]
     rest, _, fitted = fit(parameters)
     slots = prepared.used.any(1)
