@@ -7,10 +7,14 @@ from jaxtyping import Array, Float
 from tomojax.kernels._least_squares import solve_positive
 
 
-def best_place(
-    columns: Float[Array, "K S M"], rest: Float[Array, "S M"]
-) -> tuple[Array, Float[Array, " K"]]:
-    """The candidate whose current explains most of `rest`, and what each explains.
+def best_places(
+    columns: Float[Array, "K S M"],
+    rest: Float[Array, "S M"],
+    places: Float[Array, "K 2"],
+    apart: Array | float,
+    count: int,
+) -> Float[Array, "count 2"]:
+    """The candidates whose current explains most of `rest`, `apart` from each other.
 
     `columns` and `rest` whitened; Σ_s (c_s·r_s)²/|c_s|², currents in the drive's direction
     alone being what an object feeds.
@@ -18,7 +22,12 @@ def best_place(
     along = jnp.einsum("ksm,sm->ks", columns, rest, precision="highest")
     own = jnp.sum(columns**2, -1)
     explained = jnp.where(along > 0, along**2 / jnp.where(own > 0, own, 1), 0).sum(1)
-    return jnp.argmax(explained), explained
+    chosen = []
+    for _ in range(count):
+        k = jnp.argmax(explained)
+        chosen.append(places[k])
+        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
+    return jnp.stack(chosen)
 
 
 def best_pairs(
@@ -58,26 +67,8 @@ def best_pairs(
     return jnp.stack(chosen)
 
 
-def _near(places: Array, place: Array, apart: Array) -> Array:
-    return ((places - place) ** 2).sum(1) < apart**2
-
-
-def next_places(
-    columns: Float[Array, "K S M"],
-    known: Float[Array, "C S M"],
-    rest: Float[Array, "S M"],
-    places: Float[Array, "K 2"],
-    apart: Float[Array, ""],
-    count: int,
-) -> Float[Array, "count 2"]:
-    """The candidates that explain most of what the `known` columns leave, `rest`."""
-    _, explained = best_place(apart_from(columns, known), rest)
-    chosen = []
-    for _ in range(count):
-        k = jnp.argmax(explained)
-        chosen.append(places[k])
-        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
-    return jnp.stack(chosen)
+def _near(places: Array, place: Array, apart: Array | float) -> Array:
+    return ((places - place) ** 2).sum(1) <= apart**2
 
 
 def apart_from(

@@ -14,9 +14,8 @@ from tomojax.kernels import _points as model
 from tomojax.kernels._candidates import (
     apart_from,
     best_pairs,
-    best_place,
+    best_places,
     gains_beside,
-    next_places,
 )
 from tomojax.kernels._curves import bar, ring
 from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_positive
@@ -119,10 +118,8 @@ def _due(ladder: Ladder, size: int) -> Any:
 def first(scene: Scene) -> Ladder:
     """One disc, from the best candidate."""
     columns, compared = _candidates(scene)
-    at, _ = best_place(columns, compared)
-    found = _best(
-        scene, model.discs, _starts(scene, scene.method.candidates[at][None, None])
-    )
+    places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
+    found = _best(scene, model.discs, _starts(scene, places[:, None]))
     return Ladder(found, found, found, _promise(scene, found, 1))
 
 
@@ -190,7 +187,8 @@ def _more_discs(scene: Scene, discs: Found, size: int) -> Found:
     rest, _, _ = _of(scene, model.discs)(known.ravel())
     some = scene.prepared.compared
     own = whitened_columns(scene.frame, _own_columns(scene, discs, size - 1))[:, some]
-    more = next_places(columns, own, rest[some], candidates, spacing, _STARTS)
+    columns_left = apart_from(columns, own)
+    more = best_places(columns_left, rest[some], candidates, spacing, _STARTS)
     kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
     starts = jnp.concatenate([kept, _starts(scene, more[:, None])], 1)
     if size == 2:
