@@ -66,7 +66,7 @@ _tdms_option = click.option(
     "--contacts", type=int, default=4, show_default=True, help="At most, per row."
 )
 @click.option(
-    "--threshold", type=float, default=0.005, help="V: less is no contact. [0.005]"
+    "--threshold", type=float, help="V: less is no contact. [default: the method's]"
 )
 @click.option("--chunk", type=int, help="Scans that are worked on at once.")
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")

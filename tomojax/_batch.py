@@ -41,7 +41,8 @@ class Batch:
     """A method at one λ, applied to frames; remembers what it prepared.
 
     **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
-    leaves them out; `threshold`: volts that no channel exceeds without a contact;
+    leaves them out; `threshold`: volts that no channel exceeds without a contact (the
+    method's own by default);
     `devices` that share the frames (all of this process by default), by
     `jax.sharding` along the scan axis.
     """
@@ -52,9 +53,10 @@ class Batch:
         lam: float,
         contacts: int = 4,
         images: bool = True,
-        threshold: float = 0.005,
+        threshold: float | None = None,
         devices: list[Any] | None = None,
     ):
+        threshold = method.threshold if threshold is None else threshold
         check_limits(lam, contacts, threshold)
         self.method, self.lam = method, float(lam)
         self.contacts, self.images, self.threshold = int(contacts), images, threshold

@@ -28,7 +28,7 @@ class Settings:
     `lam` None is the method's own choice from the first frames with a contact; `grid` None
     is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
     off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
-    memory.
+    memory; `threshold` None is the method's own.
     """
 
     method: str = "source"
@@ -37,7 +37,7 @@ class Settings:
     lam: float | None = None
     grid: int | None = None
     contacts: int = 4
-    threshold: float = 0.005
+    threshold: float | None = None
     chunk: int | None = None  # scans
 
     @property
@@ -53,7 +53,7 @@ class Settings:
             self.chunk is None or self.chunk > 0, "chunk", self.chunk, "scans, 1 or more"
         )
         lam = 1.0 if self.lam is None else self.lam
-        check_limits(lam, self.contacts, self.threshold)
+        check_limits(lam, self.contacts, self.threshold or 0.0)
 
 
 class Chunk(NamedTuple):

@@ -60,6 +60,8 @@ class AbstractMethod(eqx.Module):
     tells_covariance: ClassVar[bool] = False
     # Whether a call may have frames of different grounds.
     any_grounds: ClassVar[bool] = False
+    # V that no channel exceeds without a contact: such frames are not worked on.
+    threshold: ClassVar[float] = 0.005
     # Frames of a compiled call: as many as keep the working set in the cache. What is left
     # of a group fills the smallest that holds it, so that at most three are compiled.
     blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)

@@ -56,6 +56,7 @@ class Points(AbstractMethod):
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
     tells_covariance: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
+    threshold: ClassVar[float] = 0.0015
     blocks: ClassVar[tuple[int, ...]] = tuple(range(_BLOCK, 33 * _BLOCK, _BLOCK))
 
     shape: tuple[int, int] = eqx.field(static=True)

@@ -28,6 +28,9 @@ _STARTS, _KEPT, _FEW, _MOST = 3, 1, 6, 30
 # larger model must fit better to be believed, for each contact beyond the first.
 TOLERANCE, _GAIN = 64.0, 8.0
 
+# What a contact must explain in all, and more for each slot: a fit to noise gains some too.
+_SEEN = (25.0, 4.0)
+
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.6
 
@@ -59,7 +62,7 @@ class Found(NamedTuple):
 
     cost: Float[Array, ""]  # per slot
     misfits: Float[Array, " S"]  # of each slot
-    count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
+    count: Int[Array, ""]  # 0: none; pyright: ignore (tuples have a method of that name)
     parameters: Float[Array, "C 3"]
     place: Float[Array, "C 2"]
     extent: Float[Array, "C 2"]
@@ -120,7 +123,26 @@ def first(scene: Scene) -> Ladder:
     columns, compared = _candidates(scene)
     places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
     found = _best(scene, model.discs, _starts(scene, places[:, None]))
+    found = _seen(scene, found)
     return Ladder(found, found, found, _promise(scene, found, 1))
+
+
+def _seen(scene: Scene, found: Found) -> Found:
+    """No contact where none is the better explanation: noise and channels' zeros."""
+    used = scene.prepared.used
+    slots = jnp.maximum(used.any(1).sum(), 1).astype(found.cost.dtype)
+    alone = TOLERANCE * jnp.log1p((scene.frame.whitened**2).sum(1) / TOLERANCE)
+    least = _SEEN[0] + _SEEN[1] * slots
+    towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
+    there = ((alone - found.misfits).sum() > least) & (towards > 0)
+    channels = jnp.maximum(used.sum(), 1).astype(found.cost.dtype)
+    volts = jnp.where(used, scene.voltages, 0)
+    return found._replace(
+        count=jnp.where(there, found.count, 0),
+        current=jnp.where(there, found.current, 0),
+        limited=found.limited & there,
+        residual=jnp.where(there, found.residual, jnp.sqrt((volts**2).sum() / channels)),
+    )
 
 
 def _larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:

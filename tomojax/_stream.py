@@ -37,7 +37,8 @@ def choose_lambda(
         chunk = read_chunk(recording, start, min(start + size, recording.scans))
         height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
         # Not the edges of a contact, where it lasts for a part of the scan.
-        touched = (height > settings.threshold) & (height >= height.max() / 2)
+        least = method.threshold if settings.threshold is None else settings.threshold
+        touched = (height > least) & (height >= height.max() / 2)
         if touched.any():
             some = (a[touched] for a in (chunk.voltages, chunk.grounds, chunk.good))
             return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
