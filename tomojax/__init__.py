@@ -7,6 +7,7 @@ if (_Path(__file__).parent.parent / "kernels" / "__init__.py").is_file():
     __path__.append(str(_Path(__file__).parent.parent))
 
 from tomojax._batch import Batch as Batch, Rows as Rows  # noqa: E402
+from tomojax._calibration import Calibration as Calibration  # noqa: E402
 from tomojax._chunks import Settings as Settings  # noqa: E402
 from tomojax._converter import Converter as Converter  # noqa: E402
 from tomojax._faults import Faults as Faults, find_faults as find_faults  # noqa: E402
@@ -63,4 +64,5 @@ from tomojax._shapes import (  # noqa: E402
 from tomojax._stream import (  # noqa: E402
     reconstruct_recording as reconstruct_recording,
 )
+from tomojax._tare import tare as tare  # noqa: E402
 from tomojax.kernels import Flag as Flag, ReducedSlots as ReducedSlots  # noqa: E402

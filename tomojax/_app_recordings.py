@@ -68,6 +68,12 @@ _tdms_option = click.option(
 @click.option(
     "--threshold", type=float, help="V: less is no contact. [default: the method's]"
 )
+@click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option(
+    "--tare/--no-tare",
+    default=True,
+    help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
+)
 @click.option("--chunk", type=int, help="Scans that are worked on at once.")
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
 @click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
@@ -103,6 +109,8 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         contacts=options["contacts"],
         threshold=options["threshold"],
         chunk=options["chunk"],
+        calibration=str(options["calibration"]) if options["calibration"] else None,
+        tare=options["tare"],
     )
     for path in (options["picture"], options["json_path"]):
         if path and not path.parent.is_dir():

@@ -28,7 +28,8 @@ class Settings:
     `lam` None is the method's own choice from the first frames with a contact; `grid` None
     is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
     off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
-    memory; `threshold` None is the method's own.
+    memory; `threshold` None is the method's own. `calibration`: a file of
+    `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are.
     """
 
     method: str = "source"
@@ -39,6 +40,8 @@ class Settings:
     contacts: int = 4
     threshold: float | None = None
     chunk: int | None = None  # scans
+    calibration: str | None = None
+    tare: bool = True
 
     @property
     def pixels(self) -> int:

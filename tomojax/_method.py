@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax import kernels
+from tomojax._calibration import Calibration
 from tomojax._checks import require
 from tomojax._sensor import Sensor
 
@@ -70,6 +71,10 @@ class AbstractMethod(eqx.Module):
     @abstractmethod
     def electrode_count(self) -> int:
         """M."""
+
+    def calibrated(self, calibration: Calibration) -> "AbstractMethod":
+        """With the noise and the model's error that a calibration states, where used."""
+        return self
 
     @abstractmethod
     def choose_lambda(self, frames: list[Frame]) -> float:
@@ -148,8 +153,16 @@ def judged(
     return *contacts, residual, flags, image if images else None
 
 
-def method(sensor: Sensor, name: str = "source", grid: int = 32) -> AbstractMethod:
+def method(
+    sensor: Sensor,
+    name: str = "source",
+    grid: int = 32,
+    calibration: Calibration | None = None,
+) -> AbstractMethod:
     """The method of that name on an image of `grid` × `grid` pixels.
+
+    With a `calibration` on the sheet as it is; its zeros and gains are for who reads the
+    voltages.
 
     "source" finds the current image of each slot, with nothing assumed of the contact;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts.
@@ -160,7 +173,12 @@ def method(sensor: Sensor, name: str = "source", grid: int = 32) -> AbstractMeth
     whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
     require(whole, "grid", repr(grid), "a whole number from 8 to 512")
     module, kind = METHODS[name]
-    return getattr(import_module(module), kind).of(sensor, (int(grid), int(grid)))
+    shape = (int(grid), int(grid))
+    of = getattr(import_module(module), kind).of
+    if calibration is None:
+        return of(sensor, shape)
+    fine = pixel_divisions(sensor, shape)
+    return of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
 
 
 class Pixels(NamedTuple):
@@ -179,10 +197,7 @@ class Pixels(NamedTuple):
 
 def pixels_of(sensor: Sensor, shape: tuple[int, int]) -> Pixels:
     """Pixels of `shape`, with the mesh refined until a cell is no wider than a disc."""
-    size = np.asarray(sensor.size, float)
-    widest = float(sensor.electrode_diameter) * (1 + 1e-5)
-    finer = np.ceil(size / np.array(shape) / widest).astype(int)
-    divisions = tuple(int(n) for n in np.array(shape) * finer)
+    divisions = pixel_divisions(sensor, shape)
     # A sheet with a value per element keeps the mesh that they are given on.
     if sensor.sheet_resistance.ndim:
         fits = all(m % n == 0 for m, n in zip(sensor.divisions, shape))
@@ -191,3 +206,12 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int]) -> Pixels:
         sensor = replace(sensor, divisions=divisions)
     cell = sensor.size / jnp.asarray(shape, sensor.dtype)
     return Pixels(sensor, shape, cell)
+
+
+def pixel_divisions(sensor: Sensor, shape: tuple[int, int]) -> tuple[int, int]:
+    """A mesh whose cells are parts of pixels and no wider than an electrode."""
+    size = np.asarray(sensor.size, float)
+    widest = float(sensor.electrode_diameter) * (1 + 1e-5)
+    finer = np.ceil(size / np.array(shape) / widest).astype(int)
+    nx, ny = np.array(shape) * finer
+    return int(nx), int(ny)

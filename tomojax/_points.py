@@ -1,5 +1,6 @@
 """`points`: a few compact contacts, fitted; as many as the voltages ask for."""
 
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax import kernels
+from tomojax._calibration import Calibration, NOISE
 from tomojax._field import make_field
 from tomojax._method import AbstractMethod, Estimate, Frame, judged
 from tomojax._points_fit import (
@@ -30,9 +32,6 @@ from tomojax.kernels._whiten import smooth_modes
 # from its neighbours'; what they have in common, the longest waves over the sheet; and a
 # slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
 _OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
-
-# The converter's noise and offsets, V.
-_NOISE = 4.5e-4
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
 _USUAL, _UNIT = 1.2, 0.2
@@ -65,6 +64,8 @@ class Points(AbstractMethod):
     candidates: Float[Array, "K 2"]
     potentials: Float[Array, "K M"]  # of a usual contact at each
     electrode_xy: Float[Array, "M 2"]
+    noise: Float[Array, ""]  # of the converter, V
+    error: Float[Array, ""]  # of the model, as a part of that of nominal values
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
@@ -85,7 +86,14 @@ class Points(AbstractMethod):
         each = jax.vmap(kernels.field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
         cell = sensor.size / jnp.asarray(shape, sensor.dtype)
-        return cls(shape, cell, sheet, candidates, potentials, sensor.electrode_xy)
+        noise, error = (jnp.asarray(a, sensor.dtype) for a in (NOISE, 1.0))
+        xy = sensor.electrode_xy
+        return cls(shape, cell, sheet, candidates, potentials, xy, noise, error)
+
+    def calibrated(self, calibration: Calibration) -> "Points":
+        noise = jnp.asarray(calibration.noise, self.noise.dtype)
+        error = jnp.asarray(calibration.error, self.noise.dtype)
+        return replace(self, noise=noise, error=error)
 
     @property
     def electrode_count(self) -> int:
@@ -106,7 +114,7 @@ class Points(AbstractMethod):
         compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
         if len(slots) <= _SLOTS:
             compared = slots
-        dtype, spread = self.cell.dtype, float(np.sqrt(lam))
+        dtype, spread = self.cell.dtype, float(np.sqrt(lam) * self.error)
         return Prepared(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
@@ -115,7 +123,7 @@ class Points(AbstractMethod):
             spread * self.smooth(self.electrode_xy),
             jnp.asarray(spread, dtype),
             jnp.asarray(spread * _OFFSET, dtype),
-            jnp.asarray(_NOISE, dtype),
+            self.noise,
             jnp.asarray(compared),
         )
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -16,18 +17,23 @@ from typing import Any
 import numpy as np
 
 from tomojax._batch import Batch, frames_of, Rows
+from tomojax._calibration import Calibration
 from tomojax._checks import require
 from tomojax._chunks import Chunk, chunk_scans, CHUNK_SLOTS, read_chunk, Settings
 from tomojax._environment import environment
 from tomojax._method import AbstractMethod, method as make_method
 from tomojax._recording import Recording
+from tomojax._tare import tare
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
 _LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0
 
 
 def choose_lambda(
-    recording: Recording, method: AbstractMethod, settings: Settings
+    recording: Recording,
+    method: AbstractMethod,
+    settings: Settings,
+    calibration: Calibration,
 ) -> float:
     """λ of the settings, or the method's choice from the first stretch with a contact."""
     if settings.lam is not None:
@@ -40,7 +46,8 @@ def choose_lambda(
         least = method.threshold if settings.threshold is None else settings.threshold
         touched = (height > least) & (height >= height.max() / 2)
         if touched.any():
-            some = (a[touched] for a in (chunk.voltages, chunk.grounds, chunk.good))
+            volts = calibration.voltages(chunk.voltages)
+            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
             return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
     return method.choose_lambda([])
 
@@ -77,14 +84,17 @@ def reconstruct_recording(
         if alone:
             file.discard()  # the marks of a run that was killed as it ended
         return out
-    model = make_method(recording.rig.sensor(), settings.method, settings.pixels)
+    calibration = calibration_of(recording, settings)
+    model = make_method(
+        recording.rig.sensor(), settings.method, settings.pixels, calibration
+    )
     if share[0] > 0:
         _wait_for(file.partial)
     begun = file.partial.exists() and not (overwrite and share[0] == 0)
     if not begun:
         file.discard()
-        lam = choose_lambda(recording, model, settings)
-        _create(file, recording, settings, model, lam, config)
+        lam = choose_lambda(recording, model, settings, calibration)
+        _create(file, recording, settings, calibration, model, lam, config)
     attributes = _results.attributes(file.partial)
     _require_same(config, attributes, file.partial)
     batch = Batch(
@@ -97,12 +107,13 @@ def reconstruct_recording(
     with closing(file.writer()) as writer:
         left = np.flatnonzero(~file.done())
         mine = left % share[1] == share[0]
-        _work(recording, settings, batch, file, writer, left[mine], progress)
+        work = partial(_work, recording, settings, calibration, batch, file, writer)
+        work(left[mine], progress)
         if not alone:
             # What another process has not done comes last, from its end: done twice it is
             # the same bytes, and nobody need wait for a process that was killed.
             left = np.flatnonzero(~file.done())
-            _work(recording, settings, batch, file, writer, left[::-1], progress)
+            work(left[::-1], progress)
     # Process 0 gives the file its name: the others may still be about to write.
     if share[0] == 0 and file.done().all():
         file.finish()
@@ -121,7 +132,14 @@ def _configuration(recording: Recording, settings: Settings, size: int) -> dict:
     }
 
 
-def _create(file, recording, settings, model, lam, config) -> None:
+def calibration_of(recording: Recording, settings: Settings) -> Calibration:
+    """That of the settings, with zeros from the recording itself where it tells them."""
+    given = settings.calibration
+    calibration = Calibration.load(given) if given else Calibration()
+    return tare(recording, calibration) if settings.tare else calibration
+
+
+def _create(file, recording, settings, calibration, model, lam, config) -> None:
     from tomojax import _results
 
     rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
@@ -139,6 +157,7 @@ def _create(file, recording, settings, model, lam, config) -> None:
             "lam_relative": lam / model.scale(),
             "pattern": recording.read(0, 1).grounds[0],  # of the first scan
             "size": recording.rig.size,
+            "calibration": json.dumps(asdict(calibration)),
             "recording": recording.path.name,
             "recording_sha256": config["recording_sha256"],
             "versions": json.dumps(config["versions"]),
@@ -168,7 +187,7 @@ def _wait_for(path: Path, seconds: float = 600.0) -> None:
         sleep(0.1)
 
 
-def _work(recording, settings, batch, file, writer, todo, progress) -> None:
+def _work(recording, settings, calibration, batch, file, writer, todo, progress) -> None:
     """Chunks `todo`: one is read and one written while one is computed."""
     size = chunk_scans(recording, settings)
     per_scan = recording.slots if settings.rate == "slot" else 1
@@ -197,7 +216,7 @@ def _work(recording, settings, batch, file, writer, todo, progress) -> None:
                 if file.finished(chunk):
                     continue
                 _, voltages, grounds, good, flags = frames
-                rows = batch(voltages, grounds, good, flags)
+                rows = batch(calibration.voltages(voltages), grounds, good, flags)
                 if writing:
                     writing.result()
                 writing = behind.submit(write, chunk, frames.t, rows)
