@@ -23,20 +23,23 @@ class Calibration:
     """Of a rig with M channels; the default is its nominal values.
 
     V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
-    1 + Σ_q `sheet`_q·wave_q(x), see `kernels.smooth_modes`. `noise`: of a corrected
-    reading, V rms, with what is left of zeros. `error`: of the model with these values, as
-    a part of what nominal values leave. `pressure` (c, n): g = c·pⁿ, S per m² and Pa.
+    1 + Σ_q `sheet`_q·wave_q(x), see `kernels.smooth_modes`. `ground`: what a grounded
+    electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
+    corrected reading, V rms, with what is left of zeros. `error`: of the model with these
+    values, as a part of what nominal values leave. `pressure` (c, n): g = c·pⁿ, S per m²
+    and Pa.
     """
 
     offset: tuple[float, ...] | float = 0.0
     gain: tuple[float, ...] | float = 1.0
     noise: float = NOISE
     sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
+    ground: tuple[float, ...] | float = 0.0
     error: float = 1.0
     pressure: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("offset", "gain", "noise", "sheet", "error"):
+        for name in ("offset", "gain", "noise", "sheet", "ground", "error"):
             values = np.asarray(getattr(self, name), float)
             require(np.isfinite(values).all(), name, getattr(self, name), "numbers")
         require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")

@@ -1,5 +1,7 @@
 """The table of electrodes' potentials that `points` looks up."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from scipy import fft, special
 
 from tomojax import kernels
 from tomojax._checks import require
+from tomojax._forward import resistances
 from tomojax._sensor import Sensor
 
 # Of the electrodes' diameter: radii that potentials are averaged over, and the spacing of
@@ -18,39 +21,74 @@ _RADII, _SPACING = (0.4, 0.8, 1.6, 2.6), 0.2
 # Points of the table along a side; beyond, the sheet is too large for its electrodes.
 _MOST = 640
 
+# Cells of the mesh for what a sheet's variation adds, of a diameter.
+_MESH = 4
+
 # Points whose potentials are computed at once.
 _BLOCK = 2048
 
 
 def make_field(sensor: Sensor) -> kernels.Field:
-    """The potentials of a homogeneous sheet, in closed form, averaged over discs.
+    """The potentials of electrodes in closed form, averaged over discs.
 
-    Electrodes even out the potential under them (`electrode_shunt`, 1 where the sensor
-    leaves it open: metal discs): without it places are off by 1 mm and more.
+    What a sheet with a value per element has beside its mean's is a difference of two
+    solutions on a mesh, whose errors cancel. Electrodes even out the potential under
+    them (`electrode_shunt`, 1 where the sensor leaves it open: metal discs): without it
+    places are off by 1 mm and more.
 
-    **Raises:** `ValueError` for a sheet with a value per element, and for one more than
-    128 electrode diameters wide.
+    **Raises:** `ValueError` for a sheet more than 128 electrode diameters wide.
     """
-    shape = sensor.sheet_resistance.shape
-    require(shape == (), "sheet_resistance", f"shape {shape}", "one value")
+    # As metal discs where the sensor leaves it open.
+    if sensor.electrode_shunt is None:
+        sensor = replace(sensor, electrode_shunt=1.0)
+    rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
+    even = replace(sensor, sheet_resistance=rho)
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
     cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
     wide = f"at most {_MOST * _SPACING:g} electrode diameters"
     require(cells.max() <= _MOST, "size", size.tolist(), wide)
     axes = [np.linspace(0, side, n + 1) for side, n in zip(size, cells)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    ee, ep = _potentials(sensor, points)
+    ee, ep = (rho * r for r in _potentials(even, points))
     rows = ep.reshape(-1, *(cells + 1))
+    if sensor.sheet_resistance.ndim:
+        more_ee, more = _variation(sensor, even, cells)
+        ee, rows = ee + more_ee, rows + more
     radii = np.array(_RADII) * diameter
     averaged = [disc_average(rows, size, a)[:, ::2, ::2] for a in radii]
     values = np.stack(averaged).transpose(2, 3, 0, 1)
-    rho, dtype = float(sensor.sheet_resistance), sensor.dtype
+    dtype = sensor.dtype
     return kernels.Field(
-        jnp.asarray(rho * values, dtype),
+        jnp.asarray(values, dtype),
         jnp.asarray(radii, dtype),
-        jnp.asarray(rho * ee, dtype),
+        jnp.asarray(ee, dtype),
         sensor.size,
     )
+
+
+def _variation(
+    sensor: Sensor, even: Sensor, cells: np.ndarray
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
+    """What a sheet's variation adds to R_ee' and to R_e at the table's points, Ω."""
+    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
+    divisions = np.array(sensor.divisions)
+    finer = np.ceil(_MESH * size / diameter / divisions).astype(int)
+    values = np.asarray(sensor.sheet_resistance).reshape(*divisions, 2)
+    values = values.repeat(finer[0], 0).repeat(finer[1], 1).ravel()
+    mesh = tuple(int(n) for n in divisions * finer)
+    one = resistances(replace(sensor, sheet_resistance=values, divisions=mesh))
+    same = np.full_like(values, even.sheet_resistance)
+    other = resistances(replace(sensor, sheet_resistance=same, divisions=mesh))
+    ee, ek = (
+        np.asarray(a, float) - np.asarray(b, float)
+        for a, b in zip((one.electrodes, one.elements), (other.electrodes, other.elements))
+    )
+    # From the cells' middles to the table's points, which mirror at the same edges.
+    waves = fft.dctn(ek.reshape(-1, *mesh, 2).mean(-1), 2, axes=(1, 2), norm="forward")
+    padded = np.zeros((len(ee), *(np.maximum(cells, mesh) + 1)))
+    padded[:, : mesh[0], : mesh[1]] = waves
+    padded = padded[:, : cells[0] + 1, : cells[1] + 1]
+    return ee, fft.dctn(padded, 1, axes=(1, 2))
 
 
 def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,11 +104,9 @@ def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 @eqx.filter_jit
 def _rectangle(sensor: Sensor, points: Float[Array, "P 2"]) -> tuple[Array, Array]:
-    shunt = sensor.electrode_shunt
-    metal = jnp.ones((), sensor.dtype) if shunt is None else shunt
     radius = sensor.electrode_diameter / 2
     ee, ep, _ = kernels.rectangle_fields(
-        sensor.electrode_xy, points, radius, sensor.size, metal
+        sensor.electrode_xy, points, radius, sensor.size, sensor.electrode_shunt
     )
     return ee, ep
 

@@ -73,7 +73,7 @@ class Points(AbstractMethod):
         diameter = sensor.electrode_diameter
         sheet = model.Sheet(
             make_field(sensor),
-            sensor.sheet_resistance,
+            jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
             sensor.ground_resistance,
             sensor.drive_voltage,
             _UNIT * diameter,
@@ -93,7 +93,10 @@ class Points(AbstractMethod):
     def calibrated(self, calibration: Calibration) -> "Points":
         noise = jnp.asarray(calibration.noise, self.noise.dtype)
         error = jnp.asarray(calibration.error, self.noise.dtype)
-        return replace(self, noise=noise, error=error)
+        ground = jnp.asarray(calibration.ground, self.noise.dtype)
+        resistance = self.sheet.ground_resistance + ground
+        sheet = self.sheet._replace(ground_resistance=resistance)
+        return replace(self, sheet=sheet, noise=noise, error=error)
 
     @property
     def electrode_count(self) -> int:
@@ -114,12 +117,14 @@ class Points(AbstractMethod):
         compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
         if len(slots) <= _SLOTS:
             compared = slots
-        dtype, spread = self.cell.dtype, float(np.sqrt(lam) * self.error)
+        dtype, own = self.cell.dtype, float(np.sqrt(lam))
+        # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
+        spread = own * float(self.error)
         return Prepared(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
-            jnp.asarray(spread * _OWN, dtype),
-            jnp.asarray(spread * _BEND * bends(xy, channels), dtype),
+            jnp.asarray(own * _OWN, dtype),
+            jnp.asarray(own * _BEND * bends(xy, channels), dtype),
             spread * self.smooth(self.electrode_xy),
             jnp.asarray(spread, dtype),
             jnp.asarray(spread * _OFFSET, dtype),
