@@ -24,7 +24,7 @@ class Rig:
             if i + j:
                 wave = np.cos(np.pi * np.array([i, j]) / SIDE * self.cells).prod(1)
                 waves += rng.normal() / np.hypot(i, j) * wave
-        sheet = 10e3 * (1 + variation * waves / waves.std())
+        self.sheet = sheet = 10e3 * (1 + variation * waves / waves.std())
         places = NOMINAL + np.clip(rng.normal(0, offset / 2, (64, 2)), -offset, offset)
         self.gain = 1 + gain * rng.normal(size=64)
         self.zero = noise * rng.normal(size=64)

@@ -7,6 +7,11 @@ if (_Path(__file__).parent.parent / "kernels" / "__init__.py").is_file():
     __path__.append(str(_Path(__file__).parent.parent))
 
 from tomojax._batch import Batch as Batch, Rows as Rows  # noqa: E402
+from tomojax._calibrate import calibrate as calibrate  # noqa: E402
+from tomojax._calibrate_recording import (  # noqa: E402
+    calibrate_recording as calibrate_recording,
+    tare as tare,
+)
 from tomojax._calibration import Calibration as Calibration  # noqa: E402
 from tomojax._chunks import Settings as Settings  # noqa: E402
 from tomojax._converter import Converter as Converter  # noqa: E402
@@ -64,5 +69,4 @@ from tomojax._shapes import (  # noqa: E402
 from tomojax._stream import (  # noqa: E402
     reconstruct_recording as reconstruct_recording,
 )
-from tomojax._tare import tare as tare  # noqa: E402
 from tomojax.kernels import Flag as Flag, ReducedSlots as ReducedSlots  # noqa: E402

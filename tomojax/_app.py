@@ -71,6 +71,7 @@ def table1(json_path: Path | None, out: Path | None) -> None:
 
 app.add_command(_app_recordings.reconstruct)
 app.add_command(_app_recordings.info)
+app.add_command(_app_recordings.calibrate)
 
 
 def run() -> None:

@@ -10,6 +10,7 @@ from threading import Event
 from typing import Any
 
 import click
+import numpy as np
 
 from tomojax._environment import environment
 
@@ -212,3 +213,27 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
     if json_path:
         report = {"rows": rows, "summary": summary, "environment": environment()}
         json_path.write_text(json.dumps(report, indent=1) + "\n")
+
+
+@click.command()
+@click.argument("rec", type=_FILE)
+@click.argument("places", type=_REPORT)
+@click.option("-o", "--out", type=_REPORT, help="[default: REC.calibration.json]")
+@_tdms_option
+def calibrate(rec: Path, places: Path, out: Path | None, tdms: dict) -> None:
+    """Calibrate the rig from REC, a recording of one contact at known PLACES.
+
+    PLACES has x and y in metres, of each slot or of each scan: `xy` in an .npz file, or a
+    .csv file. `tomojax reconstruct --calibration` uses what comes out. Takes a minute.
+    """
+    from tomojax._calibrate_recording import calibrate_recording, read_places
+    from tomojax._recording import open_recording
+
+    out = out or rec.with_name(rec.stem + ".calibration.json")
+    with open_recording(rec, **tdms) as recording:
+        found = calibrate_recording(recording, read_places(places))
+    found.save(out)
+    gains, zeros = 100 * np.std(found.gain), 1e3 * np.std(found.offset)
+    print(f"gains {gains:.3f} %, zeros {zeros:.2f} mV rms")
+    print(f"left of the model's error: {100 * found.error:.0f} %")
+    print(f"calibration: {out}")

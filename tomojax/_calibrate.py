@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, Integer
 from tomojax import kernels
 from tomojax._calibration import Calibration
 from tomojax._checks import require
-from tomojax._field import make_field
+from tomojax._custom_types import Numbers
+from tomojax._field import make_variation
 from tomojax._method import method as make_method
 from tomojax._points import Points
 from tomojax._points_fit import scene_of
@@ -53,9 +54,9 @@ class _Waves(NamedTuple):
 
 def calibrate(
     sensor: Sensor,
-    voltages: Float[np.ndarray, "n S M"],
-    grounds: Integer[np.ndarray, "n S"],
-    places: Float[np.ndarray, "n 2"],
+    voltages: Numbers,  # (n, S, M)
+    grounds: Numbers,  # (n, S)
+    places: Numbers,  # (n, 2)
     calibration: Calibration | None = None,
 ) -> Calibration:
     """Gains and zeros of the channels and waves of the sheet, from known places.
@@ -105,23 +106,20 @@ def _checked(sensor, voltages, grounds, places) -> Known:
 
 def _waves(sensor: Sensor) -> _Waves:
     """By differences: a wave of the sheet at a time."""
-    even = make_field(sensor)
     count = len(Calibration().sheet)
     found = []
     for k in range(count):
         sheet = tuple(_STEP * (np.arange(count) == k))
-        found.append(make_field(Calibration(sheet=sheet).sensor(sensor, _MESH)))
-    steps = [(f.values - even.values, f.electrodes - even.electrodes) for f in found]
+        found.append(make_variation(Calibration(sheet=sheet).sensor(sensor, _MESH)))
+    steps = [(f.values, f.electrodes) for f in found]
     return _Waves(*(jnp.stack(a) / _STEP for a in zip(*steps)))
 
 
 def _sums(points, waves, known: Known, calibration, before) -> tuple:
     """Normal matrix, right side and Σ of the misfit, over all frames."""
-    m = known.voltages.shape[2]
     used = np.ones(known.voltages.shape[1:], bool)
     prepared = points.prepare(known.grounds[0], used, 1.0)
     dtype = points.noise.dtype
-    offset = np.broadcast_to(calibration.offset, m)
     volts = calibration.voltages(known.voltages.astype(float))
     total: tuple | None = None
     for k in range(0, len(volts), _FRAMES):
@@ -139,7 +137,7 @@ def _sums(points, waves, known: Known, calibration, before) -> tuple:
         )
         sums = tuple(np.asarray(s, float) for s in sums)
         total = sums if total is None else tuple(a + b for a, b in zip(total, sums))
-    assert total is not None and offset.size == m
+    assert total is not None
     return total
 
 

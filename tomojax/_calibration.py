@@ -57,7 +57,8 @@ class Calibration:
 
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""
-        modes, _ = smooth_modes(jnp.asarray(places), jnp.asarray(size))
+        at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
+        modes, _ = smooth_modes(at, sides)
         return 1 + np.asarray(self.sheet) @ np.asarray(modes)
 
     def sensor(self, sensor: Sensor, divisions: tuple[int, int]) -> Sensor:
@@ -84,7 +85,7 @@ class Calibration:
         known = isinstance(content, dict) and content.pop("schema", None) == SCHEMA
         require(known, f"{path}: schema", "another", SCHEMA)
         version = content.pop("schema_version", None)
-        require(version == VERSION, f"{path}: schema_version", version, VERSION)
+        require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
         try:
             return cls(
                 **{k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}

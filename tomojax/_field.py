@@ -38,26 +38,43 @@ def make_field(sensor: Sensor) -> kernels.Field:
 
     **Raises:** `ValueError` for a sheet more than 128 electrode diameters wide.
     """
-    # As metal discs where the sensor leaves it open.
-    if sensor.electrode_shunt is None:
-        sensor = replace(sensor, electrode_shunt=1.0)
-    rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
-    even = replace(sensor, sheet_resistance=rho)
-    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
-    cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
-    wide = f"at most {_MOST * _SPACING:g} electrode diameters"
-    require(cells.max() <= _MOST, "size", size.tolist(), wide)
-    axes = [np.linspace(0, side, n + 1) for side, n in zip(size, cells)]
+    sensor, even, cells = _parts(sensor)
+    axes = [np.linspace(0, s, n + 1) for s, n in zip(np.asarray(sensor.size, float), cells)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    rho = float(even.sheet_resistance)
     ee, ep = (rho * r for r in _potentials(even, points))
     rows = ep.reshape(-1, *(cells + 1))
     if sensor.sheet_resistance.ndim:
         more_ee, more = _variation(sensor, even, cells)
         ee, rows = ee + more_ee, rows + more
-    radii = np.array(_RADII) * diameter
+    return _averaged(sensor, ee, rows)
+
+
+def make_variation(sensor: Sensor) -> kernels.Field:
+    """What of `make_field` a sheet with a value per element adds to its mean's alone."""
+    sensor, even, cells = _parts(sensor)
+    return _averaged(sensor, *_variation(sensor, even, cells))
+
+
+def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray]:
+    """The sensor, as it is with an even sheet, and the cells of its table."""
+    # Metal discs where the sensor leaves it open.
+    if sensor.electrode_shunt is None:
+        sensor = replace(sensor, electrode_shunt=1.0)
+    rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
+    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
+    cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
+    wide = f"at most {_MOST * _SPACING:g} electrode diameters"
+    require(cells.max() <= _MOST, "size", size.tolist(), wide)
+    return sensor, replace(sensor, sheet_resistance=rho), cells
+
+
+def _averaged(sensor: Sensor, ee: np.ndarray, rows: np.ndarray) -> kernels.Field:
+    """The table of R_e at points as one over discs of several radii."""
+    size = np.asarray(sensor.size, float)
+    radii = np.array(_RADII) * float(sensor.electrode_diameter)
     averaged = [disc_average(rows, size, a)[:, ::2, ::2] for a in radii]
-    values = np.stack(averaged).transpose(2, 3, 0, 1)
-    dtype = sensor.dtype
+    values, dtype = np.stack(averaged).transpose(2, 3, 0, 1), sensor.dtype
     return kernels.Field(
         jnp.asarray(values, dtype),
         jnp.asarray(radii, dtype),

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from tomojax._batch import Batch, frames_of, Rows
+from tomojax._calibrate_recording import tare
 from tomojax._calibration import Calibration
 from tomojax._checks import require
 from tomojax._chunks import Chunk, chunk_scans, CHUNK_SLOTS, read_chunk, Settings
 from tomojax._environment import environment
 from tomojax._method import AbstractMethod, method as make_method
 from tomojax._recording import Recording
-from tomojax._tare import tare
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
 _LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0

@@ -1,0 +1,140 @@
+"""Calibrations, of a rig that is not ours and of recordings in memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import Rig
+
+import tomojax as tx
+
+CORNERS = [0, 63]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return Rig(np.random.default_rng(21), variation=0.03)
+
+
+@pytest.fixture(scope="module")
+def presses(rig):
+    """One contact in each of 40 places: all grounds, as they are read, and the places."""
+    rng = np.random.default_rng(22)
+    volts, places = [], []
+    for _ in range(40):
+        exact, truth = rig.scene((rig.disc(rng.uniform(0.01, 0.15, 2), 0.006), 1e-4))
+        volts.append(rig.measure(exact))
+        places.append(truth[0][0])
+    return np.array(volts, np.float32), np.array(places)
+
+
+def sensor():
+    return tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+
+
+@pytest.fixture(scope="module")
+def calibration(rig, presses):
+    """Zeros from silence; the rest from 30 of the places, each with 16 grounds."""
+    silence = np.stack([rig.measure(np.zeros((2, 64))) for _ in range(40)])
+    before = tx.tare(tx.ArrayRecording(tx.Rig.of(sensor()), silence, CORNERS))
+    volts, places = presses
+    grounds = np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
+    volts = np.take_along_axis(volts[:30], grounds[..., None], 1)
+    return tx.calibrate(sensor(), volts, grounds, places[:30], before)
+
+
+def test_what_is_left_is_at_most_half(presses, calibration):
+    """At other places than it is made of; residuals of all grounds, places of two."""
+    volts, places = presses
+    left = {}
+    for name, known in (("nominal", tx.Calibration()), ("calibrated", calibration)):
+        method = tx.method(sensor(), "points", 32, known)
+        batch = tx.Batch(method, 1.0, contacts=1, images=False)
+        some = known.voltages(volts[30:])
+        whole = batch(some[:4], np.tile(np.arange(64), (4, 1)))
+        two = batch(some[:, CORNERS], np.tile(CORNERS, (10, 1)))
+        error = np.hypot(*(two.contact_xy[:, 0] - places[30:]).T)
+        left[name] = whole.residual, error
+    assert (left["calibrated"][0] < left["nominal"][0] / 3).all()
+    assert np.median(left["calibrated"][1]) < np.median(left["nominal"][1])
+    assert left["calibrated"][1].max() < 0.5e-3
+
+
+def test_gains_and_zeros_are_the_rigs(rig, calibration):
+    left = np.std(np.asarray(calibration.gain) - rig.gain)
+    assert left < 0.4 * np.std(rig.gain)
+    left = np.std(np.asarray(calibration.offset) - rig.zero)
+    assert left < 0.2 * np.std(rig.zero)
+    assert 0.1 <= calibration.error < 0.9
+
+
+def test_the_sheet_is_found(rig, calibration):
+    """As waves: beside the network's own, from its conductances along x."""
+    assert np.abs(calibration.sheet).max() > 0.005
+    at = rig.cells[::97]
+    factor = calibration.sheet_factor(at, np.array([0.16, 0.16]))
+    true = rig.sheet[::97] / rig.sheet.mean()
+    assert np.corrcoef(factor, true)[0, 1] > 0.8
+
+
+def test_file(calibration, tmp_path):
+    path = tmp_path / "c.json"
+    calibration.save(path)
+    assert tx.Calibration.load(path) == calibration
+    path.write_text(path.read_text().replace("gain", "gains"))
+    with pytest.raises(ValueError, match="c.json.*gains"):
+        tx.Calibration.load(path)
+    path.write_text("{")
+    with pytest.raises(ValueError, match="not a calibration"):
+        tx.Calibration.load(path)
+    with pytest.raises(ValueError, match="gain: got 0.0"):
+        replace(calibration, gain=0.0)
+    with pytest.raises(ValueError, match="sheet"):
+        replace(calibration, sheet=(-0.9,) * 14)
+
+
+def recording(touch=0.0, scans=40):
+    """Two corner slots; channels' zeros of 0.3 mV, and a touch in the latter half."""
+    rng = np.random.default_rng(3)
+    zero = 3e-4 * rng.normal(size=64)
+    volts = zero + 3e-4 * rng.normal(size=(scans, 2, 64))
+    volts[scans // 2 :] += touch * rng.uniform(0, 1, (1, 2, 64))
+    return tx.ArrayRecording(tx.Rig.of(sensor()), volts, CORNERS), zero
+
+
+def test_zeros_are_those_of_contact_free_slots():
+    for touch in (0.0, 0.003, 1.0):
+        rec, zero = recording(touch)
+        found = tx.tare(rec)
+        assert np.abs(np.asarray(found.offset) - zero).max() < 2.5e-4
+        assert 2.8e-4 < found.noise < 4e-4
+
+
+def test_a_touch_throughout_is_no_zero():
+    rng = np.random.default_rng(4)
+    volts = 3e-4 * rng.normal(size=(40, 2, 64)) + 0.003 * rng.uniform(0, 1, (1, 2, 64))
+    rec = tx.ArrayRecording(tx.Rig.of(sensor()), volts, CORNERS)
+    assert tx.tare(rec) == tx.Calibration()
+    few, _ = recording(scans=4)
+    assert tx.tare(few) == tx.Calibration()
+
+
+@pytest.mark.parametrize(
+    "name, change",
+    [
+        ("voltages", dict(voltages=np.zeros((3, 2, 63)))),
+        ("voltages", dict(voltages=np.full((3, 2, 64), np.nan))),
+        ("grounds", dict(grounds=np.full((3, 2), 64))),
+        ("grounds", dict(grounds=np.zeros((3, 1), int))),
+        ("places", dict(places=np.full((3, 2), 0.2))),
+        ("places", dict(places=np.zeros((2, 2)))),
+    ],
+)
+def test_bad_input(name, change):
+    good = dict(
+        voltages=np.zeros((3, 2, 64)),
+        grounds=np.zeros((3, 2), int),
+        places=np.full((3, 2), 0.08),
+    )
+    with pytest.raises(ValueError, match=f"^{name}: got"):
+        tx.calibrate(sensor(), **good | change)
