@@ -71,21 +71,22 @@ def calibrate(
     places off the sheet.
     """
     known = _checked(sensor, voltages, grounds, places)
-    calibration = calibration or Calibration()
-    before = calibration
-    rho = np.asarray(sensor.sheet_resistance).mean()
-    waves = _waves(sensor)
-    start = 0.0
-    for number in range(_PASSES + 1):
-        points = make_method(sensor, "points", 32, calibration)
-        assert isinstance(points, Points)
-        normal, right, misfit = _sums(points, waves, known, calibration, before)
-        start = misfit if number == 0 else start
-        if number == _PASSES:
-            break
-        calibration = _solved(normal, right, calibration, before, float(rho))
-    error = float(np.clip(np.sqrt(misfit / start), _LEAST, 1))
-    return replace(calibration, error=error * before.error)
+    before = calibration or Calibration()
+    rho = float(np.asarray(sensor.sheet_resistance).mean())
+    waves, now = _waves(sensor), before
+    sums = _sums(_points(sensor, now), waves, known, now)
+    start = sums[2]
+    for _ in range(_PASSES):
+        now = _solved(sums[0], sums[1], now, before, rho)
+        sums = _sums(_points(sensor, now), waves, known, now)
+    error = float(np.clip(np.sqrt(sums[2] / start), _LEAST, 1))
+    return replace(now, error=error * before.error)
+
+
+def _points(sensor: Sensor, calibration: Calibration) -> Points:
+    points = make_method(sensor, "points", 32, calibration)
+    assert isinstance(points, Points)
+    return points
 
 
 def _checked(sensor, voltages, grounds, places) -> Known:
@@ -115,7 +116,7 @@ def _waves(sensor: Sensor) -> _Waves:
     return _Waves(*(jnp.stack(a) / _STEP for a in zip(*steps)))
 
 
-def _sums(points, waves, known: Known, calibration, before) -> tuple:
+def _sums(points, waves, known: Known, calibration) -> tuple:
     """Normal matrix, right side and Σ of the misfit, over all frames."""
     used = np.ones(known.voltages.shape[1:], bool)
     prepared = points.prepare(known.grounds[0], used, 1.0)

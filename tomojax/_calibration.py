@@ -3,6 +3,7 @@
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -87,9 +88,10 @@ class Calibration:
         version = content.pop("schema_version", None)
         require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
         try:
-            return cls(
-                **{k: tuple(v) if isinstance(v, list) else v for k, v in content.items()}
-            )
+            values: dict[str, Any] = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in content.items()
+            }
+            return cls(**values)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
 

@@ -101,11 +101,12 @@ def _variation(
         for a, b in zip((one.electrodes, one.elements), (other.electrodes, other.elements))
     )
     # From the cells' middles to the table's points, which mirror at the same edges.
-    waves = fft.dctn(ek.reshape(-1, *mesh, 2).mean(-1), 2, axes=(1, 2), norm="forward")
+    middles = ek.reshape(-1, *mesh, 2).mean(-1)
+    waves = np.asarray(fft.dctn(middles, 2, axes=(1, 2), norm="forward"))
     padded = np.zeros((len(ee), *(np.maximum(cells, mesh) + 1)))
     padded[:, : mesh[0], : mesh[1]] = waves
     padded = padded[:, : cells[0] + 1, : cells[1] + 1]
-    return ee, fft.dctn(padded, 1, axes=(1, 2))
+    return ee, np.asarray(fft.dctn(padded, 1, axes=(1, 2)))
 
 
 def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -157,8 +157,9 @@ class Points(AbstractMethod):
         images: bool,
     ) -> tuple:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        under = jnp.asarray(grounds)
         blocks = [slice(k, k + _BLOCK) for k in range(0, len(voltages), _BLOCK)]
-        parts = [_first(self, prepared, voltages[b], grounds[b], count) for b in blocks]
+        parts = [_first(self, prepared, voltages[b], under[b], count) for b in blocks]
         ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
         for number, (due, _) in enumerate(steps(count)):
             rest = np.flatnonzero(due(ladder))
@@ -166,7 +167,7 @@ class Points(AbstractMethod):
                 rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
                 part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
                 new = _step(
-                    self, prepared, voltages[rows], grounds[rows], part, count, number
+                    self, prepared, voltages[rows], under[rows], part, count, number
                 )
                 for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
                     old[rows] = values

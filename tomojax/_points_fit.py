@@ -62,7 +62,7 @@ class Found(NamedTuple):
 
     cost: Float[Array, ""]  # per slot
     misfits: Float[Array, " S"]  # of each slot
-    count: Int[Array, ""]  # 0: none; pyright: ignore (tuples have a method of that name)
+    count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
     parameters: Float[Array, "C 3"]
     place: Float[Array, "C 2"]
     extent: Float[Array, "C 2"]
