@@ -1,0 +1,188 @@
+"""Contacts from one to 64 slots: `points` beside the paper's method, on a rig not ours.
+
+    python tests/benchmarks/contacts.py [--scenes 60] [--seed 3] [--out FOLDER]
+
+Voltages of a resistor network (tests/rig.py; a new sheet for every ten scenes), with the
+converter's noise and zeros; nominal values alone are told. Writes contacts.json and
+contacts.png. Takes a quarter of an hour.
+"""
+
+import argparse
+import json
+import sys
+import time
+from itertools import permutations
+from pathlib import Path
+
+import jax
+import numpy as np
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+from benchmarks.physics import environment  # noqa: E402
+from rig import Rig  # noqa: E402
+
+import tomojax as tx  # noqa: E402
+
+KINDS = ("one", "two30", "two20", "two15", "bar")
+# Slots of `points`; and what the paper's method is given.
+OURS, PAPERS = ("corner", "corners", "ten", "all"), ("all", "around", "cop_line")
+NEAR = 3.0  # mm: found
+
+
+def scene(kind: str, rig: Rig, rng: np.random.Generator):
+    """Voltages of all grounds, truth (centre, S) of each contact, a bar's angle."""
+    angle = rng.uniform(0, np.pi)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    if kind == "one":
+        radius = rng.uniform(0.003, 0.012)
+        place = rng.uniform(radius + 1e-3, 0.159 - radius, 2)
+        contacts = [(rig.disc(place, radius), 10 ** rng.uniform(-5.5, -2.5))]
+    elif kind == "bar":
+        sides = rng.uniform(0.065, 0.085), rng.uniform(0.008, 0.012)
+        inside = rig.bar(rng.uniform(0.055, 0.105, 2), *sides, angle)
+        contacts = [(inside, 10 ** rng.uniform(-2, 1))]
+    else:
+        apart, middle = float(kind[3:]) / 1000, rng.uniform(0.035, 0.125, 2)
+        radii = rng.uniform(0.003, min(0.008, 0.42 * apart), 2)
+        total, ratio = 10 ** rng.uniform(-5, -3.3), 10 ** rng.uniform(0, 1)
+        contacts = [
+            (rig.disc(middle + s * apart / 2 * along, r), total / f)
+            for s, r, f in ((1, radii[0], 1), (-1, radii[1], ratio))
+        ]
+    exact, truth = rig.scene(*contacts)
+    return rig.measure(exact), truth, angle
+
+
+def grounds_of(sensor: tx.Sensor, name: str, volts: np.ndarray) -> np.ndarray:
+    """Electrodes grounded; those around a contact follow two corner slots."""
+    corners = np.asarray(tx.exploration(sensor))
+    if name == "all":
+        return np.arange(len(volts))
+    if name.startswith("corner"):
+        return corners if name == "corners" else corners[:1]
+    near = np.asarray(
+        tx.pattern(sensor, "around" if name == "ten" else name, volts[corners])
+    )
+    return np.concatenate([corners, near]) if name == "ten" else near
+
+
+def errors(rows: tx.Rows, k: int, truth: list) -> tuple[bool, float]:
+    """Whether the count is right, and the farthest contact from its truth, mm."""
+    count, places = int(rows.contact_count[k]), np.array([p for p, _ in truth])
+    if count != len(truth):
+        return False, np.nan
+    found = rows.contact_xy[k, :count]
+    ways = (
+        np.hypot(*(found[list(p)] - places).T).max() for p in permutations(range(count))
+    )
+    return True, 1e3 * min(ways)
+
+
+def measured(
+    kind: str, name: str, rows: tx.Rows, scenes: list, slots: int, s: float
+) -> dict:
+    """A row of the table."""
+    right, error = np.array([errors(rows, k, t) for k, (_, t, _) in enumerate(scenes)]).T
+    row = {
+        "scene": kind,
+        "method": name,
+        "slots": slots,
+        "scenes": len(scenes),
+        "count_right": right.mean(),
+        "found_3mm": float(np.mean(error < NEAR)),
+        "place_median_mm": float(np.nanmedian(error)) if right.any() else None,
+        "place_p90_mm": float(np.nanquantile(error, 0.9)) if right.any() else None,
+        "place_max_mm": float(np.nanmax(error)) if right.any() else None,
+        "ms_per_frame": 1e3 * s / len(scenes),
+    }
+    if kind == "bar":
+        true = np.array([angle for _, _, angle in scenes])
+        off = (rows.contact_angle[:, 0] - true + np.pi / 2) % np.pi - np.pi / 2
+        off = np.degrees(np.abs(np.nan_to_num(off, nan=np.pi / 2)))
+        row |= {"angle_median_deg": np.median(off), "angle_p90_deg": np.quantile(off, 0.9)}
+    if kind == "one":
+        true = np.array([t[0][1] for _, t, _ in scenes])
+        off = np.abs(rows.contact_conductance[:, 0] / true - 1)
+        row["conductance_median"] = (
+            float(np.median(off)) if np.isfinite(off).all() else None
+        )
+    return row
+
+
+def run(kinds, count: int, seed: int) -> list[dict]:
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    points, linear = (tx.method(sensor, name, 32) for name in ("points", "linear"))
+    # The paper's λ: one for all patterns.
+    lam = linear.choose_lambda([])
+    batches = {
+        "points": tx.Batch(points, 1.0, images=False),
+        "linear": tx.Batch(linear, lam, images=False),
+    }
+    table = []
+    for kind in kinds:
+        rng, scenes = np.random.default_rng(seed), []
+        for k in range(count):
+            rig = Rig(rng) if k % 10 == 0 else rig  # noqa: F821
+            scenes.append(scene(kind, rig, rng))
+        for method, names in (("points", OURS), ("linear", PAPERS)):
+            for name in names:
+                grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
+                volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
+                rows = batches[method](volts, grounds)  # compiles
+                start = time.perf_counter()
+                rows = batches[method](volts, grounds)
+                spent = time.perf_counter() - start
+                label = f"{method}, {name}"
+                row = measured(kind, label, rows, scenes, grounds.shape[1], spent)
+                print(json.dumps(row), flush=True)
+                table.append(row)
+        jax.clear_caches()
+    return table
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 7), layout="constrained")
+    axes = figure.subplots(2, 3).ravel()
+    for axis, kind in zip(axes, KINDS):
+        some = [r for r in rows if r["scene"] == kind]
+        value = "angle_median_deg" if kind == "bar" else "place_median_mm"
+        for method, colour in (("points", "C0"), ("linear", "C3")):
+            mine = [
+                r for r in some if r["method"].startswith(method) and r[value] is not None
+            ]
+            for r in mine:
+                full = r["found_3mm"] if kind.startswith("two") else r["count_right"]
+                axis.plot(r["slots"] / 10, r[value], "o", color=colour, ms=4 + 10 * full)
+                text = f" {r['method'].split(', ')[1]} {100 * full:.0f} %"
+                axis.annotate(text, (r["slots"] / 10, r[value]), fontsize=8)
+        unit = "angle, °" if kind == "bar" else "place, mm"
+        share = "found within 3 mm" if kind.startswith("two") else "counted right"
+        axis.set(xscale="log", yscale="log", xlabel="ms a scan", ylabel=f"{unit} (median)")
+        axis.set(title=f"{kind}: size of dots and % {share}", xlim=(0.07, 20))
+    for method, colour in (("points", "C0"), ("linear (the paper's)", "C3")):
+        axes[-1].plot([], [], "o", color=colour, label=method)
+    axes[-1].legend(loc="center")
+    axes[-1].set_axis_off()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--only", nargs="*", choices=KINDS, default=KINDS)
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    options = parser.parse_args()
+    rows = run(options.only, options.scenes, options.seed)
+    content = {"environment": environment(), "seed": options.seed, "rows": rows}
+    path = options.out / "contacts.json"
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    draw(rows, path.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
