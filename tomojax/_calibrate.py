@@ -16,11 +16,11 @@ from tomojax._custom_types import Numbers
 from tomojax._field import make_variation
 from tomojax._method import method as make_method
 from tomojax._points import Points
-from tomojax._points_fit import scene_of
+from tomojax._points_fit import scene_of, TOLERANCE
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
 from tomojax.kernels._least_squares import least_squares, solve_positive
-from tomojax.kernels._whiten import whitened_columns
+from tomojax.kernels._whiten import smooth_modes, whitened_columns
 
 # What is known of a rig beforehand, 1 σ: gains, zeros (V), the sheet's longest wave (which
 # falls as the wave's length does), places (m), and resistances at grounds: of each, and
@@ -33,8 +33,9 @@ _LEAST = 0.1
 # Mesh that a sheet is told on, and a step of each wave.
 _MESH, _STEP = (32, 32), 0.02
 
-# Passes (the sheet's effect is not quite linear), and frames of a compiled call.
-_PASSES, _FRAMES = 2, 64
+# Passes (the sheet's effect is not quite linear), steps of a contact's own fit, and frames
+# of a compiled call.
+_PASSES, _STEPS, _FRAMES = 2, 12, 64
 
 
 class Known(NamedTuple):
@@ -164,9 +165,7 @@ def _frame(
     # Each channel's own errors alone: what they have in common is what is looked for.
     none = 0 * scene.frame.common
     alone = scene.frame._replace(common=none, filter=none)
-    frame = alone._replace(
-        whitened=whitened_columns(alone, volts),
-    )
+    frame = alone._replace(whitened=whitened_columns(alone, volts))
     sheet = points.sheet
     unit = place / sheet.unit
 
@@ -176,18 +175,30 @@ def _frame(
         rest, _, fitted = model.discs(sheet, frame, jnp.append(placed, p[2])[None])
         return rest[:, : volts.shape[1]], p, fitted
 
-    ended = least_squares(fit, jnp.zeros(3, volts.dtype), 64.0, 12)
+    ended = least_squares(fit, jnp.zeros(3, volts.dtype), TOLERANCE, _STEPS)
     rest, _, fitted = fit(ended.parameters)
     tangent = jax.jacfwd(lambda p: fit(p)[0])(ended.parameters)  # (S, M, 3)
     # Slots that do not fit at all count little, as in the fit.
-    robust = jax.lax.rsqrt(1 + (rest**2).sum(1) / 64)[:, None]
+    robust = jax.lax.rsqrt(1 + (rest**2).sum(1) / TOLERANCE)[:, None]
     scale = scene.frame.scale * robust
     slopes = _by_rig(points, waves, frame, fitted) * scale[..., None]
-    column = fitted.voltages * scale
+    sums = _cleared(
+        slopes, fitted.voltages * scale, tangent * robust[..., None], rest * robust
+    )
+    left = whitened_columns(scene.frame, volts - fitted.voltages)[:, volts.shape[1] :]
+    return *sums, jnp.square(left * robust).mean()
+
+
+def _cleared(
+    slopes: Float[Array, "S M P"],
+    column: Float[Array, "S M"],
+    tangent: Float[Array, "S M 3"],
+    rest: Float[Array, "S M"],
+) -> tuple[Float[Array, "P P"], Float[Array, " P"]]:
+    """AᵀQA and AᵀQr: without each slot's current, and without three shared parameters."""
     length = jnp.maximum((column**2).sum(1, keepdims=True), 1e-30)
     along = jnp.einsum("sm,smp->sp", column / length, slopes, precision="highest")
     slopes = slopes - column[..., None] * along[:, None]
-    rest, tangent = rest * robust, tangent * robust[..., None]
     a = slopes.reshape(-1, slopes.shape[-1])
     t, r = tangent.reshape(-1, 3), rest.ravel()
     own = jnp.matmul(t.T, t, precision="highest") + jnp.eye(3, dtype=r.dtype)
@@ -197,8 +208,7 @@ def _frame(
     cleared = cleared - jnp.matmul(
         shared.T, solve_positive(own, shared), precision="highest"
     )
-    left = whitened_columns(scene.frame, volts - fitted.voltages)[:, volts.shape[1] :]
-    return cleared[:-1, :-1], cleared[:-1, -1], jnp.square(left * robust).mean()
+    return cleared[:-1, :-1], cleared[:-1, -1]
 
 
 def _by_rig(points, waves: _Waves, frame, fitted) -> Float[Array, "S M P"]:
@@ -235,8 +245,8 @@ def _solved(
     )
     # Zeros that were taken from contact-free slots are known to the noise's mean.
     zero = _ZERO if np.size(before.offset) == 1 else _ZERO / 10
-    fall = np.array([(i * i + j * j) for i in range(5) for j in range(5 - i) if i + j])
-    width = np.concatenate([np.full(m, _GAIN), np.full(m, zero), _SHEET / fall])
+    strength = smooth_modes(jnp.zeros((1, 2)), jnp.ones(2))[1]
+    width = np.concatenate([np.full(m, _GAIN), np.full(m, zero), _SHEET * strength])
     known = np.zeros((len(state),) * 2)
     known[:-m, :-m] = np.diag(width**2)
     known[-m:, -m:] = rho**2 * (_GROUND**2 * np.eye(m) + _GROUNDS**2)
