@@ -26,9 +26,8 @@ class Calibration:
     V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
     1 + Σ_q `sheet`_q·wave_q(x), see `kernels.smooth_modes`. `ground`: what a grounded
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
-    corrected reading, V rms, with what is left of zeros. `error`: of the model with these
-    values, as a part of what nominal values leave. `pressure` (c, n): g = c·pⁿ, S per m²
-    and Pa.
+    corrected reading, V rms, with what is left of zeros. `error`: of what the channels
+    have in common with these values, as a part of what nominal values leave.
     """
 
     offset: tuple[float, ...] | float = 0.0
@@ -37,7 +36,6 @@ class Calibration:
     sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
     ground: tuple[float, ...] | float = 0.0
     error: float = 1.0
-    pressure: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("offset", "gain", "noise", "sheet", "ground", "error"):

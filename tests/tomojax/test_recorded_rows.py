@@ -100,7 +100,7 @@ def test_points_count_every_scene(shared_data, rows_of):
         xy = rows["contact_xy"][part, : len(places)]
         for place in places:
             apart = np.hypot(*(xy - place).transpose(2, 0, 1)).min(1)
-            # A wide short over a grounded electrode: more than a disc explains, and flagged.
+            # A wide short over a grounded electrode: no disc explains it; flagged.
             unexplained = (rows["flags"][part] & Flag.HIGH_RESIDUAL > 0).all()
             assert unexplained == (scene["name"] == "hard_short")
             assert apart.max() < (2e-3 if unexplained else 0.5e-3), scene["name"]
