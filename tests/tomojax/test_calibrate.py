@@ -7,6 +7,7 @@ import pytest
 from rig import Rig
 
 import tomojax as tx
+from tomojax._calibrate_recording import read_places
 
 CORNERS = [0, 63]
 
@@ -138,3 +139,24 @@ def test_bad_input(name, change):
     )
     with pytest.raises(ValueError, match=f"^{name}: got"):
         tx.calibrate(sensor(), **good | change)
+
+
+def test_places_from_files(tmp_path):
+    want = np.array([[0.01, 0.02], [0.03, 0.04]])
+    np.savez(tmp_path / "p.npz", xy=want)
+    (tmp_path / "p.csv").write_text("x,y\n0.01,0.02\n0.03,0.04\n")
+    for name in ("p.npz", "p.csv"):
+        np.testing.assert_array_equal(read_places(tmp_path / name), want)
+    np.savez(tmp_path / "q.npz", places=want)
+    (tmp_path / "q.csv").write_text("1,2\n3,4,5\n")
+    for name in ("q.npz", "q.csv", "none.csv"):
+        with pytest.raises(ValueError, match=f"{name}: places: .*in metres$"):
+            read_places(tmp_path / name)
+
+
+def test_recordings_that_calibrate_nothing():
+    rec, _ = recording()
+    with pytest.raises(ValueError, match="^places: got .* per slot, or .* per scan"):
+        tx.calibrate_recording(rec, np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="^places: got 0 usable slots"):
+        tx.calibrate_recording(rec, np.full((40, 2), 0.08))
