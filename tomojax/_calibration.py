@@ -24,7 +24,8 @@ class Calibration:
     """Of a rig with M channels; the default is its nominal values.
 
     V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
-    1 + Σ_q `sheet`_q·wave_q(x), see `kernels.smooth_modes`. `ground`: what a grounded
+    1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4, in the
+    order of j within i, of mean square 1. `ground`: what a grounded
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
     corrected reading, V rms, with what is left of zeros. `error`: of what the channels
     have in common with these values, as a part of what nominal values leave.

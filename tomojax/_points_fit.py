@@ -115,6 +115,7 @@ def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: in
 def _due(ladder: Ladder, size: int) -> Any:
     """Whether `size` discs are worth a try: the next step, with that much to gain."""
     enough = _PROMISE * _GAIN * (size - 1)
+    # A promise that is no number is no reason not to try.
     return ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
 
 
