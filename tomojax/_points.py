@@ -14,15 +14,8 @@ from tomojax import kernels
 from tomojax._calibration import Calibration, NOISE
 from tomojax._field import make_field
 from tomojax._method import AbstractMethod, Estimate, Frame, judged
-from tomojax._points_fit import (
-    first,
-    Found,
-    Ladder,
-    Prepared,
-    scene_of,
-    steps,
-    TOLERANCE,
-)
+from tomojax._points_fit import Found, Prepared, scene_of, TOLERANCE
+from tomojax._points_ladder import first, Ladder, steps
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
 from tomojax.kernels._whiten import smooth_modes
