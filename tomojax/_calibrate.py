@@ -13,10 +13,11 @@ from tomojax import kernels
 from tomojax._calibration import Calibration
 from tomojax._checks import require
 from tomojax._custom_types import Numbers
+from tomojax._errors import TOLERANCE
 from tomojax._field import make_variation
 from tomojax._method import method as make_method
 from tomojax._points import Points
-from tomojax._points_fit import scene_of, TOLERANCE
+from tomojax._points_fit import scene_of
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
 from tomojax.kernels._least_squares import least_squares, solve_positive
@@ -121,7 +122,7 @@ def _sums(points, waves, known: Known, calibration) -> tuple:
     """Normal matrix, right side and Σ of the misfit, over all frames."""
     used = np.ones(known.voltages.shape[1:], bool)
     prepared = points.prepare(known.grounds[0], used, 1.0)
-    dtype = points.noise.dtype
+    dtype = points.errors.noise.dtype
     volts = calibration.voltages(known.voltages.astype(float))
     total: tuple | None = None
     for k in range(0, len(volts), _FRAMES):

@@ -8,29 +8,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Integer
+from jaxtyping import Array, Float, Int, Integer
 
 from tomojax import kernels
-from tomojax._calibration import Calibration, NOISE
+from tomojax._calibration import Calibration
+from tomojax._errors import Errors, Prepared, TOLERANCE
 from tomojax._field import make_field
 from tomojax._method import AbstractMethod, Estimate, Frame, judged
-from tomojax._points_fit import Found, Prepared, scene_of, TOLERANCE
+from tomojax._points_fit import Found, scene_of
 from tomojax._points_ladder import first, Ladder, steps
 from tomojax._sensor import Sensor
 from tomojax.kernels import _points as model
-from tomojax.kernels._whiten import smooth_modes
-
-# What nominal values leave of measured voltages, as parts of them: each electrode's own
-# error (place, gain, detail of the sheet), of which this part of how its voltage differs
-# from its neighbours'; what they have in common, the longest waves over the sheet; and a
-# slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
-_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
 _USUAL, _UNIT = 1.2, 0.2
 
-# Candidates along a side, and the slots that they are compared in.
-_CANDIDATES, _SLOTS = 20, 4
+# Candidates along a side.
+_CANDIDATES = 20
 
 # Frames of a compiled call.
 _BLOCK = 32
@@ -56,9 +50,7 @@ class Points(AbstractMethod):
     sheet: model.Sheet
     candidates: Float[Array, "K 2"]
     potentials: Float[Array, "K M"]  # of a usual contact at each
-    electrode_xy: Float[Array, "M 2"]
-    noise: Float[Array, ""]  # of the converter, V
-    error: Float[Array, ""]  # of the model, as a part of that of nominal values
+    errors: Errors
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
@@ -79,17 +71,13 @@ class Points(AbstractMethod):
         each = jax.vmap(kernels.field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
         cell = sensor.size / jnp.asarray(shape, sensor.dtype)
-        noise, error = (jnp.asarray(a, sensor.dtype) for a in (NOISE, 1.0))
-        xy = sensor.electrode_xy
-        return cls(shape, cell, sheet, candidates, potentials, xy, noise, error)
+        return cls(shape, cell, sheet, candidates, potentials, Errors.of(sensor))
 
     def calibrated(self, calibration: Calibration) -> "Points":
-        noise = jnp.asarray(calibration.noise, self.noise.dtype)
-        error = jnp.asarray(calibration.error, self.noise.dtype)
-        ground = jnp.asarray(calibration.ground, self.noise.dtype)
+        ground = jnp.asarray(calibration.ground, self.cell.dtype)
         resistance = self.sheet.ground_resistance + ground
         sheet = self.sheet._replace(ground_resistance=resistance)
-        return replace(self, sheet=sheet, noise=noise, error=error)
+        return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
 
     @property
     def electrode_count(self) -> int:
@@ -103,32 +91,7 @@ class Points(AbstractMethod):
         return 1.0
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
-        used = _common(good)
-        channels = np.asarray(used.any(0))
-        xy = np.asarray(self.electrode_xy, float)
-        slots = np.flatnonzero(used.any(1))
-        compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
-        if len(slots) <= _SLOTS:
-            compared = slots
-        dtype, own = self.cell.dtype, float(np.sqrt(lam))
-        # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
-        spread = own * float(self.error)
-        return Prepared(
-            jnp.asarray(grounds, int),
-            jnp.asarray(used),
-            jnp.asarray(own * _OWN, dtype),
-            jnp.asarray(own * _BEND * bends(xy, channels), dtype),
-            spread * self.smooth(self.electrode_xy),
-            jnp.asarray(spread, dtype),
-            jnp.asarray(spread * _OFFSET, dtype),
-            self.noise,
-            jnp.asarray(compared),
-        )
-
-    def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
-        """What neighbours' relative errors have in common, 1 σ of each wave."""
-        modes, strength = smooth_modes(places, self.sheet.field.size)
-        return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
+        return self.errors.prepare(grounds, good, lam)
 
     def estimate(
         self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
@@ -195,36 +158,6 @@ class Points(AbstractMethod):
         high = found.cost > TOLERANCE
         flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
         return Estimate(contacts, image, found.residual, flags)
-
-
-def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
-    """Slots by the channels that are good in all of them.
-
-    One set of channels serves all slots; slots that have lost more than half of what the
-    best has are left out for it.
-    """
-    each = good.sum(1)
-    slots = each * 2 > each.max()
-    channels = good[slots].all(0) if slots.any() else good.any(0)
-    return slots[:, None] & channels
-
-
-def bends(
-    xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
-) -> Float[np.ndarray, "M M"]:
-    """From voltages to how far each is from the plane through its neighbours'."""
-    apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
-    pitch = np.median(apart.min(1))
-    matrix = np.zeros(apart.shape)
-    for k in np.flatnonzero(channels):
-        near = np.flatnonzero(channels & (apart[k] < 1.6 * pitch))
-        if len(near) < 3:  # what is left of few: those that are nearest
-            near = np.flatnonzero(channels)[np.argsort(apart[k, channels])[:4]]
-            near = near[near != k]
-        plane = np.column_stack([np.ones(len(near)), (xy[near] - xy[k]) / pitch])
-        matrix[k, near] = -np.linalg.pinv(plane)[0]
-        matrix[k, k] = 1
-    return matrix
 
 
 @eqx.filter_jit

@@ -9,29 +9,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
+from tomojax._errors import Prepared, TOLERANCE, whitened
 from tomojax.kernels import _points as model
 from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_positive
-from tomojax.kernels._whiten import Frame, unwhitened, whiten, whitened_columns
+from tomojax.kernels._whiten import Frame, unwhitened, whitened_columns
 
 # Fits from several starts: the best, after a few steps, is gone on with.
 _KEPT, _FEW, _MOST = 1, 6, 30
-
-# A slot's misfit (64 channels) beyond which it counts little.
-TOLERANCE = 64.0
-
-
-class Prepared(NamedTuple):
-    """For S slots with their good channels."""
-
-    grounds: Int[Array, " S"]
-    used: Bool[Array, "S M"]
-    own: Float[Array, ""]  # a channel's own error, as a part of its voltage
-    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
-    smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
-    spread: Float[Array, ""]  # of the model's error, by λ
-    offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
-    noise: Float[Array, ""]  # of the converter, V
-    compared: Int[Array, " s"]  # slots that candidates are compared in
 
 
 class Found(NamedTuple):
@@ -58,26 +42,16 @@ class Scene(NamedTuple):
     method: Any
     prepared: Prepared
     frame: Frame
-    own: Float[Array, "S M"]  # σ of a channel's own error but for noise, V
-    common: Float[Array, "S q M"]  # and of what they have in common, V, the offset last
-    offset: Float[Array, " S"]  # σ of what all channels of a slot may be off, V
+    own: Float[Array, "S M"]  # these three as in `Whitened`
+    common: Float[Array, "S q M"]
+    offset: Float[Array, " S"]
     voltages: Float[Array, "S M"]
     most: int  # contacts
 
 
 def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: int) -> Scene:
     """A frame, whitened."""
-    used = prepared.used
-    bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
-    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
-    each = jnp.sqrt(own**2 + prepared.noise**2)
-    high = jnp.where(used, jnp.abs(voltages), 0)
-    channels = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
-    offset = prepared.offset * high.sum(1) / channels
-    flat = jnp.broadcast_to(offset[:, None], voltages.shape)
-    common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
-    frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)
-    return Scene(method, prepared, frame, own, common, offset, voltages, most)
+    return Scene(method, prepared, *whitened(prepared, voltages), voltages, most)
 
 
 def candidates_of(scene: Scene) -> tuple[Array, Array]:
@@ -193,7 +167,7 @@ def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]
     prepared, sheet = scene.prepared, scene.method.sheet
     # What is left ends with the common errors, in standard deviations, see `whiten`.
     found = rest[:, scene.voltages.shape[1] :]
-    at = prepared.spread * scene.method.smooth(fitted.place)
+    at = prepared.spread * scene.method.errors.smooth(fitted.place)
     relative = jnp.matmul(found[:, :-1], at, precision="highest")
     u = sheet.drive_voltage - fitted.drop
     drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax import kernels
+from tomojax._errors import TOLERANCE
 from tomojax._points_fit import (
     best_fit,
     candidates_of,
@@ -17,7 +18,6 @@ from tomojax._points_fit import (
     Found,
     Scene,
     starts_at,
-    TOLERANCE,
 )
 from tomojax.kernels import _points as model
 from tomojax.kernels._candidates import (
