@@ -74,7 +74,7 @@ def read_contacts(
     first = there & (label == jnp.arange(count))
     group = jnp.where(there, label, count)
     rows = _measure(count, level)(image, current, i, j, height, group)
-    found = _described(rows, (nx, ny), cell)
+    found = described(rows, (nx, ny), cell)
     if at_peak:
         alone = jnp.sum(label[:, None] == jnp.arange(count), 0, where=there[:, None]) == 1
         refined = _parabola(image, i, j, cell)
@@ -88,7 +88,7 @@ _TOGETHER = 128
 
 @cache
 def _measure(count: int, level: float):
-    """(C, 7) sums of each contact: weight times `_powers`, and current.
+    """(C, 7) sums of each contact: weight times `powers`, and current.
 
     One contact is the whole image. With several, each costs passes over all pixels, and
     under `vmap` every frame would pay for the most that any frame of the batch has: the
@@ -97,7 +97,7 @@ def _measure(count: int, level: float):
 
     def one(image, current, i, j, height, group) -> Float[Array, "C 7"]:
         flat, carried = image.ravel(), current.ravel()
-        places = _powers(image.shape, image.dtype)
+        places = powers(image.shape, image.dtype)
 
         def contact(k: int) -> Float[Array, " 7"]:
             mine = _nearest(image.shape, places, i, j, group, k)
@@ -109,7 +109,7 @@ def _measure(count: int, level: float):
 
     def lone(image, current, height) -> Float[Array, "C 7"]:
         weight = jnp.maximum(image.ravel() - level * height[0], 0)
-        moments = matmul(weight, _powers(image.shape, image.dtype))
+        moments = matmul(weight, powers(image.shape, image.dtype))
         row = jnp.append(moments, current.sum())
         return jnp.zeros((count, 7), row.dtype).at[0].set(row)
 
@@ -143,7 +143,7 @@ def _measure(count: int, level: float):
     return measure
 
 
-def _powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
+def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
     """1, u, v, u², v², uv of each pixel, from the middle of the image."""
     nx, ny = shape
     u, v = np.indices((nx, ny)).reshape(2, -1) - np.array([[nx - 1], [ny - 1]]) / 2
@@ -231,10 +231,10 @@ def _nearest(
     return (own < below) & (own <= above)
 
 
-def _described(
+def described(
     rows: Float[Array, "C 7"], shape: tuple[int, int], cell: Float[Array, "2"]
 ) -> Contacts:
-    """From sums of `_powers` and of current to contacts."""
+    """From sums of `powers` and of current to contacts."""
     weight, u, v, uu, vv, uv, current = rows.T
     weight = jnp.where(weight > 0, weight, jnp.nan)
     u, v = u / weight, v / weight

@@ -35,22 +35,26 @@ class PositiveFit(NamedTuple):
 
 
 def smooth_prior(
-    cells: tuple[int, int],
-    length: Float[np.ndarray, "2"],
+    shape: tuple[int, ...],
+    length: Float[Array, "2"],
     width: float,
     level: Float[Array, ""],
 ) -> SmoothPrior:
-    """A Gaussian of standard deviation `length` (in cells) as the root of the covariance.
+    """A Gaussian of standard deviation `length` (in pixels) as the root of the covariance.
 
     `width`: the standard deviation of ln g; `level`: its mean.
     """
-    sides = []
-    for count, wide in zip(cells, length):
-        apart = np.arange(count)[:, None] - np.arange(count)
-        side = np.exp(-((apart / wide) ** 2) / 2)
-        sides.append(side / np.sqrt((side**2).sum(1, keepdims=True)))
-    along, across = (jnp.asarray(side, level.dtype) for side in sides)
+    along, across = (gaussian(n, s) for n, s in zip(shape, length))
+    along, across = (
+        side / jnp.sqrt((side**2).sum(1, keepdims=True)) for side in (along, across)
+    )
     return SmoothPrior(width * along, across, level)
+
+
+def gaussian(count: int, length: Float[Array, ""]) -> Float[Array, "n n"]:
+    """exp(−(i − j)²/2·length²)."""
+    apart = jnp.asarray(np.arange(count)[:, None] - np.arange(count), length.dtype)
+    return jnp.exp(-((apart / length) ** 2) / 2)
 
 
 def positive_values(prior: SmoothPrior, w: Float[Array, "nx ny"]) -> Array:

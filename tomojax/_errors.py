@@ -21,6 +21,9 @@ _OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
 # A slot's misfit (64 channels) beyond which it counts little.
 TOLERANCE = 64.0
 
+# What a contact must explain in all, and more for each slot: a fit to noise gains some too.
+_SEEN = (25.0, 4.0)
+
 # Slots that stand for all.
 _SLOTS = 4
 
@@ -112,6 +115,18 @@ def whitened(prepared: Prepared, voltages: Float[Array, "S M"]) -> Whitened:
     common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
     frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)
     return Whitened(frame, own, common, offset)
+
+
+def misfit_cost(misfits: Float[Array, " S"]) -> Float[Array, " S"]:
+    """Of each slot's |r|², Cauchy's loss: what does not fit at all counts little."""
+    return TOLERANCE * jnp.log1p(misfits / TOLERANCE)
+
+
+def seen(prepared: Prepared, frame: Frame, costs: Float[Array, " S"]) -> Bool[Array, ""]:
+    """Whether a fit of these costs explains more than noise and channels' zeros would."""
+    slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
+    alone = misfit_cost((frame.whitened**2).sum(1))
+    return (alone - costs).sum() > _SEEN[0] + _SEEN[1] * slots
 
 
 def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:

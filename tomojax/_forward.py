@@ -60,10 +60,11 @@ def _resistances(sensor: Sensor, route: Route) -> kernels.Resistances:
             sensor.size,
             sensor.electrode_shunt,
         )
-    return kernels.fem_resistances(_fem(sensor), sensor.divisions)
+    return kernels.fem_resistances(sheet_on_mesh(sensor), sensor.divisions)
 
 
-def _fem(sensor: Sensor) -> kernels.FemSheet:
+def sheet_on_mesh(sensor: Sensor) -> kernels.FemSheet:
+    """The sheet and its electrodes on the sensor's mesh."""
     return kernels.fem_sheet(
         1 / element_values(sensor, sensor.sheet_resistance),
         sensor.electrode_xy,
@@ -220,7 +221,7 @@ def voltages(
 
 @eqx.filter_jit
 def _voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
-    fem = _fem(sensor)
+    fem = sheet_on_mesh(sensor)
     sites = kernels.site_conductance(fem, g, sensor.divisions)
     contact = kernels.fem_contact(fem, sites, sensor.divisions)
     v0 = sensor.drive_voltage

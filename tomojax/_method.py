@@ -25,6 +25,7 @@ METHODS = {
     "source": ("tomojax._source", "Source"),
     "linear": ("tomojax._linear", "Linear"),
     "points": ("tomojax._points", "Points"),
+    "conductance": ("tomojax._conductance", "Conductance"),
 }
 
 
@@ -63,6 +64,8 @@ class AbstractMethod(eqx.Module):
     any_grounds: ClassVar[bool] = False
     # V that no channel exceeds without a contact: such frames are not worked on.
     threshold: ClassVar[float] = 0.005
+    # How fine a mesh is needed beside the electrodes.
+    cells_per_diameter: ClassVar[int] = 1
     # Frames of a compiled call: as many as keep the working set in the cache. What is left
     # of a group fills the smallest that holds it, so that at most three are compiled.
     blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)
@@ -165,7 +168,8 @@ def method(
     voltages.
 
     "source" finds the current image of each slot, with nothing assumed of the contact;
-    "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts.
+    "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
+    "conductance" fits the contact's conductance at every pixel, in the exact model.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
     """
@@ -174,11 +178,11 @@ def method(
     require(whole, "grid", repr(grid), "a whole number from 8 to 512")
     module, kind = METHODS[name]
     shape = (int(grid), int(grid))
-    of = getattr(import_module(module), kind).of
+    found = getattr(import_module(module), kind)
     if calibration is None:
-        return of(sensor, shape)
-    fine = pixel_divisions(sensor, shape)
-    return of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+        return found.of(sensor, shape)
+    fine = pixel_divisions(sensor, shape, found.cells_per_diameter)
+    return found.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
 
 
 class Pixels(NamedTuple):
@@ -195,9 +199,9 @@ class Pixels(NamedTuple):
         return split.mean((-4, -2, -1)).reshape(*values.shape[:-1], nx * ny)
 
 
-def pixels_of(sensor: Sensor, shape: tuple[int, int]) -> Pixels:
-    """Pixels of `shape`, with the mesh refined until a cell is no wider than a disc."""
-    divisions = pixel_divisions(sensor, shape)
+def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
+    """Pixels of `shape`, with the mesh refined until `cells` are no wider than a disc."""
+    divisions = pixel_divisions(sensor, shape, cells)
     # A sheet with a value per element keeps the mesh that they are given on.
     if sensor.sheet_resistance.ndim:
         fits = all(m % n == 0 for m, n in zip(sensor.divisions, shape))
@@ -208,10 +212,12 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int]) -> Pixels:
     return Pixels(sensor, shape, cell)
 
 
-def pixel_divisions(sensor: Sensor, shape: tuple[int, int]) -> tuple[int, int]:
-    """A mesh whose cells are parts of pixels and no wider than an electrode."""
+def pixel_divisions(
+    sensor: Sensor, shape: tuple[int, int], cells: int = 1
+) -> tuple[int, int]:
+    """A mesh whose cells are parts of pixels; so many are no wider than an electrode."""
     size = np.asarray(sensor.size, float)
-    widest = float(sensor.electrode_diameter) * (1 + 1e-5)
+    widest = float(sensor.electrode_diameter) / cells * (1 + 1e-5)
     finer = np.ceil(size / np.array(shape) / widest).astype(int)
     nx, ny = np.array(shape) * finer
     return int(nx), int(ny)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
-from tomojax._errors import Prepared, TOLERANCE, whitened
+from tomojax._errors import misfit_cost, Prepared, TOLERANCE, whitened
 from tomojax.kernels import _points as model
 from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_positive
 from tomojax.kernels._whiten import Frame, unwhitened, whitened_columns
@@ -113,7 +113,7 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
     )
     return Found(
         cost / n,
-        TOLERANCE * jnp.log1p((rest**2).sum(1) / TOLERANCE),
+        misfit_cost((rest**2).sum(1)),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
         limited=limited,

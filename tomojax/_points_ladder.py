@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax import kernels
-from tomojax._errors import TOLERANCE
+from tomojax._errors import seen, TOLERANCE
 from tomojax._points_fit import (
     best_fit,
     candidates_of,
@@ -35,9 +35,6 @@ _STARTS = 3
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
 _GAIN = 8.0
-
-# What a contact must explain in all, and more for each slot: a fit to noise gains some too.
-_SEEN = (25.0, 4.0)
 
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.6
@@ -79,11 +76,8 @@ def first(scene: Scene) -> Ladder:
 def _seen(scene: Scene, found: Found) -> Found:
     """No contact where none is the better explanation: noise and channels' zeros."""
     used = scene.prepared.used
-    slots = jnp.maximum(used.any(1).sum(), 1).astype(found.cost.dtype)
-    alone = TOLERANCE * jnp.log1p((scene.frame.whitened**2).sum(1) / TOLERANCE)
-    least = _SEEN[0] + _SEEN[1] * slots
     towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
-    there = ((alone - found.misfits).sum() > least) & (towards > 0)
+    there = seen(scene.prepared, scene.frame, found.misfits) & (towards > 0)
     channels = jnp.maximum(used.sum(), 1).astype(found.cost.dtype)
     volts = jnp.where(used, scene.voltages, 0)
     return found._replace(

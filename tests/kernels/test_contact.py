@@ -10,7 +10,7 @@ import references
 
 import tomojax as tx
 from tomojax import kernels
-from tomojax._forward import _fem
+from tomojax._forward import sheet_on_mesh
 
 SHAPE = (16, 10)
 NODES, ELECTRODES = 17 * 11, 8
@@ -38,12 +38,12 @@ site_resistances = jax.jit(kernels.fem_site_resistances, static_argnums=2)
 
 
 def mesh_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
-    return reduce_mesh(_fem(sensor), jnp.asarray(g), SHAPE)
+    return reduce_mesh(sheet_on_mesh(sensor), jnp.asarray(g), SHAPE)
 
 
 def dense_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = site_resistances(_fem(sensor), sites, SHAPE)
+    ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
     ee = tx.resistances(sensor).electrodes
     return kernels.reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
 
@@ -76,7 +76,7 @@ def test_voltages_of_a_scene_are_those_of_its_sites(sensor) -> None:
         tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0)
     )
     g = tx.contact_conductance(sensor, scene)
-    sites = kernels.site_conductance(_fem(sensor), g, SHAPE)
+    sites = kernels.site_conductance(sheet_on_mesh(sensor), g, SHAPE)
     np.testing.assert_allclose(sites.sum(), g.sum(), rtol=1e-12)
     assert float(sites.min()) >= 0 and float(sites[NODES:].max()) > 0
     got = tx.voltages(sensor, scene)
@@ -124,7 +124,7 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     """The same with the currents g(V0 − u) that a real contact drives."""
     g = patchy(rng)
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = site_resistances(_fem(sensor), sites, SHAPE)
+    ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
     table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
@@ -196,7 +196,7 @@ def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     nothing = mesh_reduction(sensor, 0 * g)
     at_rest = kernels.voltage_sensitivity(nothing, grounds, z, v0)
     everywhere = jnp.arange(len(g))
-    ec, cc = site_resistances(_fem(sensor), everywhere, SHAPE)
+    ec, cc = site_resistances(sheet_on_mesh(sensor), everywhere, SHAPE)
     table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = kernels.slot_map(table, grounds, z)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))

@@ -10,7 +10,7 @@ import references
 
 import tomojax as tx
 from tomojax import kernels
-from tomojax._forward import _fem
+from tomojax._forward import sheet_on_mesh
 from tomojax.kernels import _mesh
 
 
@@ -36,7 +36,7 @@ def test_fem_table_is_skfem(divisions, uneven, shunt, dtype, tolerance, rng) -> 
     table = tx.resistances(sensor)
     assert all(part.dtype == dtype for part in table)
     exact = jax.tree.map(lambda leaf: leaf.astype(np.float64), sensor)
-    for got, want in zip(table, references.skfem_table(_fem(exact), divisions)):
+    for got, want in zip(table, references.skfem_table(sheet_on_mesh(exact), divisions)):
         assert relative(got, want) <= tolerance
 
 
