@@ -23,6 +23,7 @@ from tomojax._sensor import Sensor
 # Name of the method: its module and class. Imported when asked for.
 METHODS = {
     "source": ("tomojax._source", "Source"),
+    "positive": ("tomojax._source", "PositiveSource"),
     "linear": ("tomojax._linear", "Linear"),
     "points": ("tomojax._points", "Points"),
     "conductance": ("tomojax._conductance", "Conductance"),
@@ -168,6 +169,7 @@ def method(
     voltages.
 
     "source" finds the current image of each slot, with nothing assumed of the contact;
+    "positive" is the same with an image that is nowhere negative;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
     "conductance" fits the contact's conductance at every pixel, in the exact model.
 
