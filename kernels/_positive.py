@@ -138,7 +138,7 @@ def _gauss_newton(
         at = values * matmul(r, rows).reshape(values.shape)
         return matmul(matmul(prior.along.T, at), prior.across)
 
-    def inner(_: int, state: tuple) -> tuple:
+    def inner(_: Array, state: tuple) -> tuple:
         move, left, direction, size = state
         ahead = back(along(direction)) + direction
         far = size / jnp.maximum(jnp.vdot(direction, ahead), jnp.finfo(size.dtype).tiny)

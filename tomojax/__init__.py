@@ -34,6 +34,7 @@ from tomojax._method import (  # noqa: E402
     Estimate as Estimate,
     Frame as Frame,
     method as method,
+    Rung as Rung,
 )
 from tomojax._patterns import (  # noqa: E402
     AdaptiveScan as AdaptiveScan,

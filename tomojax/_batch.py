@@ -34,6 +34,7 @@ class Rows(NamedTuple):
     contact_covariance: Float[np.ndarray, "n C 3"]  # of the place: xx, yy, xy, m²
     residual: Float[np.ndarray, " n"]  # V rms
     flags: Integer[np.ndarray, " n"]  # bits of `Flag`
+    rung: Integer[np.ndarray, " n"]  # of `auto`: the model, see `tomojax.Rung`; else 0
     image: Float[np.ndarray, "n nx ny"] | None
 
 
@@ -131,6 +132,7 @@ class Batch:
             np.full((n, c, 3), np.nan, kind),
             np.full(n, np.nan, kind),
             np.zeros(n, np.uint32),
+            np.zeros(n, np.uint8),
             image,
         )
 
@@ -162,7 +164,9 @@ class Batch:
 
     def _run(self, prepared, part, voltages, grounds, good, rows) -> None:
         dtype = self.method.cell.dtype
-        size = next(b for b in self.method.blocks if b >= len(part))
+        size = len(part)
+        if self.method.padded:
+            size = next(b for b in self.method.blocks if b >= size)
         block = np.zeros((size, *voltages.shape[1:]), dtype)
         np.copyto(block[: len(part)], voltages[part], where=good[part])
         shared, under = (

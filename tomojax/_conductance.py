@@ -52,7 +52,7 @@ _BLUR, _FROM = 0.8, 0.1
 _START = 1e-4
 
 # Concurrent factorisations stop for ever on few cores: one frame at a time.
-_ALONE = Lock()
+ALONE = Lock()
 
 
 class Prepared(NamedTuple):
@@ -84,7 +84,7 @@ class Conductance(AbstractMethod):
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
     threshold: ClassVar[float] = 0.0015
     cells_per_diameter: ClassVar[int] = 2
-    blocks: ClassVar[tuple[int, ...]] = (1,)
+    padded: ClassVar[bool] = False
 
     shape: tuple[int, int] = eqx.field(static=True)
     divisions: tuple[int, int] = eqx.field(static=True)
@@ -156,9 +156,12 @@ class Conductance(AbstractMethod):
         images: bool,
     ) -> tuple:
         """As `estimate`, frame by frame."""
-        with _ALONE:
-            rows = super().block(prepared, voltages, grounds, count, images)
-            return jax.block_until_ready(rows)
+        rows = []
+        for k in range(len(voltages)):
+            with ALONE:
+                row = super().block(prepared, voltages[k : k + 1], grounds, count, images)
+                rows.append(jax.tree.map(np.asarray, row))
+        return jax.tree.map(lambda *r: np.concatenate(r), *rows)
 
     def fitted(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Fitted:
         """The image, and how well it fits."""

@@ -6,6 +6,7 @@ many frames. Its file is all that a new one needs, and a line in `METHODS`.
 
 from abc import abstractmethod
 from dataclasses import replace
+from enum import IntEnum
 from importlib import import_module
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,6 +23,7 @@ from tomojax._sensor import Sensor
 
 # Name of the method: its module and class. Imported when asked for.
 METHODS = {
+    "auto": ("tomojax._auto", "Auto"),
     "source": ("tomojax._source", "Source"),
     "positive": ("tomojax._source", "PositiveSource"),
     "linear": ("tomojax._linear", "Linear"),
@@ -34,6 +36,15 @@ METHODS = {
 _NOISE = 1e-3
 
 
+class Rung(IntEnum):
+    """Which model a row is of."""
+
+    NOTHING = 0
+    POINTS = 1
+    SOURCE = 2
+    CONDUCTANCE = 3
+
+
 class Estimate(NamedTuple):
     """What a method says of one frame."""
 
@@ -41,6 +52,7 @@ class Estimate(NamedTuple):
     image: Float[Array, "nx ny"]
     residual: Float[Array, ""]  # rms over the voltages used, V
     flags: Int[Array, ""] | int = 0  # bits that the method sets
+    rung: Int[Array, ""] | int = 0  # of `auto`: which model
 
 
 class Frame(NamedTuple):
@@ -61,6 +73,8 @@ class AbstractMethod(eqx.Module):
     residual_limit: eqx.AbstractClassVar[float]
     # Whether contacts come with the covariance of their place.
     tells_covariance: ClassVar[bool] = False
+    # Whether it chooses between models.
+    tells_rung: ClassVar[bool] = False
     # Whether a call may have frames of different grounds.
     any_grounds: ClassVar[bool] = False
     # V that no channel exceeds without a contact: such frames are not worked on.
@@ -70,6 +84,8 @@ class AbstractMethod(eqx.Module):
     # Frames of a compiled call: as many as keep the working set in the cache. What is left
     # of a group fills the smallest that holds it, so that at most three are compiled.
     blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)
+    # Whether a call is filled up to that with zeros; else the method does what it needs.
+    padded: ClassVar[bool] = True
 
     @property
     @abstractmethod
@@ -140,11 +156,11 @@ def judged(
     count: int,
     images: bool,
 ) -> tuple:
-    """A row of results: contacts, residual, flags, image (or None).
+    """A row of results: contacts, residual, flags, rung, image (or None).
 
     Nothing is said of a frame whose residual is no number.
     """
-    contacts, image, residual, flags = estimate
+    contacts, image, residual, flags, rung = estimate
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
     rms = jnp.sqrt(jnp.mean(voltages**2))
@@ -154,7 +170,8 @@ def judged(
     flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
     flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
-    return *contacts, residual, flags, image if images else None
+    rung = jnp.asarray(rung, jnp.uint8)
+    return *contacts, residual, flags, rung, image if images else None
 
 
 def method(
@@ -171,6 +188,7 @@ def method(
     "source" finds the current image of each slot, with nothing assumed of the contact;
     "positive" is the same with an image that is nowhere negative;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
+    "auto" takes the smallest of points, source and conductance that explains a frame;
     "conductance" fits the contact's conductance at every pixel, in the exact model.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.

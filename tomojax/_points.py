@@ -26,8 +26,9 @@ _USUAL, _UNIT = 1.2, 0.2
 # Candidates along a side.
 _CANDIDATES = 20
 
-# Frames of a compiled call.
-_BLOCK = 32
+# Slots of a compiled call: many for frames of few slots, where calls cost more than work;
+# few of many, as what fills a call up costs as much as what it is for.
+_CALL = 256
 
 
 class Points(AbstractMethod):
@@ -43,7 +44,7 @@ class Points(AbstractMethod):
     tells_covariance: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
     threshold: ClassVar[float] = 0.0015
-    blocks: ClassVar[tuple[int, ...]] = tuple(range(_BLOCK, 33 * _BLOCK, _BLOCK))
+    padded: ClassVar[bool] = False
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
@@ -113,14 +114,17 @@ class Points(AbstractMethod):
         images: bool,
     ) -> tuple:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
-        under = jnp.asarray(grounds)
-        blocks = [slice(k, k + _BLOCK) for k in range(0, len(voltages), _BLOCK)]
+        frames, slots = voltages.shape[:2]
+        size = int(np.clip(_CALL // slots, 4, 32))
+        full = np.resize(np.arange(frames), -(-frames // size) * size)
+        voltages, under = voltages[full], jnp.asarray(grounds)[full]
+        blocks = [slice(k, k + size) for k in range(0, len(full), size)]
         parts = [_first(self, prepared, voltages[b], under[b], count) for b in blocks]
         ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
         for number, (due, _) in enumerate(steps(count)):
             rest = np.flatnonzero(due(ladder))
-            for k in range(0, len(rest), _BLOCK):
-                rows = np.resize(rest[k : k + _BLOCK], _BLOCK)
+            for k in range(0, len(rest), size):
+                rows = np.resize(rest[k : k + size], size)
                 part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
                 new = _step(
                     self, prepared, voltages[rows], under[rows], part, count, number
@@ -131,7 +135,7 @@ class Points(AbstractMethod):
         for b in blocks:
             found = jax.tree.map(lambda a, b=b: a[b], ladder.best)
             rows.append(_described_all(self, found, voltages[b], count, images))
-        return jax.tree.map(lambda *p: np.concatenate(p), *rows)
+        return jax.tree.map(lambda *p: np.concatenate(p)[:frames], *rows)
 
     def _described(self, found: Found) -> Estimate:
         contacts = kernels.points_as_contacts(

@@ -22,15 +22,20 @@ import numpy as np
 
 from tomojax._batch import Rows
 from tomojax._checks import require
+from tomojax._method import Rung
 from tomojax.kernels import Flag
 
 SCHEMA, VERSION = "tomojax-results", 1
 
 
 def fields(
-    contacts: int, shape: tuple[int, int] | None, image_unit: str, covariance: bool
+    contacts: int,
+    shape: tuple[int, int] | None,
+    image_unit: str,
+    covariance: bool,
+    rung: bool = False,
 ) -> dict:
-    """Name: (shape of a row, type, unit); `covariance` only of methods that tell it."""
+    """Name: (shape of a row, type, unit); the last two only of methods that tell them."""
     each: dict[str, tuple] = {
         "t": ((), "<f8", "s"),
         "contact_count": ((), "u1", "1"),
@@ -44,6 +49,8 @@ def fields(
     }
     if covariance:  # of the place: xx, yy, xy
         each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
+    if rung:
+        each["rung"] = ((), "u1", "1")
     return each | ({"image": (shape, "<f4", image_unit)} if shape else {})
 
 
@@ -71,6 +78,9 @@ class ResultsFile:
                     _contiguous(file, name, (rows, *shape), kind)
                     file[name].attrs["unit"] = unit
                 file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
+                if "rung" in layout:
+                    names = {rung.name.lower(): rung.value for rung in Rung}
+                    file["rung"].attrs["models"] = json.dumps(names)
                 file.attrs.update(
                     {"schema": SCHEMA, "schema_version": VERSION, **attributes}
                 )

@@ -45,9 +45,11 @@ class Prepared(NamedTuple):
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
     normal: Float[Array, "r r"]  # of it, in the mean over the slots
+    damping: Float[Array, ""]  # its λ
     spread: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
+    lam: Float[Array, ""]
 
 
 class Source(AbstractMethod):
@@ -101,9 +103,8 @@ class Source(AbstractMethod):
         if length is not None:
             sides = [np.asarray(gaussian(n, jnp.asarray(w))) for n, w in zip(shape, length)]
             sides = [side / np.linalg.norm(side, axis=1)[:, None] for side in sides]
-        smooth = np.einsum(
-            "lmxy,xi,yj->lmij", maps.reshape(*maps.shape[:2], *shape), *sides
-        )
+        images = maps.reshape(*maps.shape[:2], *shape)
+        smooth = np.einsum("lmxy,xi,yj->lmij", images, *sides, optimize=True)
         arrays = []
         for some in (maps, smooth.reshape(maps.shape)):
             basis = _row_basis(some)
@@ -175,9 +176,11 @@ class Source(AbstractMethod):
             jnp.asarray(np.stack(misfits), dtype),
             jnp.asarray(np.concatenate([o.T for o in imaging]) / count, dtype),
             jnp.asarray(total / count + drawn_lam * np.eye(len(total)), dtype),
+            jnp.asarray(drawn_lam, dtype),
             jnp.asarray(np.sqrt(count / spread), dtype),
             jnp.asarray(lowest, dtype),
             jnp.asarray(good),
+            jnp.asarray(lam, dtype),
         )
 
     def image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
@@ -189,7 +192,9 @@ class Source(AbstractMethod):
         coefficients = matmul(voltages.ravel(), prepared.imaging)
         w = matmul(coefficients, self.drawn)
         if self.positive:
-            w = _not_negative(w, coefficients, self.drawn, prepared.normal)
+            w = _not_negative(
+                w, coefficients, self.drawn, prepared.normal, prepared.damping
+            )
         return matmul(matmul(self.along, w.reshape(self.shape)), self.across.T)
 
     def estimate(
@@ -237,6 +242,7 @@ def _not_negative(
     coefficients: Float[Array, " r"],
     basis: Float[Array, "r n"],
     normal: Float[Array, "r r"],
+    damping: Float[Array, ""],
 ) -> Float[Array, " n"]:
     """The w ≥ 0 nearest to Tikhonov's, as the voltages and λ measure it.
 
@@ -245,25 +251,22 @@ def _not_negative(
     """
     forward = jnp.where(w.sum() < 0, -1, 1).astype(w.dtype)
     c = forward * coefficients
-    # Off the rows' space N is λ, its least eigenvalue; a trace bounds the largest.
-    least = jnp.diagonal(normal).min()
+    # N has λ in it, as off the rows' space; a trace bounds its largest eigenvalue.
     step = 1 / jnp.trace(normal)
 
     def gradient(w: Array) -> Array:
         seen = matmul(basis, w)
-        return matmul(matmul(normal, seen - c) - least * seen, basis) + least * w
+        return matmul(matmul(normal, seen - c) - damping * seen, basis) + damping * w
 
-    def one(_: int, state: tuple) -> tuple:
+    def one(_: Array, state: tuple) -> tuple:
         w, ahead, t = state
         new = jnp.maximum(ahead - step * gradient(ahead), 0)
         later = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
         return new, new + (t - 1) / later * (new - w), later
 
     start = jnp.maximum(forward * w, 0)
-    return (
-        forward
-        * lax.fori_loop(0, _PROJECTED, one, (start, start, jnp.ones((), w.dtype)))[0]
-    )
+    first = start, start, jnp.ones((), w.dtype)
+    return forward * lax.fori_loop(0, _PROJECTED, one, first)[0]
 
 
 def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:

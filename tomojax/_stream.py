@@ -145,7 +145,11 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
     rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
     shape = model.shape if settings.images else None
     layout = _results.fields(
-        settings.contacts, shape, model.image_unit, model.tells_covariance
+        settings.contacts,
+        shape,
+        model.image_unit,
+        model.tells_covariance,
+        model.tells_rung,
     )
     file.create(
         rows,
