@@ -161,6 +161,8 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
             "lam_relative": lam / model.scale(),
             "pattern": recording.read(0, 1).grounds[0],  # of the first scan
             "size": recording.rig.size,
+            "drive_voltage": recording.rig.drive_voltage,
+            "sheet_resistance": recording.rig.sheet_resistance,
             "calibration": json.dumps(asdict(calibration)),
             "recording": recording.path.name,
             "recording_sha256": config["recording_sha256"],
