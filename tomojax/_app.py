@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tomojax import _app_recordings, _demo
+from tomojax import _app_recordings, _app_track, _demo
 from tomojax._environment import environment
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -72,6 +72,7 @@ def table1(json_path: Path | None, out: Path | None) -> None:
 app.add_command(_app_recordings.reconstruct)
 app.add_command(_app_recordings.info)
 app.add_command(_app_recordings.calibrate)
+app.add_command(_app_track.track)
 
 
 def run() -> None:

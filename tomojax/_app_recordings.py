@@ -56,7 +56,10 @@ _tdms_option = click.option(
     "--rate", type=click.Choice(["scan", "slot"]), default="scan", show_default=True
 )
 @click.option(
-    "--method", default="source", show_default=True, help="source, points or linear."
+    "--method",
+    default="source",
+    show_default=True,
+    help="auto, points, source, positive, conductance or linear.",
 )
 @click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
 @click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")

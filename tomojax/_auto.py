@@ -109,7 +109,7 @@ class Auto(AbstractMethod):
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
         rows = self.points.block(prepared.errors, voltages, grounds, count, images)
         rows = [None if a is None else np.array(a) for a in rows]
-        *_, flags, rung, _ = rows
+        *_, flags, rung, _, _ = rows
         rung[:] = np.where(rows[0] > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(flags & kernels.Flag.HIGH_RESIDUAL.value):
             here = prepared

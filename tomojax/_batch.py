@@ -36,6 +36,7 @@ class Rows(NamedTuple):
     flags: Integer[np.ndarray, " n"]  # bits of `Flag`
     rung: Integer[np.ndarray, " n"]  # of `auto`: the model, see `tomojax.Rung`; else 0
     image: Float[np.ndarray, "n nx ny"] | None
+    residual_by_electrode: Float[np.ndarray, "n M"] | None  # V rms; with images
 
 
 class Batch:
@@ -121,7 +122,10 @@ class Batch:
     def _empty(self, n: int) -> Rows:
         c, kind = self.contacts, np.float32
         nan = np.full((n, c), np.nan, kind)
-        image = np.full((n, *self.method.shape), np.nan, kind) if self.images else None
+        image = each = None
+        if self.images:
+            image = np.full((n, *self.method.shape), np.nan, kind)
+            each = np.full((n, self.method.electrode_count), np.nan, kind)
         return Rows(
             np.zeros(n, np.uint8),
             np.full((n, c, 2), np.nan, kind),
@@ -134,6 +138,7 @@ class Batch:
             np.zeros(n, np.uint32),
             np.zeros(n, np.uint8),
             image,
+            each,
         )
 
     def _nothing(self, voltages, good, rows: Rows) -> Bool[np.ndarray, " n"]:
@@ -151,6 +156,9 @@ class Batch:
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
         if rows.image is not None:
             rows.image[quiet] = 0
+            with np.errstate(invalid="ignore"):  # NaN where no slot is good
+                mean = (used[quiet].astype(float) ** 2).sum(1) / good[quiet].sum(1)
+            rows.residual_by_electrode[quiet] = np.sqrt(mean)
         return data & ~quiet
 
     def _prepare(self, grounds: np.ndarray, good: np.ndarray) -> Any:

@@ -22,7 +22,7 @@ from tomojax._errors import (
     whitened,
 )
 from tomojax._forward import sheet_on_mesh
-from tomojax._method import AbstractMethod, Estimate, Frame, pixels_of
+from tomojax._method import AbstractMethod, Estimate, Frame, pixels_of, rms_by_electrode
 from tomojax._sensor import Sensor
 from tomojax._source import Prepared as PreparedSource, Source
 from tomojax.kernels._blocktri import matmul
@@ -70,6 +70,7 @@ class Fitted(NamedTuple):
     cost: Float[Array, ""]  # per slot, of the whitened misfit
     seen: Bool[Array, ""]  # whether no contact would not do
     residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]
 
 
 class Conductance(AbstractMethod):
@@ -196,6 +197,7 @@ class Conductance(AbstractMethod):
             fit.cost / n,
             seen(errors, frame, misfit_cost(fit.misfits)),
             jnp.sqrt((misfit**2).sum() / channels),
+            rms_by_electrode(misfit, errors.used),
         )
 
     def described(
@@ -221,7 +223,9 @@ class Conductance(AbstractMethod):
             count=jnp.where(fitted.seen, contacts.count, 0).astype(jnp.uint8)
         )
         flags = jnp.where(fitted.cost > TOLERANCE, kernels.Flag.HIGH_RESIDUAL.value, 0)
-        return Estimate(contacts, image, fitted.residual, flags)
+        return Estimate(
+            contacts, image, fitted.residual, flags, by_electrode=fitted.by_electrode
+        )
 
     def _contact(self, values: Float[Array, "nx ny"]) -> kernels.ContactReduction:
         sites = self._sites(values)

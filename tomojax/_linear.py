@@ -10,7 +10,14 @@ from jaxtyping import Array, Bool, Float
 
 from tomojax import kernels
 from tomojax._forward import resistances
-from tomojax._method import AbstractMethod, Estimate, Frame, Pixels, pixels_of
+from tomojax._method import (
+    AbstractMethod,
+    Estimate,
+    Frame,
+    Pixels,
+    pixels_of,
+    rms_by_electrode,
+)
 from tomojax._reconstruct import reduce_jacobian
 from tomojax._sensor import Sensor
 from tomojax.kernels._blocktri import matmul
@@ -117,7 +124,9 @@ class Linear(AbstractMethod):
         contacts = kernels.read_contacts(image, current, self.cell, count, 0.5, False)
         misfit = matmul(prepared.rows, coefficients) - voltages.ravel()
         residual = jnp.sqrt(jnp.mean(misfit**2, where=prepared.used))
-        return Estimate(contacts, image, residual)
+        grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
+        each = rms_by_electrode(grid[1], grid[0])
+        return Estimate(contacts, image, residual, by_electrode=each)
 
 
 @eqx.filter_jit

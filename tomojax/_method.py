@@ -53,6 +53,7 @@ class Estimate(NamedTuple):
     residual: Float[Array, ""]  # rms over the voltages used, V
     flags: Int[Array, ""] | int = 0  # bits that the method sets
     rung: Int[Array, ""] | int = 0  # of `auto`: which model
+    by_electrode: Float[Array, " M"] | None = None  # residual of each, V rms
 
 
 class Frame(NamedTuple):
@@ -61,6 +62,13 @@ class Frame(NamedTuple):
     voltages: Float[np.ndarray, "S M"]
     grounds: Integer[np.ndarray, " S"]
     good: Bool[np.ndarray, "S M"]
+
+
+def rms_by_electrode(
+    misfit: Float[Array, "S M"], used: Bool[Array, "S M"]
+) -> Float[Array, " M"]:
+    """Over the slots that are used; NaN where none is."""
+    return jnp.sqrt(jnp.mean(misfit**2, 0, where=used))
 
 
 class AbstractMethod(eqx.Module):
@@ -156,11 +164,11 @@ def judged(
     count: int,
     images: bool,
 ) -> tuple:
-    """A row of results: contacts, residual, flags, rung, image (or None).
+    """A row of results: contacts, residual, flags, rung, images (or None).
 
     Nothing is said of a frame whose residual is no number.
     """
-    contacts, image, residual, flags, rung = estimate
+    contacts, image, residual, flags, rung, by_electrode = estimate
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
     rms = jnp.sqrt(jnp.mean(voltages**2))
@@ -171,7 +179,8 @@ def judged(
     flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
     flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
     rung = jnp.asarray(rung, jnp.uint8)
-    return *contacts, residual, flags, rung, image if images else None
+    row = *contacts, residual, flags, rung
+    return *row, *((image, by_electrode) if images else (None, None))
 
 
 def method(

@@ -161,7 +161,8 @@ class Points(AbstractMethod):
         # Of all channels together: what is left of a part of them is little of the whole.
         high = found.cost > TOLERANCE
         flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
-        return Estimate(contacts, image, found.residual, flags)
+        each = found.by_electrode
+        return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 
 
 @eqx.filter_jit

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
 from tomojax._errors import misfit_cost, Prepared, TOLERANCE, whitened
+from tomojax._method import rms_by_electrode
 from tomojax.kernels import _points as model
 from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_positive
 from tomojax.kernels._whiten import Frame, unwhitened, whitened_columns
@@ -34,6 +35,7 @@ class Found(NamedTuple):
     covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
     limited: Bool[Array, ""]  # by the model's error rather than noise
     residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]  # the same of each
 
 
 class Scene(NamedTuple):
@@ -118,6 +120,7 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
         *(_padded(a, scene.most) for a in values),
         limited=limited,
         residual=jnp.sqrt((misfit**2).sum() / channels),
+        by_electrode=rms_by_electrode(misfit, prepared.used),
     )
 
 

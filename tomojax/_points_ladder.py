@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from tomojax import kernels
 from tomojax._errors import seen, TOLERANCE
+from tomojax._method import rms_by_electrode
 from tomojax._points_fit import (
     best_fit,
     candidates_of,
@@ -85,6 +86,7 @@ def _seen(scene: Scene, found: Found) -> Found:
         current=jnp.where(there, found.current, 0),
         limited=found.limited & there,
         residual=jnp.where(there, found.residual, jnp.sqrt((volts**2).sum() / channels)),
+        by_electrode=jnp.where(there, found.by_electrode, rms_by_electrode(volts, used)),
     )
 
 

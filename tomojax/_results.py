@@ -32,6 +32,7 @@ def fields(
     contacts: int,
     shape: tuple[int, int] | None,
     image_unit: str,
+    electrodes: int,
     covariance: bool,
     rung: bool = False,
 ) -> dict:
@@ -51,7 +52,10 @@ def fields(
         each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
     if rung:
         each["rung"] = ((), "u1", "1")
-    return each | ({"image": (shape, "<f4", image_unit)} if shape else {})
+    if shape:
+        each["image"] = (shape, "<f4", image_unit)
+        each["residual_by_electrode"] = ((electrodes,), "<f4", "V")
+    return each
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,13 @@ def timeline(path: Path) -> Figure:
         )
         image = file["image"][_strongest(file)] if "image" in file else None
         unit = file["image"].attrs["unit"] if image is not None else ""
+        name, each = "residual_by_electrode", None
+        if name in file and "electrode_xy" in file.attrs:
+            each = 1e3 * file[name][_strongest(file)]
+            electrodes = 1e3 * file.attrs["electrode_xy"]
+        covariance = None
+        if "contact_covariance" in file:
+            covariance = file["contact_covariance"][::step]
         width, height = 1e3 * file.attrs["size"]
     figure = Figure(figsize=(14, 8), layout="constrained")
     grid = figure.add_gridspec(4, 3)
@@ -49,6 +56,8 @@ def timeline(path: Path) -> Figure:
     dots = path_axes.scatter(*(1e3 * xy[:, 0].T), c=t, s=4)
     figure.colorbar(dots, ax=path_axes, label="s")
     path_axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="strongest contact")
+    if covariance is not None:
+        ellipses(path_axes, xy[:, 0], covariance[:, 0])
     path_axes.set(xlim=(0, width), ylim=(0, height))
     other = figure.add_subplot(grid[2:, 2])
     if image is None:
@@ -57,8 +66,26 @@ def timeline(path: Path) -> Figure:
     else:
         shown = other.imshow(image.T, origin="lower", extent=(0, width, 0, height))
         figure.colorbar(shown, ax=other, label=unit)
-        other.set(title="image at the largest current", xlabel="x, mm", ylabel="y, mm")
+        title = "image at the largest current"
+        if each is not None:
+            shown = other.scatter(*electrodes.T, c=each, s=18, cmap="cool", lw=0)
+            figure.colorbar(shown, ax=other, label="residual of each electrode, mV")
+        other.set(title=title, xlabel="x, mm", ylabel="y, mm")
     return figure
+
+
+def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
+    """Of two standard deviations, about some of the places (m, m²: xx, yy, xy)."""
+    from matplotlib.patches import Ellipse
+
+    known = np.flatnonzero(np.isfinite(covariance).all(-1))
+    for k in known[:: max(1, -(-len(known) // most))]:
+        a, b, c = 1e6 * covariance[k].astype(float)
+        sides, turn = np.linalg.eigh([[a, c], [c, b]])
+        narrow, wide = 4 * np.sqrt(np.maximum(sides, 0))
+        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
+        style = {"fill": False, "ec": "k", "lw": 0.5} | style
+        axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
 
 
 def _strongest(file: h5py.File) -> int:

@@ -210,13 +210,16 @@ class Source(AbstractMethod):
         # Slot by slot: of a batch each is one product, where a batch of products is slow.
         def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
             misfit, v = slot
-            return total + jnp.sum(matmul(misfit, v) ** 2), None
+            return total + matmul(misfit, v) ** 2, None
 
-        zero = jnp.zeros((), voltages.dtype)
-        total, _ = lax.scan(add, zero, (prepared.misfits, voltages))
-        residual = jnp.sqrt(total / jnp.sum(prepared.used).astype(total.dtype))
-        image = self.smooth_image(prepared, voltages)
-        return Estimate(contacts, image / self.cell.prod(), residual)
+        squares, _ = lax.scan(
+            add, jnp.zeros_like(voltages[0]), (prepared.misfits, voltages)
+        )
+        used = jnp.sum(prepared.used, 0).astype(squares.dtype)
+        image = self.smooth_image(prepared, voltages) / self.cell.prod()
+        residual = jnp.sqrt(squares.sum() / used.sum())
+        each = jnp.sqrt(squares / used)
+        return Estimate(contacts, image, residual, by_electrode=each)
 
 
 class PositiveSource(Source):

@@ -148,6 +148,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
         settings.contacts,
         shape,
         model.image_unit,
+        model.electrode_count,
         model.tells_covariance,
         model.tells_rung,
     )
@@ -161,6 +162,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
             "lam_relative": lam / model.scale(),
             "pattern": recording.read(0, 1).grounds[0],  # of the first scan
             "size": recording.rig.size,
+            "electrode_xy": recording.rig.electrode_xy,
             "drive_voltage": recording.rig.drive_voltage,
             "sheet_resistance": recording.rig.sheet_resistance,
             "calibration": json.dumps(asdict(calibration)),

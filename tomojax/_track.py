@@ -18,8 +18,9 @@ _REACH, _SIGMAS = 0.015, 5.0
 
 # Standard deviations: of voltages by the model's error, as a part of them (which tells how
 # well V0 − u and so a conductance is known); of a current by the converter's noise, of
-# what a volt drives through a square of the sheet.
-_MODEL, _NOISE = 0.02, 2e-4
+# what a volt drives through a square of the sheet; of ln g where the place is off by so
+# many m; and of a place that comes without, m.
+_MODEL, _NOISE, _ASTRAY, _UNTOLD = 0.02, 2e-4, 0.01, 0.003
 
 # Drifts that are tried for `drift=None`: standard deviations per row, of a place in m (and
 # of ln g, by what is beside it).
@@ -70,6 +71,11 @@ def track(
     **Raises:** `ValueError` for rows without covariances and values out of range.
     """
     _check(rows, drive_voltage, sheet_resistance, hold, least, drift)
+    # Of a larger model of auto's, that tells none.
+    here = np.isfinite(rows.contact_covariance) | np.isnan(rows.contact_xy[..., :1])
+    wide = np.array([_UNTOLD**2, _UNTOLD**2, 0], np.float32)
+    covariance = np.where(here, rows.contact_covariance, wide)
+    rows = rows._replace(contact_covariance=covariance)
     paths = _follow(rows, hold, least)
     if not paths.number.any():
         return _arranged(rows, paths, None, None)
@@ -79,7 +85,10 @@ def track(
     place = pick(rows.contact_xy), place_noise(pick(rows.contact_covariance))
     g, current = pick(rows.contact_conductance), pick(rows.contact_current)
     height = np.log(np.maximum(g, 1e-30))[..., None]
-    spread = _height_noise(g, current, drive_voltage, sheet_resistance)[..., None, None]
+    spread = _height_noise(g, current, drive_voltage, sheet_resistance)
+    # What is feeble beside its ground is told neither where nor how strong.
+    spread += np.trace(place[1], axis1=-2, axis2=-1) / _ASTRAY**2
+    spread = spread[..., None, None]
     drifts = _DRIFTS if drift is None else (drift,)
     followed = []
     for k, (z, r) in enumerate((place, (height, spread))):
@@ -91,8 +100,7 @@ def track(
 
 
 def _check(rows, drive_voltage, sheet_resistance, hold, least, drift) -> None:
-    known = np.arange(rows.contact_xy.shape[1]) < rows.contact_count[:, None]
-    told = np.isfinite(rows.contact_covariance[known]).all()
+    told = np.isfinite(rows.contact_covariance).any() or not rows.contact_count.any()
     require(told, "rows", "contacts without covariance", "those of points or auto")
     require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
     fine = np.isfinite(sheet_resistance) and sheet_resistance > 0
