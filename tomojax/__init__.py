@@ -42,6 +42,11 @@ from tomojax._patterns import (  # noqa: E402
     pattern as pattern,
     PATTERNS as PATTERNS,
 )
+from tomojax._pressure import (  # noqa: E402
+    calibrate_presses as calibrate_presses,
+    force as force,
+    pressure as pressure,
+)
 from tomojax._reconstruct import (  # noqa: E402
     reconstruct as reconstruct,
     Reconstruction as Reconstruction,
@@ -69,5 +74,11 @@ from tomojax._shapes import (  # noqa: E402
 )
 from tomojax._stream import (  # noqa: E402
     reconstruct_recording as reconstruct_recording,
+)
+from tomojax._track import (  # noqa: E402
+    Touch as Touch,
+    touches as touches,
+    track as track,
+    Tracks as Tracks,
 )
 from tomojax.kernels import Flag as Flag, ReducedSlots as ReducedSlots  # noqa: E402

@@ -28,7 +28,8 @@ class Calibration:
     order of j within i, of mean square 1. `ground`: what a grounded
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
     corrected reading, V rms, with what is left of zeros. `error`: of what the channels
-    have in common with these values, as a part of what nominal values leave.
+    have in common with these values, as a part of what nominal values leave. `pressure`:
+    c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
     """
 
     offset: tuple[float, ...] | float = 0.0
@@ -37,6 +38,7 @@ class Calibration:
     sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
     ground: tuple[float, ...] | float = 0.0
     error: float = 1.0
+    pressure: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("offset", "gain", "noise", "sheet", "ground", "error"):
@@ -45,6 +47,9 @@ class Calibration:
         require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
         for name in ("noise", "error"):
             require(getattr(self, name) > 0, name, getattr(self, name), "above 0")
+        law = np.asarray(self.pressure or (1, 1), float)
+        fine = law.shape == (2,) and bool(np.isfinite(law).all() and (law > 0).all())
+        require(fine, "pressure", self.pressure, "c and k, above 0")
         require(len(self.sheet) == _WAVES, "sheet", len(self.sheet), f"{_WAVES} waves")
         grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 2), -1).reshape(-1, 2)
         positive = bool((self.sheet_factor(grid, np.ones(2)) > 0).all())

@@ -35,8 +35,9 @@ def fields(
     electrodes: int,
     covariance: bool,
     rung: bool = False,
+    force: bool = False,
 ) -> dict:
-    """Name: (shape of a row, type, unit); the last two only of methods that tell them."""
+    """Name: (shape of a row, type, unit); the last three only where they are told."""
     each: dict[str, tuple] = {
         "t": ((), "<f8", "s"),
         "contact_count": ((), "u1", "1"),
@@ -50,6 +51,8 @@ def fields(
     }
     if covariance:  # of the place: xx, yy, xy
         each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
+    if force:
+        each["contact_force"] = ((contacts,), "<f4", "N")
     if rung:
         each["rung"] = ((), "u1", "1")
     if shape:
@@ -146,9 +149,11 @@ class RowWriter:
         self._marks = os.open(done, os.O_WRONLY)
         self._unmarked: list[int] = []
 
-    def write(self, chunk: int, start: int, t: np.ndarray, rows: Rows) -> None:
+    def write(
+        self, chunk: int, start: int, t: np.ndarray, rows: Rows, **more: np.ndarray
+    ) -> None:
         """Rows of a chunk, from row `start` on."""
-        for name, values in {"t": t, **rows._asdict()}.items():
+        for name, values in {"t": t, **rows._asdict(), **more}.items():
             if name not in self._place:
                 continue
             offset, kind, shape = self._place[name]

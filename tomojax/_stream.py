@@ -23,6 +23,7 @@ from tomojax._checks import require
 from tomojax._chunks import Chunk, chunk_scans, CHUNK_SLOTS, read_chunk, Settings
 from tomojax._environment import environment
 from tomojax._method import AbstractMethod, method as make_method
+from tomojax._pressure import force
 from tomojax._recording import Recording
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
@@ -151,6 +152,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
         model.electrode_count,
         model.tells_covariance,
         model.tells_rung,
+        calibration.pressure is not None,
     )
     file.create(
         rows,
@@ -210,7 +212,11 @@ def _work(recording, settings, calibration, batch, file, writer, todo, progress)
 
     def write(chunk: int, t: np.ndarray, rows: Rows) -> None:
         nonlocal marked
-        writer.write(chunk, chunk * size * per_scan, t, rows)
+        more = {}
+        if calibration.pressure is not None:
+            g, radius = rows.contact_conductance, rows.contact_radius
+            more["contact_force"] = force(calibration, g, radius)
+        writer.write(chunk, chunk * size * per_scan, t, rows, **more)
         if monotonic() - marked > _MARK_SECONDS:
             writer.mark()
             marked = monotonic()

@@ -26,7 +26,13 @@ _UNITS = {
     "contact_current": "A",
 }
 # What is about a contact by its place in the row, and so not the tracks'.
-_LEFT_OUT = ("contact_radius", "contact_angle", "image", "residual_by_electrode")
+_LEFT_OUT = (
+    "contact_radius",
+    "contact_angle",
+    "contact_force",
+    "image",
+    "residual_by_electrode",
+)
 
 
 def track_results(
