@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
@@ -172,8 +171,3 @@ def smooth_levels(
         there[:, None, None], noise, jnp.eye(measured.shape[1], dtype=noise.dtype)
     )
     return jax.vmap(one)(*forward, *backward, measured, safe, there)
-
-
-def place_noise(covariance: Float[Array, "*n 3"]) -> Float[Array, "*n 2 2"]:
-    """From xx, yy, xy."""
-    return covariance[..., np.array([[0, 2], [2, 1]])]

@@ -12,7 +12,7 @@ from tomojax.kernels._blocktri import matmul
 
 # Steps of conjugate gradients within one of Gauss and Newton's, and how often a step that
 # does not fit better is halved; the gain, as a part, at which it is enough.
-_INNER, _HALVED, _ENOUGH = 30, 5, 2e-3
+_INNER, _HALVED, _ENOUGH = 30, 5, 3e-4
 
 # The largest change of ln g in one step: beyond, the slopes say nothing.
 _LONGEST = 2.0

@@ -24,7 +24,7 @@ def read_regions(
     label = _labels(inside).ravel()
     carried = jax.ops.segment_sum(current.ravel(), label, image.size + 1)[1:]
     most, which = lax.top_k(carried, count)
-    mine = (label == which[:, None] + 1).astype(image.dtype)
+    mine = (label - 1 == which[:, None].astype(label.dtype)).astype(image.dtype)
     moments = (mine * image.ravel()) @ powers(image.shape, image.dtype)
     rows = jnp.concatenate([moments, most[:, None]], 1)
     return strongest_first(described(rows, image.shape, cell), most > 0)

@@ -160,7 +160,8 @@ class Conductance(AbstractMethod):
         rows = []
         for k in range(len(voltages)):
             with ALONE:
-                row = super().block(prepared, voltages[k : k + 1], grounds, count, images)
+                one = voltages[k : k + 1], grounds[k : k + 1]
+                row = super().block(prepared, *one, count, images)
                 rows.append(jax.tree.map(np.asarray, row))
         return jax.tree.map(lambda *r: np.concatenate(r), *rows)
 

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
@@ -80,7 +82,13 @@ def fit_of(scene: Scene, kind: Callable) -> Callable:
 
 def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
     """The best of the fits from `starts`."""
-    fit, prepared = fit_of(scene, kind), scene.prepared
+    # The search itself is not differentiated (its loop cannot be, in reverse): what it
+    # ends at is, as the place where the cost's slope is zero.
+    still = jax.tree.map(
+        lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, scene
+    )
+    fit, prepared = fit_of(still, kind), scene.prepared
+    starts = lax.stop_gradient(starts)
 
     def ended_from(starts: Array, most: int) -> tuple[LeastSquares, Array]:
         ended = jax.vmap(lambda p: least_squares(fit, p, TOLERANCE, most))(starts)
@@ -91,8 +99,9 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
         starts = begun.parameters[jnp.argsort(cost)[:_KEPT]]
     ended, cost = ended_from(starts, _MOST)
     k = jnp.argmin(cost)
-    parameters, cost = ended.parameters[k], ended.cost[k]
-    rest, _, fitted = fit(parameters)
+    normal, cost = ended.normal[k], ended.cost[k]
+    parameters = _implicit(scene, still, kind, ended.parameters[k], normal)
+    rest, _, fitted = fit_of(scene, kind)(parameters)
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
     misfit = jnp.where(prepared.used, fitted.voltages - scene.voltages, 0)
@@ -102,7 +111,9 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
     count = len(fitted.radius)
     # What is long is not added to.
     of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
-    spread, limited = _uncertainty(scene, kind, ended.normal[k], parameters, count)
+    spread, limited = _uncertainty(
+        still, kind, normal, lax.stop_gradient(parameters), count
+    )
     values = (
         of_discs.reshape(count, 3),
         fitted.place,
@@ -122,6 +133,21 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
         residual=jnp.sqrt((misfit**2).sum() / channels),
         by_electrode=rms_by_electrode(misfit, prepared.used),
     )
+
+
+def _implicit(
+    scene: Scene, still: Scene, kind: Callable, parameters: Array, normal: Array
+) -> Array:
+    """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
+    fit = fit_of(still, kind)
+    slope, steep = jax.jacfwd(lambda p: fit(p)[:2])(parameters)
+    rest, priors, _ = fit_of(scene, kind)(parameters)
+    weight = 1 / (1 + lax.stop_gradient((rest**2).sum(1)) / TOLERANCE)
+    downhill = jnp.einsum("swp,sw,s->p", slope, rest, weight, precision="highest")
+    downhill = downhill + jnp.matmul(priors, steep, precision="highest")
+    step = solve_positive(normal, downhill[:, None])[:, 0]
+    moved = step - lax.stop_gradient(step)
+    return parameters - jnp.where(jnp.isfinite(moved), moved, 0)
 
 
 def _uncertainty(

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax._batch import Rows
 from tomojax._checks import require
-from tomojax.kernels._kalman import filter_levels, Levels, place_noise, smooth_levels
+from tomojax.kernels._kalman import filter_levels, Levels, smooth_levels
 
 # A contact is the one of the row before that is no farther: m, or standard deviations of
 # a feeble one's place.
@@ -82,7 +82,8 @@ def track(
     there = paths.source >= 0
     begins = np.diff(paths.number, axis=0, prepend=0) != 0
     pick = lambda values: _picked(values, paths.source)  # noqa: E731
-    place = pick(rows.contact_xy), place_noise(pick(rows.contact_covariance))
+    square = pick(rows.contact_covariance)[..., [[0, 2], [2, 1]]]  # of xx, yy, xy
+    place = pick(rows.contact_xy), square
     g, current = pick(rows.contact_conductance), pick(rows.contact_current)
     height = np.log(np.maximum(g, 1e-30))[..., None]
     spread = _height_noise(g, current, drive_voltage, sheet_resistance)
@@ -94,7 +95,8 @@ def track(
     for k, (z, r) in enumerate((place, (height, spread))):
         each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
         z, origin = _centred(z)
-        found = _likeliest(z, r, there, begins, each, smooth)
+        given = (jnp.asarray(a) for a in (z, r.astype(np.float32), there, begins))
+        found = _likeliest(*given, each, smooth)
         followed.append((np.asarray(found.mean) + origin, np.asarray(found.covariance)))
     return _arranged(rows, paths, *followed)
 

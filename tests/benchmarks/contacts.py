@@ -1,10 +1,10 @@
-"""Contacts from one to 64 slots: `points` beside the paper's method, on a rig not ours.
+"""Contacts from one to 64 slots: our models beside the paper's, on a rig not ours.
 
     python tests/benchmarks/contacts.py [--scenes 60] [--seed 3] [--out FOLDER]
 
 Voltages of a resistor network (tests/rig.py; a new sheet for every ten scenes), with the
-converter's noise and zeros; nominal values alone are told. Writes contacts.json and
-contacts.png. Takes a quarter of an hour.
+converter's noise and zeros; nominal values alone are told. Writes contacts.json,
+contacts.png and separation.png. Takes half an hour.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from itertools import permutations
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 HERE = Path(__file__).parent
@@ -27,7 +28,14 @@ import tomojax as tx  # noqa: E402
 
 KINDS = ("one", "two30", "two20", "two15", "bar")
 # Slots of `points`; and what the paper's method is given.
-OURS, PAPERS = ("corner", "corners", "ten", "all"), ("all", "around", "cop_line")
+METHODS = {
+    "points": ("corner", "corners", "ten", "all"),
+    "conductance": ("ten",),
+    "source": ("corners", "ten", "all"),
+    "linear": ("all", "around", "cop_line"),
+}
+# Of two contacts: how far apart, mm; slots; and the converter's noise, V.
+APART, SLOTS, NOISES = (10, 12.5, 15, 20, 25, 30), ("corners", "ten", "all"), (3e-4, 3e-3)
 NEAR = 3.0  # mm: found
 
 
@@ -102,6 +110,10 @@ def measured(
         off = (rows.contact_angle[:, 0] - true + np.pi / 2) % np.pi - np.pi / 2
         off = np.degrees(np.abs(np.nan_to_num(off, nan=np.pi / 2)))
         row |= {"angle_median_deg": np.median(off), "angle_p90_deg": np.quantile(off, 0.9)}
+    if rows.image is not None:
+        cell = np.float32([0.005, 0.005])
+        radii = [tx.kernels.half_area_radius(jnp.asarray(i), cell) for i in rows.image]
+        row["image_width_median_mm"] = 2e3 * float(np.median(radii))
     if kind == "one":
         true = np.array([t[0][1] for _, t, _ in scenes])
         off = np.abs(rows.contact_conductance[:, 0] / true - 1)
@@ -113,26 +125,24 @@ def measured(
 
 def run(kinds, count: int, seed: int) -> list[dict]:
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
-    points, linear = (tx.method(sensor, name, 32) for name in ("points", "linear"))
-    # The paper's λ: one for all patterns.
-    lam = linear.choose_lambda([])
-    batches = {
-        "points": tx.Batch(points, 1.0, images=False),
-        "linear": tx.Batch(linear, lam, images=False),
-    }
+    models = {name: tx.method(sensor, name, 32) for name in METHODS}
     table = []
     for kind in kinds:
         rng, scenes = np.random.default_rng(seed), []
         for k in range(count):
             rig = Rig(rng) if k % 10 == 0 else rig  # noqa: F821
             scenes.append(scene(kind, rig, rng))
-        for method, names in (("points", OURS), ("linear", PAPERS)):
+        for method, names in METHODS.items():
             for name in names:
                 grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
                 volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
-                rows = batches[method](volts, grounds)  # compiles
+                # Of the paper's method λ is one for all patterns.
+                frames = [tx.Frame(v, g, v > -9) for v, g in zip(volts[:8], grounds)]
+                lam = models[method].choose_lambda(frames)
+                batch = tx.Batch(models[method], lam, images=kind == "one")
+                batch(volts[:4], grounds[:4])  # compiles
                 start = time.perf_counter()
-                rows = batches[method](volts, grounds)
+                rows = batch(volts, grounds)
                 spent = time.perf_counter() - start
                 label = f"{method}, {name}"
                 row = measured(kind, label, rows, scenes, grounds.shape[1], spent)
@@ -140,6 +150,55 @@ def run(kinds, count: int, seed: int) -> list[dict]:
                 table.append(row)
         jax.clear_caches()
     return table
+
+
+def separations(count: int, seed: int) -> list[dict]:
+    """Which part of pairs is told as two, both within 3 mm."""
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    batch = tx.Batch(tx.method(sensor, "points", 32), 1.0, contacts=3, images=False)
+    table = []
+    for noise in NOISES:
+        for apart in APART:
+            rng = np.random.default_rng(seed)
+            rig = Rig(rng, noise=noise)
+            scenes = [scene(f"two{apart}", rig, rng) for _ in range(count)]
+            for name in SLOTS:
+                grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
+                volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
+                rows = batch(volts, grounds)
+                found = [errors(rows, k, t)[1] < NEAR for k, (_, t, _) in enumerate(scenes)]
+                row = {
+                    "scene": "separation",
+                    "apart_mm": apart,
+                    "slots": grounds.shape[1],
+                    "noise_mV": 1e3 * noise,
+                    "found_3mm": float(np.mean(found)),
+                }
+                print(json.dumps(row), flush=True)
+                table.append(row)
+    return table
+
+
+COLOURS = {"points": "C0", "conductance": "C2", "source": "C1", "linear": "C3"}
+
+
+def draw_separations(rows: list[dict], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.subplots()
+    for k, slots in enumerate(sorted({r["slots"] for r in rows})):
+        for noise, style in zip(NOISES, ("-o", "--s")):
+            some = [r for r in rows if r["slots"] == slots and r["noise_mV"] == 1e3 * noise]
+            x, y = [r["apart_mm"] for r in some], [100 * r["found_3mm"] for r in some]
+            label = f"{slots} slots, noise {1e3 * noise:g} mV"
+            axes.plot(x, y, style, color=f"C{k}", label=label)
+    axes.axvline(20, color="0.7", lw=1)
+    axes.annotate(" the electrodes' pitch", (20, 3), color="0.4")
+    axes.set(xlabel="between two contacts, mm", ylabel="% found, both within 3 mm")
+    axes.set(ylim=(0, 103), title="Two contacts, currents up to 1 : 10 (points)")
+    axes.legend()
+    figure.savefig(path, dpi=110)
 
 
 def draw(rows: list[dict], path: Path) -> None:
@@ -150,7 +209,7 @@ def draw(rows: list[dict], path: Path) -> None:
     for axis, kind in zip(axes, KINDS):
         some = [r for r in rows if r["scene"] == kind]
         value = "angle_median_deg" if kind == "bar" else "place_median_mm"
-        for method, colour in (("points", "C0"), ("linear", "C3")):
+        for method, colour in COLOURS.items():
             mine = [
                 r for r in some if r["method"].startswith(method) and r[value] is not None
             ]
@@ -163,8 +222,9 @@ def draw(rows: list[dict], path: Path) -> None:
         share = "found within 3 mm" if kind.startswith("two") else "counted right"
         axis.set(xscale="log", yscale="log", xlabel="ms a scan", ylabel=f"{unit} (median)")
         axis.set(title=f"{kind}: size of dots and % {share}", xlim=(0.07, 20))
-    for method, colour in (("points", "C0"), ("linear (the paper's)", "C3")):
-        axes[-1].plot([], [], "o", color=colour, label=method)
+    for method, colour in COLOURS.items():
+        paper = " (the paper's)" if method == "linear" else ""
+        axes[-1].plot([], [], "o", color=colour, label=method + paper)
     axes[-1].legend(loc="center")
     axes[-1].set_axis_off()
     figure.savefig(path, dpi=110)
@@ -178,10 +238,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
     rows = run(options.only, options.scenes, options.seed)
-    content = {"environment": environment(), "seed": options.seed, "rows": rows}
+    pairs = separations(options.scenes, options.seed)
+    content = {"environment": environment(), "seed": options.seed, "rows": rows + pairs}
     path = options.out / "contacts.json"
     path.write_text(json.dumps(content, indent=1) + "\n")
     draw(rows, path.with_suffix(".png"))
+    draw_separations(pairs, options.out / "separation.png")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """`points` on a rig that is not ours, with noise, told nominal values alone."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rig import NOMINAL, Rig
@@ -114,11 +115,28 @@ def test_one_frame_compiled_whole(scenes, method):
     volts = np.stack([scenes[name][0][CORNERS] for name in names]).astype(np.float32)
     rows = tx.Batch(method, 1.0, contacts=2)(volts, np.tile(CORNERS, (2, 1)))
     for k in range(2):
-        contacts, image, residual, _ = run(prepared, volts[k])
+        contacts, image, residual, *_ = run(prepared, volts[k])
         assert contacts.count == rows.contact_count[k]
         np.testing.assert_allclose(contacts.xy, rows.contact_xy[k], atol=1e-5)
         np.testing.assert_allclose(image, rows.image[k], atol=0.01 * rows.image[k].max())
         np.testing.assert_allclose(residual, rows.residual[k], rtol=0.01)
+
+
+def test_gradients_through_a_whole_estimate(scenes):
+    """In reverse, through the voltages, against differences: Gauss and Newton's part."""
+    method = tx.method(tx.Sensor.grid(), "points", 8)
+    volts, _ = scenes["one_0"]
+    prepared = method.prepare(np.array(CORNERS), np.ones((2, 64), bool), 1.0)
+
+    def place(v: jax.Array) -> jax.Array:
+        return method.estimate(prepared, v, 1).contacts.xy[0]
+
+    v = jnp.asarray(volts[CORNERS], float)
+    along = jnp.asarray(np.random.default_rng(0).normal(size=v.shape))
+    slope = jnp.tensordot(jax.jit(jax.jacrev(place))(v), along, 2)
+    run = jax.jit(place)
+    difference = (run(v + 1e-4 * along) - run(v - 1e-4 * along)) / 2e-4
+    np.testing.assert_allclose(slope, difference, atol=0.05 * float(abs(difference).max()))
 
 
 def test_stated_deviations(rig, method):

@@ -1,0 +1,129 @@
+"""Contacts over time: the filter, its smoother, and which contact is which."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax._batch import Rows
+from tomojax.kernels._kalman import filter_levels, smooth_levels
+
+SPREAD = np.array([[9e-8, 3e-8], [3e-8, 4e-8]])
+PLACE = np.array([0.08, 0.06])
+
+
+def measured(rng, n, runs=1):
+    return PLACE + rng.normal(size=(runs, n, 2)) @ np.linalg.cholesky(SPREAD).T
+
+
+def levels(z, kind=filter_levels, drift=0.0, dtype=np.float32):
+    n = len(z)
+    noise = jnp.broadcast_to(jnp.asarray(SPREAD, dtype), (n, 2, 2))
+    ones, zeros = jnp.ones(n, bool), jnp.zeros(n, bool)
+    eye = jnp.eye(2, dtype=dtype)
+    return jax.jit(kind)(jnp.asarray(z, dtype), noise, ones, zeros, drift * eye)
+
+
+def test_a_static_scene_gains_all_slots():
+    """The error falls as 1/√n to within 20 %, and the stated one with it."""
+    z = measured(np.random.default_rng(0), 1024, runs=60)
+    found = [levels(one) for one in z]
+    for n in (1, 4, 16, 64, 256, 1024):
+        error = np.array([f.mean[n - 1] for f in found]) - PLACE
+        rms = np.sqrt((error**2).mean()) * np.sqrt(n)
+        assert abs(rms / np.sqrt(np.trace(SPREAD) / 2) - 1) < 0.2, n
+        stated = np.trace(np.mean([f.covariance[n - 1] for f in found], 0))
+        assert abs(np.sqrt(stated * n / np.trace(SPREAD)) - 1) < 0.2, n
+
+
+def test_a_step_is_followed_within_its_slot():
+    z = measured(np.random.default_rng(1), 400)[0]
+    z[200:, 0] += 5e-3
+    mean = np.asarray(levels(z).mean)
+    assert np.abs(mean[199, 0] - PLACE[0]) < 1e-4
+    assert np.abs(mean[200, 0] - PLACE[0] - 5e-3) < 1e-3
+    smooth = np.asarray(levels(z, smooth_levels).mean)
+    np.testing.assert_allclose(smooth[190:200, 0], PLACE[0], atol=1e-4)
+    np.testing.assert_allclose(smooth[200:210, 0], PLACE[0] + 5e-3, atol=1e-4)
+
+
+def test_float32_is_stable():
+    """A hundred thousand measurements: the covariance stays one."""
+    z = measured(np.random.default_rng(2), 100_000)[0]
+    narrow, wide = levels(z), levels(z, dtype=np.float64)
+    assert (np.linalg.eigvalsh(np.asarray(narrow.covariance)) > 0).all()
+    np.testing.assert_allclose(narrow.mean, wide.mean, atol=2e-6)
+
+
+def rows_of(places, currents, spread=1e-7):
+    """Rows of C contacts; NaN where there is none."""
+    n, most = currents.shape
+    nan = np.full((n, most), np.nan)
+    covariance = np.where(np.isfinite(places[..., :1]), [spread, spread, 0], np.nan)
+    return Rows(
+        np.isfinite(currents).sum(1).astype(np.uint8),
+        places,
+        nan,
+        nan,
+        currents,
+        currents / 2.0,
+        covariance,
+        np.zeros(n),
+        np.zeros(n, np.uint32),
+        np.zeros(n, np.uint8),
+        None,
+        None,
+    )
+
+
+@pytest.fixture
+def crossing():
+    """One contact throughout that is missing twice, and one from 100 to 299; strongest
+    first, so that they change places in the row; a ghost in row 350."""
+    rng = np.random.default_rng(3)
+    places, currents = np.full((400, 2, 2), np.nan), np.full((400, 2), np.nan)
+    places[:, 0], currents[:, 0] = [0.05, 0.05], 1e-4
+    places[150:300, 1], currents[150:300, 1] = places[150:300, 0], 1e-4
+    places[100:150, 1], currents[100:150, 1] = [0.11, 0.09], 5e-5
+    places[150:300, 0], currents[150:300, 0] = [0.11, 0.09], 3e-4
+    places[50:52], currents[50:52] = np.nan, np.nan
+    places[350, 1], currents[350, 1] = [0.02, 0.14], 1e-6
+    return rows_of(places + rng.normal(0, 3e-4, places.shape), currents)
+
+
+def test_which_is_which(crossing):
+    found = tx.track(crossing, 4.5, 10e3)
+    assert set(np.unique(found.contact_track)) == {0, 1, 2}
+    assert (found.contact_count[50:52] == 1).all()  # there all along
+    assert found.contact_count[350] == 1
+    touches = tx.touches(found, np.arange(400) * 1e-4)
+    assert [(round(1e4 * t.start), round(1e4 * t.end)) for t in touches] == [
+        (0, 399),
+        (100, 299),
+    ]
+    assert np.hypot(*(np.array(touches[0].xy) - 0.05)) < 1e-4
+    first = found.contact_xy[found.contact_track == 1]
+    assert np.sqrt(((first - 0.05) ** 2).mean()) < 5e-5  # of 0.3 mm in each row
+    assert np.nanmin(found.contact_conductance_error) < 0.02
+
+
+def test_no_contact_at_all():
+    none = rows_of(np.full((5, 2, 2), np.nan), np.full((5, 2), np.nan))
+    found = tx.track(none, 4.5, 10e3)
+    assert not found.contact_count.any() and np.isnan(found.contact_xy).all()
+    assert tx.touches(found, np.arange(5.0)) == []
+
+
+def test_bad_arguments(crossing):
+    blind = crossing._replace(contact_covariance=crossing.contact_covariance * np.nan)
+    for rows, options, match in (
+        (blind, {}, "rows: got contacts without covariance"),
+        (crossing, {"hold": -1}, "hold: got -1"),
+        (crossing, {"least": 0}, "least: got 0"),
+        (crossing, {"drift": (1.0, -1.0)}, "drift: got"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            tx.track(rows, 4.5, 10e3, **options)
+    with pytest.raises(ValueError, match="sheet_resistance: got 0"):
+        tx.track(crossing, 4.5, 0.0)
