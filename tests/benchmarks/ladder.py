@@ -1,0 +1,182 @@
+"""Every model on recorded scenes with their truth, and what `auto` takes for each.
+
+    python tests/benchmarks/ladder.py FOLDER [--out FOLDER]
+
+FOLDER holds static_all.h5 with truth.json, and bounce_*.h5 with their .truth.npz
+(recordings of a rig model that is not ours). Writes ladder.json and ladder.png: images of
+the scenes by each model, and the drops' conductance over time. Takes ten minutes.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+from benchmarks.contacts import errors, grounds_of  # noqa: E402
+from benchmarks.physics import environment  # noqa: E402
+
+import tomojax as tx  # noqa: E402
+from tomojax._track_results import track_results  # noqa: E402
+
+MODELS = ("linear", "source", "positive", "points", "conductance", "auto")
+SLOTS = ("corners", "ten", "all")
+
+
+def load(folder: Path):
+    """Name: volts (64, 64), truth (centre, S) of each contact, of the static scenes."""
+    truth = json.loads((folder / "truth.json").read_text())["static_all"]["scenes"]
+    with tx.open_recording(folder / "static_all.h5") as recording:
+        calibration = tx.tare(recording)
+        chunk = recording.read(0, recording.scans)
+        sensor = recording.rig.sensor()
+    volts = calibration.voltages(chunk.voltages).astype(np.float32)
+    return sensor, {
+        s["name"]: (
+            volts[s["scans"][0]],
+            [(np.array(c["centre"]), c["total_conductance"]) for c in s["contacts"]],
+        )
+        for s in truth
+    }
+
+
+def static(sensor, scenes: dict) -> tuple[list[dict], dict]:
+    """A row for each model, slots and scene; and the images from all slots."""
+    table, images = [], {}
+    for name in MODELS:
+        model = tx.method(sensor, name, 32)
+        for slots in SLOTS:
+            for scene, (volts, truth) in scenes.items():
+                grounds = grounds_of(sensor, slots, volts)
+                v, g = volts[grounds][None], grounds[None]
+                lam = model.choose_lambda([tx.Frame(v[0], g[0], np.isfinite(v[0]))])
+                batch = tx.Batch(model, lam)
+                batch(v, g)  # compiles
+                spent = []
+                for _ in range(3):
+                    start = time.perf_counter()
+                    rows = batch(v, g)
+                    spent.append(time.perf_counter() - start)
+                right, error = (
+                    errors(rows, 0, truth)
+                    if truth
+                    else (
+                        rows.contact_count[0] == 0,
+                        np.nan,
+                    )
+                )
+                total, found = sum(g for _, g in truth), rows.contact_conductance[0]
+                told = truth and np.isfinite(found).any()
+                row = {
+                    "scene": scene,
+                    "method": name,
+                    "slots": len(grounds),
+                    "count_right": bool(right),
+                    "place_mm": None if np.isnan(error) else float(error),
+                    "conductance_ratio": float(np.nansum(found) / total) if told else None,
+                    "residual_mV": 1e3 * float(rows.residual[0]),
+                    "unexplained": bool(rows.flags[0] & tx.Flag.HIGH_RESIDUAL.value),
+                    "rung": tx.Rung(int(rows.rung[0])).name.lower(),
+                    "ms": 1e3 * float(np.median(spent)),
+                }
+                print(json.dumps(row), flush=True)
+                table.append(row)
+                if slots == "all":
+                    images[name, scene] = rows.image[0]
+    return table, images
+
+
+def drops(folder: Path) -> tuple[list[dict], dict]:
+    """Conductance over time, slot by slot, beside the paper's *CoP line* at its rate."""
+    table, curves = [], {}
+    for thing in ("spanner", "orange"):
+        for pattern in ("corners", "copline", "all"):
+            path = folder / f"bounce_{thing}_{pattern}.h5"
+            truth = np.load(path.with_name(path.stem + ".truth.npz"))
+            g = truth["total_conductance"].ravel()
+            out, tracked = Path("/tmp/ladder.h5"), Path("/tmp/ladder.track.h5")
+            with tx.open_recording(path) as recording:
+                slots, rig = recording.slots, recording.rig
+                settings = tx.Settings("points", rate="slot", images=False, contacts=2)
+                tx.reconstruct_recording(recording, out, settings, overwrite=True)
+                with h5py.File(out) as file:
+                    mine = np.nan_to_num(file["contact_conductance"][:, 0])
+                _, touches = track_results(out, tracked, overwrite=True)
+                settings = tx.Settings("linear", images=False, contacts=1)
+                tx.reconstruct_recording(recording, out, settings, overwrite=True)
+                with h5py.File(out) as file:
+                    theirs = np.nan_to_num(file["contact_current"][:, 0]).repeat(slots)
+            g = g[: len(mine)]
+            on = g > 0
+            # Eq. 3 tells no conductance: its sum of φ by whatever factor suits it best.
+            theirs = theirs * (theirs @ g) / (theirs @ theirs)
+            row = {
+                "scene": thing,
+                "method": f"points per slot, {pattern}",
+                "slots": slots,
+                "rms_uS": 1e6 * float(np.sqrt(np.mean((mine - g) ** 2))),
+                "linear_rms_uS": 1e6 * float(np.sqrt(np.mean((theirs - g) ** 2))),
+                "contacts": len(touches),
+                "true_contacts": int((np.diff(on.astype(int), prepend=0) == 1).sum()),
+            }
+            print(json.dumps(row), flush=True)
+            table.append(row)
+            curves[thing, pattern] = g, mine, theirs, rig.f_switch
+    return table, curves
+
+
+def draw(images: dict, curves: dict, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    scenes = list(dict.fromkeys(scene for _, scene in images))[1:]
+    figure = Figure(
+        figsize=(2 * len(scenes), 2.1 * (len(MODELS) + 2)), layout="constrained"
+    )
+    grid = figure.add_gridspec(len(MODELS) + 2, len(scenes))
+    for i, model in enumerate(MODELS):
+        for j, scene in enumerate(scenes):
+            axes = figure.add_subplot(grid[i, j])
+            image = images[model, scene].T
+            top = np.quantile(image, 0.998)
+            axes.imshow(image, origin="lower", vmin=0, vmax=top, cmap="magma")
+            axes.set(xticks=[], yticks=[])
+            if i == 0:
+                axes.set_title(scene, fontsize=8)
+            if j == 0:
+                axes.set_ylabel(model)
+    for k, ((thing, pattern), (g, mine, theirs, rate)) in enumerate(curves.items()):
+        if pattern != "copline":
+            continue
+        axes = figure.add_subplot(grid[len(MODELS) + (k > 2), :])
+        t = np.arange(len(g)) / rate
+        axes.plot(t, 1e6 * theirs, color="C3", lw=1, label="linear, CoP line, per scan")
+        axes.plot(t, 1e6 * mine, color="C0", lw=1, label="points, per slot")
+        axes.plot(t, 1e6 * g, "k:", lw=1, label="truth")
+        last = np.flatnonzero(g > 0)[0] / rate
+        axes.set(xlim=(last - 0.01, last + 0.4), ylabel=f"{thing}, µS", xlabel="s")
+        axes.legend(loc="upper right", fontsize=8)
+    figure.savefig(path, dpi=70)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    options = parser.parse_args()
+    sensor, scenes = load(options.folder)
+    table, images = static(sensor, scenes)
+    fallen, curves = drops(options.folder)
+    content = {"environment": environment(), "rows": table + fallen}
+    path = options.out / "ladder.json"
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    draw(images, curves, path.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
