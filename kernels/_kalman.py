@@ -29,7 +29,7 @@ class Level(NamedTuple):
     mean: Float[Array, " d"]
     covariance: Float[Array, "d d"]
     lags: Float[Array, "H d"]  # mean innovations over each horizon
-    count: Float[Array, ""]  # measurements since it began; 0: nothing is known
+    known: Float[Array, ""]  # measurements since it began
 
 
 def no_level(size: int, dtype) -> Level:
@@ -57,7 +57,7 @@ def level_update(
     noise = jnp.where(there, noise, eye)
     predicted = level.covariance + drift
     innovation = measured - level.mean
-    count = level.count + 1
+    count = level.known + 1
     # Running means until a horizon is full, then leaky ones of the same variance.
     rate = jnp.maximum(2 / (jnp.asarray(HORIZONS, eye.dtype) + 1), 1 / count)[:, None]
     lags = level.lags + rate * (innovation - level.lags)
@@ -66,7 +66,7 @@ def level_update(
     tested = solve_positive(spread + predicted, lags[..., None])[..., 0]
     unlikely = (lags * tested).sum(-1)
     which = jnp.argmax(unlikely)
-    first = level.count == 0
+    first = level.known == 0
     anew = first | (unlikely[which] > _GATE)
     gain = solve_positive(predicted + noise, predicted).T
     left = eye - gain
@@ -90,7 +90,7 @@ def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Ar
     unlikely = jnp.vdot(off, solve_positive(spread, off[:, None])[:, 0])
     # Of one or two values.
     area = spread[0, 0] if len(off) == 1 else jnp.linalg.det(spread)
-    first = level.count == 0
+    first = level.known == 0
     return -jnp.where(first, _GATE, jnp.minimum(unlikely, _GATE) + jnp.log(area)) / 2
 
 
@@ -136,12 +136,13 @@ def smooth_levels(
     holds that is nearer to the measurement: the other comes from beyond the change.
     """
     forward = filter_levels(measured, noise, there, begins, drift)
-    turned = [a[::-1] for a in (measured, noise, there)]
+    z, r, here = measured[::-1], noise[::-1], there[::-1]
     # Backwards a stretch begins where the next one starts.
     ends = jnp.concatenate([begins[1:], jnp.ones(1, bool)])[::-1]
-    backward = Levels(*(a[::-1] for a in filter_levels(*turned, ends, drift)))
+    backward = Levels(*(a[::-1] for a in filter_levels(z, r, here, ends, drift)))
 
-    def one(fm, fc, likely, bm, bc, _, z, r, here) -> Levels:
+    def one(ahead_of: Levels, behind_it: Levels, z, r, here) -> Levels:
+        (fm, fc, likely), (bm, bc, _) = ahead_of, behind_it
         apart = fm - bm
         unlikely = jnp.vdot(apart, solve_positive(fc + bc, apart[:, None])[:, 0])
         unit = jnp.eye(len(z), dtype=z.dtype)
@@ -170,4 +171,4 @@ def smooth_levels(
     safe = jnp.where(
         there[:, None, None], noise, jnp.eye(measured.shape[1], dtype=noise.dtype)
     )
-    return jax.vmap(one)(*forward, *backward, measured, safe, there)
+    return jax.vmap(one)(forward, backward, measured, safe, there)

@@ -27,7 +27,8 @@ def read_regions(
     mine = (label - 1 == which[:, None].astype(label.dtype)).astype(image.dtype)
     moments = (mine * image.ravel()) @ powers(image.shape, image.dtype)
     rows = jnp.concatenate([moments, most[:, None]], 1)
-    return strongest_first(described(rows, image.shape, cell), most > 0)
+    nx, ny = image.shape
+    return strongest_first(described(rows, (nx, ny), cell), most > 0)
 
 
 def _labels(inside: Array) -> Int[Array, "nx ny"]:

@@ -109,8 +109,8 @@ class Auto(AbstractMethod):
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
         rows = self.points.block(prepared.errors, voltages, grounds, count, images)
         rows = [None if a is None else np.array(a) for a in rows]
-        *_, flags, rung, _, _ = rows
-        rung[:] = np.where(rows[0] > 0, Rung.POINTS, Rung.NOTHING)
+        count_found, flags, rung = (np.asarray(rows[k]) for k in (0, 8, 9))
+        rung[:] = np.where(count_found > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(flags & kernels.Flag.HIGH_RESIDUAL.value):
             here = prepared
             if (grounds[k] != np.asarray(prepared.errors.grounds)).any():

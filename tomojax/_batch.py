@@ -154,7 +154,7 @@ class Batch:
         rows.flags[quiet] |= np.uint32(Flag.NO_CONTACT)
         squares = (used[quiet].astype(float) ** 2).sum((1, 2))
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
-        if rows.image is not None:
+        if rows.image is not None and rows.residual_by_electrode is not None:
             rows.image[quiet] = 0
             with np.errstate(invalid="ignore"):  # NaN where no slot is good
                 mean = (used[quiet].astype(float) ** 2).sum(1) / good[quiet].sum(1)

@@ -88,8 +88,8 @@ class Conductance(AbstractMethod):
     padded: ClassVar[bool] = False
 
     shape: tuple[int, int] = eqx.field(static=True)
-    divisions: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
+    divisions: tuple[int, int] = eqx.field(static=True)
     source: Source
     sheet: kernels.FemSheet
     errors: Errors
@@ -109,8 +109,8 @@ class Conductance(AbstractMethod):
         fine = pixels.sensor
         return cls(
             shape,
-            fine.divisions,
             pixels.cell,
+            fine.divisions,
             source,
             sheet_on_mesh(fine),
             Errors.of(sensor),

@@ -26,7 +26,7 @@ def timeline(path: Path) -> Figure:
         )
         image = file["image"][_strongest(file)] if "image" in file else None
         unit = file["image"].attrs["unit"] if image is not None else ""
-        name, each = "residual_by_electrode", None
+        name, each, electrodes = "residual_by_electrode", None, np.zeros((0, 2))
         if name in file and "electrode_xy" in file.attrs:
             each = 1e3 * file[name][_strongest(file)]
             electrodes = 1e3 * file.attrs["electrode_xy"]

@@ -95,8 +95,8 @@ def track(
     for k, (z, r) in enumerate((place, (height, spread))):
         each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
         z, origin = _centred(z)
-        given = (jnp.asarray(a) for a in (z, r.astype(np.float32), there, begins))
-        found = _likeliest(*given, each, smooth)
+        given = [jnp.asarray(a) for a in (z, r.astype(np.float32), there, begins)]
+        found = _likeliest(given[0], given[1], given[2], given[3], each, smooth)
         followed.append((np.asarray(found.mean) + origin, np.asarray(found.covariance)))
     return _arranged(rows, paths, *followed)
 
