@@ -1,11 +1,15 @@
 """Contacts over time: the filter, its smoother, and which contact is which."""
 
+import json
+
+import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tomojax as tx
+from tomojax._app import run
 from tomojax._batch import Rows
 from tomojax.kernels._kalman import filter_levels, smooth_levels
 
@@ -127,3 +131,62 @@ def test_bad_arguments(crossing):
             tx.track(rows, 4.5, 10e3, **options)
     with pytest.raises(ValueError, match="sheet_resistance: got 0"):
         tx.track(crossing, 4.5, 0.0)
+
+
+@pytest.fixture
+def results(crossing, tmp_path):
+    """A results file, as `reconstruct --rate slot --no-images` leaves it."""
+    path = tmp_path / "a.results.h5"
+    with h5py.File(path, "w") as file:
+        for name, values in crossing._asdict().items():
+            if values is not None:
+                file[name] = values
+        file["t"] = np.arange(400) * 1e-4
+        file.attrs.update({"schema": "tomojax-results", "schema_version": 1})
+        file.attrs.update({"drive_voltage": 4.5, "sheet_resistance": 1e4})
+        file.attrs["size"] = [0.16, 0.16]
+    return path
+
+
+def command(*arguments, capsys):
+    """Exit status, what was printed, and the error."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["tomojax", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            run()
+    return end.value.code, *capsys.readouterr()
+
+
+def test_command(results, tmp_path, capsys):
+    picture, report = tmp_path / "p.png", tmp_path / "p.json"
+    options = "--picture", picture, "--json", report
+    status, text, _ = command("track", results, *options, capsys=capsys)
+    assert status == 0 and text.startswith("2 contacts\n")
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    rows = json.loads(report.read_text())["rows"]
+    assert [row["rows"] for row in rows] == [400, 200]
+    with h5py.File(tmp_path / "a.results.track.h5") as file:
+        assert (file["contact_track"][50:52, 0] == 1).all()
+        assert file["t"].shape == (400,) and "contact_radius" not in file
+    status, _, error = command("track", results, capsys=capsys)
+    assert status == 2 and "expected a new name, or --overwrite" in error
+    assert command("track", results, "--overwrite", capsys=capsys)[0] == 0
+
+
+def test_commands_bad_input(results, tmp_path, capsys):
+    plain = tmp_path / "plain.h5"
+    with h5py.File(results) as file, h5py.File(plain, "w") as other:
+        other.attrs.update(file.attrs)
+        for name in file:
+            if name != "contact_covariance":
+                file.copy(name, other)
+    for arguments, match in (
+        ((tmp_path / "none.h5",), "none.h5: not a results file"),
+        ((plain,), "expected results of points or auto"),
+        ((results, "--drift", "fast"), "expected auto or M,LN_G"),
+        ((results, "--hold", "-1"), "hold: got -1"),
+        ((results, "--picture", tmp_path / "no" / "p.png"), "no such folder"),
+    ):
+        status, _, error = command("track", *arguments, capsys=capsys)
+        assert status == 2 and match in error and error.count("\n") == 1, arguments
+    assert not list(tmp_path.glob("*.partial"))
