@@ -4,7 +4,8 @@
 
 Voltages of a resistor network (tests/rig.py; a new sheet for every ten scenes), with the
 converter's noise and zeros; nominal values alone are told. Writes contacts.json,
-contacts.png and separation.png. Takes half an hour.
+contacts.png and separation.png; what --only leaves out stays in them. Takes an hour, the
+most of it to compile.
 """
 
 import argparse
@@ -14,7 +15,6 @@ import time
 from itertools import permutations
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -37,6 +37,7 @@ METHODS = {
 # Of two contacts: how far apart, mm; slots; and the converter's noise, V.
 APART, SLOTS, NOISES = (10, 12.5, 15, 20, 25, 30), ("corners", "ten", "all"), (3e-4, 3e-3)
 NEAR = 3.0  # mm: found
+COLOURS = {"points": "C0", "conductance": "C2", "source": "C1", "linear": "C3"}
 
 
 def scene(kind: str, rig: Rig, rng: np.random.Generator):
@@ -123,39 +124,36 @@ def measured(
     return row
 
 
-def run(kinds, count: int, seed: int) -> list[dict]:
-    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
-    models = {name: tx.method(sensor, name, 32) for name in METHODS}
+def run(sensor: tx.Sensor, models: dict, kind: str, count: int, seed: int) -> list[dict]:
     table = []
-    for kind in kinds:
-        rng, scenes = np.random.default_rng(seed), []
-        for k in range(count):
-            rig = Rig(rng) if k % 10 == 0 else rig  # noqa: F821
-            scenes.append(scene(kind, rig, rng))
-        for method, names in METHODS.items():
-            for name in names:
-                grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
-                volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
-                # Of the paper's method λ is one for all patterns.
-                frames = [tx.Frame(v, g, v > -9) for v, g in zip(volts[:8], grounds)]
-                lam = models[method].choose_lambda(frames)
-                batch = tx.Batch(models[method], lam, images=kind == "one")
-                batch(volts, grounds)  # compiles, also what few frames ask for
-                start = time.perf_counter()
-                rows = batch(volts, grounds)
-                spent = time.perf_counter() - start
-                label = f"{method}, {name}"
-                row = measured(kind, label, rows, scenes, grounds.shape[1], spent)
-                print(json.dumps(row), flush=True)
-                table.append(row)
-        jax.clear_caches()
+    rng, scenes = np.random.default_rng(seed), []
+    for k in range(count):
+        rig = Rig(rng) if k % 10 == 0 else rig  # noqa: F821
+        scenes.append(scene(kind, rig, rng))
+    for method, names in METHODS.items():
+        for name in names:
+            grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
+            volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
+            # Of the paper's method λ is one for all patterns.
+            frames = [tx.Frame(v, g, v > -9) for v, g in zip(volts[:8], grounds)]
+            lam = models[method].choose_lambda(frames)
+            batch = tx.Batch(models[method], lam, images=kind == "one")
+            batch(volts, grounds)  # compiles, also what few frames ask for
+            start = time.perf_counter()
+            rows = batch(volts, grounds)
+            spent = time.perf_counter() - start
+            label = f"{method}, {name}"
+            row = measured(kind, label, rows, scenes, grounds.shape[1], spent)
+            print(json.dumps(row), flush=True)
+            table.append(row)
     return table
 
 
-def separations(count: int, seed: int) -> list[dict]:
+def separations(
+    sensor: tx.Sensor, points: tx.AbstractMethod, count: int, seed: int
+) -> list[dict]:
     """Which part of pairs is told as two, both within 3 mm."""
-    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
-    batch = tx.Batch(tx.method(sensor, "points", 32), 1.0, contacts=3, images=False)
+    batch = tx.Batch(points, 1.0, images=False)
     table = []
     for noise in NOISES:
         for apart in APART:
@@ -177,9 +175,6 @@ def separations(count: int, seed: int) -> list[dict]:
                 print(json.dumps(row), flush=True)
                 table.append(row)
     return table
-
-
-COLOURS = {"points": "C0", "conductance": "C2", "source": "C1", "linear": "C3"}
 
 
 def draw_separations(rows: list[dict], path: Path) -> None:
@@ -234,16 +229,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--seed", type=int, default=3)
-    parser.add_argument("--only", nargs="*", choices=KINDS, default=KINDS)
+    kinds = (*KINDS, "separation")
+    parser.add_argument("--only", nargs="*", choices=kinds, default=kinds)
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
-    rows = run(options.only, options.scenes, options.seed)
-    pairs = separations(options.scenes // 2, options.seed)
-    content = {"environment": environment(), "seed": options.seed, "rows": rows + pairs}
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    models = {name: tx.method(sensor, name, 32) for name in METHODS}
     path = options.out / "contacts.json"
-    path.write_text(json.dumps(content, indent=1) + "\n")
-    draw(rows, path.with_suffix(".png"))
-    draw_separations(pairs, options.out / "separation.png")
+    for kind in options.only:
+        if kind == "separation":
+            new = separations(sensor, models["points"], options.scenes, options.seed)
+        else:
+            new = run(sensor, models, kind, options.scenes, options.seed)
+        before = json.loads(path.read_text())["rows"] if path.exists() else []
+        rows = [row for row in before if row["scene"] != kind] + new
+        content = {"environment": environment(), "seed": options.seed, "rows": rows}
+        path.write_text(json.dumps(content, indent=1) + "\n")
+        draw([r for r in rows if r["scene"] != "separation"], path.with_suffix(".png"))
+        pairs = [r for r in rows if r["scene"] == "separation"]
+        draw_separations(pairs, options.out / "separation.png")
+        # A process may not map as much compiled code as all kinds have.
+        jax.clear_caches()
 
 
 if __name__ == "__main__":
