@@ -15,6 +15,7 @@ import time
 from itertools import permutations
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
