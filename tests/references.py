@@ -75,9 +75,9 @@ def network_voltages(
     each electrode, dipoles d. K u + contact + P i + D d = 0; v = Pᵀu − δ i;
     Dᵀu = δ_d d; and i + c(V0 − v) is γ v, or v/z at `ground` and 0 elsewhere.
     """
-    from tomojax._forward import _fem
+    from tomojax._forward import sheet_on_mesh
 
-    fem, shape = _fem(sensor), sensor.divisions
+    fem, shape = sheet_on_mesh(sensor), sensor.divisions
     k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()
     b, p, dipole = (
         element_functionals(shape),

@@ -84,10 +84,10 @@ def voltages_beside_skfem(quick: bool) -> dict:
 
     import tomojax as tx
     from tomojax import kernels
-    from tomojax._forward import _fem
+    from tomojax._forward import sheet_on_mesh
 
     sensor = tx.Sensor.grid(divisions=(40, 40))
-    fem = _fem(sensor)
+    fem = sheet_on_mesh(sensor)
     g = tx.contact_conductance(sensor, tx.Disc([0.0934, 0.0671], 0.008, 2.0))
     # The peer has no contact on an electrode's metal: none in this scene.
     sites = kernels.site_conductance(fem._replace(metal=0 * fem.metal), g, (40, 40))

@@ -10,7 +10,7 @@ from hypothesis import given, HealthCheck, settings, strategies as st
 
 import tomojax as tx
 from tomojax import kernels
-from tomojax._forward import _fem
+from tomojax._forward import sheet_on_mesh
 from tomojax.kernels import _mesh
 
 # One mesh shape per electrode count: a new one compiles anew, a new value does not.
@@ -71,7 +71,7 @@ def test_reciprocity(data) -> None:
     table = tx.resistances(sensor)
     vertices = _mesh.triangles(sensor.divisions)[40]
     at_vertices, among = site_resistances(
-        _fem(sensor), jnp.asarray(vertices), sensor.divisions
+        sheet_on_mesh(sensor), jnp.asarray(vertices), sensor.divisions
     )
     scale = float(table.own.max())
     # An element is a third of each vertex. The table has fed the electrodes and read the
@@ -90,7 +90,7 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
     g = tx.contact_conductance(sensor, scene)
     volts = tx.voltages(sensor, scene)
     assert float(volts.min()) >= -1e-6 and float(volts.max()) <= 4.5 + 1e-6
-    fem = _fem(sensor)
+    fem = sheet_on_mesh(sensor)
     sites = kernels.site_conductance(fem, g, sensor.divisions)
     contact = reduction(fem, sites, sensor.divisions)
     grounds = jnp.arange(sensor.electrode_count)
