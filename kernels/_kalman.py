@@ -162,11 +162,8 @@ def smooth_levels(
         mean, covariance = jnp.where(nearer, fm, bm), jnp.where(nearer, fc, bc)
         sure = jnp.isfinite(both).all() & (jnp.diagonal(spread) > 0).all()
         agree = (unlikely < _GATE / 2) & sure
-        mean, covariance = (
-            jnp.where(agree, both, mean),
-            jnp.where(agree, spread, covariance),
-        )
-        return Levels(mean, covariance, likely)
+        mean = jnp.where(agree, both, mean)
+        return Levels(mean, jnp.where(agree, spread, covariance), likely)
 
     safe = jnp.where(
         there[:, None, None], noise, jnp.eye(measured.shape[1], dtype=noise.dtype)

@@ -52,7 +52,7 @@ def smooth_prior(
 
 
 def gaussian(count: int, length: Float[Array, ""]) -> Float[Array, "n n"]:
-    """exp(−(i − j)²/2·length²)."""
+    """exp(−(i − j)²/(2·length²))."""
     apart = jnp.asarray(np.arange(count)[:, None] - np.arange(count), length.dtype)
     return jnp.exp(-((apart / length) ** 2) / 2)
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax import kernels
+from tomojax._batch import Rows
 from tomojax._calibration import Calibration
 from tomojax._conductance import ALONE, Conductance, Prepared as PreparedConductance
 from tomojax._errors import misfit_cost, Prepared as PreparedErrors, TOLERANCE, whitened
@@ -91,12 +92,16 @@ class Auto(AbstractMethod):
         points = points._replace(rung=jnp.where(some, Rung.POINTS.value, 0))
         left = points.flags & kernels.Flag.HIGH_RESIDUAL.value > 0
 
-        def larger() -> Estimate:
-            explained, source = self._source(prepared, voltages, count)
-            largest = partial(self._conductance, prepared, voltages, count)
-            return jax.lax.cond(explained, lambda: source, largest)
-
+        larger = partial(self.larger, prepared, voltages, count)
         return jax.lax.cond(left, larger, lambda: points)
+
+    def larger(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        """Of what `points` does not explain."""
+        explained, source = self._source(prepared, voltages, count)
+        largest = partial(self._conductance, prepared, voltages, count)
+        return jax.lax.cond(explained, lambda: source, largest)
 
     def block(
         self,
@@ -107,11 +112,10 @@ class Auto(AbstractMethod):
         images: bool,
     ) -> tuple:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
-        rows = self.points.block(prepared.errors, voltages, grounds, count, images)
-        rows = [None if a is None else np.array(a) for a in rows]
-        count_found, flags, rung = (np.asarray(rows[k]) for k in (0, 8, 9))
-        rung[:] = np.where(count_found > 0, Rung.POINTS, Rung.NOTHING)
-        for k in np.flatnonzero(flags & kernels.Flag.HIGH_RESIDUAL.value):
+        found = self.points.block(prepared.errors, voltages, grounds, count, images)
+        rows = Rows(*(None if a is None else np.array(a) for a in found))  # pyright: ignore
+        rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
+        for k in np.flatnonzero(rows.flags & kernels.Flag.HIGH_RESIDUAL.value):
             here = prepared
             if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
                 good, lam = np.asarray(prepared.errors.used), prepared.source.lam
@@ -122,7 +126,7 @@ class Auto(AbstractMethod):
                 for values, value in zip(rows, jax.block_until_ready(row)):
                     if values is not None:
                         values[k] = value
-        return tuple(rows)
+        return rows
 
     def _source(
         self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
@@ -157,7 +161,5 @@ def _larger(
     count: int,
     images: bool,
 ) -> tuple:
-    explained, source = method._source(prepared, voltages, count)
-    largest = partial(method._conductance, prepared, voltages, count)
-    estimate = jax.lax.cond(explained, lambda: source, largest)
+    estimate = method.larger(prepared, voltages, count)
     return judged(method, estimate, voltages, count, images)

@@ -10,6 +10,7 @@ the scenes by each model, and the drops' conductance over time. Takes ten minute
 import argparse
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def static(sensor, scenes: dict) -> tuple[list[dict], dict]:
     return table, images
 
 
-def drops(folder: Path) -> tuple[list[dict], dict]:
+def drops(folder: Path, scratch: str) -> tuple[list[dict], dict]:
     """Conductance over time, slot by slot, beside the paper's *CoP line* at its rate."""
     table, curves = [], {}
     for thing in ("spanner", "orange"):
@@ -100,7 +101,7 @@ def drops(folder: Path) -> tuple[list[dict], dict]:
             path = folder / f"bounce_{thing}_{pattern}.h5"
             truth = np.load(path.with_name(path.stem + ".truth.npz"))
             g = truth["total_conductance"].ravel()
-            out, tracked = Path("/tmp/ladder.h5"), Path("/tmp/ladder.track.h5")
+            out, tracked = (Path(scratch) / name for name in ("rows.h5", "tracks.h5"))
             with tx.open_recording(path) as recording:
                 slots, rig = recording.slots, recording.rig
                 settings = tx.Settings("points", rate="slot", images=False, contacts=2)
@@ -171,7 +172,8 @@ def main() -> None:
     options = parser.parse_args()
     sensor, scenes = load(options.folder)
     table, images = static(sensor, scenes)
-    fallen, curves = drops(options.folder)
+    with tempfile.TemporaryDirectory() as scratch:
+        fallen, curves = drops(options.folder, scratch)
     content = {"environment": environment(), "rows": table + fallen}
     path = options.out / "ladder.json"
     path.write_text(json.dumps(content, indent=1) + "\n")
