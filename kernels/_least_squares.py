@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 # Damping at first, and its change after a step that is taken or not.
 _DAMPING, _LESS, _MORE = 1e-3, 1 / 8, 6.0
@@ -40,70 +40,105 @@ def solve_positive(
 
 
 class LeastSquares(NamedTuple):
-    """Where it ended."""
+    """Where it ended, and what the model and its slopes are there."""
 
     parameters: Float[Array, " P"]
     cost: Float[Array, ""]
     normal: Float[Array, "P P"]  # JᵀWJ
+    rest: Float[Array, "S M"]
+    priors: Float[Array, " priors"]
+    slope: Float[Array, "P S M"]
+    slope_priors: Float[Array, "P priors"]
+
+
+class _Run(NamedTuple):
+    """One start's descent so far."""
+
+    at: LeastSquares
+    gradient: Float[Array, " P"]
+    damping: Float[Array, ""]
+    steps: Int[Array, ""]
+    gain: Float[Array, ""]  # of the last step, as a part of the cost
 
 
 def least_squares(
     model: Callable[[Array], tuple[Float[Array, "S M"], Float[Array, " priors"], Any]],
-    start: Float[Array, " P"],
+    starts: Float[Array, "n P"],
     tolerance: float,
     most: int,
+    few: int = 0,
 ) -> LeastSquares:
     """min Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² over parameters of about unit size.
 
     Rows s of the residuals that do not fit at all count little (Cauchy's loss): a slot
-    whose ground lies under the contact does not spoil the others. `tolerance` δ².
+    whose ground lies under the contact does not spoil the others. `tolerance` δ². Of
+    several starts each has `few` steps, and the best goes on for at most `most`: one loop
+    for all of it, as what it holds takes seconds to compile.
     """
-    count = len(start)
-    unit = jnp.eye(count, dtype=start.dtype)
+    n, count = starts.shape
+    unit = jnp.eye(count, dtype=starts.dtype)
+    one, none = jnp.ones((), starts.dtype), jnp.zeros((), int)
 
     def slopes(p: Array):
         linear = lambda t: jax.jvp(lambda p: model(p)[:2], (p,), (t,))  # noqa: E731
         return jax.vmap(linear, out_axes=(None, 0))(unit)
 
-    def step(carry):
-        p, cost, normal, gradient, damping, k, _ = carry
-        damped = normal + damping * jnp.diag(jnp.diagonal(normal))
-        move = solve_positive(damped, gradient[:, None])[:, 0]
-        trial = p - jnp.clip(move, -_LONGEST, _LONGEST)
+    sizes = jax.eval_shape(slopes, starts[0])
+    (rest, priors), (along, along_priors) = jax.tree.map(
+        lambda a: jnp.zeros(a.shape, a.dtype), sizes
+    )
+
+    def begun(at: LeastSquares, start: Array) -> _Run:
+        at = at._replace(parameters=start, cost=one * jnp.inf, normal=unit)
+        return _Run(at, jnp.zeros_like(start), one * _DAMPING, none, one)
+
+    def step(run: _Run) -> _Run:
+        at, damping = run.at, run.damping
+        damped = at.normal + damping * jnp.diag(jnp.diagonal(at.normal))
+        move = solve_positive(damped, run.gradient[:, None])[:, 0]
+        trial = at.parameters - jnp.clip(move, -_LONGEST, _LONGEST)
         (rest, priors), (along, along_priors) = slopes(trial)
         misfit = (rest**2).sum(1) / tolerance
         weight = jax.lax.rsqrt(1 + misfit)[:, None]
-        new = tolerance * jnp.log1p(misfit).sum() + (priors**2).sum()
-        better = new < cost
+        cost = tolerance * jnp.log1p(misfit).sum() + (priors**2).sum()
         a = jnp.concatenate([(along * weight).reshape(count, -1), along_priors], 1)
         b = jnp.concatenate([(rest * weight).ravel(), priors])
+        normal = jnp.matmul(a, a.T, precision="highest")
+        gradient = jnp.matmul(a, b, precision="highest")
+        new = LeastSquares(trial, cost, normal, rest, priors, along, along_priors)
+        better = cost < at.cost
         # Not finite: the start, or a trial that failed.
-        gain = jnp.where(jnp.isfinite(cost), (cost - new) / cost, 1)
+        gain = jnp.where(jnp.isfinite(at.cost), (at.cost - cost) / at.cost, 1)
         gain = jnp.where(better, gain, jnp.where(damping > _HOPELESS, 0, 1))
 
-        def pick(x: Array, y: Array) -> Array:
-            return jnp.where(better, x, y)
+        def pick(x: Any, y: Any) -> Any:
+            return jax.tree.map(lambda x, y: jnp.where(better, x, y), x, y)
 
+        damping = damping * pick(one * _LESS, one * _MORE)
+        gradient = pick(gradient, run.gradient)
+        return _Run(pick(new, at), gradient, damping, run.steps + 1, gain)
+
+    def go(state: tuple[_Run, Array, Array, Array]) -> tuple[_Run, Array, Array, Array]:
+        run, best, cost, number = state
+        run = step(run)
+        limit = jnp.where(number < n, few, most)
+        ended = (run.steps >= limit) | (run.gain <= _ENOUGH)
+        better = ended & (run.at.cost < cost)
+        best = jnp.where(better, run.at.parameters, best)
+        cost = jnp.where(better, run.at.cost, cost)
+        number = jnp.where(ended, number + 1, number)
+        start = jnp.where(number < n, starts[jnp.minimum(number, n - 1)], best)
+        again = ended & (number <= n)
+        new = begun(run.at, start)
         return (
-            pick(trial, p),
-            pick(new, cost),
-            pick(jnp.matmul(a, a.T, precision="highest"), normal),
-            pick(jnp.matmul(a, b, precision="highest"), gradient),
-            damping * pick(jnp.asarray(_LESS, p.dtype), jnp.asarray(_MORE, p.dtype)),
-            k + 1,
-            gain,
+            jax.tree.map(lambda a, b: jnp.where(again, a, b), new, run),
+            best,
+            cost,
+            number,
         )
 
-    one = jnp.ones((), start.dtype)
-    first = (
-        start,
-        one * jnp.inf,
-        unit,
-        jnp.zeros_like(start),
-        one * _DAMPING,
-        jnp.zeros((), int),
-        one,
-    )
-    going = lambda c: (c[5] < most) & (c[6] > _ENOUGH)  # noqa: E731
-    p, cost, normal, *_ = jax.lax.while_loop(going, step, first)
-    return LeastSquares(p, cost, normal)
+    nothing = LeastSquares(starts[0], one, unit, rest, priors, along, along_priors)
+    # One start alone is the best.
+    first = jnp.array(0 if n > 1 else n)
+    start = begun(nothing, starts[0]), starts[0], one * jnp.inf, first
+    return jax.lax.while_loop(lambda state: state[3] <= n, go, start)[0].at

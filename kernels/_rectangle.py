@@ -65,7 +65,6 @@ def rectangle_green(
     sizes = jnp.stack([near, far, far_, near_], -1)[..., None] * powers
     turns, turns_ = turn[..., None, None], turn_[..., None, None]
     factors = factor(sizes, turns_) * jnp.where(_VANISHING, 1, factor(sizes, turns))
-    product = jnp.prod(factors, (-2, -1))
     # The one factor that vanishes where the two places meet, as (π d/a)²·ratio. Nearer
     # than rounding tells apart they are one place: the ratio's slope would be noise.
     square = (x - x_) ** 2 + (y - y_) ** 2
@@ -74,11 +73,24 @@ def rectangle_green(
     ratio = jnp.where(meet, (jnp.pi / a) ** 2, vanishing / jnp.where(meet, 1, square))
     inside = square < rim**2
     within = jnp.log(rim**2) + (square / rim**2 - 1 if solid else 0)
-    logs = jnp.log(product * ratio) + jnp.where(
-        inside, within, jnp.log(jnp.where(inside, 1, square))
+    logs = (
+        _log_product(factors)
+        + jnp.log(ratio)
+        + jnp.where(inside, within, jnp.log(jnp.where(inside, 1, square)))
     )
     mean = b / 3 + (y**2 + y_**2) / (2 * b) - (total + gap) / 2
     return mean / a - logs / (4 * np.pi)
+
+
+@jax.custom_jvp
+def _log_product(factors: Float[Array, "*batch 4 terms"]) -> Float[Array, "*batch"]:
+    """ln Πf; its slope Σf'/f compiles many times faster than that of a product."""
+    return jnp.log(jnp.prod(factors, (-2, -1)))
+
+
+@_log_product.defjvp
+def _(factors: tuple, slopes: tuple) -> tuple[Array, Array]:
+    return _log_product(*factors), jnp.sum(slopes[0] / factors[0], (-2, -1))
 
 
 def rectangle_resistances(

@@ -176,9 +176,9 @@ def _frame(
         rest, _, fitted = model.discs(sheet, frame, jnp.append(placed, p[2])[None])
         return rest[:, : volts.shape[1]], p, fitted
 
-    ended = least_squares(fit, jnp.zeros(3, volts.dtype), TOLERANCE, _STEPS)
-    rest, _, fitted = fit(ended.parameters)
-    tangent = jax.jacfwd(lambda p: fit(p)[0])(ended.parameters)  # (S, M, 3)
+    ended = least_squares(fit, jnp.zeros((1, 3), volts.dtype), TOLERANCE, _STEPS)
+    rest, tangent = ended.rest, ended.slope.transpose(1, 2, 0)  # (S, M), (S, M, 3)
+    fitted = fit(ended.parameters)[2]
     # Slots that do not fit at all count little, as in the fit.
     robust = jax.lax.rsqrt(1 + (rest**2).sum(1) / TOLERANCE)[:, None]
     scale = scene.frame.scale * robust

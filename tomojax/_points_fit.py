@@ -18,7 +18,7 @@ from tomojax.kernels._least_squares import least_squares, LeastSquares, solve_po
 from tomojax.kernels._whiten import Frame, unwhitened, whitened_columns
 
 # Fits from several starts: the best, after a few steps, is gone on with.
-_KEPT, _FEW, _MOST = 1, 6, 30
+_FEW, _MOST = 6, 30
 
 
 class Found(NamedTuple):
@@ -80,8 +80,10 @@ def fit_of(scene: Scene, kind: Callable) -> Callable:
     return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
 
 
-def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found:
-    """The best of the fits from `starts`."""
+def best_fit(
+    scene: Scene, kind: Callable, starts: Float[Array, "n P"]
+) -> tuple[Found, LeastSquares]:
+    """The best of the fits from `starts`, and how it ended."""
     # The search itself is not differentiated (its loop cannot be, in reverse): what it
     # ends at is, as the place where the cost's slope is zero.
     still = jax.tree.map(
@@ -89,18 +91,10 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
     )
     fit, prepared = fit_of(still, kind), scene.prepared
     starts = lax.stop_gradient(starts)
-
-    def ended_from(starts: Array, most: int) -> tuple[LeastSquares, Array]:
-        ended = jax.vmap(lambda p: least_squares(fit, p, TOLERANCE, most))(starts)
-        return ended, jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
-
-    if len(starts) > _KEPT:
-        begun, cost = ended_from(starts, _FEW)
-        starts = begun.parameters[jnp.argsort(cost)[:_KEPT]]
-    ended, cost = ended_from(starts, _MOST)
-    k = jnp.argmin(cost)
-    normal, cost = ended.normal[k], ended.cost[k]
-    parameters = _implicit(scene, still, kind, ended.parameters[k], normal)
+    ended = least_squares(fit, starts, TOLERANCE, _MOST, _FEW)
+    ended = jax.tree.map(lax.stop_gradient, ended)
+    cost = jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
+    parameters = _implicit(scene, kind, ended)
     rest, _, fitted = fit_of(scene, kind)(parameters)
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
@@ -111,9 +105,7 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
     count = len(fitted.radius)
     # What is long is not added to.
     of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
-    spread, limited = _uncertainty(
-        still, kind, normal, lax.stop_gradient(parameters), count
-    )
+    spread, limited = _uncertainty(still, ended, count)
     values = (
         of_discs.reshape(count, 3),
         fitted.place,
@@ -124,7 +116,7 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
         current / drop,
         spread,
     )
-    return Found(
+    found = Found(
         cost / n,
         misfit_cost((rest**2).sum(1)),
         jnp.asarray(count),
@@ -133,25 +125,22 @@ def best_fit(scene: Scene, kind: Callable, starts: Float[Array, "n P"]) -> Found
         residual=jnp.sqrt((misfit**2).sum() / channels),
         by_electrode=rms_by_electrode(misfit, prepared.used),
     )
+    return found, ended
 
 
-def _implicit(
-    scene: Scene, still: Scene, kind: Callable, parameters: Array, normal: Array
-) -> Array:
+def _implicit(scene: Scene, kind: Callable, ended: LeastSquares) -> Array:
     """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
-    fit = fit_of(still, kind)
-    slope, steep = jax.jacfwd(lambda p: fit(p)[:2])(parameters)
-    rest, priors, _ = fit_of(scene, kind)(parameters)
-    weight = 1 / (1 + lax.stop_gradient((rest**2).sum(1)) / TOLERANCE)
-    downhill = jnp.einsum("swp,sw,s->p", slope, rest, weight, precision="highest")
-    downhill = downhill + jnp.matmul(priors, steep, precision="highest")
-    step = solve_positive(normal, downhill[:, None])[:, 0]
+    rest, priors, _ = fit_of(scene, kind)(ended.parameters)
+    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
+    downhill = jnp.einsum("psw,sw,s->p", ended.slope, rest, weight, precision="highest")
+    downhill = downhill + jnp.matmul(ended.slope_priors, priors, precision="highest")
+    step = solve_positive(ended.normal, downhill[:, None])[:, 0]
     moved = step - lax.stop_gradient(step)
-    return parameters - jnp.where(jnp.isfinite(moved), moved, 0)
+    return ended.parameters - jnp.where(jnp.isfinite(moved), moved, 0)
 
 
 def _uncertainty(
-    scene: Scene, kind: Callable, normal: Array, parameters: Array, count: int
+    scene: Scene, ended: LeastSquares, count: int
 ) -> tuple[Float[Array, "C 3"], Bool[Array, ""]]:
     """Covariance of the places, and whether noise has the lesser part in it.
 
@@ -159,9 +148,10 @@ def _uncertainty(
     another in each slot, the model's errors e_k are the same ones. So more slots average
     the one and not the other.
     """
-    fit, used, frame = fit_of(scene, kind), scene.prepared.used, scene.frame
-    rest, slope = fit(parameters)[0], jax.jacfwd(lambda p: fit(p)[0])(parameters)
-    weight = 1 / (1 + (rest**2).sum(1) / TOLERANCE)
+    normal, parameters = ended.normal, ended.parameters
+    used, frame = scene.prepared.used, scene.frame
+    slope = ended.slope.transpose(1, 2, 0)
+    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
     by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
     noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
     own = jnp.where(used, scene.own, 0)

@@ -28,6 +28,7 @@ from tomojax.kernels._candidates import (
     gains_beside,
 )
 from tomojax.kernels._curves import bar, ring
+from tomojax.kernels._least_squares import LeastSquares
 from tomojax.kernels._whiten import whitened_columns
 
 # Candidates that fits begin from.
@@ -69,9 +70,9 @@ def first(scene: Scene) -> Ladder:
     """One disc, from the best candidate."""
     columns, compared = candidates_of(scene)
     places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
-    found = best_fit(scene, model.discs, starts_at(scene, places[:, None]))
+    found, ended = best_fit(scene, model.discs, starts_at(scene, places[:, None]))
     found = _seen(scene, found)
-    return Ladder(found, found, found, _promise(scene, found, 1))
+    return Ladder(found, found, found, _promise(scene, found, ended, 1))
 
 
 def _seen(scene: Scene, found: Found) -> Found:
@@ -93,10 +94,11 @@ def _seen(scene: Scene, found: Found) -> Found:
 def _larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
     best, one, discs, _ = ladder
-    new = _believed(scene, _more_discs(scene, discs, size), size)
+    new, ended = _more_discs(scene, discs, size)
+    new = _believed(scene, new, size)
     gained = _gains(scene, discs, new, size)
     best = _choose(gained & (_score(new) < _score(best)), new, best)
-    promise = jnp.where(gained, _promise(scene, new, size), 0)
+    promise = jnp.where(gained, _promise(scene, new, ended, size), 0)
     return Ladder(best, one, _choose(gained, new, discs), promise)
 
 
@@ -120,7 +122,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     return found
 
 
-def _promise(scene: Scene, discs: Found, size: int) -> Array:
+def _promise(scene: Scene, discs: Found, ended: LeastSquares, size: int) -> Array:
     """What the best candidate for one more would gain, per slot compared.
 
     The discs that there are may move a little then: each candidate is told apart from
@@ -128,10 +130,8 @@ def _promise(scene: Scene, discs: Found, size: int) -> Array:
     """
     if size >= scene.most:
         return jnp.zeros_like(discs.cost)
-    parameters = discs.parameters[:size].ravel()
-    fit = lambda p: fit_of(scene, model.discs)(p)[0]  # noqa: E731
     some = scene.prepared.compared
-    rest, slope = fit(parameters)[some], jax.jacfwd(fit)(parameters)[some]
+    rest, slope = ended.rest[some], ended.slope.transpose(1, 2, 0)[some]
     columns, _ = candidates_of(scene)
     known = whitened_columns(scene.frame, _own_columns(scene, discs, size))[:, some]
     new = apart_from(columns, known)
@@ -145,7 +145,7 @@ def _score(found: Found) -> Array:
     return found.cost + _GAIN * extra.astype(found.cost.dtype)
 
 
-def _more_discs(scene: Scene, discs: Found, size: int) -> Found:
+def _more_discs(scene: Scene, discs: Found, size: int) -> tuple[Found, LeastSquares]:
     """One more than there are; two also from pairs of candidates."""
     candidates = scene.method.candidates
     columns, compared = candidates_of(scene)
@@ -203,7 +203,7 @@ def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
     ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
     middles = jnp.broadcast_to(middle, ends.shape)
     starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends[:, :1])], 1)
-    found = best_fit(scene, bar, starts)
+    found, _ = best_fit(scene, bar, starts)
     # No longer than wide: a disc, which says so with less.
     short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
     return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
@@ -213,7 +213,7 @@ def _ring(scene: Scene, middle: Float[Array, "2"]) -> Found:
     sheet = scene.method.sheet
     wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
     starts = [jnp.append(middle, w) for w in wide]
-    found = best_fit(scene, ring, jnp.stack(starts))
+    found, _ = best_fit(scene, ring, jnp.stack(starts))
     narrow = found.ring[0] < _NARROWEST * sheet.size
     return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
 

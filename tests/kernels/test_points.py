@@ -80,7 +80,11 @@ def test_least_squares_beside_scipy(rng):
         return rest[:, None], 0.1 * p, None
 
     start = jnp.array([1.0, 1.0, 0.0])
-    got = least_squares(model, start, 9.0, most=200)
+    far = jnp.array([-3.0, 6.0, 4.0])
+    got = least_squares(model, jnp.stack([far, start]), 9.0, most=200, few=4)
+    slope = jax.jacfwd(lambda p: model(p)[0])(got.parameters)
+    np.testing.assert_allclose(got.slope, slope.transpose(2, 0, 1), rtol=1e-6)
+    np.testing.assert_allclose(got.rest, model(got.parameters)[0], rtol=1e-9)
 
     def both(p):
         rest, priors, _ = model(p)
