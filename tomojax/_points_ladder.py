@@ -202,7 +202,7 @@ def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
     ends = jnp.asarray(np.stack([np.cos(turn), np.sin(turn)], 1), middle.dtype)
     ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
     middles = jnp.broadcast_to(middle, ends.shape)
-    starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends[:, :1])], 1)
+    starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends)], 1)
     found, _ = best_fit(scene, bar, starts)
     # No longer than wide: a disc, which says so with less.
     short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
@@ -212,7 +212,7 @@ def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
 def _ring(scene: Scene, middle: Float[Array, "2"]) -> Found:
     sheet = scene.method.sheet
     wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
-    starts = [jnp.append(middle, w) for w in wide]
+    starts = [jnp.array([*middle, w, 0]) for w in wide]
     found, _ = best_fit(scene, ring, jnp.stack(starts))
     narrow = found.ring[0] < _NARROWEST * sheet.size
     return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))

@@ -35,6 +35,7 @@ def scenes(rig):
             (rig.disc(middle - half, 0.005), total / rng.uniform(1, 8)),
         ]
     found["bar"] = [(rig.bar([0.083, 0.071], 0.075, 0.01, 0.6), 8e-4)]
+    found["metal_bar"] = [(rig.bar([0.09, 0.078], 0.07, 0.011, 2.1), 3.0)]
     found["ring"] = [(rig.ring([0.075, 0.084], 0.024, 0.03), 6e-4)]
     found["metal"] = [(rig.disc([0.091, 0.066], 0.012), 5.0)]
     found["three"] = [
@@ -79,6 +80,7 @@ def test_shapes(scenes, rows):
     bar, ring, metal = (named[name] for name in ("bar", "ring", "metal"))
     angle, radius = rows.contact_angle[:, 0], rows.contact_radius[:, 0]
     assert abs(np.degrees(angle[bar] - 0.6)) < 1.5
+    assert abs(np.degrees(angle[named["metal_bar"]] - 2.1)) < 1.5
     # Discs with the same second moments.
     assert abs(radius[bar] / (0.075 / np.sqrt(6)) - 1) < 0.12
     assert abs(radius[ring] / (0.027 * np.sqrt(2)) - 1) < 0.1
