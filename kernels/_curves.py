@@ -17,7 +17,7 @@ from tomojax.kernels._whiten import currents, Frame, whitened_columns
 
 # Points on the axis of a bar, and around a ring; a mode's current is this part of the
 # mean's, about.
-_ALONG, _AROUND, _UNEVEN = 9, 16, 0.6
+_ALONG, _AROUND, _UNEVEN = 9, 16, 0.3
 
 # Two rows along a bar, and how wide each is, of half its width.
 _ROW, _NARROW = 0.58, 0.5
