@@ -34,21 +34,21 @@ def field_at(
     low = jnp.clip(jnp.floor(at), 0, cells - 1)
     part = at - low
     steps = jnp.arange(-1, 3)
-    i = _mirrored(low[0].astype(int) + steps, nx - 1)
-    j = _mirrored(low[1].astype(int) + steps, ny - 1)
+    i = mirrored(low[0].astype(int) + steps, nx - 1)
+    j = mirrored(low[1].astype(int) + steps, ny - 1)
     nearby = field.values[i[:, None], j[None]].reshape(16, -1, field.values.shape[-1])
-    along = _cubic(part)
+    along = cubic(part)
     weights = (along[0][:, None] * along[1]).ravel()
-    by_size = _lagrange(field.radii**2, jnp.minimum(radius, field.radii[-1]) ** 2)
+    by_size = lagrange(field.radii**2, jnp.minimum(radius, field.radii[-1]) ** 2)
     return jnp.einsum("n,a,nam->m", weights, by_size, nearby, precision="highest")
 
 
-def _mirrored(index: Array, last: int) -> Array:
+def mirrored(index: Array, last: int) -> Array:
     index = jnp.abs(index)
     return jnp.where(index > last, 2 * last - index, index)
 
 
-def _cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
+def cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
     """Catmull and Rom's weights of four neighbours."""
     t = part[:, None]
     terms = [
@@ -60,7 +60,7 @@ def _cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
     return jnp.concatenate(terms, 1) / 2
 
 
-def _lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " A"]:
+def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " A"]:
     """Weights of the polynomial through values at `nodes`."""
     own = jnp.eye(len(nodes), dtype=bool)
     above = jnp.where(own, 1, at - nodes[None])

@@ -24,3 +24,4 @@ class Flag(enum.IntFlag):
     HIGH_RESIDUAL = 16384  # the model leaves too much of the voltages unexplained
     NO_DATA = 32768  # too few good channels: no result
     MODEL_LIMITED = 65536  # of what a place is uncertain by, noise is the lesser part
+    HURRIED = 131072  # a cheaper method answered, to keep a step's deadline

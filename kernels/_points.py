@@ -16,7 +16,7 @@ from tomojax.kernels._rectangle import rectangle_green
 from tomojax.kernels._whiten import currents, Frame, whitened_columns
 
 # ln of the width of what is known of a contact's size beforehand.
-_SIZE_WIDTH = 0.5
+SIZE_WIDTH = 0.5
 
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
@@ -50,7 +50,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]
     size = sheet.field.size
     place = parameters[:, :2] * sheet.unit
     place = size - jnp.abs(size - jnp.abs(place) % (2 * size))
-    radius = sheet.size * jnp.exp(_SIZE_WIDTH * parameters[:, 2])
+    radius = sheet.size * jnp.exp(SIZE_WIDTH * parameters[:, 2])
     return place, jnp.minimum(radius, sheet.field.radii[-1])
 
 

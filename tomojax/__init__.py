@@ -42,6 +42,7 @@ from tomojax._patterns import (  # noqa: E402
     pattern as pattern,
     PATTERNS as PATTERNS,
 )
+from tomojax._policies import Lookup as Lookup, POLICIES as POLICIES  # noqa: E402
 from tomojax._pressure import (  # noqa: E402
     calibrate_presses as calibrate_presses,
     force as force,
@@ -71,6 +72,11 @@ from tomojax._shapes import (  # noqa: E402
     Ring as Ring,
     Scene as Scene,
     Shifted as Shifted,
+)
+from tomojax._step import (  # noqa: E402
+    make_step as make_step,
+    Output as Output,
+    Step as Step,
 )
 from tomojax._stream import (  # noqa: E402
     reconstruct_recording as reconstruct_recording,

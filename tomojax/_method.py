@@ -164,23 +164,35 @@ def judged(
     count: int,
     images: bool,
 ) -> tuple:
-    """A row of results: contacts, residual, flags, rung, images (or None).
-
-    Nothing is said of a frame whose residual is no number.
-    """
+    """A row of results: contacts, residual, flags, rung, images (or None)."""
     contacts, image, residual, flags, rung, by_electrode = estimate
+    limit = method.residual_limit
+    contacts, flags = judge(contacts, residual, flags, voltages, limit)
+    rung = jnp.asarray(rung, jnp.uint8)
+    row = *contacts, residual, flags, rung
+    return *row, *((image, by_electrode) if images else (None, None))
+
+
+def judge(
+    contacts: kernels.Contacts,
+    residual: Float[Array, ""],
+    flags: Int[Array, ""] | int,
+    voltages: Float[Array, "*slots M"],
+    limit: float,
+) -> tuple[kernels.Contacts, Int[Array, ""]]:
+    """Contacts and flags: nothing is said of a frame whose residual is no number.
+
+    `limit`: the part of the voltages' rms beyond which a residual is high.
+    """
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
-    rms = jnp.sqrt(jnp.mean(voltages**2))
-    high = residual > method.residual_limit * rms + _NOISE
-    none = kernels.no_contacts(count, voltages.dtype)
+    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _NOISE
+    none = kernels.no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
     flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
-    rung = jnp.asarray(rung, jnp.uint8)
-    row = *contacts, residual, flags, rung
-    return *row, *((image, by_electrode) if images else (None, None))
+    return contacts, flags
 
 
 def method(

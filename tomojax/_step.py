@@ -1,0 +1,307 @@
+"""The step of a robot: one slot in, contacts and the next ground out, compiled once."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax import kernels
+from tomojax._calibration import Calibration
+from tomojax._checks import require
+from tomojax._method import judge, method as make_method, METHODS
+from tomojax._patterns import exploration
+from tomojax._points import Points
+from tomojax._policies import AbstractPolicy, Plan, policy as make_policy, Seen
+from tomojax._sensor import Sensor
+from tomojax._step_methods import AbstractStepMethod, EachSlot, Follow
+from tomojax.kernels import Flag
+
+STEP_METHODS = ("follow", *METHODS)
+
+
+class Slot(NamedTuple):
+    """What came of one ground condition."""
+
+    voltages: Float[Array, " M"]  # V; NaN where a channel gave nothing
+    ground: Int[Array, ""]  # the electrode that was grounded, whichever was asked for
+    lost: Int[Array, ""]  # slots lost since the one before
+    hurried: Bool[Array, ""]  # whether the cheaper method is to answer
+
+
+class Output(NamedTuple):
+    """What a step says."""
+
+    contacts: kernels.Contacts
+    residual: Float[Array, ""]  # V rms
+    flags: Int[Array, ""]  # bits of `Flag`
+    ground: Int[Array, ""]  # to be grounded next
+
+
+class State(NamedTuple):
+    """All that a step remembers: arrays alone, to be saved and restored as such."""
+
+    memory: Any
+    cheaper: Any
+    plan: Plan
+    last: Slot
+    used: Bool[Array, " M"]
+
+
+class Step:
+    """A method and a policy as one compiled function of a state and a slot.
+
+    `state` is where to begin; `step(state, voltages, ground)` gives the state after that
+    slot and an `Output`. What comes is converted and checked for its shape; nothing else
+    of it can raise or compile anew: what is wrong with it is in the flags. `replay` is the
+    same under `lax.scan`, for slots that are there already; `image(state)` the image after
+    a slot, on request. Made by `make_step`.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        method: AbstractStepMethod,
+        cheaper: AbstractStepMethod | None,
+        policies: dict[str, AbstractPolicy],
+        good: Bool[np.ndarray, " M"],
+        highest: float,
+    ):
+        self.electrode_count = sensor.electrode_count
+        self.policies = tuple(policies)
+        self.dtype = np.dtype(sensor.dtype)
+        self._method, self._cheaper = method, cheaper
+        self._policies = tuple(policies.values())
+        self._corners = exploration(sensor).astype(jnp.int32)
+        self._good, self._highest = jnp.asarray(good), highest
+        self.traces = 0
+        self.state = self._begun()
+        slot = self._slot(np.zeros(self.electrode_count), 0, 0, False)
+        self._compiled = jax.jit(self._counted).lower(self.state, slot).compile()
+        self._image = jax.jit(self._drawn)
+        self._replay = jax.jit(lambda state, slots: lax.scan(self._run, state, slots))
+
+    def __call__(
+        self,
+        state: State,
+        voltages: Any,
+        ground: Any,
+        lost: int | np.integer = 0,
+        hurried: bool = False,
+    ) -> tuple[State, Output]:
+        """The state after a slot, and what is said of it."""
+        return self._compiled(state, self._slot(voltages, ground, lost, hurried))
+
+    def replay(
+        self, state: State, voltages: Any, grounds: Any, lost: Any = None
+    ) -> tuple[State, Output]:
+        """As many calls as there are rows in `voltages` (n, M); outputs have n rows."""
+        v = np.asarray(voltages, self.dtype)
+        fits = v.ndim == 2 and v.shape[1] == self.electrode_count
+        require(fits, "voltages", f"shape {v.shape}", f"(n, {self.electrode_count})")
+        g = np.asarray(grounds)
+        require(g.shape == (len(v),), "grounds", f"shape {g.shape}", f"({len(v)},)")
+        gone = np.zeros(len(v), np.int32) if lost is None else np.asarray(lost, np.int32)
+        require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
+        slots = Slot(v, g.astype(np.int32), gone, np.zeros(len(v), bool))
+        return self._replay(state, slots)  # pyright: ignore
+
+    def image(self, state: State) -> Float[Array, "nx ny"]:
+        """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
+        return self._image(state)
+
+    def switch(self, state: State, policy: str) -> State:
+        """The state with another of the step's policies, from the next slot on."""
+        names = ", ".join(self.policies)
+        require(policy in self.policies, "policy", repr(policy), f"one of {names}")
+        number = jnp.asarray(self.policies.index(policy), state.plan.policy.dtype)
+        over = jnp.zeros_like(state.plan.length)
+        return state._replace(plan=state.plan._replace(policy=number, length=over))
+
+    def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> Slot:
+        v = np.asarray(voltages, self.dtype)
+        shape = (self.electrode_count,)
+        require(v.shape == shape, "voltages", f"shape {v.shape}", f"shape {shape}")
+        return Slot(v, np.int32(ground), np.int32(lost), np.bool_(hurried))  # pyright: ignore
+
+    def _begun(self) -> State:
+        m = self.electrode_count
+        whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
+        volts = jnp.zeros(m, self.dtype)
+        corners = whole.at[:2].set(self._corners)
+        two = jnp.zeros((2, m), self.dtype)
+        plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
+        cheaper = () if self._cheaper is None else self._cheaper.first()
+        last = Slot(volts, none, none, jnp.array(False))
+        return State(self._method.first(), cheaper, plan, last, whole > 0)
+
+    def _counted(self, state: State, slot: Slot) -> tuple[State, Output]:
+        self.traces += 1
+        return self._run(state, slot)
+
+    def _run(self, state: State, slot: Slot) -> tuple[State, Output]:
+        voltages, used, ok, flags = self._checked(slot)
+        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
+        ground = jnp.clip(slot.ground, 0, self.electrode_count - 1)
+        asked = voltages, used, ground, elapsed
+        memory, cheaper, told, late = self._told(state, slot, asked)
+        flags = flags | jnp.where(late, Flag.HURRIED.value, 0)
+        limit = self._method.residual_limit
+        contacts, bits = judge(*told, voltages, limit)
+        bits = bits.astype(jnp.int32)
+        none = kernels.no_contacts(len(contacts.radius), voltages.dtype)
+
+        def kept(new: Any, old: Any) -> Any:
+            return jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
+
+        memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
+        contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
+        flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
+        plan = self._planned(state.plan, slot, voltages, contacts, ok)
+        output = Output(
+            contacts,
+            jnp.where(ok, told.residual, jnp.nan),
+            flags,
+            plan.grounds[plan.at],
+        )
+        last = Slot(voltages, ground, slot.lost, slot.hurried)
+        return State(memory, cheaper, plan, last, used & ok), output
+
+    def _checked(self, slot: Slot) -> tuple[Array, Array, Array, Array]:
+        """Voltages (0 where not used), channels used, whether there are enough, flags."""
+        finite = jnp.isfinite(slot.voltages)
+        size = jnp.abs(jnp.where(finite, slot.voltages, 0))
+        high = size > self._highest
+        used = self._good & finite & ~high
+        voltages = jnp.where(used, slot.voltages, 0)
+        known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
+        enough = 2 * used.sum() >= self._good.sum()
+        bits = (
+            ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
+            ((self._good & high).any(), Flag.SATURATED),
+            (~known, Flag.UNKNOWN_GROUND),
+            (slot.lost > 0, Flag.GAP),
+            (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
+        )
+        each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in bits]
+        return voltages, used, known & enough, jnp.stack(each).sum(dtype=jnp.int32)
+
+    def _told(self, state: State, slot: Slot, asked: tuple) -> tuple:
+        if self._cheaper is None:
+            memory, told = self._method(state.memory, *asked)
+            return memory, (), told, jnp.array(False)
+        # The cheaper one goes along, so that it can answer at any time.
+        cheaper, quick = self._cheaper(state.cheaper, *asked)
+        memory, told = lax.cond(
+            slot.hurried,
+            lambda: (state.memory, quick),
+            lambda: self._method(state.memory, *asked),
+        )
+        return memory, cheaper, told, slot.hurried
+
+    def _planned(
+        self,
+        plan: Plan,
+        slot: Slot,
+        voltages: Array,
+        contacts: kernels.Contacts,
+        ok: Array,
+    ) -> Plan:
+        corner = (slot.ground == self._corners) & ok
+        explored = jnp.where(corner[:, None], voltages, plan.explored)
+        seen = Seen(explored, contacts)
+        at, m = plan.at + 1, self.electrode_count
+        corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
+
+        def laid(policy: AbstractPolicy) -> tuple:
+            grounds = policy(seen).astype(jnp.int32)
+            whole = jnp.zeros(m, jnp.int32).at[: len(grounds)].set(grounds)
+            return whole, jnp.array(len(grounds), jnp.int32), jnp.array(False)
+
+        def next_of(policy: AbstractPolicy) -> Any:
+            if not policy.explores:
+                return lambda: laid(policy)
+            explore = corners, jnp.array(2, jnp.int32), jnp.array(True)
+            return lambda: lax.cond(
+                plan.exploring & (plan.length > 0), lambda: laid(policy), lambda: explore
+            )
+
+        branches = [next_of(policy) for policy in self._policies]
+        same = lambda: (plan.grounds, plan.length, plan.exploring)  # noqa: E731
+        anew = lambda: lax.switch(plan.policy, branches)  # noqa: E731
+        over = at >= plan.length
+        grounds, length, exploring = lax.cond(over, anew, same)
+        at = jnp.where(over, 0, at)
+        return Plan(plan.policy, grounds, length, at, exploring, explored)
+
+    def _drawn(self, state: State) -> Float[Array, "nx ny"]:
+        last = state.last
+        image = self._method.image(state.memory, last.voltages, last.ground)
+        return jnp.where(state.used.any(), image, jnp.nan)
+
+
+def make_step(
+    sensor: Sensor,
+    method: str = "follow",
+    policy: str | Sequence[str] = "around_contacts",
+    *,
+    contacts: int = 2,
+    grid: int = 32,
+    lam: float | None = None,
+    cheaper: str | None = None,
+    calibration: Calibration | None = None,
+    good: Any = None,
+    highest: float | None = None,
+    tables: dict[str, AbstractPolicy] | None = None,
+) -> Step:
+    """A compiled step: one slot after another to contacts and the next ground.
+
+    **Arguments:** `method` "follow", which carries a few contacts on from slot to slot, or
+    one of `tomojax.method`, on each slot alone; `policy` or several, to `switch` between:
+    the patterns ("around", "cop_line" and "point" after two corner slots each),
+    "around_contacts" (*Around* by the contacts' places) and "information" (each time the
+    slot that is expected to say most of the places); `tables`: policies of your own by
+    name, such as a `Lookup`; `contacts` at most; `lam` λ (by default the method's own
+    without a recording); `cheaper`: a method that answers slots that are `hurried`;
+    `good` (M,): channels that are used; `highest`: |V| that no channel can have.
+    **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
+    wrong shape.
+    """
+    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
+    require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")
+    m = sensor.electrode_count
+    used = np.ones(m, bool) if good is None else np.asarray(good, bool)
+    require(used.shape == (m,), "good", f"shape {used.shape}", f"shape ({m},)")
+    require(used.sum() >= 4, "good", f"{used.sum()} channels", "4 or more")
+    names = [policy] if isinstance(policy, str) else list(policy)
+    require(names, "policy", names, "at least one")
+    own = tables or {}
+
+    def made(name: str) -> AbstractStepMethod:
+        names = ", ".join(STEP_METHODS)
+        require(name in STEP_METHODS, "method", repr(name), f"one of {names}")
+        if name == "follow":
+            points = make_method(sensor, "points", grid, calibration)
+            assert isinstance(points, Points)
+            return Follow.of(points, contacts, used)
+        found = make_method(sensor, name, grid, calibration)
+        value = found.choose_lambda([]) if lam is None else lam
+        return EachSlot.of(found, contacts, used, value)
+
+    main = made(method)
+    # Tables of what slots tell are of contacts that are followed.
+    by_place = main if isinstance(main, Follow) else None
+    if "information" in names and by_place is None:
+        by_place = made("follow")
+    policies = {
+        name: own[name] if name in own else make_policy(sensor, name, by_place)
+        for name in names
+    }
+    quick = None if cheaper is None else made(cheaper)
+    drive = abs(float(sensor.drive_voltage))
+    limit = 1.05 * drive if highest is None else float(highest)
+    require(limit > 0, "highest", limit, "volts above 0")
+    return Step(sensor, main, quick, policies, used, limit)
