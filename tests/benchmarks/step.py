@@ -1,0 +1,240 @@
+"""The step: how long one slot takes, and what each policy makes of moving contacts.
+
+    python tests/benchmarks/step.py [--slots 100000] [--out FOLDER]
+
+Latency: from NumPy voltages to NumPy contacts and the next ground, one call after another,
+as percentiles, for each method with a process as it comes and a tuned one (one core, no
+garbage collection, a real-time priority where it is allowed). Closed loop: a contact moves
+over a rig that is not ours (tests/rig.py), each slot's ground is what the policy asked
+for; places are those said in the same slot. Writes step.json and step.png.
+"""
+
+import argparse
+import gc
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+METHODS = ("follow", "source", "linear", "points")
+QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "p9999_us": 0.9999}
+POLICIES = ("around_contacts", "information", "around", "cop_line", "preset", "all")
+# Metres a second, and slots a second.
+SPEEDS, RATE = (0.05, 0.2, 0.5), 10_000
+# Slots that a position holds: 0.2 mm at the highest speed.
+HOLD = 4
+
+
+def tune() -> list[str]:
+    """One core, no garbage collection, real time: what this process is allowed."""
+    done = []
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    done.append("no garbage collection")
+    core = max(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {core})
+    done.append("one core")
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+        done.append("SCHED_FIFO")
+    except PermissionError:
+        pass
+    return done
+
+
+def child(method: str, tuned: bool, slots: int) -> None:
+    """One row, printed: in a process of its own."""
+    import numpy as np
+    from rig import Rig
+
+    import tomojax as tx
+
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    rng = np.random.default_rng(5)
+    rig = Rig(rng)
+    contact = rig.disc(np.array([0.052, 0.071]), 0.006), 1e-4
+    volts = rig.measure(rig.scene(contact)[0]).astype(np.float32)
+    start = time.perf_counter()
+    step = tx.make_step(sensor, method, "around_contacts")
+    made = time.perf_counter() - start
+    settings = tune() if tuned else []
+    state, ground = step.state, 0
+    for _ in range(500):
+        state, out = step(state, volts[ground], ground)
+        ground = int(out.ground)
+    spent = np.empty(slots)
+    for k in range(slots):
+        v = volts[ground]
+        begin = time.perf_counter_ns()
+        state, out = step(state, v, ground)
+        ground = int(out.ground)
+        np.asarray(out.contacts.xy)
+        spent[k] = time.perf_counter_ns() - begin
+    # The same for an image of it.
+    drawn = np.empty(min(slots, 5000))
+    for k in range(len(drawn)):
+        begin = time.perf_counter_ns()
+        np.asarray(step.image(state))
+        drawn[k] = time.perf_counter_ns() - begin
+    row = {
+        "kind": "latency",
+        "method": method,
+        "settings": settings,
+        "slots": slots,
+        "make_s": made,
+        **{n: float(np.quantile(spent, q)) / 1e3 for n, q in QUANTILES.items()},
+        "image_p50_us": float(np.quantile(drawn, 0.5)) / 1e3,
+        "traces": step.traces,
+    }
+    print(json.dumps(row))
+
+
+def latencies(slots: int) -> list[dict]:
+    table = []
+    for method in METHODS:
+        for tuned in (False, True):
+            # XLA reads its flags before anything else runs.
+            flags = "--xla_cpu_multi_thread_eigen=false" if tuned else ""
+            environment = os.environ | {"XLA_FLAGS": flags}
+            # `points` fits in full: milliseconds a slot.
+            count = min(slots, 300) if method == "points" else slots
+            command = [sys.executable, __file__, "--child", method]
+            command += ["--slots", str(count)] + ["--tuned"] * tuned
+            out = subprocess.run(command, env=environment, capture_output=True, text=True)
+            if out.returncode:
+                raise SystemExit(out.stderr)
+            table.append(json.loads(out.stdout.splitlines()[-1]))
+            print(json.dumps(table[-1]), flush=True)
+    return table
+
+
+def moving() -> list[dict]:
+    """Place error and lag of each policy, at each speed; and after a jump."""
+    import numpy as np
+    from rig import Rig
+
+    import tomojax as tx
+
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    rng = np.random.default_rng(8)
+    rig = Rig(rng)
+    length = 240
+    t = np.linspace(0, 2 * np.pi, length)
+    path = 0.08 + np.stack([0.05 * np.sin(t), 0.035 * np.sin(2 * t + 0.5)], 1)
+    far = np.hypot(*np.diff(path, axis=0).T)
+    print(f"positions {1e3 * far.mean():.2f} mm apart", flush=True)
+    volts = np.stack([rig.scene((rig.disc(p, 0.006), 1e-4))[0] for p in path])
+    corners = np.asarray(tx.exploration(sensor))
+    exploring = rig.measure(volts[0])[corners]
+    preset = np.asarray(tx.pattern(sensor, "around", exploring))
+    import jax.numpy as jnp
+
+    ground = jnp.asarray(preset)
+    same = tx.Lookup(ground[None, None], ground, sensor.size)
+    step = tx.make_step(sensor, "follow", POLICIES, tables={"preset": same})
+    table = []
+    for policy in POLICIES:
+        for speed in SPEEDS:
+            hold = max(1, round(far.mean() / speed * RATE))
+            state, ground, errors, along = step.switch(step.state, policy), 0, [], []
+            for k in np.repeat(np.arange(length), hold):
+                v = rig.measure(volts[k, ground]).astype(np.float32)
+                state, out = step(state, v, ground)
+                ground = int(out.ground)
+                off = np.asarray(out.contacts.xy[0]) - path[k]
+                ahead = path[min(k + 1, length - 1)] - path[max(k - 1, 0)]
+                errors.append(np.hypot(*off))
+                along.append(-off @ ahead / np.hypot(*ahead))
+            errors, along = 1e3 * np.array(errors[50:]), 1e3 * np.array(along[50:])
+            row = {
+                "kind": "moving",
+                "policy": policy,
+                "speed_m_s": speed,
+                "place_median_mm": float(np.nanmedian(errors)),
+                "place_p90_mm": float(np.nanquantile(errors, 0.9)),
+                "lag_ms": float(np.nanmean(along)) / speed,
+                "lost": int(np.isnan(errors).sum()),
+            }
+            table.append(row)
+            print(json.dumps(row), flush=True)
+    table.append(jumps(step, rig, volts, path))
+    print(json.dumps(table[-1]))
+    return table
+
+
+def jumps(step, rig, volts, path) -> dict:
+    """Slots from a jump across the sheet until the place is within 3 mm again."""
+    import numpy as np
+
+    taken = []
+    for a in range(0, len(path) // 2, 6):
+        b = a + len(path) // 2
+        state, ground = step.state, 0
+        for _ in range(20):
+            state, out = step(state, rig.measure(volts[a, ground]), ground)
+            ground = int(out.ground)
+        errors = []
+        for _ in range(10):
+            state, out = step(state, rig.measure(volts[b, ground]), ground)
+            ground = int(out.ground)
+            errors.append(np.hypot(*(np.asarray(out.contacts.xy[0]) - path[b])))
+        near = np.array(errors) < 3e-3
+        taken.append(int(np.argmax(near)) + 1 if near.any() else len(near) + 1)
+    return {"kind": "jump", "jumps": len(taken), "slots_max": max(taken), "slots": taken}
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 4.5), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    for k, method in enumerate(METHODS):
+        for row in (r for r in rows if r["kind"] == "latency" and r["method"] == method):
+            tuned = bool(row["settings"])
+            values = [row[name] for name in QUANTILES]
+            label = f"{method}, {'tuned' if tuned else 'as it comes'}"
+            style = "-o" if tuned else ":s"
+            left.semilogy(range(len(values)), values, style, color=f"C{k}", label=label)
+    left.axhline(100, color="0.6", lw=1)
+    left.set_xticks(range(4), ["50 %", "99 %", "99.9 %", "99.99 %"])
+    left.set(ylabel="one slot to contacts and next ground, µs", title="Latency")
+    left.legend(fontsize=7)
+    for k, policy in enumerate(POLICIES):
+        some = [r for r in rows if r["kind"] == "moving" and r["policy"] == policy]
+        speed = [r["speed_m_s"] for r in some]
+        for axes, name in ((middle, "place_median_mm"), (right, "lag_ms")):
+            axes.plot(speed, [r[name] for r in some], "-o", color=f"C{k}", label=policy)
+    middle.set(xlabel="speed, m/s", ylabel="place error, mm (median)", xscale="log")
+    middle.set(title="Closed loop, a moving contact (follow)", yscale="log")
+    right.set(xlabel="speed, m/s", ylabel="lag, ms", xscale="log", title="Lag")
+    middle.legend(fontsize=7)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--slots", type=int, default=100_000)
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    parser.add_argument("--child", choices=METHODS)
+    parser.add_argument("--tuned", action="store_true")
+    options = parser.parse_args()
+    if options.child:
+        child(options.child, options.tuned, options.slots)
+        return
+    from benchmarks.physics import environment
+
+    rows = latencies(options.slots) + moving()
+    content = {"environment": environment(), "rows": rows}
+    path = options.out / "step.json"
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    draw(rows, path.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
