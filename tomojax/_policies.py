@@ -4,7 +4,7 @@ A policy lays out a stretch of ground conditions; when they are through it is as
 """
 
 from abc import abstractmethod
-from typing import Any, cast, NamedTuple
+from typing import Any, cast, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -61,7 +61,7 @@ class AbstractPolicy(eqx.Module):
 class Fixed(AbstractPolicy):
     """The same ground conditions over and over."""
 
-    explores = False
+    explores: ClassVar[bool] = False  # pyright: ignore
     grounds: Int[Array, " L"]
 
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
@@ -71,7 +71,7 @@ class Fixed(AbstractPolicy):
 class Adaptive(AbstractPolicy):
     """The paper's: two corner slots, then *Around*, *CoP line* or *Point*."""
 
-    explores = True
+    explores: ClassVar[bool] = True  # pyright: ignore
     scan: AdaptiveScan
 
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
@@ -84,7 +84,7 @@ class Lookup(AbstractPolicy):
     Without a contact `idle` (L,) is grounded.
     """
 
-    explores = False
+    explores: ClassVar[bool] = False  # pyright: ignore
     table: Int[Array, "nx ny L"]
     idle: Int[Array, " L"]
     size: Float[Array, "2"]
@@ -110,7 +110,7 @@ class Information(AbstractPolicy):
     place and J(l) what a slot says of it, looked up by place.
     """
 
-    explores = False
+    explores: ClassVar[bool] = False  # pyright: ignore
     places: Float[Array, "K 2"]
     information: Float[Array, "K M 3"]  # of a place: xx, yy, xy, 1/m²
     corners: Int[Array, "2"]

@@ -26,10 +26,10 @@ STEP_METHODS = ("follow", *METHODS)
 class Slot(NamedTuple):
     """What came of one ground condition."""
 
-    voltages: Float[Array, " M"]  # V; NaN where a channel gave nothing
-    ground: Int[Array, ""]  # the electrode that was grounded, whichever was asked for
-    lost: Int[Array, ""]  # slots lost since the one before
-    hurried: Bool[Array, ""]  # whether the cheaper method is to answer
+    voltages: Any  # (M,) V; NaN where a channel gave nothing
+    ground: Any  # the electrode that was grounded, whichever was asked for
+    lost: Any  # slots lost since the one before
+    hurried: Any  # bool: whether the cheaper method is to answer
 
 
 class Output(NamedTuple):
@@ -107,7 +107,7 @@ class Step:
         gone = np.zeros(len(v), np.int32) if lost is None else np.asarray(lost, np.int32)
         require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
         slots = Slot(v, g.astype(np.int32), gone, np.zeros(len(v), bool))
-        return self._replay(state, slots)  # pyright: ignore
+        return self._replay(state, slots)
 
     def image(self, state: State) -> Float[Array, "nx ny"]:
         """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
@@ -125,7 +125,7 @@ class Step:
         v = np.asarray(voltages, self.dtype)
         shape = (self.electrode_count,)
         require(v.shape == shape, "voltages", f"shape {v.shape}", f"shape {shape}")
-        return Slot(v, np.int32(ground), np.int32(lost), np.bool_(hurried))  # pyright: ignore
+        return Slot(v, np.int32(ground), np.int32(lost), np.bool_(hurried))
 
     def _begun(self) -> State:
         m = self.electrode_count
@@ -150,7 +150,8 @@ class Step:
         memory, cheaper, told, late = self._told(state, slot, asked)
         flags = flags | jnp.where(late, Flag.HURRIED.value, 0)
         limit = self._method.residual_limit
-        contacts, bits = judge(*told, voltages, limit)
+        contacts, residual, bits = told
+        contacts, bits = judge(contacts, residual, bits, voltages, limit)
         bits = bits.astype(jnp.int32)
         none = kernels.no_contacts(len(contacts.radius), voltages.dtype)
 
@@ -163,7 +164,7 @@ class Step:
         plan = self._planned(state.plan, slot, voltages, contacts, ok)
         output = Output(
             contacts,
-            jnp.where(ok, told.residual, jnp.nan),
+            jnp.where(ok, residual, jnp.nan),
             flags,
             plan.grounds[plan.at],
         )
