@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import h5py
+import jax
 import numpy as np
 
 HERE = Path(__file__).parent
@@ -51,6 +52,8 @@ def static(sensor, scenes: dict) -> tuple[list[dict], dict]:
     """A row for each model, slots and scene; and the images from all slots."""
     table, images = [], {}
     for name in MODELS:
+        # A process may not map as much compiled code as all models have.
+        jax.clear_caches()
         model = tx.method(sensor, name, 32)
         for slots in SLOTS:
             for scene, (volts, truth) in scenes.items():
