@@ -27,7 +27,7 @@ from tomojax.kernels._one_slot import (
     weighed,
     Weights,
 )
-from tomojax.kernels._points import green_of, LEAST_DROP, Sheet
+from tomojax.kernels._points import green_of, LEAST_DROP, polarisability, Sheet
 
 # What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
 # a size: 1 σ. And by how much they move in a slot.
@@ -292,9 +292,7 @@ def _update(
 def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
     """How far a contact's current is from its centre, in units: see `_points`."""
     radius = radius_of(sheet, known.size)
-    strength = jnp.maximum(known.conductance, 0) * sheet.sheet_resistance / np.pi
-    kappa = strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
-    moment = 2 * np.pi * radius**2 * kappa / sheet.sheet_resistance
+    moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
     total = known.current.sum()
     share = jnp.where(
         known.current != 0, total / jnp.where(known.current != 0, known.current, 1), 0

@@ -128,16 +128,21 @@ def _surroundings(
     return drop, pull
 
 
+def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:
+    """2πa²κ/ρ: the dipole that a field makes of a disc of that conductance, A·m per V/m."""
+    strength = conductance * sheet.sheet_resistance / np.pi  # gρ/π
+    # I₂/I₀ to 2 %.
+    kappa = strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
+    return 2 * np.pi * radius**2 * kappa / sheet.sheet_resistance
+
+
 def _lean(sheet, radius, current, drop, pull) -> Float[Array, "S C 2"]:
     """How far the centre of a contact's current is from the contact's, m."""
     least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
     forward = jnp.sign(sheet.drive_voltage)
     mean_drop = jnp.maximum((forward * drop).mean(0), least)
     flowing = jnp.maximum((forward * current).mean(0), 0)
-    strength = flowing / mean_drop * sheet.sheet_resistance / np.pi  # gρ/π
-    # I₂/I₀ to 2 %.
-    kappa = strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
-    moment = 2 * np.pi * radius**2 * kappa / sheet.sheet_resistance
+    moment = polarisability(sheet, flowing / mean_drop, radius)
     enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
     safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
     shift = moment[:, None] * pull / safe[..., None]

@@ -25,10 +25,6 @@ POLICIES = (*PATTERNS, "around_contacts", "information")
 # Places along a side that a table by place is made for.
 _PLACES = 32
 
-# Of what one slot says of a place (1/σ², σ of a millimetre's order): a slot that is not to
-# say more than another by chance.
-_KNOWN = 1e-3
-
 
 class Seen(NamedTuple):
     """What a policy may go by."""

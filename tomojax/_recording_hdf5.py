@@ -159,7 +159,8 @@ def _written_in_swmr_mode(path: Path) -> bool:
     """
     with path.open("rb") as file:
         start = file.read(12)
-    return start[:4] == b"\x89HDF" and start[8] >= 3 and bool(start[11] & 4)
+        whole = len(start) == 12 and start[:4] == b"\x89HDF"
+        return whole and start[8] >= 3 and bool(start[11] & 4)
 
 
 def _attributes(file: h5py.File) -> Callable:
