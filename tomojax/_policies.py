@@ -14,7 +14,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
 from tomojax._checks import require
-from tomojax._patterns import _fixed, AdaptivePattern, AdaptiveScan, exploration, PATTERNS
+from tomojax._patterns import (
+    AdaptivePattern,
+    AdaptiveScan,
+    exploration,
+    pattern,
+    PATTERNS,
+)
 from tomojax._sensor import Sensor
 from tomojax.kernels._one_slot import in_slot, slot_weights, solve_small, weighed
 
@@ -109,7 +115,7 @@ class Information(AbstractPolicy):
     explores: ClassVar[bool] = False  # pyright: ignore
     places: Float[Array, "K 2"]
     information: Float[Array, "K M 3"]  # of a place: xx, yy, xy, 1/m²
-    corners: Int[Array, "2"]
+    idle: Int[Array, ""]  # grounded while there is no contact
 
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
         contacts = seen.contacts
@@ -124,11 +130,14 @@ class Information(AbstractPolicy):
         det = xx * yy - mixed**2
         told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
         best = jnp.argmax(jnp.where(there[:, None], told, 0).sum(0))
-        return jnp.where(there.any(), best, self.corners[0])[None]
+        return jnp.where(there.any(), best, self.idle)[None]
 
 
-def policy(sensor: Sensor, name: str, candidates: Any) -> AbstractPolicy:
-    """The policy of that name: a pattern's, "around_contacts" or "information"."""
+def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
+    """The policy of that name: a pattern's, "around_contacts" or "information".
+
+    `follow`, of the sensor, is where "information" has its tables from; else not used.
+    """
     require(name in POLICIES, "policy", repr(name), f"one of {', '.join(POLICIES)}")
     if name in ADAPTIVE:
         return Adaptive(AdaptiveScan(sensor, cast(AdaptivePattern, name)))
@@ -137,9 +146,9 @@ def policy(sensor: Sensor, name: str, candidates: Any) -> AbstractPolicy:
         idle = jnp.resize(exploration(sensor), table.shape[-1:])
         return Lookup(table, idle, sensor.size)
     if name == "information":
-        told = _information(candidates)
-        return Information(candidates.candidates.place, told, exploration(sensor))
-    return Fixed(jnp.asarray(_fixed(sensor, name, 0), int))
+        told = _information(follow)
+        return Information(follow.candidates.place, told, exploration(sensor)[0])
+    return Fixed(pattern(sensor, name))
 
 
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
@@ -159,10 +168,10 @@ def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
     return jax.jit(jax.vmap(one))(places).reshape(_PLACES, _PLACES, -1)
 
 
-def _information(method: Any) -> Float[Array, "K M 3"]:
+def _information(follow: Any) -> Float[Array, "K M 3"]:
     """What a slot of each ground says of a usual contact's place, 1/m²."""
-    sheet, noise = method.points.sheet, method.noise
-    tangent, unit = method.candidates.tangent, sheet.unit
+    sheet, noise = follow.points.sheet, follow.noise
+    tangent, unit = follow.candidates.tangent, sheet.unit
     # A current that makes a tenth of the drive, so that noise is the lesser part.
     current = 0.1 * sheet.drive_voltage / sheet.sheet_resistance
 
