@@ -122,7 +122,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     with (
         open_recording(rec, **options["tdms"]) as recording,
         _bar(share) as bar,
-        _interrupts() as interrupted,
+        interrupts() as interrupted,
     ):
 
         def progress(done: int, total: int) -> None:
@@ -166,7 +166,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
 
 
 @contextmanager
-def _interrupts():
+def interrupts():
     """Ctrl-C as an event: as an exception it may come up inside a callback and be lost.
 
     A second one ends the process at once, which loses nothing that has been written.

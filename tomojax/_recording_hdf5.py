@@ -92,6 +92,11 @@ class Hdf5Recording(Recording):
             **numbers,
         )
         self._t0 = np.ravel(t0[()])[: self.scans].astype(float)
+        if self._growing:
+            # Times are written last: a row without one is not whole yet.
+            whole = np.flatnonzero(np.isfinite(self._t0))
+            self.scans = int(whole[-1]) + 1 if len(whole) else 0
+            self._t0 = self._t0[: self.scans]
         check(self)
         check_times(self._t0, self.slots, self.rig.f_switch)
 

@@ -13,6 +13,7 @@ from tomojax import kernels
 from tomojax._calibration import Calibration
 from tomojax._checks import require
 from tomojax._method import judge, method as make_method, METHODS
+from tomojax._packing import Packed, Packing
 from tomojax._patterns import exploration
 from tomojax._points import Points
 from tomojax._policies import AbstractPolicy, Plan, policy as make_policy, Seen
@@ -41,8 +42,8 @@ class Output(NamedTuple):
     ground: Int[Array, ""]  # to be grounded next
 
 
-class State(NamedTuple):
-    """All that a step remembers: arrays alone, to be saved and restored as such."""
+class Remembered(NamedTuple):
+    """All that a step remembers; outside, packed into two arrays."""
 
     memory: Any
     cheaper: Any
@@ -54,8 +55,9 @@ class State(NamedTuple):
 class Step:
     """A method and a policy as one compiled function of a state and a slot.
 
-    `state` is where to begin; `step(state, voltages, ground)` gives the state after that
-    slot and an `Output`. What comes is converted and checked for its shape; nothing else
+    `state` is where to begin: two arrays, to be saved and restored as such.
+    `step(state, voltages, ground)` gives the state after that slot and an `Output` in
+    NumPy's arrays. What comes is converted and checked for its shape; nothing else
     of it can raise or compile anew: what is wrong with it is in the flags. `replay` is the
     same under `lax.scan`, for slots that are there already; `image(state)` the image after
     a slot, on request. Made by `make_step`.
@@ -69,6 +71,7 @@ class Step:
         policies: dict[str, AbstractPolicy],
         good: Bool[np.ndarray, " M"],
         highest: float,
+        calibration: Calibration,
     ):
         self.electrode_count = sensor.electrode_count
         self.policies = tuple(policies)
@@ -77,27 +80,35 @@ class Step:
         self._policies = tuple(policies.values())
         self._corners = exploration(sensor).astype(jnp.int32)
         self._good, self._highest = jnp.asarray(good), highest
+        zero, gain = calibration.offset, calibration.gain
+        self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
         self.traces = 0
-        self.state = self._begun()
+        begun = self._begun()
+        self._packing = Packing(begun, self.dtype)
+        said = jax.eval_shape(self._run, begun, begun.last)[1]
+        self._said = Packing(said, self.dtype)
+        self.state = jax.jit(self._packing.pack)(begun)
         slot = self._slot(np.zeros(self.electrode_count), 0, 0, False)
-        self._compiled = jax.jit(self._counted).lower(self.state, slot).compile()
+        self._compiled = jax.jit(self._counted).lower(self.state, *slot).compile()
         self._image = jax.jit(self._drawn)
-        self._replay = jax.jit(lambda state, slots: lax.scan(self._run, state, slots))
+        self._replay = jax.jit(self._replayed)
 
     def __call__(
         self,
-        state: State,
+        state: Packed,
         voltages: Any,
         ground: Any,
         lost: int | np.integer = 0,
         hurried: bool = False,
-    ) -> tuple[State, Output]:
+    ) -> tuple[Packed, Output]:
         """The state after a slot, and what is said of it."""
-        return self._compiled(state, self._slot(voltages, ground, lost, hurried))
+        slot = self._slot(voltages, ground, lost, hurried)
+        state, said = self._compiled(state, *slot)
+        return state, self._output(said)
 
     def replay(
-        self, state: State, voltages: Any, grounds: Any, lost: Any = None
-    ) -> tuple[State, Output]:
+        self, state: Packed, voltages: Any, grounds: Any, lost: Any = None
+    ) -> tuple[Packed, Output]:
         """As many calls as there are rows in `voltages` (n, M); outputs have n rows."""
         v = np.asarray(voltages, self.dtype)
         fits = v.ndim == 2 and v.shape[1] == self.electrode_count
@@ -106,28 +117,33 @@ class Step:
         require(g.shape == (len(v),), "grounds", f"shape {g.shape}", f"({len(v)},)")
         gone = np.zeros(len(v), np.int32) if lost is None else np.asarray(lost, np.int32)
         require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
-        slots = Slot(v, g.astype(np.int32), gone, np.zeros(len(v), bool))
-        return self._replay(state, slots)
+        whole = np.stack([g.astype(np.int32), gone, np.zeros_like(gone)], 1)
+        state, said = self._replay(state, v, whole)
+        return state, self._output(said)
 
-    def image(self, state: State) -> Float[Array, "nx ny"]:
+    def image(self, state: Packed) -> Float[Array, "nx ny"]:
         """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
         return self._image(state)
 
-    def switch(self, state: State, policy: str) -> State:
+    def switch(self, state: Packed, policy: str) -> Packed:
         """The state with another of the step's policies, from the next slot on."""
         names = ", ".join(self.policies)
         require(policy in self.policies, "policy", repr(policy), f"one of {names}")
-        number = jnp.asarray(self.policies.index(policy), state.plan.policy.dtype)
-        over = jnp.zeros_like(state.plan.length)
-        return state._replace(plan=state.plan._replace(policy=number, length=over))
+        remembered = self._packing.unpack(state)
+        number = jnp.asarray(self.policies.index(policy), jnp.int32)
+        plan = remembered.plan._replace(policy=number, length=jnp.zeros((), jnp.int32))
+        return self._packing.pack(remembered._replace(plan=plan))
 
-    def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> Slot:
+    def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> tuple:
         v = np.asarray(voltages, self.dtype)
         shape = (self.electrode_count,)
         require(v.shape == shape, "voltages", f"shape {v.shape}", f"shape {shape}")
-        return Slot(v, np.int32(ground), np.int32(lost), np.bool_(hurried))
+        return v, np.array((ground, lost, hurried), np.int32)
 
-    def _begun(self) -> State:
+    def _output(self, said: Packed) -> Output:
+        return self._said.unpack(Packed(np.asarray(said[0]), np.asarray(said[1])))
+
+    def _begun(self) -> Remembered:
         m = self.electrode_count
         whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
         volts = jnp.zeros(m, self.dtype)
@@ -136,13 +152,21 @@ class Step:
         plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
         cheaper = () if self._cheaper is None else self._cheaper.first()
         last = Slot(volts, none, none, jnp.array(False))
-        return State(self._method.first(), cheaper, plan, last, whole > 0)
+        return Remembered(self._method.first(), cheaper, plan, last, whole > 0)
 
-    def _counted(self, state: State, slot: Slot) -> tuple[State, Output]:
+    def _counted(self, state: Packed, volts: Array, whole: Array) -> tuple:
         self.traces += 1
-        return self._run(state, slot)
+        return self._packed(state, volts, whole)
 
-    def _run(self, state: State, slot: Slot) -> tuple[State, Output]:
+    def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
+        slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
+        remembered, said = self._run(self._packing.unpack(state), slot)
+        return self._packing.pack(remembered), self._said.pack(said)
+
+    def _replayed(self, state: Packed, volts: Array, whole: Array) -> tuple:
+        return lax.scan(lambda s, slot: self._packed(s, *slot), state, (volts, whole))
+
+    def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
         voltages, used, ok, flags = self._checked(slot)
         elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
         ground = jnp.clip(slot.ground, 0, self.electrode_count - 1)
@@ -169,7 +193,7 @@ class Step:
             plan.grounds[plan.at],
         )
         last = Slot(voltages, ground, slot.lost, slot.hurried)
-        return State(memory, cheaper, plan, last, used & ok), output
+        return Remembered(memory, cheaper, plan, last, used & ok), output
 
     def _checked(self, slot: Slot) -> tuple[Array, Array, Array, Array]:
         """Voltages (0 where not used), channels used, whether there are enough, flags."""
@@ -177,7 +201,7 @@ class Step:
         size = jnp.abs(jnp.where(finite, slot.voltages, 0))
         high = size > self._highest
         used = self._good & finite & ~high
-        voltages = jnp.where(used, slot.voltages, 0)
+        voltages = jnp.where(used, (slot.voltages - self._zero) / self._gain, 0)
         known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
         enough = 2 * used.sum() >= self._good.sum()
         bits = (
@@ -190,7 +214,7 @@ class Step:
         each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in bits]
         return voltages, used, known & enough, jnp.stack(each).sum(dtype=jnp.int32)
 
-    def _told(self, state: State, slot: Slot, asked: tuple) -> tuple:
+    def _told(self, state: Remembered, slot: Slot, asked: tuple) -> tuple:
         if self._cheaper is None:
             memory, told = self._method(state.memory, *asked)
             return memory, (), told, jnp.array(False)
@@ -238,10 +262,11 @@ class Step:
         at = jnp.where(over, 0, at)
         return Plan(plan.policy, grounds, length, at, exploring, explored)
 
-    def _drawn(self, state: State) -> Float[Array, "nx ny"]:
-        last = state.last
-        image = self._method.image(state.memory, last.voltages, last.ground)
-        return jnp.where(state.used.any(), image, jnp.nan)
+    def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
+        remembered = self._packing.unpack(state)
+        last = remembered.last
+        image = self._method.image(remembered.memory, last.voltages, last.ground)
+        return jnp.where(remembered.used.any(), image, jnp.nan)
 
 
 def make_step(
@@ -267,6 +292,7 @@ def make_step(
     slot that is expected to say most of the places); `tables`: policies of your own by
     name, such as a `Lookup`; `contacts` at most; `lam` λ (by default the method's own
     without a recording); `cheaper`: a method that answers slots that are `hurried`;
+    `calibration`: of the rig, its zeros and gains are taken off what is read;
     `good` (M,): channels that are used; `highest`: |V| that no channel can have.
     **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
     wrong shape.
@@ -305,4 +331,5 @@ def make_step(
     drive = abs(float(sensor.drive_voltage))
     limit = 1.05 * drive if highest is None else float(highest)
     require(limit > 0, "highest", limit, "volts above 0")
-    return Step(sensor, main, quick, policies, used, limit)
+    known = Calibration() if calibration is None else calibration
+    return Step(sensor, main, quick, policies, used, limit, known)

@@ -3,8 +3,8 @@
     python tests/benchmarks/ladder.py FOLDER [--out FOLDER]
 
 FOLDER holds static_all.h5 with truth.json, and bounce_*.h5 with their .truth.npz
-(recordings of a rig model that is not ours). Writes ladder.json and ladder.png: images of
-the scenes by each model, and the drops' conductance over time. Takes ten minutes.
+(recordings of a rig model that is not ours). Writes ladder.json, ladder.png (images of the
+scenes by each model) and drops.png (the drops' conductance over time). Takes ten minutes.
 """
 
 import argparse
@@ -112,6 +112,7 @@ def drops(folder: Path, scratch: str) -> tuple[list[dict], dict]:
                 with h5py.File(out) as file:
                     mine = np.nan_to_num(file["contact_conductance"][:, 0])
                 _, touches = track_results(out, tracked, overwrite=True)
+                followed = follow(recording)
                 settings = tx.Settings("linear", images=False, contacts=1)
                 tx.reconstruct_recording(recording, out, settings, overwrite=True)
                 with h5py.File(out) as file:
@@ -119,30 +120,48 @@ def drops(folder: Path, scratch: str) -> tuple[list[dict], dict]:
             g = g[: len(mine)]
             on = g > 0
             # Eq. 3 tells no conductance: its sum of φ by whatever factor suits it best.
-            theirs = theirs * (theirs @ g) / (theirs @ theirs)
-            row = {
-                "scene": thing,
-                "method": f"points per slot, {pattern}",
-                "slots": slots,
-                "rms_uS": 1e6 * float(np.sqrt(np.mean((mine - g) ** 2))),
-                "linear_rms_uS": 1e6 * float(np.sqrt(np.mean((theirs - g) ** 2))),
-                "contacts": len(touches),
-                "true_contacts": int((np.diff(on.astype(int), prepend=0) == 1).sum()),
-            }
-            print(json.dumps(row), flush=True)
-            table.append(row)
-            curves[thing, pattern] = g, mine, theirs, rig.f_switch
+            theirs = fitted(theirs, g)
+            for name, values in (("points", mine), ("follow", followed)):
+                row = {
+                    "scene": thing,
+                    "method": f"{name} per slot, {pattern}",
+                    "slots": slots,
+                    "rms_uS": rms(values - g),
+                    "rms_fitted_uS": rms(fitted(values, g) - g),
+                    "linear_rms_fitted_uS": rms(theirs - g),
+                    "contacts": len(touches) if name == "points" else None,
+                    "true_contacts": int((np.diff(on.astype(int), prepend=0) == 1).sum()),
+                }
+                print(json.dumps(row), flush=True)
+                table.append(row)
+            curves[thing, pattern] = g, mine, followed, theirs, rig.f_switch
     return table, curves
 
 
-def draw(images: dict, curves: dict, path: Path) -> None:
+def follow(recording: tx.Recording) -> np.ndarray:
+    """The conductance by `follow`, each slot with what was known before it, S."""
+    scans = recording.read(0, recording.scans)
+    step = tx.make_step(recording.rig.sensor(), "follow", "all", contacts=1)
+    volts, grounds = (a.reshape(-1, *a.shape[2:]) for a in scans[:2])
+    _, out = step.replay(step.state, volts, grounds)
+    return np.nan_to_num(np.asarray(out.contacts.conductance))[:, 0]
+
+
+def fitted(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """By the factor that suits it best."""
+    return values * (values @ truth) / (values @ values)
+
+
+def rms(values: np.ndarray) -> float:
+    return 1e6 * float(np.sqrt(np.mean(values**2)))
+
+
+def draw(images: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
     scenes = list(dict.fromkeys(scene for _, scene in images))[1:]
-    figure = Figure(
-        figsize=(2 * len(scenes), 2.1 * (len(MODELS) + 2)), layout="constrained"
-    )
-    grid = figure.add_gridspec(len(MODELS) + 2, len(scenes))
+    figure = Figure(figsize=(2 * len(scenes), 2.1 * len(MODELS)), layout="constrained")
+    grid = figure.add_gridspec(len(MODELS), len(scenes))
     for i, model in enumerate(MODELS):
         for j, scene in enumerate(scenes):
             axes = figure.add_subplot(grid[i, j])
@@ -154,18 +173,27 @@ def draw(images: dict, curves: dict, path: Path) -> None:
                 axes.set_title(scene, fontsize=8)
             if j == 0:
                 axes.set_ylabel(model)
-    for k, ((thing, pattern), (g, mine, theirs, rate)) in enumerate(curves.items()):
-        if pattern != "copline":
-            continue
-        axes = figure.add_subplot(grid[len(MODELS) + (k > 2), :])
-        t = np.arange(len(g)) / rate
-        axes.plot(t, 1e6 * theirs, color="C3", lw=1, label="linear, CoP line, per scan")
-        axes.plot(t, 1e6 * mine, color="C0", lw=1, label="points, per slot")
-        axes.plot(t, 1e6 * g, "k:", lw=1, label="truth")
-        last = np.flatnonzero(g > 0)[0] / rate
-        axes.set(xlim=(last - 0.01, last + 0.4), ylabel=f"{thing}, µS", xlabel="s")
-        axes.legend(loc="upper right", fontsize=8)
     figure.savefig(path, dpi=70)
+
+
+def draw_drops(curves: dict, path: Path) -> None:
+    """The first bounces of both things under each pattern."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 8), layout="constrained")
+    axes_of = figure.subplots(2, 3, squeeze=False).ravel()
+    for axes, ((thing, pattern), told) in zip(axes_of, curves.items()):
+        g, mine, followed, theirs, rate = told
+        t = np.arange(len(g)) / rate
+        axes.plot(t, 1e6 * theirs, color="C3", lw=1, label="linear, per scan (fitted)")
+        axes.plot(t, 1e6 * mine, color="C0", lw=1, label="points, per slot")
+        axes.plot(t, 1e6 * followed, color="C2", lw=1, label="follow, per slot")
+        axes.plot(t, 1e6 * g, "k:", lw=1, label="truth")
+        first = np.flatnonzero(g > 0)[0] / rate
+        axes.set(xlim=(first - 0.01, first + 0.4), ylabel="µS", xlabel="s")
+        axes.set_title(f"{thing}, {pattern}")
+    axes_of[0].legend(loc="upper right", fontsize=8)
+    figure.savefig(path, dpi=80)
 
 
 def main() -> None:
@@ -175,12 +203,13 @@ def main() -> None:
     options = parser.parse_args()
     sensor, scenes = load(options.folder)
     table, images = static(sensor, scenes)
+    path = options.out / "ladder.json"
+    draw(images, path.with_suffix(".png"))
     with tempfile.TemporaryDirectory() as scratch:
         fallen, curves = drops(options.folder, scratch)
     content = {"environment": environment(), "rows": table + fallen}
-    path = options.out / "ladder.json"
     path.write_text(json.dumps(content, indent=1) + "\n")
-    draw(images, curves, path.with_suffix(".png"))
+    draw_drops(curves, options.out / "drops.png")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,83 @@
+"""Where slots come from: what every source promises."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+
+class Got(NamedTuple):
+    """What comes with a slot's codes."""
+
+    ground: int  # what was grounded, whatever was asked for
+    lost: int  # slots lost just before this one
+    number: int  # of this slot since the start; lost ones count
+    time: float  # of the rig's clock since its first slot, s
+    arrived: float  # when its last byte was here, s of `time.perf_counter`
+
+
+@dataclass
+class Counters:
+    """What a source has seen; nothing is left out of them."""
+
+    slots: int = 0  # given out
+    lost: int = 0  # never came, or not sound
+    bad: int = 0  # pieces of data that were no sound message
+    late: int = 0  # slots that came after a later one, or twice: not given out
+    early: int = 0  # slots from before the rig's description: not given out
+    disconnects: int = 0
+    restarts: int = 0  # the rig was switched off and on
+
+    def as_dict(self) -> dict[str, int]:
+        return asdict(self)
+
+
+class SlotSource(ABC):
+    """A rig's slots, one `read` each; a context that starts and stops it.
+
+    Codes are int16, V = `scale`·code + `offset`; known, as `rate` (slots a second), once
+    it is started. A gap is a number (`Got.lost`), never a made-up slot.
+    """
+
+    electrodes: int
+    rate: float
+    scale: float
+    offset: float
+    counters: Counters
+
+    @abstractmethod
+    def start(self) -> None:
+        """From here on slots come. **Raises:** `OSError` where there is no rig."""
+
+    @abstractmethod
+    def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
+        """The next slot's codes into `codes`; None where none came within `timeout` s.
+
+        **Raises:** `EOFError` where there will be none any more.
+        """
+
+    @abstractmethod
+    def set_grounds(self, grounds: Sequence[int]) -> None:
+        """Ground conditions that are gone through again and again from now on.
+
+        **Raises:** `ValueError` for electrodes that there are not.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Nothing more is read; can be called twice."""
+
+    @property
+    def waiting(self) -> int:
+        """Slots that are here already and not yet read."""
+        return 0
+
+    def __enter__(self) -> "SlotSource":
+        self.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.stop()

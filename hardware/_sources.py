@@ -1,0 +1,35 @@
+"""Sources by their names."""
+
+from typing import Any
+
+from tomojax._recording import open_recording
+from tomojax.hardware._source import SlotSource
+
+
+def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
+    """What `where` names: serial:PORT, udp://HOST:PORT, or a recording's path.
+
+    **Arguments:** `options` are those of the source: `baud`; `bind`, the address of this
+    machine to listen at (by default reached from this machine alone); `speed`, of a
+    recording.
+    **Raises:** `ValueError` for other names and options.
+    """
+    try:
+        if where.startswith("serial:"):
+            from tomojax.hardware._serial import SerialSource
+
+            port = where.removeprefix("serial:")
+            return SerialSource(port, electrodes=electrodes, **options)
+        if where.startswith("udp://"):
+            from tomojax.hardware._udp import UdpSource
+
+            host, colon, port = where.removeprefix("udp://").rpartition(":")
+            if not colon or not port.isdigit():
+                raise ValueError(f"source: got {where!r}, expected udp://HOST:PORT")
+            return UdpSource(host, int(port), electrodes=electrodes, **options)
+        from tomojax.hardware._replay import ReplaySource
+
+        return ReplaySource(open_recording(where), **options)
+    except TypeError as error:
+        reason = str(error).rpartition(" ")[2]
+        raise ValueError(f"source: {where} has no option {reason}") from None

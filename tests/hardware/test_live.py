@@ -1,0 +1,146 @@
+"""The live loop against virtual rigs, and its commands."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import PLACES
+
+import tomojax as tx
+from tomojax import Flag
+from tomojax.hardware import open_source, Ring, run
+from tomojax.hardware._virtual_rig import VirtualRig
+
+# Slots a second: what a machine that is busy with other tests keeps up with.
+RATE = 500
+
+
+@pytest.fixture(scope="module")
+def step():
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    return tx.make_step(sensor, "follow", "around_contacts", contacts=1)
+
+
+def looped(step, scene, tmp_path, seconds=1.5, **options):
+    """Rows of a ring after so long, with the ring and the source."""
+    ring = Ring.create(64, 1, folder=tmp_path)
+    with VirtualRig(scene, rate=RATE, **options) as rig, open_source(rig.where) as source:
+        end = time.perf_counter() + seconds
+        run(source, step, ring, until=lambda: time.perf_counter() > end, budget=1.0)
+    rows, _, gone = ring.since(0)
+    assert gone == 0
+    numbers, counted = rows["number"], ring.counted()
+    assert numbers[-1] + 1 == counted["slots"] + counted["lost"]
+    np.testing.assert_array_equal(np.diff(numbers, prepend=-1), 1 + rows["lost"])
+    return rows, counted, source
+
+
+@pytest.mark.parametrize("link", ["pty", "udp"])
+def test_the_loop_is_closed(step, scene, tmp_path, link):
+    rows, counted, _ = looped(step, scene, tmp_path, link=link)
+    assert step.traces == 1
+    worked = rows[np.isfinite(rows["latency"])]
+    assert len(worked) > 0.8 * len(rows) and counted["lost"] == 0
+    # What was asked for is grounded in the next slot or the one after.
+    asked, grounds = worked["next"][:-2].astype(int), worked["ground"].astype(int)
+    obeyed = (asked == grounds[1:-1]) | (asked == grounds[2:])
+    assert obeyed[10:].mean() > 0.8
+    on = worked["count"] == 1
+    off = np.linalg.norm(worked["xy"][on][:, 0, None] - PLACES, axis=-1).min(1)
+    assert on.mean() > 0.5 and np.median(off) < 1e-3
+
+
+def test_through_every_fault(step, scene, tmp_path):
+    faults = {
+        "loss": 0.02,
+        "corrupt": 0.02,
+        "reorder": 0.02,
+        "contrary": 0.05,
+        "jitter": 0.004,
+        "drift": 300,
+        "dead": [5, 17],
+        "stall": 0.5,
+        "disconnect": 1.2,
+        "away": 0.2,
+    }
+    rows, counted, _ = looped(step, scene, tmp_path, 2.5, **faults)
+    assert step.traces == 1
+    assert counted["lost"] > 50 and counted["bad"] > 5 and counted["disconnects"] >= 1
+    worked = rows[np.isfinite(rows["latency"])]
+    flags = worked["flags"]
+    assert (flags & Flag.GAP).any() and (flags & Flag.SATURATED).all()
+    assert np.diff(rows["time"]).max() > 0.15 and (np.diff(rows["time"]) > 0).all()
+    on = worked["count"] == 1
+    off = np.linalg.norm(worked["xy"][on][:, 0, None] - PLACES, axis=-1).min(1)
+    assert on.mean() > 0.5 and np.median(off) < 1e-3
+    assert rows["time"][-1] > 2.0  # it went on
+
+
+def test_a_rig_switched_off_and_on(scene, tmp_path):
+    rows, counted, _ = looped(None, scene, tmp_path, 2.0, link="udp", restart=0.8, away=0.3)
+    assert counted["restarts"] == 1
+    assert rows["time"][-1] > 1.5 and (np.diff(rows["time"]) > 0).all()
+
+
+def command(*words, cwd, timeout=120):
+    code = "from tomojax._cli import main; main()"
+    line = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.run(line, cwd=cwd, capture_output=True, text=True, timeout=timeout)
+
+
+def test_record_then_info_and_reconstruct(scene, tmp_path):
+    with VirtualRig(scene, rate=RATE) as rig:
+        done = command(
+            *("record", rig.where, "-o", "a.h5", "--seconds", 2, "--pattern", "edge"),
+            cwd=tmp_path,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "recording: a.h5" in done.stdout and "slots" in done.stdout
+        again = command("record", rig.where, "-o", "a.h5", cwd=tmp_path)
+    assert again.returncode == 2 and "is there" in again.stderr
+    with tx.open_recording(tmp_path / "a.h5") as recording:
+        assert recording.scans > RATE and recording.rig.f_switch == RATE
+        grounds = recording.read(0, recording.scans).grounds[100:, 0]
+    assert len(np.unique(grounds)) == 28
+    told = command("info", "a.h5", cwd=tmp_path)
+    assert told.returncode == 0, told.stderr
+
+
+def test_live_with_a_config_and_a_recording(scene, tmp_path):
+    (tmp_path / "rig.toml").write_text(
+        'method = "follow"\ncontacts = 1\nseconds = 4.0\nfile-seconds = 60.0\n'
+    )
+    with VirtualRig(scene, rate=RATE) as rig:
+        words = "live", rig.where, "--config", "rig.toml", "--record", "b.h5"
+        done = command(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "ground command" in done.stdout and "contact at" in done.stdout
+    with tx.open_recording(tmp_path / "b.h5") as recording:
+        assert recording.scans > RATE
+    replayed = command("live", "b.h5", "--seconds", 3, "--view", "none", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+    assert "slots" in replayed.stdout
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (("live", "udp://127.0.0.1"), "udp://HOST:PORT"),
+        (("live", "none.h5"), "none.h5: no such file"),
+        (("live", "serial:/dev/none"), "/dev/none"),
+        (("live", "virtual", "--config", "none.toml"), "none.toml"),
+        (("record", "virtual", "-o", "a.h5", "--pattern", "x"), "pattern"),
+    ],
+)
+def test_mistakes_are_one_line(words, told, tmp_path):
+    done = command(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert told in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_config_with_an_unknown_key(tmp_path):
+    (tmp_path / "rig.toml").write_text("metod = 1\n")
+    done = command("live", "virtual", "--config", "rig.toml", cwd=tmp_path)
+    assert done.returncode == 2 and "got metod, expected one of" in done.stderr

@@ -1,0 +1,49 @@
+"""Many small arrays as two: an array costs a compiled call a microsecond, whatever it has."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+
+class Packed(NamedTuple):
+    """A pytree's numbers: two arrays, to be saved and restored as such."""
+
+    numbers: Float[Array, "*batch n"]
+    whole: Int[Array, "*batch k"]  # int32; also truths
+
+
+class Packing:
+    """How a pytree is packed: by an `example` with its shapes and types."""
+
+    def __init__(self, example: Any, dtype: Any):
+        leaves, self._tree = jax.tree.flatten(example)
+        self._dtype = np.dtype(dtype)
+        self._where = []  # whether it is one of the numbers, first, last, shape, dtype
+        ends = {True: 0, False: 0}
+        for leaf in leaves:  # arrays, or what has their shapes and types
+            number = np.dtype(leaf.dtype).kind == "f"
+            start = ends[number]
+            ends[number] = start + int(np.prod(leaf.shape))
+            self._where.append((number, start, ends[number], leaf.shape, leaf.dtype))
+
+    def pack(self, tree: Any) -> Packed:
+        """Compiled."""
+        numbers, whole = [jnp.zeros(0, self._dtype)], [jnp.zeros(0, jnp.int32)]
+        for (number, *_), leaf in zip(self._where, jax.tree.leaves(tree)):
+            if number:
+                numbers.append(leaf.ravel())
+            else:
+                whole.append(leaf.ravel().astype(jnp.int32))
+        return Packed(jnp.concatenate(numbers), jnp.concatenate(whole))
+
+    def unpack(self, packed: Packed) -> Any:
+        """What was packed, compiled or, from NumPy's arrays, in NumPy's."""
+        leaves = []
+        for number, first, last, shape, dtype in self._where:
+            values = packed.numbers if number else packed.whole
+            part = values[..., first:last].reshape(*values.shape[:-1], *shape)
+            leaves.append(part if part.dtype == dtype else part.astype(dtype))
+        return jax.tree.unflatten(self._tree, leaves)
