@@ -1,4 +1,4 @@
-"""The live loop: a source's slots into the step, its grounds back, all of it into a ring."""
+"""The live loop: a source's slots into the step, grounds back, all of it into a ring."""
 
 import gc
 import os
@@ -49,7 +49,7 @@ def run(
     hurry = 1 / source.rate if budget is None else budget
     state = None
     if step is not None:
-        require(step.electrode_count == m, "step", f"{step.electrode_count} channels", m)
+        require(step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}")
         state = step.state if policy is None else step.switch(step.state, policy)
     skipped = missed = asked = unheeded = 0
     asked, image_due, other_due = -1, 0.0, 0.0

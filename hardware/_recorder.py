@@ -159,6 +159,11 @@ class Recorder:
             self._died = 0.0
             self.process = self._started()
 
+    def stop(self) -> None:
+        """At once, whatever it does."""
+        self.process.kill()
+        self.process.wait()
+
     def close(self, timeout: float = 60.0) -> None:
         """After the ring is done: until all is on the disk.
 
@@ -168,7 +173,7 @@ class Recorder:
         while self.process.poll() != 0:
             self.look()
             if time.monotonic() > end:
-                self.process.kill()
+                self.stop()
                 left = int(self._ring.head["rows"]) - int(self._ring.head["recorded"])
                 raise OSError(f"{self.path}: {left} slots could not be written")
             time.sleep(0.02)
@@ -187,8 +192,9 @@ def main() -> None:
     ring, path = Ring(given.ring), Path(given.path)
     try:
         write(ring, path, json.loads(given.told), float(given.file_seconds))
-    except OSError as error:
-        print(f"tomojax: recorder: {error}; another is tried", file=sys.stderr)
+    except (OSError, RuntimeError) as error:  # h5py raises either
+        reason = str(error).partition(" (")[0]
+        print(f"tomojax: recorder: {reason}; a new file is tried", file=sys.stderr)
         # Without HDF5's own end, which would write again.
         os._exit(3)
 

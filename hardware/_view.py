@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tomojax.kernels import Flag
 from tomojax.hardware._ring import Ring
+from tomojax.kernels import Flag
 
 _EVERY = 0.1  # s
 _HOME, _CLEAR, _REST = "\x1b[H", "\x1b[2J", "\x1b[K"
@@ -40,7 +40,7 @@ def lines(ring: Ring, last: np.ndarray | None, rate: float) -> list[str]:
     dropped = int(ring.head["dropped"])
     found = [
         f"{rate:.0f} slots/s; {slots} slots, {rest}",
-        f"last byte to ground command: 50 % {p50:.0f}, 99 % {p99:.0f}, 99.9 % {p999:.0f} µs",
+        f"last byte to ground command, 50, 99, 99.9 %: {p50:.0f}, {p99:.0f}, {p999:.0f} µs",
         (f"{recorded}, {dropped} NOT" if dropped else recorded)
         if ring.head["recorded"]
         else "not recorded",

@@ -95,11 +95,13 @@ class Udp:
         return f"udp://127.0.0.1:{self.port}"
 
     def commands(self) -> list[bytes]:
+        found = []
         try:
-            message, self._host = self._socket.recvfrom(512)
-            return [message]
+            while True:
+                message, self._host = self._socket.recvfrom(512)
+                found.append(message)
         except OSError:
-            return []
+            return found
 
     def send(self, message: bytes, raw: bool = False) -> bool:
         try:

@@ -193,13 +193,9 @@ class WireSource(SlotSource):
             self.set_grounds(self._grounds)
 
     def _describe(self, told: frames.Description, arrived: float) -> None:
+        here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
+        require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         before, self._told = self._told, told
-        if told.electrodes != self.electrodes:
-            self._told = before
-            m = self.electrodes
-            raise ValueError(
-                f"electrodes: the rig has {told.electrodes}, expected {m}, as the sensor has"
-            )
         self.rate, self.scale, self.offset = told.rate, told.scale, told.offset
         if before is None:
             self._next = told.sequence

@@ -285,7 +285,7 @@ def _update(
     return (
         jnp.clip(moved, -longest, longest),
         (spread + spread.transpose(0, 2, 1)) / 2,
-        current,
+        current - matmul(share, own * found[:, 0]),
     )
 
 

@@ -206,4 +206,5 @@ def _session(source: str, out: Path | None, options: dict[str, Any], policy: str
             told = Rig.of(sensor, slots.rate) if rig is None else rig
             told = attributes(told, slots.scale, slots.offset)
             recorder = Recorder(ring, out, told, options["file_seconds"])
+            stack.callback(recorder.stop)
         yield _Session(slots, ring, recorder, options), sensor

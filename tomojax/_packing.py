@@ -1,4 +1,4 @@
-"""Many small arrays as two: an array costs a compiled call a microsecond, whatever it has."""
+"""Many small arrays as two: each costs a compiled call a microsecond, whatever its size."""
 
 from typing import Any, NamedTuple
 
@@ -44,6 +44,6 @@ class Packing:
         leaves = []
         for number, first, last, shape, dtype in self._where:
             values = packed.numbers if number else packed.whole
-            part = values[..., first:last].reshape(*values.shape[:-1], *shape)
+            part = values[..., first:last].reshape((*values.shape[:-1], *shape))
             leaves.append(part if part.dtype == dtype else part.astype(dtype))
         return jax.tree.unflatten(self._tree, leaves)

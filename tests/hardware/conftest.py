@@ -9,6 +9,11 @@ from tomojax.hardware._virtual_rig import write_scene
 PLACES = np.array([[0.05, 0.07], [0.055, 0.073], [0.112, 0.098], [0.108, 0.1]])
 
 
+@pytest.fixture
+def places():
+    return PLACES
+
+
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory):
     """A contact at each of PLACES for 50 ms, then none for as long."""

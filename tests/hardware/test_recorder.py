@@ -20,7 +20,7 @@ NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 @pytest.fixture
 def told():
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
-    return attributes(tx.Rig.of(sensor, RATE), 5 / 32768, 0.0)
+    return attributes(tx.Rig.of(sensor, float(RATE)), 5 / 32768, 0.0)
 
 
 @pytest.fixture

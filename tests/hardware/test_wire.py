@@ -122,7 +122,7 @@ def test_a_rig_that_was_switched_off_goes_on_in_time():
 
 
 def test_another_rig_is_an_error():
-    with pytest.raises(ValueError, match="electrodes: the rig has 16, expected 8"):
+    with pytest.raises(ValueError, match="electrodes: got a rig with 16, expected 8"):
         read([[told(electrodes=16)]])
 
 
