@@ -4,7 +4,8 @@ It moves slots and knows no physics. `open_source` gives a source by its name, `
 the live loop, `Recorder` writes recordings beside it; PROTOCOL.md is a rig's side.
 """
 
-from tomojax.hardware._live import real_time as real_time, run as run
+from tomojax.hardware._live import run as run
+from tomojax.hardware._real_time import real_time as real_time
 from tomojax.hardware._replay import ReplaySource as ReplaySource
 from tomojax.hardware._ring import Ring as Ring
 from tomojax.hardware._source import (

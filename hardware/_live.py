@@ -1,10 +1,7 @@
 """The live loop: a source's slots into the step, grounds back, all of it into a ring."""
 
-import gc
-import os
 import time
 from collections.abc import Callable
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -49,7 +46,9 @@ def run(
     hurry = 1 / source.rate if budget is None else budget
     state = None
     if step is not None:
-        require(step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}")
+        require(
+            step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"
+        )
         state = step.state if policy is None else step.switch(step.state, policy)
     skipped = missed = asked = unheeded = 0
     asked, image_due, other_due = -1, 0.0, 0.0
@@ -108,36 +107,3 @@ def _draw(ring: Ring, step: Step, state: Any) -> None:
     image = np.asarray(step.image(state))
     shown = ring.head["image"]
     shown[: image.shape[0], : image.shape[1]] = image[: shown.shape[0], : shown.shape[1]]
-
-
-@contextmanager
-def real_time(priority: int = 50):
-    """Settings of this process for short latencies; yields what was allowed.
-
-    No garbage collection (nothing here makes cycles), one core, and SCHED_FIFO where the
-    system lets it.
-    """
-    done = ["no garbage collection"]
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    before = None
-    if cores:
-        os.sched_setaffinity(0, {max(cores)})
-        done.append("one core")
-        try:
-            before = os.sched_getscheduler(0), os.sched_getparam(0)
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-            done.append("SCHED_FIFO")
-        except PermissionError:
-            before = None
-    try:
-        yield done
-    finally:
-        if before is not None:
-            os.sched_setscheduler(0, *before)
-        if cores:
-            os.sched_setaffinity(0, cores)
-        gc.enable()
-        gc.unfreeze()

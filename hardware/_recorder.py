@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 
 from tomojax._recording import Rig, SCHEMA, VERSION
+from tomojax.hardware._real_time import beside
 from tomojax.hardware._ring import Ring
 
 # Between flushes, and until a recorder that died is started again, s.
@@ -189,6 +190,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "SIGXFSZ"):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    beside()
     ring, path = Ring(given.ring), Path(given.path)
     try:
         write(ring, path, json.loads(given.told), float(given.file_seconds))

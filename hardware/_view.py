@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tomojax.hardware._real_time import beside
 from tomojax.hardware._ring import Ring
 from tomojax.kernels import Flag
 
@@ -87,6 +88,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ring", type=Path)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
+    beside()
     try:
         watch(Ring(parser.parse_args().ring, writable=False), sys.stdout.isatty())
     except BrokenPipeError:

@@ -19,6 +19,7 @@ from tomojax.kernels._one_slot import (
     in_slot,
     inverse_of,
     Noise,
+    product,
     radius_of,
     regular,
     slot_weights,
@@ -102,7 +103,9 @@ def follow(
     """
     dtype = voltages.dtype
     weights = slot_weights(noise, voltages, used)
-    raw = jax.vmap(tangents, (None, 0, 0))(sheet, known.place, known.size)
+    # One by one, as in `product`.
+    each = range(len(known.size))
+    raw = jnp.stack([tangents(sheet, known.place[c], known.size[c]) for c in each])
     there = known.there[:, None, None]
     own = jnp.where(there, in_slot(sheet, raw, ground), 0)
     lean = _lean(sheet, known, raw, ground)
@@ -166,19 +169,38 @@ def _search(
 ) -> _Search:
     """Whether one contact alone explains the slot better, or one more is asked for."""
     # To look for contacts a common offset will do.
-    scale = 1 / (1 + (weights.common[:1] ** 2 * inverse_of(weights.each)).sum())
+    scale = 1 / (1 + matmul(weights.common[0] ** 2, inverse_of(weights.each)))
     plain = Weights(weights.each, weights.common[:1], weights.common[:1] * scale)
     beside = weighed(plain, columns)
-    normal = regular(matmul(columns, beside.T))
+    normal = regular(product(columns, beside.T))
     fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
     rest = voltages - matmul(fit, columns)
-    both = jnp.stack([rest, voltages])
-    weighed_both = weighed(plain, both)
-    left, alone = (both * weighed_both).sum(1)
-    offset = from_ground(sheet, ground)
-    gains, gains_alone = _gains(
-        candidates, offset, ground, plain, weighed_both, beside, normal
-    )
+    weighed_both = weighed(plain, jnp.stack([rest, voltages]))
+    left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
+    none = jnp.zeros_like(known.seen)
+    nothing = _Search(~known.there & False, known.there, none, known.rival, none, none > 0)
+
+    def look() -> _Search:
+        offset = from_ground(sheet, ground)
+        gains = _gains(candidates, offset, ground, plain, weighed_both, beside, normal)
+        return _chosen(sheet, candidates, known, *gains, left, alone)
+
+    # What noise alone leaves, χ² about the number of channels, has nothing to be found in.
+    noise = (weights.each > 0).astype(left.dtype).sum()
+    asked = (left > _SEEN + noise) | ~known.there.any()
+    found = jax.lax.cond(asked, look, lambda: nothing)
+    return found._replace(dark=alone < _SEEN)
+
+
+def _chosen(
+    sheet: Sheet,
+    candidates: Candidates,
+    known: Followed,
+    gains: Float[Array, " K"],
+    gains_alone: Float[Array, " K"],
+    left: Float[Array, ""],
+    alone: Float[Array, ""],
+) -> _Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
     # Everything is elsewhere.
     jumped = (left > _SEEN) & (alone - gains_alone[k_alone] < _ELSEWHERE * left)
@@ -190,15 +212,15 @@ def _search(
     seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
     born = seen >= _OFTEN
     # In the first that is free.
-    slot = jnp.arange(len(columns)) == jnp.where(anew, 0, jnp.argmin(known.there))
+    slot = jnp.arange(len(known.there)) == jnp.where(anew, 0, jnp.argmin(known.there))
     new = slot & (anew | born)
     return _Search(
         new,
         jnp.where(anew, slot, known.there | new),
-        jnp.where(anew, k_alone, k),
+        jnp.where(anew, k_alone, k).astype(jnp.int32),
         candidates.place[k],
         jnp.where(born | anew, 0, seen),
-        alone < _SEEN,
+        anew & False,
     )
 
 
@@ -222,7 +244,7 @@ def _gains(
     w = plain.each
     more = jnp.stack([w, w * offset])
     vectors = jnp.concatenate([weighed_both, beside, plain.common, plain.filtered, more])
-    products = matmul(candidates.potential, vectors.T)  # (K, C + 6)
+    products = product(candidates.potential, vectors.T)  # (K, C + 6)
     at_ground = jnp.take(candidates.potential, ground, 1)
     constant = vectors @ offset
     along = products - at_ground[:, None] * vectors.sum(1) + constant
@@ -236,7 +258,7 @@ def _gains(
     own = own - common[:, 0] * common[:, 1]
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
     inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))
-    left = own - (matmul(shares, inverse) * shares).sum(1)
+    left = own - (product(shares, inverse) * shares).sum(1)
     near = left < 1e-3 * own
     gains = jnp.maximum(by_rest, 0) ** 2 / jnp.where(near, 1, left)
     return jnp.where(near, 0, gains), jnp.maximum(by_all, 0) ** 2 / own
@@ -253,28 +275,28 @@ def _update(
     base = columns[:, 0]
     tangent = columns[:, 1:].reshape(3 * count, -1)
     all_columns = jnp.concatenate([base, tangent, voltages[None]])
-    gram = matmul(all_columns, weighed(weights, all_columns).T)
+    gram = product(all_columns, weighed(weights, all_columns).T)
     c, last = count, 4 * count
     inner = regular(gram[:c, :c])
     both = solve_small(inner, jnp.concatenate([gram[:c, c:last], gram[:c, last:]], 1))
     current = both[:, -1]
     share, own = both[:, :-1], jnp.repeat(current, 3)
-    normal = gram[c:last, c:last] - matmul(gram[c:last, :c], share)
+    normal = gram[c:last, c:last] - product(gram[c:last, :c], share)
     normal = own[:, None] * normal * own
     right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
     unit = jnp.eye(3, dtype=base.dtype)
     blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
     # News: what this slot says alone is not what was known. Then that counts little.
     wide = _first(base.dtype)
-    innovation = matmul(blocks, covariance) + unit
+    innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
     gain = right.reshape(count, 3)
     tested = solve_small(innovation.transpose(0, 2, 1), gain[..., None])[..., 0]
     unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
     news = (unlikely > _NEWS)[:, None, None]
     prior = jnp.where(news, wide, covariance)
     inverse = solve_small(prior, jnp.broadcast_to(unit, prior.shape))
-    weight = jnp.zeros((count, 3, count, 3), base.dtype)
-    weight = weight.at[np.arange(count), :, np.arange(count)].set(inverse)
+    same = np.eye(count, dtype=base.dtype)[:, None, :, None]
+    weight = same * inverse[:, :, None]
     found = solve_small(
         normal + weight.reshape(3 * c, 3 * c),
         jnp.concatenate([right[:, None], jnp.eye(3 * c, dtype=base.dtype)], 1),

@@ -61,7 +61,7 @@ def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array
 
     none = jnp.zeros(3, place.dtype)
     all_weights = jnp.concatenate([weights(none)[None], jax.jacfwd(weights)(none).T])
-    return matmul(all_weights, nearby)
+    return product(all_weights, nearby)
 
 
 def slot_weights(
@@ -75,12 +75,13 @@ def slot_weights(
     flat = jnp.broadcast_to(noise.offset * size.mean(), (1, len(size)))
     common = jnp.concatenate([flat, noise.smooth * size])
     scaled = common * w
-    inner = matmul(common, scaled.T) + jnp.eye(len(common), dtype=w.dtype)
+    inner = product(common, scaled.T) + jnp.eye(len(common), dtype=w.dtype)
     return Weights(w, scaled, solve_small(inner, scaled))
 
 
 def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
-    return x * weights.each - matmul(matmul(x, weights.common.T), weights.filtered)
+    shares = product(x, weights.common.T)
+    return x * weights.each - product(shares, weights.filtered)
 
 
 def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
@@ -96,6 +97,17 @@ def in_slot(
     """Voltages per ampere with that ground, and how a move changes them."""
     relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
     return relative.at[:, 0].add(from_ground(sheet, ground))
+
+
+def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
+    """a·b, a column or a row at a time.
+
+    For a whole product XLA calls a library; of these it makes one function together with
+    what is around them, where it is let to (see `Step`).
+    """
+    if b.shape[1] <= a.shape[0]:
+        return jnp.stack([matmul(a, b[:, j]) for j in range(b.shape[1])], 1)
+    return jnp.stack([matmul(a[i], b) for i in range(a.shape[0])])
 
 
 def inverse_of(values: Array) -> Array:

@@ -101,7 +101,9 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
 @click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
 @click.option("--record", "out", type=_FILE, help="Record here as well.")
 @click.option(
-    "--real-time", is_flag=True, help="One core, no garbage collection, SCHED_FIFO."
+    "--real-time",
+    is_flag=True,
+    help="One core, one function, no garbage collection, SCHED_FIFO.",
 )
 def live(source: str, method: str, policy: str, out: Path | None, **options: Any) -> None:
     """Contacts of the slots of SOURCE as they come, and its next grounds back.
@@ -113,7 +115,11 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
     path = options["calibration"]
     calibration = None if path is None else Calibration.load(path)
-    with _session(source, out, options, policy) as (session, sensor):
+    with ExitStack() as stack:
+        if options["real_time"]:
+            allowed = stack.enter_context(real_time())
+            print(f"real time: {', '.join(allowed)}", file=sys.stderr)
+        session, sensor = stack.enter_context(_session(source, out, options))
         step = make_step(
             sensor,
             method,
@@ -122,11 +128,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             cheaper=options["cheaper"],
             calibration=calibration,
         )
-        with ExitStack() as stack:
-            if options["real_time"]:
-                allowed = stack.enter_context(real_time())
-                print(f"real time: {', '.join(allowed)}", file=sys.stderr)
-            session.run(step)
+        session.run(step)
 
 
 class _Session:
@@ -169,7 +171,7 @@ class _Session:
 
 
 @contextmanager
-def _session(source: str, out: Path | None, options: dict[str, Any], policy: str = ""):
+def _session(source: str, out: Path | None, options: dict[str, Any]):
     from tomojax import Sensor
     from tomojax._recording import open_recording, Rig
     from tomojax.hardware import open_source, Ring

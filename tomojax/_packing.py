@@ -21,13 +21,15 @@ class Packing:
     def __init__(self, example: Any, dtype: Any):
         leaves, self._tree = jax.tree.flatten(example)
         self._dtype = np.dtype(dtype)
-        self._where = []  # whether it is one of the numbers, first, last, shape, dtype
+        self._where = []  # whether of the numbers, first, last, shape, dtype, as it is
         ends = {True: 0, False: 0}
         for leaf in leaves:  # arrays, or what has their shapes and types
             number = np.dtype(leaf.dtype).kind == "f"
             start = ends[number]
             ends[number] = start + int(np.prod(leaf.shape))
-            self._where.append((number, start, ends[number], leaf.shape, leaf.dtype))
+            kept = number or leaf.dtype == np.int32
+            where = number, start, ends[number], leaf.shape, leaf.dtype, kept
+            self._where.append(where)
 
     def pack(self, tree: Any) -> Packed:
         """Compiled."""
@@ -41,9 +43,15 @@ class Packing:
 
     def unpack(self, packed: Packed) -> Any:
         """What was packed, compiled or, from NumPy's arrays, in NumPy's."""
+        numbers, whole = packed
         leaves = []
-        for number, first, last, shape, dtype in self._where:
-            values = packed.numbers if number else packed.whole
-            part = values[..., first:last].reshape((*values.shape[:-1], *shape))
-            leaves.append(part if part.dtype == dtype else part.astype(dtype))
+        for number, first, last, shape, dtype, kept in self._where:
+            values = numbers if number else whole
+            if shape:
+                part = values[..., first:last]
+                if len(shape) > 1:
+                    part = part.reshape((*values.shape[:-1], *shape))
+            else:
+                part = values[..., first]
+            leaves.append(part if kept else part.astype(dtype))
         return jax.tree.unflatten(self._tree, leaves)

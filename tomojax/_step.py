@@ -155,8 +155,20 @@ class Step:
         return Remembered(self._method.first(), cheaper, plan, last, whole > 0)
 
     def _counted(self, state: Packed, volts: Array, whole: Array) -> tuple:
+        """`_packed` as one turn of a loop.
+
+        A loop that XLA takes for a small one becomes a single function; else each of some
+        hundred operations is a task of its own, of a third of a microsecond at least.
+        """
         self.traces += 1
-        return self._packed(state, volts, whole)
+        shapes = jax.eval_shape(self._packed, state, volts, whole)
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+        def turn(carry: tuple) -> tuple:
+            return jnp.array(False), self._packed(state, volts, whole)
+
+        once = whole[0] == whole[0]  # not known before
+        return lax.while_loop(lambda carry: carry[0], turn, (once, nothing))[1]
 
     def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
         slot = Slot(volts, whole[0], whole[1], whole[2] > 0)

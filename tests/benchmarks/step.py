@@ -3,16 +3,14 @@
     python tests/benchmarks/step.py [--slots 100000] [--out FOLDER]
 
 Latency: from NumPy voltages to NumPy contacts and the next ground, one call after another,
-as percentiles, for each method with a process as it comes and a tuned one (one core, no
-garbage collection, a real-time priority where it is allowed). Closed loop: a contact moves
+as percentiles, for each method with a process as it comes and a tuned one
+(`tomojax.hardware.real_time`). Closed loop: a contact moves
 over a rig that is not ours (tests/rig.py), each slot's ground is what the policy asked
 for; places are those said in the same slot. Writes step.json and step.png.
 """
 
 import argparse
-import gc
 import json
-import os
 import subprocess
 import sys
 import time
@@ -30,26 +28,17 @@ SPEEDS, RATE = (0.05, 0.2, 0.5), 10_000
 HOLD = 4
 
 
-def tune() -> list[str]:
-    """One core, no garbage collection, real time: what this process is allowed."""
-    done = []
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    done.append("no garbage collection")
-    core = max(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {core})
-    done.append("one core")
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
-        done.append("SCHED_FIFO")
-    except PermissionError:
-        pass
-    return done
-
-
 def child(method: str, tuned: bool, slots: int) -> None:
     """One row, printed: in a process of its own."""
+    from contextlib import nullcontext
+
+    from tomojax.hardware import real_time
+
+    with real_time() if tuned else nullcontext([]) as settings:
+        measured(method, settings, slots)
+
+
+def measured(method: str, settings: list[str], slots: int) -> None:
     import numpy as np
     from rig import Rig
 
@@ -63,7 +52,6 @@ def child(method: str, tuned: bool, slots: int) -> None:
     start = time.perf_counter()
     step = tx.make_step(sensor, method, "around_contacts")
     made = time.perf_counter() - start
-    settings = tune() if tuned else []
     state, ground = step.state, 0
     for _ in range(500):
         state, out = step(state, volts[ground], ground)
@@ -99,14 +87,11 @@ def latencies(slots: int) -> list[dict]:
     table = []
     for method in METHODS:
         for tuned in (False, True):
-            # XLA reads its flags before anything else runs.
-            flags = "--xla_cpu_multi_thread_eigen=false" if tuned else ""
-            environment = os.environ | {"XLA_FLAGS": flags}
             # `points` fits in full: milliseconds a slot.
             count = min(slots, 300) if method == "points" else slots
             command = [sys.executable, __file__, "--child", method]
             command += ["--slots", str(count)] + ["--tuned"] * tuned
-            out = subprocess.run(command, env=environment, capture_output=True, text=True)
+            out = subprocess.run(command, capture_output=True, text=True)
             if out.returncode:
                 raise SystemExit(out.stderr)
             table.append(json.loads(out.stdout.splitlines()[-1]))

@@ -1,0 +1,59 @@
+"""Settings of a process for short latencies."""
+
+import gc
+import os
+from contextlib import contextmanager
+
+import jax
+
+# One function of the whole step, where a step is else some hundred tasks: see `Step`.
+_FLAGS = (
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
+    "--xla_cpu_experimental_ynn_fusion_type=",
+)
+
+
+@contextmanager
+def real_time(priority: int = 50):
+    """Settings of this process for steps of short latency; yields what was allowed.
+
+    To be entered before anything is computed: JAX reads most of this when it begins. On
+    one core, without tasks of other threads, each step compiled into one function, no
+    garbage collection, and SCHED_FIFO of that `priority` where the system lets it.
+    """
+    before = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = " ".join((before, *_FLAGS)).strip()
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    done = ["one function", "no other threads", "no garbage collection"]
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    fifo = None
+    if cores:
+        os.sched_setaffinity(0, {max(cores)})
+        done.append("one core")
+        try:
+            fifo = os.sched_getscheduler(0), os.sched_getparam(0)
+            first = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, first, os.sched_param(priority))
+            done.append("SCHED_FIFO")
+        except PermissionError:
+            fifo = None
+    try:
+        yield done
+    finally:
+        if fifo is not None:
+            os.sched_setscheduler(0, *fifo)
+        if cores:
+            os.sched_setaffinity(0, cores)
+        gc.enable()
+        gc.unfreeze()
+        jax.config.update("jax_cpu_enable_async_dispatch", True)
+        os.environ["XLA_FLAGS"] = before
+
+
+def beside() -> None:
+    """For a process that such a one has started: any core."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))

@@ -1,0 +1,148 @@
+"""The live loop for minutes: a virtual rig on a pseudo-terminal at 10 000 slots a second.
+
+    python tests/benchmarks/live.py [--seconds 600] [--rate 10000] [--out FOLDER]
+
+Closed loop, recorder and terminal view on. Counts what was lost, and where; latency from
+the last byte of a slot to the command with the next ground; memory. The scene is a contact
+that moves over a rig that is not ours (tests/rig.py). Writes live.json and live.png.
+"""
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "p9999_us": 0.9999}
+
+
+def scene(path: Path):
+    """A contact of 6 mm that draws an eight in two seconds; its places."""
+    import numpy as np
+    from rig import Rig
+
+    from tomojax.hardware._virtual_rig import write_scene
+
+    rig = Rig(np.random.default_rng(8))
+    t = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    places = 0.08 + np.stack([0.05 * np.sin(t), 0.035 * np.sin(2 * t)], 1)
+    volts = [rig.scene((rig.disc(place, 0.006), 1e-4))[0] for place in places]
+    write_scene(path, np.stack(volts), 0.02)
+    return places
+
+
+def memory() -> float:
+    """Of this process, MB."""
+    words = Path("/proc/self/statm").read_text().split()
+    return int(words[1]) * resource.getpagesize() / 1e6
+
+
+def measured(seconds: float, rate: float, folder: Path) -> dict:
+    import numpy as np
+
+    import tomojax as tx
+    from tomojax.hardware import open_source, real_time, Ring, run
+    from tomojax.hardware._recorder import attributes, Recorder
+    from tomojax.hardware._virtual_rig import VirtualRig
+
+    with real_time() as settings:
+        places = scene(folder / "scene.npz")
+        sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+        step = tx.make_step(sensor, "follow", "around_contacts")
+        ring = Ring.create(64)
+        kept = []
+        with (
+            VirtualRig(folder / "scene.npz", rate=rate) as rig,
+            open_source(rig.where) as source,
+        ):
+            told = attributes(tx.Rig.of(sensor, rate), source.scale, source.offset)
+            recorder = Recorder(ring, folder / "live.h5", told)
+            words = [sys.executable, "-m", "tomojax.hardware._view", str(ring.path)]
+            view = subprocess.Popen(words, stdout=subprocess.DEVNULL)
+            begin = time.perf_counter()
+            until = lambda: time.perf_counter() - begin > seconds  # noqa: E731
+
+            def meanwhile() -> None:
+                recorder.look()
+                kept.append((time.perf_counter() - begin, memory()))
+
+            run(source, step, ring, until=until, meanwhile=meanwhile)
+        ring.head["done"][...] = 1
+        recorder.close()
+        view.wait()
+        rows, _, _ = ring.since(int(ring.head["rows"]) - 60_000, 60_000)
+        counted, dropped = ring.counted(), int(ring.head["dropped"])
+        found = dict(zip(QUANTILES, (1e6 * q for q in ring.latency(*QUANTILES.values()))))
+        histogram = ring.head["latency"].tolist()
+        ring.remove()
+    with tx.open_recording(folder / "live.h5") as recording:
+        recorded, gaps = recording.scans, int(recording.gaps[:, 1].sum())
+    done = rows[np.isfinite(rows["latency"])]
+    moment = (done["time"] + 0.0) / 0.02
+    at = places[np.floor(moment).astype(int) % len(places)]
+    # The rig's own time is that of its start, not of the first slot: the nearest place.
+    off = np.linalg.norm(done["xy"][:, 0, None] - places, axis=-1).min(1)
+    late, size = (np.array(a) for a in zip(*kept))
+    return {
+        "settings": settings,
+        "seconds": seconds,
+        "rate": rate,
+        **counted,
+        "dropped_by_recorder": dropped,
+        "recorded": recorded,
+        "recorded_gaps": gaps,
+        "unaccounted": counted["slots"] + counted["lost"] - recorded - gaps,
+        **found,
+        "memory_MB": [float(size[late > 30][0]) if seconds > 60 else None, float(size[-1])],
+        "place_median_mm": 1e3 * float(np.nanmedian(off)),
+        "traces": step.traces,
+        "moments": len(at),
+        "histogram_us": histogram[:1000],
+        "memory": [
+            [round(a, 1), round(b, 1)] for a, b in kept[:: max(1, len(kept) // 200)]
+        ],
+    }
+
+
+def draw(row: dict, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.semilogy(row["histogram_us"], drawstyle="steps-mid", lw=1)
+    for name in QUANTILES:
+        left.axvline(row[name], color="0.6", lw=1)
+        left.text(row[name], left.get_ylim()[1], name[:-3], rotation=90, va="top", size=8)
+    left.set(xlabel="last byte of a slot to ground command, µs", ylabel="slots")
+    left.set(xlim=(0, max(300, 1.2 * row["p9999_us"])))
+    right.plot(*zip(*row["memory"]))
+    right.set(xlabel="s", ylabel="memory of the live loop, MB", ylim=(0, None))
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--rate", type=float, default=10e3)
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        row = measured(options.seconds, options.rate, Path(folder))
+    shown = {k: v for k, v in row.items() if k not in ("histogram_us", "memory")}
+    print(json.dumps(shown, indent=1))
+    from benchmarks.physics import environment
+
+    path = options.out / "live.json"
+    content = {"environment": environment(), "rows": [row]}
+    path.write_text(json.dumps(content) + "\n")
+    draw(row, path.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
