@@ -57,20 +57,22 @@ class SerialLink(Link):
             self._poll.register(self._line.fileno(), select.POLLIN)
         self.send(b"")  # an end: whatever half a message the rig has from before
 
-    def receive(self, timeout: float) -> list[bytes]:
+    def receive(self, timeout: float) -> tuple[list[bytes], float]:
         assert self._line is not None
         if self._poll is None:
             if not self._line.in_waiting:
                 time.sleep(min(timeout, 5e-4))
-            return self._frames(self._line.read(self._line.in_waiting))
+            data, now = self._line.read(self._line.in_waiting), time.perf_counter()
+            return self._frames(data), now
         events = self._poll.poll(1e3 * timeout)
+        now = time.perf_counter()
         if not events:
-            return []
+            return [], now
         # As pyserial does on such systems, without its loops and locks.
         data = os.read(self._line.fileno(), 65536)
         if not data:
             raise ConnectionResetError("the line is cut")
-        return self._frames(data)
+        return self._frames(data), now
 
     def send(self, message: bytes) -> None:
         assert self._line is not None

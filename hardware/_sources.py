@@ -7,11 +7,11 @@ from tomojax.hardware._source import SlotSource
 
 
 def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
-    """What `where` names: serial:PORT, udp://HOST:PORT, or a recording's path.
+    """What `where` names: serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES or a recording.
 
     **Arguments:** `options` are those of the source: `baud`; `bind`, the address of this
     machine to listen at (by default reached from this machine alone); `speed`, of a
-    recording.
+    recording; `rate`, `settle` and `convert` of `NiSource`.
     **Raises:** `ValueError` for other names and options.
     """
     try:
@@ -20,6 +20,13 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
 
             port = where.removeprefix("serial:")
             return SerialSource(port, electrodes=electrodes, **options)
+        if where.startswith("ni:"):
+            from tomojax.hardware._ni import NiSource
+
+            inputs, comma, lines = where.removeprefix("ni:").partition(",")
+            if not comma:
+                raise ValueError(f"source: got {where!r}, expected ni:INPUTS,LINES")
+            return NiSource(inputs, lines, electrodes=electrodes, **options)
         if where.startswith("udp://"):
             from tomojax.hardware._udp import UdpSource
 

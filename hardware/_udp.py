@@ -1,6 +1,7 @@
 """The protocol over UDP: each message a datagram, from one rig alone."""
 
 import socket
+import time
 
 from tomojax._checks import require
 from tomojax.hardware._frames import slot_size
@@ -28,13 +29,14 @@ class UdpLink(Link):
             self.close()
             raise
 
-    def receive(self, timeout: float) -> list[bytes]:
+    def receive(self, timeout: float) -> tuple[list[bytes], float]:
         assert self._socket is not None
-        found = []
+        found, now = [], time.perf_counter()
         self._socket.settimeout(timeout)
         try:
             while len(found) < 256:
                 size = self._socket.recv_into(self._room)
+                now = time.perf_counter()
                 found.append(bytes(self._room[:size]))
                 self._socket.setblocking(False)
         except (BlockingIOError, TimeoutError):
@@ -42,7 +44,7 @@ class UdpLink(Link):
         except OSError:  # nobody is at that port; what came before is not lost
             if not found:
                 raise
-        return found
+        return found, now
 
     def send(self, message: bytes) -> None:
         assert self._socket is not None

@@ -29,8 +29,11 @@ class Link(ABC):
     def open(self) -> None: ...
 
     @abstractmethod
-    def receive(self, timeout: float) -> list[bytes]:
-        """Messages, sound or not, that are there within `timeout` s; soon as possible."""
+    def receive(self, timeout: float) -> tuple[list[bytes], float]:
+        """Messages, sound or not, that are there within `timeout` s, as soon as one is.
+
+        And when their last byte was here, s of `time.perf_counter`.
+        """
 
     @abstractmethod
     def send(self, message: bytes) -> None: ...
@@ -135,11 +138,10 @@ class WireSource(SlotSource):
             self._open = True
             self._ask()
         try:
-            found = self._link.receive(min(timeout, _SILENCE))
+            found, now = self._link.receive(min(timeout, _SILENCE))
         except OSError:
             self._cut()
             return
-        now = time.perf_counter()
         if found:
             self._heard = now
             self._messages.extend((message, now) for message in found)

@@ -182,12 +182,13 @@ def _search(
 
     def look() -> _Search:
         offset = from_ground(sheet, ground)
-        gains = _gains(candidates, offset, ground, plain, weighed_both, beside, normal)
+        along = weighed_both, beside, normal
+        gains = _gains(candidates, offset, ground, plain, scale, *along)
         return _chosen(sheet, candidates, known, *gains, left, alone)
 
-    # What noise alone leaves, χ² about the number of channels, has nothing to be found in.
-    noise = (weights.each > 0).astype(left.dtype).sum()
-    asked = (left > _SEEN + noise) | ~known.there.any()
+    # What errors alone leave, χ² about the number of channels, has nothing to be found in.
+    channels = (weights.each > 0).astype(left.dtype).sum()
+    asked = (left > _SEEN + channels) | ~known.there.any()
     found = jax.lax.cond(asked, look, lambda: nothing)
     return found._replace(dark=alone < _SEEN)
 
@@ -233,6 +234,7 @@ def _gains(
     offset: Float[Array, " M"],
     ground: Int[Array, ""],
     plain: Weights,
+    scale: Float[Array, ""],
     weighed_both: Float[Array, "2 M"],
     beside: Float[Array, "C M"],
     normal: Float[Array, "C C"],
@@ -243,19 +245,19 @@ def _gains(
     """
     w = plain.each
     more = jnp.stack([w, w * offset])
-    vectors = jnp.concatenate([weighed_both, beside, plain.common, plain.filtered, more])
-    products = product(candidates.potential, vectors.T)  # (K, C + 6)
+    vectors = jnp.concatenate([weighed_both, beside, plain.common, more])
+    products = product(candidates.potential, vectors.T)  # (K, C + 5)
     at_ground = jnp.take(candidates.potential, ground, 1)
-    constant = vectors @ offset
+    constant = matmul(vectors, offset)
     along = products - at_ground[:, None] * vectors.sum(1) + constant
     count = len(beside)
     by_rest, by_all = along[:, 0], along[:, 1]
-    shares, common = along[:, 2 : 2 + count], along[:, 2 + count : 4 + count]
+    shares, common = along[:, 2 : 2 + count], along[:, 2 + count]
     # Σw(R + f − R_l)², less what the offset takes off.
     total, cross = products[:, -2], products[:, -1]
     own = matmul(candidates.square, w) + 2 * (cross - at_ground * total)
     own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
-    own = own - common[:, 0] * common[:, 1]
+    own = own - scale * common**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
     inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))
     left = own - (product(shares, inverse) * shares).sum(1)
@@ -290,11 +292,13 @@ def _update(
     wide = _first(base.dtype)
     innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
     gain = right.reshape(count, 3)
-    tested = solve_small(innovation.transpose(0, 2, 1), gain[..., None])[..., 0]
+    both = jnp.concatenate([innovation.transpose(0, 2, 1), covariance])
+    inverses = solve_small(both, jnp.broadcast_to(unit, both.shape))
+    tested = (inverses[:count] * gain[:, None]).sum(-1)
     unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
     news = (unlikely > _NEWS)[:, None, None]
-    prior = jnp.where(news, wide, covariance)
-    inverse = solve_small(prior, jnp.broadcast_to(unit, prior.shape))
+    wide = jnp.diag(1 / jnp.asarray(_FIRST, base.dtype) ** 2)
+    inverse = jnp.where(news, wide, inverses[count:])
     same = np.eye(count, dtype=base.dtype)[:, None, :, None]
     weight = same * inverse[:, :, None]
     found = solve_small(

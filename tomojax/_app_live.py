@@ -6,6 +6,7 @@ import tempfile
 import time
 import tomllib
 from contextlib import contextmanager, ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,11 @@ def _shared(command: Any) -> Any:
         ),
         click.option(
             "--view",
-            type=click.Choice(["terminal", "none"]),
+            type=click.Choice(["terminal", "rerun", "none"]),
             default="terminal",
             show_default=True,
         ),
+        click.option("--rrd", type=_FILE, help="With --view rerun: a file, no viewer."),
         click.option("--seconds", type=float, help="[default: until Ctrl-C]"),
         click.option(
             "--file-seconds",
@@ -136,14 +138,14 @@ class _Session:
 
     def __init__(self, source: Any, ring: Any, recorder: Any, options: dict[str, Any]):
         self.source, self.ring, self.recorder = source, ring, recorder
-        self._seconds, self._view = options["seconds"], options["view"]
+        self._seconds = options["seconds"]
+        self._view = _viewer(options["view"], options["rrd"], str(ring.path))
 
     def run(self, step: Any) -> None:
         from tomojax import _app_recordings
         from tomojax.hardware import run
 
-        command = [sys.executable, "-m", "tomojax.hardware._view", str(self.ring.path)]
-        view = subprocess.Popen(command) if self._view == "terminal" else None
+        view = subprocess.Popen(self._view) if self._view else None
         end = np.inf if self._seconds is None else time.perf_counter() + self._seconds
         look = (lambda: None) if self.recorder is None else self.recorder.look
         with _app_recordings.interrupts() as stop:
@@ -168,6 +170,18 @@ class _Session:
             print(
                 f"last byte to ground command, 50, 99, 99.9, 99.99 %: {', '.join(told)} µs"
             )
+
+
+def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
+    """The view's command, if any."""
+    if view == "none":
+        return []
+    module = "_view" if view == "terminal" else "_view_rerun"
+    if view == "rerun" and find_spec("rerun") is None:
+        mend = "pip install 'tomojax[rerun]' brings it"
+        raise ValueError(f"rerun is not installed; {mend}")
+    words = [] if rrd is None or view != "rerun" else ["--rrd", str(rrd)]
+    return [sys.executable, "-m", f"tomojax.hardware.{module}", ring, *words]
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from tomojax.kernels._follow import Candidates, follow, Followed, nothing_follow
 from tomojax.kernels._one_slot import Noise, radius_of, tangents
 
 # Waves of the sheet that a slot's voltages have in common: the longest. All fourteen are no
-# better here.
+# better here, three lose a second contact on the way to it.
 _WAVES = 5
 
 

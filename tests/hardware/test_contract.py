@@ -4,12 +4,15 @@ import time
 
 import numpy as np
 import pytest
+from ni import Device
+from nidaqmx import utils
 
 import tomojax as tx
 from tomojax.hardware import open_source, ReplaySource
+from tomojax.hardware._ni import NiSource
 from tomojax.hardware._virtual_rig import VirtualRig
 
-SOURCES = ("replay", "serial", "udp")
+SOURCES = ("replay", "serial", "udp", "ni")
 
 
 def recorded():
@@ -21,9 +24,14 @@ def recorded():
 
 
 @pytest.fixture(params=SOURCES)
-def source(request, scene):
+def source(request, scene, monkeypatch):
     if request.param == "replay":
         yield ReplaySource(recorded())
+        return
+    if request.param == "ni":
+        device = Device(np.load(scene)["voltages"][0])
+        monkeypatch.setattr(utils, "_select_interpreter", lambda *_: device)
+        yield NiSource(rate=2000.0)
         return
     link = "pty" if request.param == "serial" else "udp"
     with VirtualRig(scene, link=link, rate=2000) as rig:

@@ -1,5 +1,6 @@
 """What becomes of slots on a wire that loses, repeats, breaks and cuts: without a clock."""
 
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,7 +27,7 @@ class Script(Link):
         step = self.steps.pop(0)
         if isinstance(step, Exception):
             raise step
-        return step
+        return step, time.perf_counter()
 
     def send(self, message):
         self.sent.append(frames.unpack_command(message, M))
