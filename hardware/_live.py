@@ -44,7 +44,7 @@ def run(
     codes, volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
     scale, offset = np.float32(source.scale), np.float32(source.offset)
     hurry = 1 / source.rate if budget is None else budget
-    state = None
+    state: Any = None
     if step is not None:
         require(
             step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"

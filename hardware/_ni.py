@@ -72,20 +72,22 @@ class NiSource(SlotSource):
     def start(self) -> None:
         try:
             import nidaqmx
+            import nidaqmx.constants
+            import nidaqmx.errors
             import nidaqmx.stream_readers
             import nidaqmx.stream_writers
         except ModuleNotFoundError:
             mend = "pip install 'tomojax[ni]' brings it"
             raise ValueError(f"nidaqmx is not installed; {mend}") from None
-        self._daq = nidaqmx
+        self._daq: Any = nidaqmx
         try:
             output, self._input = nidaqmx.Task(), nidaqmx.Task()
-        except (nidaqmx.errors.DaqNotFoundError, nidaqmx.errors.DaqNotSupportedError):
+        except (self._daq.errors.DaqNotFoundError, self._daq.errors.DaqNotSupportedError):
             raise OSError("the NI-DAQmx driver is not installed; ni.com has it") from None
         self._tasks = output, self._input
         try:
             self._configure(output)
-        except nidaqmx.errors.DaqError as error:
+        except self._daq.errors.DaqError as error:
             self.stop()
             reason = str(error).partition("\n")[0]
             raise ValueError(f"source: {self._names[0]}: {reason}") from None

@@ -48,7 +48,7 @@ def lines(ring: Ring, last: np.ndarray | None, rate: float) -> list[str]:
     ]
     if last is None:
         return [*found, "no slot yet"]
-    flags = ", ".join(f.name.lower() for f in Flag if f & int(last["flags"]))
+    flags = ", ".join(str(f.name).lower() for f in Flag if f & int(last["flags"]))
     flags = flags or "no flags"
     found.append(f"{last['time']:.3f} s, ground {last['ground']}, {flags}")
     for xy, g in zip(last["xy"][: last["count"]], last["conductance"]):

@@ -41,7 +41,7 @@ class Packing:
                 whole.append(leaf.ravel().astype(jnp.int32))
         return Packed(jnp.concatenate(numbers), jnp.concatenate(whole))
 
-    def unpack(self, packed: Packed) -> Any:
+    def unpack(self, packed: tuple[Any, Any]) -> Any:
         """What was packed, compiled or, from NumPy's arrays, in NumPy's."""
         numbers, whole = packed
         leaves = []

@@ -141,7 +141,8 @@ class Step:
         return v, np.array((ground, lost, hurried), np.int32)
 
     def _output(self, said: Packed) -> Output:
-        return self._said.unpack(Packed(np.asarray(said[0]), np.asarray(said[1])))
+        numbers, whole = np.asarray(said.numbers), np.asarray(said.whole)
+        return self._said.unpack((numbers, whole))
 
     def _begun(self) -> Remembered:
         m = self.electrode_count
