@@ -23,6 +23,7 @@ from tomojax._forward import (  # noqa: E402
     resistances as resistances,
     voltages as voltages,
 )
+from tomojax._make_step import make_step as make_step  # noqa: E402
 from tomojax._merit import (  # noqa: E402
     cell_size as cell_size,
     Figures as Figures,
@@ -73,11 +74,7 @@ from tomojax._shapes import (  # noqa: E402
     Scene as Scene,
     Shifted as Shifted,
 )
-from tomojax._step import (  # noqa: E402
-    make_step as make_step,
-    Output as Output,
-    Step as Step,
-)
+from tomojax._step import Output as Output, Step as Step  # noqa: E402
 from tomojax._stream import (  # noqa: E402
     reconstruct_recording as reconstruct_recording,
 )

@@ -99,6 +99,9 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
 @click.option("--method", default="follow", show_default=True)
 @click.option("--policy", default="around_contacts", show_default=True)
 @click.option("--cheaper", help="A method that answers slots that are late.")
+@click.option(
+    "--budget", type=float, help="A slot that is older is late, s. [default: one slot]"
+)
 @click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
 @click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
 @click.option("--record", "out", type=_FILE, help="Record here as well.")
@@ -130,7 +133,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             cheaper=options["cheaper"],
             calibration=calibration,
         )
-        session.run(step)
+        session.run(step, options["budget"])
 
 
 class _Session:
@@ -141,7 +144,7 @@ class _Session:
         self._seconds = options["seconds"]
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
 
-    def run(self, step: Any) -> None:
+    def run(self, step: Any, budget: float | None = None) -> None:
         from tomojax import _app_recordings
         from tomojax.hardware import run
 
@@ -151,7 +154,14 @@ class _Session:
         with _app_recordings.interrupts() as stop:
             until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
             try:
-                run(self.source, step, self.ring, until=until, meanwhile=look)
+                run(
+                    self.source,
+                    step,
+                    self.ring,
+                    budget=budget,
+                    until=until,
+                    meanwhile=look,
+                )
             finally:
                 self.ring.head["done"][...] = 1
                 if view is not None:
@@ -207,7 +217,8 @@ def _session(source: str, out: Path | None, options: dict[str, Any]):
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             print("scenes for a virtual rig …", file=sys.stderr)
             draw_eight(sensor, folder / "scene.npz")
-            source = stack.enter_context(VirtualRig(folder / "scene.npz")).where
+            rig_process = VirtualRig(folder / "scene.npz", link="udp")
+            source = stack.enter_context(rig_process).where
         slots = open_source(source, sensor.electrode_count, **given)
         if isinstance(slots, ReplaySource):
             rig = slots.rig

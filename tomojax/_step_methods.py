@@ -13,8 +13,9 @@ from tomojax import kernels
 from tomojax._method import AbstractMethod, Estimate
 from tomojax._points import Points
 from tomojax.kernels._contacts import strongest_first
-from tomojax.kernels._follow import Candidates, follow, Followed, nothing_followed
+from tomojax.kernels._follow import follow
 from tomojax.kernels._one_slot import Noise, radius_of, tangents
+from tomojax.kernels._search import Candidates, Followed, nothing_followed
 
 # Waves of the sheet that a slot's voltages have in common: the longest. All fourteen are no
 # better here, three lose a second contact on the way to it.

@@ -84,9 +84,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
     with tx.open_recording(folder / "live.h5") as recording:
         recorded, gaps = recording.scans, int(recording.gaps[:, 1].sum())
     done = rows[np.isfinite(rows["latency"])]
-    moment = (done["time"] + 0.0) / 0.02
-    at = places[np.floor(moment).astype(int) % len(places)]
-    # The rig's own time is that of its start, not of the first slot: the nearest place.
+    # The rig's time is not the scene's: the nearest of its places.
     off = np.linalg.norm(done["xy"][:, 0, None] - places, axis=-1).min(1)
     late, size = (np.array(a) for a in zip(*kept))
     return {
@@ -102,7 +100,6 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
         "memory_MB": [float(size[late > 30][0]) if seconds > 60 else None, float(size[-1])],
         "place_median_mm": 1e3 * float(np.nanmedian(off)),
         "traces": step.traces,
-        "moments": len(at),
         "histogram_us": histogram[:1000],
         "memory": [
             [round(a, 1), round(b, 1)] for a, b in kept[:: max(1, len(kept) // 200)]

@@ -142,6 +142,29 @@ def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
     assert step.traces == 1
 
 
+@pytest.mark.parametrize("method", ["follow", "source", "linear"])
+def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, method):
+    step = tx.make_step(sensor, method, tx.POLICIES, contacts=1, grid=24)
+    nan, volts, state, ground = np.float32(np.nan), scenes["one"], step.state, 0
+    wrong = [
+        (np.full(64, nan), 3, 0),
+        (np.where(np.arange(64) == 7, nan, volts[5]), 5, 2),
+        (np.full(64, 1e30), 4, 0),
+        (np.zeros(64), 4, -3),
+        (volts[5], 99, 1 << 30),
+        (volts[5].astype(float), np.int64(-5), np.int8(1)),
+        (-volts[5], 5, 0),
+    ]
+    for policy in step.policies:
+        state = step.switch(state, policy)
+        for v, g, lost in [*wrong, *((volts[k], k, 0) for k in range(4))]:
+            state, out = step(state, v, g, lost)
+            ground = int(out.ground)
+            assert 0 <= ground < 64
+    state, out = step(state, volts[ground], ground)
+    assert int(out.contacts.count) == 1 and step.traces == 1
+
+
 def test_readings_are_corrected(sensor, scenes):
     rng = np.random.default_rng(4)
     zero, gain = rng.normal(0, 5e-3, 64), rng.normal(1, 0.02, 64)
