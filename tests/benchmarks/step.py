@@ -253,7 +253,8 @@ def main() -> None:
         rows += moving()
     content = {"environment": environment(), "rows": rows}
     path.write_text(json.dumps(content, indent=1) + "\n")
-    draw(rows, path.with_suffix(".png"))
+    if {"latency", "moving"} <= {row["kind"] for row in rows}:
+        draw(rows, path.with_suffix(".png"))
 
 
 if __name__ == "__main__":
