@@ -137,6 +137,8 @@ class WireSource(SlotSource):
                 return
             self._open = True
             self._ask()
+        if not self._open:  # cut again by what was just sent
+            return
         try:
             found, now = self._link.receive(min(timeout, _SILENCE))
         except OSError:

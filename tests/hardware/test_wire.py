@@ -110,6 +110,28 @@ def test_a_cut_line_is_opened_again_and_told_what_to_ground():
     assert link.sent[-2:] == [(frames.START, ()), (frames.GROUNDS, (3, 4))]
 
 
+def test_a_line_that_is_cut_as_soon_as_it_is_open():
+    steps = [[told()], [slot(0)], OSError("cut"), [slot(4), slot(5)]]
+    link = Script(steps)
+    source, codes = WireSource(link, M), np.zeros(M, np.int16)
+    source.start()
+    send, tries = link.send, iter([True, True, False])
+
+    def refused(message):
+        if next(tries, False):
+            raise ConnectionRefusedError
+        send(message)
+
+    found = []
+    assert source.read(codes).number == 0
+    link.send = refused
+    while len(found) < 2:
+        got = source.read(codes, 0.1)
+        found += [got] if got else []
+    assert [got.number for got in found] == [4, 5]
+    assert source.counters.disconnects == 3
+
+
 def test_a_rig_that_was_switched_off_goes_on_in_time():
     steps = [[told()], [slot(0), slot(1)], OSError("cut"), [told(0, 2)], [slot(0), slot(1)]]
     source, found = read(steps)
