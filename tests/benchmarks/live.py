@@ -119,7 +119,8 @@ def draw(row: dict, path: Path) -> None:
     left.set(xlabel="last byte of a slot to ground command, µs", ylabel="slots")
     left.set(xlim=(0, max(300, 1.2 * row["p9999_us"])))
     right.plot(*zip(*row["memory"]))
-    right.set(xlabel="s", ylabel="memory of the live loop, MB", ylim=(0, None))
+    right.set(xlabel="s", ylabel="memory of the live loop, MB")
+    right.set(ylim=(0, 1.3 * max(size for _, size in row["memory"])))
     figure.savefig(path, dpi=110)
 
 
