@@ -41,6 +41,9 @@ def run(
     """
     m = source.electrodes
     require(ring.electrodes == m, "ring", f"{ring.electrodes} electrodes", f"{m}")
+    if step is not None:
+        here, there = ring.contacts, step.contact_count
+        require(here == there, "ring", f"{here} contacts", f"{there}, as the step has")
     codes, volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
     scale, offset = np.float32(source.scale), np.float32(source.offset)
     hurry = 1 / source.rate if budget is None else budget
@@ -50,7 +53,7 @@ def run(
             step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"
         )
         state = step.state if policy is None else step.switch(step.state, policy)
-    skipped = missed = asked = unheeded = 0
+    skipped = missed = unheeded = 0
     asked, image_due, other_due = -1, 0.0, 0.0
     latencies = ring.head["latency"]
     while not until():

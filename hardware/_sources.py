@@ -1,5 +1,6 @@
 """Sources by their names."""
 
+from pathlib import Path
 from typing import Any
 
 from tomojax._recording import open_recording
@@ -19,6 +20,8 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
             from tomojax.hardware._serial import SerialSource
 
             port = where.removeprefix("serial:")
+            if port.startswith("/") and not Path(port).exists():
+                raise ValueError(f"source: {port}: no such port")
             return SerialSource(port, electrodes=electrodes, **options)
         if where.startswith("ni:"):
             from tomojax.hardware._ni import NiSource

@@ -64,7 +64,7 @@ class WireSource(SlotSource):
         self._number = self._missed = 0
         self._clock = (0, 0.0)  # µs of the rig's, and the `time` that it is
         self._begins: float | None = 0.0  # the next slot's `time`, where its clock is new
-        self._heard = self._asked = 0.0
+        self._heard = self._asked = self._opened = 0.0
         self._last: Got | None = None
 
     def start(self) -> None:
@@ -123,7 +123,8 @@ class WireSource(SlotSource):
             self._cut()
 
     def _cut(self) -> None:
-        self.counters.disconnects += 1
+        # One that said nothing yet is still the cut before it.
+        self.counters.disconnects += self._heard > self._opened
         self._link.close()
         self._open = False
 
@@ -135,7 +136,7 @@ class WireSource(SlotSource):
                 self._link.open()
             except OSError:
                 return
-            self._open = True
+            self._open, self._opened = True, time.perf_counter()
             self._ask()
         if not self._open:  # cut again by what was just sent
             return
@@ -200,6 +201,11 @@ class WireSource(SlotSource):
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         before, self._told = self._told, told
+        if before is not None:
+            # What is recorded and worked on would mean something else from here on.
+            same = told.rate, told.scale, told.offset
+            was = before.rate, before.scale, before.offset
+            require(same == was, "rate, scale, offset", f"a rig with {same}", f"{was}")
         self.rate, self.scale, self.offset = told.rate, told.scale, told.offset
         if before is None:
             self._next = told.sequence

@@ -5,6 +5,7 @@ import sys
 import tempfile
 import time
 import tomllib
+from collections.abc import Callable
 from contextlib import contextmanager, ExitStack
 from importlib.util import find_spec
 from pathlib import Path
@@ -88,9 +89,11 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
     """
     from tomojax import _patterns
 
-    with _session(source, out, options) as (session, sensor):
-        grounds = np.asarray(_patterns.pattern(sensor, pattern)).tolist()  # pyright: ignore
-        session.source.set_grounds(grounds)
+    def grounds(sensor: Any) -> list[int]:
+        return np.asarray(_patterns.pattern(sensor, pattern)).tolist()
+
+    with _session(source, out, options, grounds) as (session, asked):
+        session.source.set_grounds(asked)
         session.run(None)
 
 
@@ -120,12 +123,10 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
     path = options["calibration"]
     calibration = None if path is None else Calibration.load(path)
-    with ExitStack() as stack:
-        if options["real_time"]:
-            allowed = stack.enter_context(real_time())
-            print(f"real time: {', '.join(allowed)}", file=sys.stderr)
-        session, sensor = stack.enter_context(_session(source, out, options))
-        step = make_step(
+
+    def compiled(sensor: Any) -> Any:
+        print("compiling …", file=sys.stderr)
+        return make_step(
             sensor,
             method,
             policy,
@@ -133,6 +134,12 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             cheaper=options["cheaper"],
             calibration=calibration,
         )
+
+    with ExitStack() as stack:
+        if options["real_time"]:
+            allowed = stack.enter_context(real_time())
+            print(f"real time: {', '.join(allowed)}", file=sys.stderr)
+        session, step = stack.enter_context(_session(source, out, options, compiled))
         session.run(step, options["budget"])
 
 
@@ -195,7 +202,13 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
 
 
 @contextmanager
-def _session(source: str, out: Path | None, options: dict[str, Any]):
+def _session(
+    source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
+):
+    """A session and what `prepare` makes of the sensor before the source is started.
+
+    A rig that sends already, while a step is compiled, would lose slots.
+    """
     from tomojax import Sensor
     from tomojax._recording import open_recording, Rig
     from tomojax.hardware import open_source, Ring
@@ -223,6 +236,7 @@ def _session(source: str, out: Path | None, options: dict[str, Any]):
         if isinstance(slots, ReplaySource):
             rig = slots.rig
             sensor = rig.sensor()
+        prepared = prepare(sensor)
         stack.enter_context(slots)
         ring = Ring.create(slots.electrodes, options.get("contacts") or 1)
         stack.callback(ring.remove)
@@ -234,4 +248,4 @@ def _session(source: str, out: Path | None, options: dict[str, Any]):
             told = attributes(told, slots.scale, slots.offset)
             recorder = Recorder(ring, out, told, options["file_seconds"])
             stack.callback(recorder.stop)
-        yield _Session(slots, ring, recorder, options), sensor
+        yield _Session(slots, ring, recorder, options), prepared

@@ -83,6 +83,7 @@ class Step:
         self._packing = Packing(begun, self.dtype)
         said = jax.eval_shape(self._run, begun, begun.last)[1]
         self._said = Packing(said, self.dtype)
+        self.contact_count = len(said.contacts.radius)
         self.state = jax.jit(self._packing.pack)(begun)
         slot = self._slot(np.zeros(self.electrode_count), 0, 0, False)
         self._compiled = jax.jit(self._counted).lower(self.state, *slot).compile()

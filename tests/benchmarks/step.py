@@ -19,7 +19,14 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 
-METHODS = ("follow", "source", "linear", "points")
+# By name: the method, and how many contacts it looks for.
+METHODS = {
+    "follow": ("follow", 2),
+    "follow one": ("follow", 1),
+    "source": ("source", 2),
+    "linear": ("linear", 2),
+    "points": ("points", 2),
+}
 QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "p9999_us": 0.9999}
 FINE = 57  # pixels of a side: the paper's mesh has 3200 elements
 POLICIES = ("around_contacts", "information", "around", "cop_line", "preset", "all")
@@ -57,19 +64,20 @@ def machine(settings: list[str], slots: int) -> None:
     print(json.dumps({**row, **quantiles}))
 
 
-def measured(method: str, settings: list[str], slots: int) -> None:
+def measured(name: str, settings: list[str], slots: int) -> None:
     import numpy as np
     from rig import Rig
 
     import tomojax as tx
 
+    method, contacts = METHODS[name]
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
     rng = np.random.default_rng(5)
     rig = Rig(rng)
     contact = rig.disc(np.array([0.052, 0.071]), 0.006), 1e-4
     volts = rig.measure(rig.scene(contact)[0]).astype(np.float32)
     start = time.perf_counter()
-    step = tx.make_step(sensor, method, "around_contacts")
+    step = tx.make_step(sensor, method, "around_contacts", contacts=contacts)
     made = time.perf_counter() - start
     state, ground = step.state, 0
     for _ in range(500):
@@ -84,7 +92,7 @@ def measured(method: str, settings: list[str], slots: int) -> None:
         np.asarray(out.contacts.xy)
         spent[k] = time.perf_counter_ns() - begin
     # The same with an image of as many pixels as the paper's mesh has elements.
-    fine = tx.make_step(sensor, method, "around_contacts", grid=FINE)
+    fine = tx.make_step(sensor, method, "around_contacts", contacts=contacts, grid=FINE)
     drawn, state = np.empty(min(slots, 20_000)), fine.state
     for k in range(-100, len(drawn)):
         v = volts[ground]
@@ -95,7 +103,8 @@ def measured(method: str, settings: list[str], slots: int) -> None:
         drawn[k] = time.perf_counter_ns() - begin
     row = {
         "kind": "latency",
-        "method": method,
+        "method": name,
+        "contacts": contacts,
         "settings": settings,
         "slots": slots,
         "make_s": made,
@@ -216,16 +225,20 @@ def draw(rows: list[dict], path: Path) -> None:
     left.axhline(100, color="0.6", lw=1)
     left.set_xticks(range(4), ["50 %", "99 %", "99.9 %", "99.99 %"])
     left.set(ylabel="one slot to contacts and next ground, µs", title="Latency")
-    left.legend(fontsize=7)
+    left.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.12), ncols=2)
     for k, policy in enumerate(POLICIES):
         some = [r for r in rows if r["kind"] == "moving" and r["policy"] == policy]
         speed = [r["speed_m_s"] for r in some]
         for axes, name in ((middle, "place_median_mm"), (right, "lag_ms")):
             axes.plot(speed, [r[name] for r in some], "-o", color=f"C{k}", label=policy)
-    middle.set(xlabel="speed, m/s", ylabel="place error, mm (median)", xscale="log")
-    middle.set(title="Closed loop, a moving contact (follow)", yscale="log")
-    right.set(xlabel="speed, m/s", ylabel="lag, ms", xscale="log", title="Lag")
-    middle.legend(fontsize=7)
+    for axes in (middle, right):
+        axes.set(xlabel="speed, m/s", xscale="log")
+        axes.set_xticks(SPEEDS, [f"{speed:g}" for speed in SPEEDS], minor=False)
+        axes.set_xticks([], minor=True)
+    middle.set(ylabel="place error, mm (median)", ylim=(0, None))
+    middle.set_title("Closed loop, a moving contact (follow)")
+    right.set(ylabel="behind, along the path: mean, ms of the way", title="Lag")
+    middle.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.12), ncols=3)
     figure.savefig(path, dpi=110)
 
 

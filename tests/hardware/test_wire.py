@@ -129,7 +129,17 @@ def test_a_line_that_is_cut_as_soon_as_it_is_open():
         got = source.read(codes, 0.1)
         found += [got] if got else []
     assert [got.number for got in found] == [4, 5]
-    assert source.counters.disconnects == 3
+    assert source.counters.disconnects == 1
+
+
+def test_a_rig_that_comes_back_as_another_one():
+    other = frames.pack_description(frames.Description(M, 2, 0, 1e4, 2e-4, 0.0))
+    steps = [[told()], [slot(0)], [other], [slot(0)]]
+    source, codes = WireSource(Script(steps), M), np.zeros(M, np.int16)
+    source.start()
+    assert source.read(codes).number == 0
+    with pytest.raises(ValueError, match="rate, scale, offset: got a rig with"):
+        source.read(codes)
 
 
 def test_a_rig_that_was_switched_off_goes_on_in_time():
