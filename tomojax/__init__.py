@@ -15,6 +15,31 @@ from tomojax._calibrate_recording import (  # noqa: E402
 from tomojax._calibration import Calibration as Calibration  # noqa: E402
 from tomojax._chunks import Settings as Settings  # noqa: E402
 from tomojax._converter import Converter as Converter  # noqa: E402
+from tomojax._design import (  # noqa: E402
+    Design as Design,
+    design as design,
+    patterns_beside as patterns_beside,
+)
+from tomojax._design_objectives import AbstractObjective as AbstractObjective  # noqa: E402
+from tomojax._design_policy import (  # noqa: E402
+    design_policy as design_policy,
+    load_policy as load_policy,
+    PlaceDesigns as PlaceDesigns,
+    save_policy as save_policy,
+)
+from tomojax._design_problem import (  # noqa: E402
+    design_objective as design_objective,
+    design_places as design_places,
+    exploratory_voltages as exploratory_voltages,
+)
+from tomojax._design_search import relax as relax, Relaxed as Relaxed  # noqa: E402
+from tomojax._design_simulated import (  # noqa: E402
+    descend_sets as descend_sets,
+    ImageError as ImageError,
+    Scenes as Scenes,
+    simulate_scenes as simulate_scenes,
+    tune as tune,
+)
 from tomojax._faults import Faults as Faults, find_faults as find_faults  # noqa: E402
 from tomojax._forward import (  # noqa: E402
     contact_conductance as contact_conductance,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tomojax import _app_live, _app_recordings, _app_track, _demo
+from tomojax import _app_design, _app_live, _app_recordings, _app_track, _demo
 from tomojax._environment import environment
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -75,6 +75,7 @@ app.add_command(_app_recordings.calibrate)
 app.add_command(_app_track.track)
 app.add_command(_app_live.record)
 app.add_command(_app_live.live)
+app.add_command(_app_design.design)
 
 
 def run() -> None:

@@ -100,7 +100,12 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
 @click.command()
 @_shared
 @click.option("--method", default="follow", show_default=True)
-@click.option("--policy", default="around_contacts", show_default=True)
+@click.option(
+    "--policy",
+    default="around_contacts",
+    show_default=True,
+    help="One of tomojax.POLICIES, or a table of `tomojax design --policy`.",
+)
 @click.option("--cheaper", help="A method that answers slots that are late.")
 @click.option(
     "--budget", type=float, help="A slot that is older is late, s. [default: one slot]"
@@ -118,7 +123,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
     SOURCE: serial:PORT, udp://HOST:PORT, a recording, or virtual: a rig in a process.
     """
-    from tomojax import Calibration, make_step
+    from tomojax import Calibration, load_policy, make_step
     from tomojax.hardware import real_time
 
     path = options["calibration"]
@@ -126,10 +131,12 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
     def compiled(sensor: Any) -> Any:
         print("compiling …", file=sys.stderr)
+        own = policy.endswith(".npz")
         return make_step(
             sensor,
             method,
             policy,
+            tables={policy: load_policy(policy, sensor)} if own else None,
             contacts=options["contacts"],
             cheaper=options["cheaper"],
             calibration=calibration,

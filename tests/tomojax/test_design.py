@@ -1,0 +1,308 @@
+"""Designs of ground conditions: gradients, bounds, and all sets where those are few."""
+
+import itertools
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax._design_objectives import ImageVariance
+from tomojax._design_search import exchange, relax
+from tomojax._method import method as make_method
+
+KINDS = [
+    ("points", "place"),
+    ("points", "a"),
+    ("points", "d"),
+    ("points", "worst"),
+    ("linear", "a"),
+    ("linear", "d"),
+    ("linear", "worst"),
+    ("source", "a"),
+    ("source", "d"),
+]
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return tx.Sensor.grid(4, 4, divisions=(16, 16), electrode_diameter=0.005)
+
+
+@pytest.fixture(scope="module")
+def objectives(sensor):
+    places = tx.design_places(sensor, count=12)
+    made = {}
+
+    def one(method, criterion):
+        if (method, criterion) not in made:
+            found = tx.design_objective(sensor, places, method, criterion, grid=16)
+            made[method, criterion] = found
+        return made[method, criterion]
+
+    return one
+
+
+def central(f, x, k, h=1e-5):
+    step = h * jnp.zeros(len(x)).at[k].set(1.0)
+    return float((f(x + step) - f(x - step)) / (2 * h))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids="-".join)
+@pytest.mark.parametrize("start", ["symmetric", "random"])
+def test_slopes_in_weights(objectives, rng, kind, start):
+    objective = objectives(*kind)
+    w = np.full(16, 0.25) if start == "symmetric" else rng.uniform(0.1, 1, 16)
+    value = jax.jit(lambda w: objective.value(w))
+    slope = np.asarray(jax.jit(jax.grad(value))(jnp.asarray(w)))
+    assert np.isfinite(slope).all()
+    if kind[1] == "worst" and start == "symmetric":
+        return  # two places can be the worst at once: no derivative there
+    wanted = np.array([central(value, jnp.asarray(w), k) for k in range(0, 16, 5)])
+    np.testing.assert_allclose(slope[::5], wanted, rtol=1e-5, atol=1e-7 * abs(wanted).max())
+
+
+@pytest.mark.parametrize("method", ["linear", "source"])
+def test_slope_in_lambda(objectives, method):
+    objective = objectives(method, "a")
+    assert isinstance(objective, ImageVariance)
+    w = jnp.linspace(0.2, 1, 16)
+    f = lambda t: replace(objective, lam=jnp.exp(t)).value(w)  # noqa: E731
+    t, h = jnp.log(objective.lam), 1e-4
+    np.testing.assert_allclose(jax.grad(f)(t), (f(t + h) - f(t - h)) / (2 * h), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids="-".join)
+def test_all_sets_of_three_are_above_the_bound_and_the_best_is_found(objectives, kind):
+    objective = objectives(*kind)
+    sets = np.array(list(itertools.combinations(range(16), 3)))
+    weights = np.zeros((len(sets), 16))
+    np.put_along_axis(weights, sets, 1, 1)
+    values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(objective, jnp.asarray(weights))
+    best = float(values.min())
+    found = tx.design(objective, 3)
+    assert found.bound <= best * (1 + 1e-9)
+    assert found.value <= 1.01 * best
+    chosen = np.zeros(16)
+    chosen[found.grounds] = 1
+    assert float(objective.value(jnp.asarray(chosen))) == pytest.approx(found.value)
+    assert found.relaxed <= found.value * (1 + 1e-9) and found.value <= found.greedy
+
+
+def test_relaxed_weights(objectives):
+    objective = objectives("points", "place")
+    found = relax(objective, 16, 5)
+    w = np.asarray(found.weights)
+    assert abs(w.sum() - 5) < 1e-9 and w.min() >= 0 and w.max() <= 1
+    assert 0 <= found.value - found.bound < 1e-3 * found.value
+    # Slots that are not taken in full have the same slope.
+    slope = np.asarray(jax.grad(objective.value)(found.weights))
+    between = (w > 0.05) & (w < 0.95)
+    assert np.ptp(slope[between]) < 0.05 * abs(slope).max()
+
+
+def test_all_slots_and_one(objectives):
+    objective = objectives("points", "place")
+    whole = tx.design(objective, 16)
+    assert sorted(whole.grounds) == list(range(16))
+    assert whole.value == pytest.approx(whole.bound, rel=1e-6)
+    single = tx.design(objective, 1)
+    values = [float(objective.value(row)) for row in jnp.eye(16)]
+    assert single.grounds.tolist() == [int(np.argmin(values))]
+
+
+def test_few_swaps_by_slope(objectives):
+    objective = objectives("linear", "a")
+    start = jnp.zeros(16).at[:4].set(1)
+    some = objective.value(exchange(objective.value, start, 4, tried=8))
+    assert objective.value(exchange(objective.value, start, 4)) <= some
+    assert some < 0.95 * objective.value(start)
+
+
+def test_noise_that_is_stated(sensor):
+    """A channel that is all noise is none; a common mode changes what is best."""
+    places = tx.design_places(sensor, count=6)
+    plain = tx.design_objective(sensor, places, noise=1e-3)
+    same = tx.design_objective(sensor, places, noise=1e-6 * np.eye(16))
+    np.testing.assert_allclose(same.information, plain.information, rtol=1e-9)
+    deaf = np.full(16, 1e-3)
+    deaf[5] = 1e3
+    less = tx.design_objective(sensor, places, noise=deaf)
+    w = jnp.full(16, 0.5)
+    assert (less(w) > plain(w)).all()
+    common = 1e-6 * np.eye(16) + 1e-2 * np.ones((16, 16))
+    shifted = tx.design_objective(sensor, places, noise=common)
+    assert (shifted(w) > plain(w)).all()
+
+
+def test_single_precision(sensor):
+    places = tx.design_places(sensor, count=8)
+    single = replace_dtype(sensor, np.float32)
+    for method in ("points", "linear"):
+        wide = tx.design_objective(sensor, places, method, grid=16)
+        narrow = tx.design_objective(single, np.asarray(places), method, grid=16)
+        a, b = tx.design(wide, 4), tx.design(narrow, 4)
+        chosen = jnp.zeros(16).at[jnp.asarray(b.grounds)].set(1)
+        assert float(wide.value(chosen)) <= 1.01 * a.value
+        assert b.value == pytest.approx(a.value, rel=0.02)
+
+
+def replace_dtype(sensor, dtype):
+    return tx.Sensor.grid(4, 4, divisions=(16, 16), electrode_diameter=0.005, dtype=dtype)
+
+
+def test_patterns_beside(sensor, objectives):
+    objective = objectives("points", "place")
+    places = tx.design_places(sensor, count=12)
+    explored = tx.exploratory_voltages(sensor, places)
+    assert explored.shape == (12, 2, 16)
+    rows = {row["name"]: row for row in tx.patterns_beside(sensor, objective, explored)}
+    assert list(rows) == list(tx.PATTERNS)
+    every = float(objective.value(jnp.ones(16)))
+    assert rows["all"]["value"] == pytest.approx(every)
+    assert all(row["value"] >= every * (1 - 1e-9) for row in rows.values())
+
+
+@pytest.fixture(scope="module")
+def simulated(sensor):
+    places = tx.design_places(sensor, count=8)
+    scenes = tx.simulate_scenes(sensor, places, rigs=2)
+    linear = make_method(sensor, "linear", 16)
+    return {
+        smooth: tx.ImageError.of(linear, scenes, 0.008, smooth=smooth)
+        for smooth in (False, True)
+    }
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_slopes_of_simulated_errors(simulated, rng, smooth):
+    objective = simulated[smooth]
+    w = jnp.asarray(rng.uniform(0.2, 1, 16))
+    value = lambda w: objective.value(w)  # noqa: E731
+    slope = jax.grad(value)(w)
+    wanted = [central(value, w, k) for k in (0, 7, 15)]
+    np.testing.assert_allclose(slope[jnp.array([0, 7, 15])], wanted, rtol=1e-5)
+    names = ["log_lam", "log_length"] if smooth else ["log_lam"]
+    for name in names:
+        f = lambda t, n=name: replace(objective, **{n: t}).value(w)  # noqa: E731
+        at, h = getattr(objective, name), 1e-4
+        np.testing.assert_allclose(
+            jax.grad(f)(at), (f(at + h) - f(at - h)) / (2 * h), rtol=1e-5, atol=1e-9
+        )
+
+
+def test_lambda_and_length_by_gradient_against_a_grid(simulated):
+    objective = simulated[True]
+    w = jnp.zeros(16).at[jnp.array([1, 6, 8, 11])].set(1)
+    found = tx.tune(objective, w)
+    lams = objective.log_lam + jnp.log(10.0) * jnp.linspace(-3, 4, 22)
+    lengths = jnp.log(jnp.linspace(0.4, 4, 15))
+
+    def at(lam, length):
+        return replace(objective, log_lam=lam, log_length=length).value(w)
+
+    over = jax.jit(jax.vmap(jax.vmap(at, (0, None)), (None, 0)))
+    grid = over(lams, lengths)
+    assert found.value <= 1.05 * grid.min()
+    assert found.solves <= grid.size / 10
+
+
+def test_sets_by_gradients_through_draws(simulated):
+    objective = simulated[False]
+    found = tx.descend_sets(objective, 4, steps=60)
+    assert found.weights.sum() == 4
+    rng = np.random.default_rng(0)
+    others = []
+    for _ in range(40):
+        w = np.zeros(16)
+        w[rng.permutation(16)[:4]] = 1
+        others.append(float(found.objective.value(jnp.asarray(w))))
+    assert float(found.objective.value(found.weights)) < np.quantile(others, 0.25)
+
+
+def test_policy_by_place(sensor, tmp_path):
+    found = tx.design_policy(sensor, 3, shape=(6, 6))
+    assert found.policy.table.shape == (6, 6, 3)
+    assert (found.value >= found.bound * (1 - 1e-9)).all()
+    assert np.median(found.value / found.bound) < 1.03
+    for row in np.asarray(found.policy.table).reshape(-1, 3):
+        assert len(set(row.tolist())) == 3
+    path = tmp_path / "table.npz"
+    tx.save_policy(found.policy, path)
+    again = tx.load_policy(path, sensor)
+    np.testing.assert_array_equal(again.table, found.policy.table)
+    step = tx.make_step(
+        sensor, "follow", "mine", tables={"mine": again}, contacts=1, grid=16
+    )
+    place = np.array([0.05, 0.033])
+    g = tx.contact_conductance(sensor, tx.Disc(place, 0.006, 1.0))
+    volts = np.asarray(tx.voltages(sensor, g))
+    state, ground, asked = step.state, 0, []
+    for _ in range(12):
+        state, out = step(state, volts[ground], ground)
+        ground = int(out.ground)
+        asked.append(ground)
+    assert step.traces == 1
+    cell = np.asarray(again.table)[tuple((place / np.asarray(sensor.size) * 6).astype(int))]
+    assert set(asked[-6:]) == set(cell.tolist())
+
+
+def test_a_policy_of_another_sensor(sensor, tmp_path):
+    other = tx.Sensor.grid(5, 5, divisions=(20, 20))
+    path = tmp_path / "table.npz"
+    table = jnp.full((2, 2, 3), 20, jnp.int32)
+    tx.save_policy(tx.Lookup(table, table[0, 0], other.size), path)
+    with pytest.raises(ValueError, match="table: got 20 to 20, expected 0 to 15"):
+        tx.load_policy(path, sensor)
+    path.write_bytes(b"not a table")
+    with pytest.raises(ValueError, match="no table of grounds"):
+        tx.load_policy(path, sensor)
+    with pytest.raises(ValueError, match="no such file"):
+        tx.load_policy(tmp_path / "none.npz", sensor)
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ({"region": (0, 0, 0, 0.01)}, "region: .*expected x0 < x1"),
+        ({"region": (0, 0, 1, 1)}, "region: .*expected on the sheet"),
+        ({"region": (0, 0, np.nan, 1)}, "region: got 1 values NaN"),
+        ({"count": 0}, "count: got 0"),
+    ],
+)
+def test_bad_regions(sensor, words, message):
+    with pytest.raises(ValueError, match=message):
+        tx.design_places(sensor, **words)
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ({"places": np.zeros((0, 2))}, "places: got none"),
+        ({"places": [[1.0, 1.0]]}, "places: got 1 off the sheet"),
+        ({"places": [[np.nan, 0.0]]}, "places: got 1 values NaN"),
+        ({"method": "guess"}, "method: got 'guess', expected one of points"),
+        ({"criterion": "e"}, "criterion: got 'e', expected one of place"),
+        ({"noise": np.nan}, "noise: got 1 values NaN"),
+        ({"noise": -1.0}, "noise: got -1, expected values above 0"),
+        ({"noise": np.zeros((16, 16))}, "noise: got a least variance of 0"),
+        ({"noise": np.triu(np.ones((16, 16)))}, "noise: got no symmetric matrix"),
+        ({"noise": np.ones(3)}, r"noise: got shape \(3,\)"),
+        ({"method": "linear", "lam": 0.0}, "lam: got 0"),
+        ({"radius": -0.1}, "radius: got -0.1"),
+        ({"conductance": 0.0}, "conductance: got 0"),
+    ],
+)
+def test_bad_objectives(sensor, words, message):
+    with pytest.raises(ValueError, match=message):
+        tx.design_objective(sensor, **{"places": [[0.03, 0.03]], **words})
+
+
+@pytest.mark.parametrize("slots", [0, 17])
+def test_bad_numbers_of_slots(sensor, objectives, slots):
+    with pytest.raises(ValueError, match=r"slots: got .*, expected a whole number"):
+        tx.design(objectives("points", "place"), slots)
+    with pytest.raises(ValueError, match="slots: got"):
+        tx.design_policy(sensor, slots)

@@ -1,0 +1,149 @@
+"""Tables of ground conditions by place, for a step to look up."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax._checks import require
+from tomojax._design_objectives import AbstractObjective
+from tomojax._design_problem import design_objective
+from tomojax._design_search import exchange, relax
+from tomojax._patterns import exploration
+from tomojax._policies import Lookup
+from tomojax._sensor import Sensor
+from tomojax.kernels._subsets import heaviest
+
+# Swaps that are looked at for each place, and places that are computed side by side.
+_TRIED, _TOGETHER = 16, 64
+
+# What a set may be worse by, as a part, to have as many grounds in common with its
+# neighbours' as it has; and how often all are gone through.
+_SMOOTH, _PASSES = 0.02, 4
+
+
+class PlaceDesigns(NamedTuple):
+    """A set of its own for each of nx × ny places."""
+
+    policy: Lookup
+    value: Float[np.ndarray, "nx ny"]  # of the objective
+    bound: Float[np.ndarray, "nx ny"]
+
+
+def design_policy(
+    sensor: Sensor,
+    slots: int = 8,
+    method: str = "points",
+    shape: tuple[int, int] | None = None,
+    **options: Any,
+) -> PlaceDesigns:
+    """The best `slots` grounds for a contact at each place, as a policy.
+
+    Each place has the relaxed problem's heaviest slots, improved by exchanges. Then sets
+    that differ from their neighbours' give way to one that is 2 % worse at most and has
+    more in common with them, so that little changes at a seam.
+
+    **Arguments:** `method` and `options` as in `design_objective`; `shape` of the table, by
+    default (32, 32), and (16, 16) for images, which take longer.
+    **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
+    1 to the electrodes'.
+    """
+    m = sensor.electrode_count
+    whole = isinstance(slots, int | np.integer) and 1 <= slots <= m
+    require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
+    nx, ny = shape or ((32, 32) if method == "points" else (16, 16))
+    size = np.asarray(sensor.size, float)
+    parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
+    places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    objective = design_objective(sensor, places, method, **options)
+    sets, bound = designs_by_place(objective, int(slots))
+    sets, value = _smoothed(objective, sets, (nx, ny))
+    grounds = np.argsort(-np.asarray(sets), 1, kind="stable")[:, :slots]
+    table = jnp.asarray(grounds.reshape(nx, ny, slots), jnp.int32)
+    idle = jnp.resize(exploration(sensor), (slots,)).astype(jnp.int32)
+    policy = Lookup(table, idle, sensor.size)
+    each = np.asarray(value).reshape(nx, ny), np.asarray(bound).reshape(nx, ny)
+    return PlaceDesigns(policy, *each)
+
+
+def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array]:
+    """The best set of n slots for each place alone, and the bound of each."""
+    slots, dtype = objective.slots, objective.dtype
+    count = jax.eval_shape(objective, jnp.ones(slots, dtype))
+
+    @jax.jit
+    def whole(objective: AbstractObjective) -> tuple[Array, Array]:
+        def one(k: Array) -> tuple[Array, Array]:
+            alone = objective.alone(k)
+            best = relax(alone, slots, n, dtype=dtype)
+            start = heaviest(best.weights, n)
+            return exchange(alone.value, start, n, _TRIED), best.bound
+
+        places = jnp.arange(count.shape[0])
+        return jax.lax.map(one, places, batch_size=min(_TOGETHER, len(places)))
+
+    return whole(objective)
+
+
+def _smoothed(
+    objective: AbstractObjective, sets: Float[Array, "P L"], shape: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Sets that have more in common with their neighbours', and their values."""
+    places, n = jnp.arange(len(sets)), sets[0].sum()
+
+    def values(sets: Array) -> Array:
+        one = lambda k, w: objective.alone(k).value(w)  # noqa: E731
+        return jax.lax.map(lambda x: one(*x), (places, sets), batch_size=_TOGETHER)
+
+    def beside(sets: Array) -> Array:
+        """Neighbours' sets (4, P, L); at an edge the place's own."""
+        grid = jnp.pad(sets.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
+        shifted = grid[2:, 1:-1], grid[:-2, 1:-1], grid[1:-1, 2:], grid[1:-1, :-2]
+        return jnp.stack([part.reshape(sets.shape) for part in shifted])
+
+    @jax.jit
+    def one_pass(sets: Array, least: Array) -> Array:
+        around = beside(sets)
+        options = jnp.concatenate([sets[None], around])
+        worse = jax.lax.map(values, options) / least - 1
+        alien = 1 - (options[:, None] * around[None]).sum(-1).mean(1) / n
+        best = jnp.argmin(worse + _SMOOTH * alien, 0)
+        return options[best, places]
+
+    least = jax.jit(values)(sets)
+    for _ in range(_PASSES):
+        sets = one_pass(sets, least)
+    return sets, jax.jit(values)(sets)
+
+
+def save_policy(policy: Lookup, path: Path | str) -> None:
+    """A table as an .npz file: `table`, `idle`, `size` (m)."""
+    with open(path, "wb") as file:
+        arrays = policy.table, policy.idle, policy.size
+        np.savez(file, **dict(zip(("table", "idle", "size"), map(np.asarray, arrays))))
+
+
+def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
+    """What `save_policy` has written, for that `sensor`.
+
+    **Raises:** `ValueError` for a file that is none, or of another sensor.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            table, idle, size = file["table"], file["idle"], file["size"]
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file") from None
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: no table of grounds ({error})") from None
+    fits = table.ndim == 3 and idle.shape == table.shape[2:] and table.size > 0
+    require(fits, f"{path}: table", f"shape {table.shape}", "(nx, ny, slots)")
+    m = sensor.electrode_count
+    known = 0 <= min(table.min(), idle.min()) and max(table.max(), idle.max()) < m
+    require(known, f"{path}: table", f"{table.min()} to {table.max()}", f"0 to {m - 1}")
+    same = size.shape == (2,) and np.allclose(size, np.asarray(sensor.size), rtol=1e-4)
+    require(same, f"{path}: size", size, f"{np.asarray(sensor.size)}")
+    at = jnp.asarray(table, jnp.int32), jnp.asarray(idle, jnp.int32)
+    return Lookup(*at, sensor.size)
