@@ -22,13 +22,20 @@ Criterion = Literal["place", "a", "d", "worst"]
 class AbstractObjective(eqx.Module):
     """P figures of a weighting, the lower the better.
 
-    `convex` in the weights: then there is a bound. `worst`: the highest counts, not the
-    mean.
+    `convex` in the weights: then there is a bound.
     """
 
     convex: ClassVar[bool] = True
-    unit: eqx.AbstractVar[str]
-    worst: eqx.AbstractVar[bool]
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """Of the figures."""
+
+    @property
+    @abstractmethod
+    def worst(self) -> bool:
+        """Whether the highest figure counts."""
 
     @property
     @abstractmethod
@@ -67,11 +74,11 @@ class PlaceInformation(AbstractObjective):
     length: Float[Array, ""]  # the unit, m
 
     @property
-    def unit(self) -> str:  # pyright: ignore
+    def unit(self) -> str:
         return "m2" if self.criterion == "a" else "m"
 
     @property
-    def worst(self) -> bool:  # pyright: ignore
+    def worst(self) -> bool:
         return self.criterion == "worst"
 
     @property
@@ -112,7 +119,7 @@ class ImageVariance(AbstractObjective):
     unit: ClassVar[str] = "1"  # pyright: ignore
 
     @property
-    def worst(self) -> bool:  # pyright: ignore
+    def worst(self) -> bool:
         return self.criterion == "worst"
 
     @property

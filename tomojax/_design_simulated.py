@@ -122,7 +122,7 @@ class ImageError(AbstractObjective):
     log_lam: Float[Array, ""]
     log_length: Float[Array, ""] | None  # in pixels; None: no smoothing
     shape: tuple[int, int] = eqx.field(static=True)
-    worst: bool = eqx.field(static=True, default=False)
+    worst: ClassVar[bool] = False  # pyright: ignore
     convex: ClassVar[bool] = False
     unit: ClassVar[str] = "1"  # pyright: ignore
 

@@ -1,14 +1,19 @@
 """Designs of ground conditions: gradients, bounds, and all sets where those are few."""
 
 import itertools
+import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import tomojax as tx
+from tomojax._app import app, run
 from tomojax._design_objectives import ImageVariance
 from tomojax._design_search import exchange, relax
 from tomojax._method import method as make_method
@@ -306,3 +311,38 @@ def test_bad_numbers_of_slots(sensor, objectives, slots):
         tx.design(objectives("points", "place"), slots)
     with pytest.raises(ValueError, match="slots: got"):
         tx.design_policy(sensor, slots)
+
+
+def test_the_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--region", "60", "60", "100", "100", "--contacts", "4", "--slots", "3"]
+    more = ["--json", "out/d.json", "--out", "out", "--policy", "out/p.npz"]
+    result = CliRunner().invoke(app, ["design", *words, *more])
+    assert result.exit_code == 0, result.output
+    report = json.loads(Path("out/d.json").read_text())
+    summary, rows = report["summary"], report["rows"]
+    assert len(summary["grounds"]) == 3 and summary["bound"] <= summary["objective"]
+    assert [row["name"] for row in rows] == list(tx.PATTERNS)
+    for row in rows:
+        assert row["designed"] <= row["value"] * 1.02
+        assert row["name"] in result.output
+    assert Path("out/design.png").stat().st_size > 10_000
+    table = tx.load_policy("out/p.npz", tx.Sensor.grid())
+    assert table.table.shape == (32, 32, 3)
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--policy", "x.txt"], "--policy: got x.txt, expected a name that ends in .npz"),
+        (["--place", "1", "2", "--region", "0", "0", "9", "9"], "--place: got a region"),
+        (["--like", "none.h5"], "none.h5"),
+        (["--region", "0", "0", "0", "9"], "region: got"),
+    ],
+)
+def test_mistakes_in_the_command(words, message, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["tomojax", "design", *words])
+    with pytest.raises(SystemExit) as stop:
+        run()
+    said = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2 and len(said) == 1 and message in said[0]
