@@ -1,5 +1,6 @@
 """Slots over a wire: sequence numbers into gaps, whatever becomes of the connection."""
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -79,7 +80,11 @@ class WireSource(SlotSource):
                 raise TimeoutError(f"no rig answers within {seconds}; is it switched on?")
             self._pull(0.05)
             while self._messages and self._told is None:
-                self._take(*self._messages.popleft())
+                try:
+                    self._take(*self._messages.popleft())
+                except ValueError:  # it is not the rig that was asked for
+                    self.stop()
+                    raise
 
     def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
         end = time.perf_counter() + timeout
@@ -119,6 +124,8 @@ class WireSource(SlotSource):
         try:
             if self._open:
                 self._link.send(message)
+        except BlockingIOError:  # no room: it is asked for again where it is not heeded
+            pass
         except OSError:
             self._cut()
 
@@ -200,13 +207,19 @@ class WireSource(SlotSource):
     def _describe(self, told: frames.Description, arrived: float) -> None:
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
+        numbers = told.rate, told.scale, told.offset
+        sound = all(map(math.isfinite, numbers)) and told.rate > 0 and told.scale != 0
+        require(
+            sound, "rate, scale, offset", f"a rig with {numbers}", "a rate, and a scale"
+        )
         before, self._told = self._told, told
         if before is not None:
             # What is recorded and worked on would mean something else from here on.
-            same = told.rate, told.scale, told.offset
             was = before.rate, before.scale, before.offset
-            require(same == was, "rate, scale, offset", f"a rig with {same}", f"{was}")
-        self.rate, self.scale, self.offset = told.rate, told.scale, told.offset
+            require(
+                numbers == was, "rate, scale, offset", f"a rig with {numbers}", f"{was}"
+            )
+        self.rate, self.scale, self.offset = numbers
         if before is None:
             self._next = told.sequence
         elif before.session != told.session:

@@ -132,6 +132,30 @@ def test_a_line_that_is_cut_as_soon_as_it_is_open():
     assert source.counters.disconnects == 1
 
 
+def test_a_line_without_room_is_not_cut():
+    steps = [[told()], [slot(0)], [slot(1)]]
+    link = Script(steps)
+    source, codes = WireSource(link, M), np.zeros(M, np.int16)
+    source.start()
+    assert source.read(codes).number == 0
+
+    def full(message):
+        raise BlockingIOError
+
+    link.send = full
+    source.set_grounds([3])
+    assert source.read(codes).number == 1
+    assert link.opened == 1 and source.counters.disconnects == 0
+
+
+@pytest.mark.parametrize("numbers", [(0.0, 1e-4), (1e4, 0.0), (np.nan, 1e-4)])
+def test_a_rig_that_says_nothing_sound_of_itself(numbers):
+    rate, scale = numbers
+    bad = frames.pack_description(frames.Description(M, 1, 0, rate, scale, 0.0))
+    with pytest.raises(ValueError, match="rate, scale, offset: got a rig with"):
+        WireSource(Script([[bad]]), M).start()
+
+
 def test_a_rig_that_comes_back_as_another_one():
     other = frames.pack_description(frames.Description(M, 2, 0, 1e4, 2e-4, 0.0))
     steps = [[told()], [slot(0)], [other], [slot(0)]]
