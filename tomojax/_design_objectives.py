@@ -50,9 +50,9 @@ class AbstractObjective(eqx.Module):
     def dtype(self) -> jnp.dtype:
         return jnp.result_type(*jax.tree.leaves(self))
 
+    @abstractmethod
     def alone(self, k: Array) -> "AbstractObjective":
-        """The objective of place k only."""
-        raise NotImplementedError
+        """The objective of figure k only."""
 
     def value(self, weights: Float[Array, " L"]) -> Float[Array, ""]:
         """The one number that is to be made small."""

@@ -54,6 +54,8 @@ def design_policy(
     m = sensor.electrode_count
     whole = isinstance(slots, int | np.integer) and 1 <= slots <= m
     require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
+    whole = method != "points" and options.get("criterion") == "d"
+    require(not whole, "criterion", "'d' of an image", "one with a figure for each place")
     nx, ny = shape or ((32, 32) if method == "points" else (16, 16))
     size = np.asarray(sensor.size, float)
     parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]

@@ -74,15 +74,16 @@ def simulate_scenes(
     found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
     keys = jax.random.split(jax.random.key(seed), rigs)
     for number, key in enumerate(keys):
-        rig = varied(sensor, key)
-        gains = 1 + _GAIN * jax.random.normal(key, (sensor.electrode_count,), sensor.dtype)
+        sheet, gain, noise = jax.random.split(key, 3)
+        rig = varied(sensor, sheet)
+        gains = 1 + _GAIN * jax.random.normal(gain, (sensor.electrode_count,), sensor.dtype)
 
         def one(place: Array, rig=rig) -> Array:
             return voltages(rig, Disc(place, radius, density))
 
         some = jnp.asarray(at[number::rigs], sensor.dtype)
         exact = jax.jit(lambda x, f=one: jax.lax.map(f, x))(some)
-        found[number::rigs] = converter(gains * exact, key)
+        found[number::rigs] = converter(gains * exact, noise)
     return Scenes(jnp.asarray(at, sensor.dtype), jnp.asarray(found, sensor.dtype))
 
 
@@ -114,7 +115,6 @@ class ImageError(AbstractObjective):
     linear solve. 0 is an image like the contact, 1 one that has nothing of it.
     """
 
-    factors: Float[Array, "L M r"]
     grams: Float[Array, "L r r"]
     rights: Float[Array, "P L r"]  # A_lᵀv_l of each scene
     basis: Float[Array, "r pixels"]
@@ -140,7 +140,7 @@ class ImageError(AbstractObjective):
         targets = blobs(method.shape, method.cell, scenes.places, width)
         lam = jnp.log(jnp.asarray(_FIRST * method.scale(), basis.dtype))
         length = jnp.zeros((), basis.dtype) if smooth else None
-        return cls(factors, grams, rights, basis, targets, lam, length, method.shape)
+        return cls(grams, rights, basis, targets, lam, length, method.shape)
 
     @property
     def slots(self) -> int:
@@ -150,10 +150,8 @@ class ImageError(AbstractObjective):
     def lam(self) -> float:
         return float(jnp.exp(self.log_lam))
 
-    def at(self, scenes: Scenes, method: Linear | Source, width: float) -> "ImageError":
-        """The same λ and length on other scenes."""
-        other = ImageError.of(method, scenes, width, self.log_length is not None)
-        return replace(other, log_lam=self.log_lam, log_length=self.log_length)
+    def alone(self, k: Array) -> "ImageError":
+        return replace(self, rights=self.rights[k][None], targets=self.targets[k][None])
 
     def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
         """φ of every scene, from one set of slots."""

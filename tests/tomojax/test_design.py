@@ -144,7 +144,8 @@ def test_noise_that_is_stated(sensor):
 
 def test_single_precision(sensor):
     places = tx.design_places(sensor, count=8)
-    single = replace_dtype(sensor, np.float32)
+    words = {"divisions": (16, 16), "electrode_diameter": 0.005}
+    single = tx.Sensor.grid(4, 4, dtype=np.float32, **words)
     for method in ("points", "linear"):
         wide = tx.design_objective(sensor, places, method, grid=16)
         narrow = tx.design_objective(single, np.asarray(places), method, grid=16)
@@ -152,10 +153,6 @@ def test_single_precision(sensor):
         chosen = jnp.zeros(16).at[jnp.asarray(b.grounds)].set(1)
         assert float(wide.value(chosen)) <= 1.01 * a.value
         assert b.value == pytest.approx(a.value, rel=0.02)
-
-
-def replace_dtype(sensor, dtype):
-    return tx.Sensor.grid(4, 4, divisions=(16, 16), electrode_diameter=0.005, dtype=dtype)
 
 
 def test_patterns_beside(sensor, objectives):
@@ -311,6 +308,11 @@ def test_bad_numbers_of_slots(sensor, objectives, slots):
         tx.design(objectives("points", "place"), slots)
     with pytest.raises(ValueError, match="slots: got"):
         tx.design_policy(sensor, slots)
+
+
+def test_a_table_of_what_has_one_figure_for_all(sensor):
+    with pytest.raises(ValueError, match="criterion: got 'd' of an image"):
+        tx.design_policy(sensor, 3, "linear", criterion="d")
 
 
 def test_the_command(tmp_path, monkeypatch):
