@@ -266,9 +266,9 @@ def main() -> None:
     else:
         link = Udp(chosen.port)
     rig = Firmware(link, chosen)
-    print(json.dumps({"where": link.where, "electrodes": rig.electrodes}), flush=True)
-    wake_in_time()
     try:
+        print(json.dumps({"where": link.where, "electrodes": rig.electrodes}), flush=True)
+        wake_in_time()
         rig.run()
     except KeyboardInterrupt:
         pass
