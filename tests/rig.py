@@ -13,9 +13,14 @@ NOMINAL = 0.01 + 0.02 * np.indices((8, 8)).reshape(2, -1).T
 
 
 class Rig:
-    """`variation` of the sheet, rms; `offset` of electrodes, m; `noise` and zero, V."""
+    """`variation` of the sheet, rms; `offset` of electrodes, m; `noise` and zero, V.
 
-    def __init__(self, rng, variation=0.02, offset=1.5e-4, noise=3e-4, gain=5e-4):
+    `nominal` places of electrodes, m, which are discs of 5 mm.
+    """
+
+    def __init__(
+        self, rng, variation=0.02, offset=1.5e-4, noise=3e-4, gain=5e-4, nominal=NOMINAL
+    ):
         self.rng, self.noise, h = rng, noise, SIDE / CELLS
         x = (np.arange(CELLS) + 0.5) * h
         self.cells = np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
@@ -25,16 +30,17 @@ class Rig:
                 wave = np.cos(np.pi * np.array([i, j]) / SIDE * self.cells).prod(1)
                 waves += rng.normal() / np.hypot(i, j) * wave
         self.sheet = sheet = 10e3 * (1 + variation * waves / waves.std())
-        places = NOMINAL + np.clip(rng.normal(0, offset / 2, (64, 2)), -offset, offset)
-        self.gain = 1 + gain * rng.normal(size=64)
-        self.zero = noise * rng.normal(size=64)
-        # All cells within an electrode are one node; those are the first 64.
+        m = self.electrodes = len(nominal)
+        places = nominal + np.clip(rng.normal(0, offset / 2, (m, 2)), -offset, offset)
+        self.gain = 1 + gain * rng.normal(size=m)
+        self.zero = noise * rng.normal(size=m)
+        # All cells within an electrode are one node; those are the first m.
         node = np.full(len(self.cells), -1)
         for e, place in enumerate(places):
             node[((self.cells - place) ** 2).sum(1) <= 0.0025**2] = e
         free = np.flatnonzero(node < 0)
-        node[free] = 64 + np.arange(len(free))
-        self.node, self.count = node, 64 + len(free)
+        node[free] = m + np.arange(len(free))
+        self.node, self.count = node, m + len(free)
         index = np.arange(len(self.cells)).reshape(CELLS, CELLS)
         pairs = np.concatenate(
             [
@@ -52,20 +58,32 @@ class Rig:
         )
 
     def scene(self, *contacts):
-        """Exact voltages (64 grounds, 64) and, of each contact, centre and conductance.
+        """Exact voltages (m grounds, m) and, of each contact, centre and conductance.
 
         A contact is (inside, S): a mask of the cells and its total conductance.
         """
+        u, driven = self._loaded(contacts)
+        current = driven / (GROUND + np.diagonal(u))
+        truth = [(self.cells[inside].mean(0), total) for inside, total in contacts]
+        return driven - current[:, None] * u, truth
+
+    def shared(self, to_ground, *contacts):
+        """Exact voltages (slots, m) with conductances (slots, m), S, to ground."""
+        u, driven = self._loaded(contacts)
+        unit = np.eye(self.electrodes)
+        return np.stack([np.linalg.solve(unit + u * g, driven) for g in to_ground])
+
+    def _loaded(self, contacts):
+        """Of currents into electrodes (m, m), and of the drive (m,); nothing grounded."""
         g = np.zeros(self.count)
         for inside, total in contacts:
             np.add.at(g, self.node[inside], total / inside.sum())
-        loads = np.zeros((self.count, 65))
-        loads[np.arange(64), np.arange(64)] = 1
-        loads[:, 64] = g * DRIVE
-        u = spla.splu((self.network + sp.diags_array(g)).tocsc()).solve(loads)[:64]
-        current = u[:, 64] / (GROUND + np.diagonal(u))
-        truth = [(self.cells[inside].mean(0), total) for inside, total in contacts]
-        return u[:, 64] - current[:, None] * u[:, :64], truth
+        m = self.electrodes
+        loads = np.zeros((self.count, m + 1))
+        loads[np.arange(m), np.arange(m)] = 1
+        loads[:, m] = g * DRIVE
+        u = spla.splu((self.network + sp.diags_array(g)).tocsc()).solve(loads)[:m]
+        return u[:, :m], u[:, m]
 
     def measure(self, volts):
         """As the converter reads them: 16 bits over ±5 V."""

@@ -20,6 +20,12 @@ from tomojax._design import (  # noqa: E402
     design as design,
     patterns_beside as patterns_beside,
 )
+from tomojax._design_electrodes import (  # noqa: E402
+    design_electrodes as design_electrodes,
+    ElectrodeDesign as ElectrodeDesign,
+    image_scale as image_scale,
+    image_spread as image_spread,
+)
 from tomojax._design_objectives import AbstractObjective as AbstractObjective  # noqa: E402
 from tomojax._design_policy import (  # noqa: E402
     design_policy as design_policy,
@@ -33,6 +39,10 @@ from tomojax._design_problem import (  # noqa: E402
     exploratory_voltages as exploratory_voltages,
 )
 from tomojax._design_search import relax as relax, Relaxed as Relaxed  # noqa: E402
+from tomojax._design_shared import (  # noqa: E402
+    design_shared as design_shared,
+    SharedDesign as SharedDesign,
+)
 from tomojax._design_simulated import (  # noqa: E402
     descend_sets as descend_sets,
     ImageError as ImageError,

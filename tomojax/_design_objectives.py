@@ -66,12 +66,14 @@ class PlaceInformation(AbstractObjective):
     F_l = JᵀN⁻¹J of place and size, with the slot's current free; its currents are those
     that the ground really draws, N the errors of `points` or what is stated. Figures in m:
     "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4), "a" its variance, m².
+    `directions` are what of the unknowns counts: x and y, or the distance of two contacts.
     """
 
     criterion: str = eqx.field(static=True)
-    information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
-    prior: Float[Array, "3 3"]
+    information: Float[Array, "P L n n"]  # of x, y (per unit) and size, of each contact
+    prior: Float[Array, "n n"]
     length: Float[Array, ""]  # the unit, m
+    directions: Float[Array, "P n q"]  # what of these counts: x and y
 
     @property
     def unit(self) -> str:
@@ -86,19 +88,18 @@ class PlaceInformation(AbstractObjective):
         return self.information.shape[1]
 
     def alone(self, k: Array) -> "PlaceInformation":
-        return replace(self, information=self.information[k][None])
+        one = self.information[k][None], self.directions[k][None]
+        return replace(self, information=one[0], directions=one[1])
 
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
         known = told + self.prior
-        unit = jnp.broadcast_to(
-            jnp.eye(3, dtype=known.dtype)[:, :2], (*known.shape[:1], 3, 2)
-        )
-        covariance = solve_small(known, unit)[:, :2] * self.length**2
-        xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        solved = solve_small(known, self.directions) * self.length**2
+        covariance = jnp.einsum("pnq,pnr->pqr", self.directions, solved)
         if self.criterion == "d":
-            return (xx * yy - xy**2) ** 0.25
-        return xx + yy if self.criterion == "a" else jnp.sqrt(xx + yy)
+            return jnp.linalg.det(covariance) ** (0.5 / covariance.shape[1])
+        variance = jnp.trace(covariance, axis1=1, axis2=2)
+        return variance if self.criterion == "a" else jnp.sqrt(variance)
 
 
 class ImageVariance(AbstractObjective):

@@ -55,7 +55,7 @@ def design_places(
     whole = isinstance(count, int | np.integer) and count >= 1
     require(whole, "count", repr(count), "a whole number above 0")
     size = np.asarray(sensor.size, float)
-    margin = _pitch(sensor) / 2
+    margin = pitch(sensor) / 2
     given = [margin, margin, *(size - margin)] if region is None else region
     box = np.asarray(float_array("region", given), float)
     require(box.shape == (4,), "region", f"shape {box.shape}", "x0, y0, x1, y1")
@@ -133,12 +133,12 @@ def design_objective(
             points.sheet, where, size, resistance, jnp.arange(found.electrode_count)
         )
         shares = (each / each.mean(1, keepdims=True)) ** 2
-    width = _BLOB * _pitch(sensor) if radius is None else radius
+    width = _BLOB * pitch(sensor) if radius is None else radius
     value = _RELATIVE * found.scale() if lam is None else lam
     return image_objective(found, where, criterion, value, precision, width, shares)
 
 
-def _pitch(sensor: Sensor) -> float:
+def pitch(sensor: Sensor) -> float:
     """Of a square grid with as many electrodes, m."""
     return float(np.sqrt(np.prod(np.asarray(sensor.size)) / sensor.electrode_count))
 
@@ -241,7 +241,8 @@ def _of_points(
     each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
     length = _PLACE_KNOWN / sheet.unit
     prior = jnp.diag(jnp.stack([1 / length**2, 1 / length**2, jnp.ones_like(length)]))
-    return PlaceInformation(criterion, each(places), prior, sheet.unit)
+    xy = jnp.broadcast_to(jnp.eye(3, dtype=length.dtype)[:, :2], (len(places), 3, 2))
+    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
 
 
 def _current(

@@ -1,0 +1,203 @@
+"""Electrodes where resolution is worst: designed places against the uniform grid's.
+
+    python tests/benchmarks/electrodes.py [--out FOLDER] [--scenes 10]
+
+16 and 64 electrodes on 160 mm × 160 mm. `image_spread` at places and on cells that the
+design did not use; then the spread about the true place, and half-value widths, of images
+whose voltages are of a resistor network (tests/rig.py) with that grid or those places, λ
+chosen for each by the least mean spread of simulated scenes. Writes electrodes.json and
+electrodes.png.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+from rig import Rig, SIDE  # noqa: E402
+
+import tomojax as tx  # noqa: E402
+from tomojax import kernels  # noqa: E402
+
+GRID, WIDTH, REGIONS = 32, 0.008, 5
+CONTACTS = {"linear": (0.002, 1.0), "source": (0.006, 1e-4)}  # radius, m; S
+LAMS = np.logspace(-7.5, -2, 23)  # λ/σ₁²
+
+
+def uniform(n: int) -> tx.Sensor:
+    x = (np.arange(n) + 0.5) / n * SIDE
+    xy = np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
+    return tx.Sensor([SIDE, SIDE], xy, divisions=(64, 64), dtype=np.float64)
+
+
+def spreads(sensors: dict, count: int = 29, grid: int = 36) -> dict[str, np.ndarray]:
+    """Maps of `image_spread` at other places, on other cells, λ the same for both."""
+    x = np.linspace(0.0105, SIDE - 0.0105, count)
+    places = jnp.asarray(np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2))
+    first = next(iter(sensors.values()))
+    lam = 1e-5 * float(tx.image_scale(first, grid=grid))
+    found = jax.jit(lambda xy: tx.image_spread(first, places, xy, lam=lam, grid=grid))
+    return {
+        name: np.asarray(found(sensor.electrode_xy)).reshape(count, count)
+        for name, sensor in sensors.items()
+    }
+
+
+def widths(sensor: tx.Sensor, kind: str, side: int) -> dict:
+    """Half-value widths, mm, (side, side) over the sheet, with errors of place."""
+    radius, conductance = CONTACTS[kind]
+    method = tx.method(sensor, kind, GRID)
+    places = tx.design_places(sensor, [0.008, 0.008, 0.152, 0.152], 48)
+    train = tx.simulate_scenes(
+        sensor, places, radius=radius, conductance=conductance, rigs=8, seed=3
+    )
+    lams = method.scale() * LAMS
+    errors = [spread(method, train, lam)[0].mean() for lam in lams]
+    best = float(lams[int(np.argmin(errors))])
+    rng = np.random.default_rng(11)
+    x = np.linspace(0.01, SIDE - 0.01, side)
+    at = np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
+    at = at + rng.uniform(-0.002, 0.002, at.shape)
+    volts = []
+    for k, place in enumerate(at):
+        if k % (len(at) // 4) == 0:
+            rig = Rig(
+                np.random.default_rng(500 + k), nominal=np.asarray(sensor.electrode_xy)
+            )
+        volts.append(rig.measure(rig.scene((rig.disc(place, radius), conductance))[0]))
+    scenes = tx.Scenes(jnp.asarray(at), jnp.asarray(np.stack(volts)))
+    found, images = spread(method, scenes, best)
+    width = jax.vmap(lambda i: kernels.half_width(i, method.cell))(images)
+    maps = {"spread": found, "width": np.asarray(width)}
+    shaped = {name: 1e3 * values.reshape(side, side) for name, values in maps.items()}
+    return {"lam": best / method.scale(), **shaped}
+
+
+def spread(method, scenes: tx.Scenes, lam: float) -> tuple[np.ndarray, jax.Array]:
+    """√(Σ|x − x_k|²p²/Σp²) of each image p about the true place, m, and the images."""
+    objective = replace(tx.ImageError.of(method, scenes, WIDTH), log_lam=jnp.log(lam))
+    images = objective.images(jnp.ones(objective.slots))
+    parts = [(np.arange(n) + 0.5) * float(d) for n, d in zip(method.shape, method.cell)]
+    pixels = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    square = ((np.asarray(scenes.places)[:, None] - pixels) ** 2).sum(-1)
+    p2 = np.asarray(images).reshape(len(square), -1) ** 2
+    found = np.sqrt((square * p2).sum(1) / p2.sum(1))
+    return found, images.reshape(-1, *method.shape)
+
+
+def regions(values: np.ndarray) -> float:
+    """The worst of the means over 5 × 5 regions."""
+    return float(
+        max(
+            part.mean()
+            for rows in np.array_split(values, REGIONS)
+            for part in np.array_split(rows, REGIONS, 1)
+        )
+    )
+
+
+def study(side: int) -> tuple[list[dict], dict]:
+    rows, maps = [], {}
+    for n in (4, 8):
+        start = time.perf_counter()
+        grid = uniform(n)
+        made = tx.design_electrodes(grid)
+        seconds = time.perf_counter() - start
+        sensors = {
+            "uniform": grid,
+            "designed": replace(grid, electrode_xy=jnp.asarray(made.electrode_xy)),
+        }
+        spread = spreads(sensors)
+        maps[n * n] = made.electrode_xy, spread
+        row = {
+            "electrodes": n * n,
+            "design_s": round(seconds, 1),
+            "spread_worst_mm": {
+                k: round(1e3 * float(v.max()), 2) for k, v in spread.items()
+            },
+            "spread_mean_mm": {
+                k: round(1e3 * float(v.mean()), 2) for k, v in spread.items()
+            },
+            "ratio_worst": float(spread["designed"].max() / spread["uniform"].max()),
+            "electrode_xy_mm": np.round(1e3 * made.electrode_xy, 2).tolist(),
+        }
+        jax.clear_caches()
+        for kind in CONTACTS:
+            each = {name: widths(s, kind, side) for name, s in sensors.items()}
+            jax.clear_caches()
+            row[kind] = {"lam": {name: e["lam"] for name, e in each.items()}}
+            for what in ("spread", "width"):
+                worst = {name: regions(e[what]) for name, e in each.items()}
+                row[kind] |= {
+                    f"{what}_mean_mm": {k: float(e[what].mean()) for k, e in each.items()},
+                    f"{what}_worst_region_mm": worst,
+                    f"{what}_ratio": worst["designed"] / worst["uniform"],
+                }
+        print(json.dumps({k: v for k, v in row.items() if "xy" not in k}), flush=True)
+        rows.append(row)
+    return rows, maps
+
+
+def draw(rows: list[dict], maps: dict, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 9), layout="constrained")
+    side = 1e3 * SIDE
+    for line, (row, (count, (xy, spread))) in zip(
+        figure.subplots(2, 2), zip(rows, maps.items())
+    ):
+        top = 1e3 * max(v.max() for v in spread.values())
+        low = 1e3 * min(v.min() for v in spread.values())
+        shown = None
+        for axes, (name, values) in zip(line, spread.items()):
+            shown = axes.imshow(
+                1e3 * values.T,
+                origin="lower",
+                vmin=low,
+                vmax=top,
+                extent=(10.5, side - 10.5, 10.5, side - 10.5),
+            )
+            at = (
+                np.asarray(uniform(int(count**0.5)).electrode_xy)
+                if name == "uniform"
+                else xy
+            )
+            axes.plot(*(1e3 * at.T), "o", color="w", mec="k", ms=5)
+            axes.set(
+                title=f"{count} electrodes, {name}: worst {1e3 * values.max():.1f} mm",
+                xlim=(0, side),
+                ylim=(0, side),
+                xlabel="x, mm",
+                ylabel="y, mm",
+            )
+        figure.colorbar(shown, ax=line, label="spread of the image of a contact, mm")
+        line[1].set_title(line[1].get_title() + f" ({row['ratio_worst']:.2f}×)")
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=10, help="along a side")
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
+    options = parser.parse_args()
+    from benchmarks.physics import environment
+
+    rows, maps = study(options.scenes)
+    content = {"environment": environment(), "rows": rows}
+    (options.out / "electrodes.json").write_text(json.dumps(content, indent=1) + "\n")
+    draw(rows, maps, options.out / "electrodes.png")
+
+
+if __name__ == "__main__":
+    main()
