@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from tomojax.kernels._blocktri import matmul
 from tomojax.kernels._one_slot import solve_small
 
-Criterion = Literal["place", "a", "d", "worst"]
+Criterion = Literal["place", "a", "d", "worst", "rigs"]
 
 
 class AbstractObjective(eqx.Module):

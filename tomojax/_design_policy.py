@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from tomojax._checks import require
 from tomojax._design_objectives import AbstractObjective
 from tomojax._design_problem import design_objective
-from tomojax._design_search import exchange, relax
+from tomojax._design_search import exchange, greedy, relax
 from tomojax._patterns import exploration
 from tomojax._policies import Lookup
 from tomojax._sensor import Sensor
@@ -30,7 +30,7 @@ class PlaceDesigns(NamedTuple):
 
     policy: Lookup
     value: Float[np.ndarray, "nx ny"]  # of the objective
-    bound: Float[np.ndarray, "nx ny"]
+    bound: Float[np.ndarray, "nx ny"]  # NaN where the objective has none
 
 
 def design_policy(
@@ -46,8 +46,9 @@ def design_policy(
     that differ from their neighbours' give way to one that is 2 % worse at most and has
     more in common with them, so that little changes at a seam.
 
-    **Arguments:** `method` and `options` as in `design_objective`; `shape` of the table, by
-    default (32, 32), and (16, 16) for images, which take longer.
+    **Arguments:** `method` and `options` as in `design_objective`, but that of "points" the
+    default is "rigs" (errors that slots share count); `shape` of the table, by default
+    (32, 32), and (16, 16) for images, which take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
     1 to the electrodes'.
     """
@@ -60,6 +61,8 @@ def design_policy(
     size = np.asarray(sensor.size, float)
     parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
     places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    if method == "points" and options.get("noise") is None:
+        options.setdefault("criterion", "rigs")
     objective = design_objective(sensor, places, method, **options)
     sets, bound = designs_by_place(objective, int(slots))
     sets, value = _smoothed(objective, sets, (nx, ny))
@@ -80,6 +83,10 @@ def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array
     def whole(objective: AbstractObjective) -> tuple[Array, Array]:
         def one(k: Array) -> tuple[Array, Array]:
             alone = objective.alone(k)
+            if not objective.convex:
+                start = greedy(alone.value, slots, n, dtype)
+                unknown = jnp.full((), jnp.nan, dtype)
+                return exchange(alone.value, start, n), unknown
             best = relax(alone, slots, n, dtype=dtype)
             start = heaviest(best.weights, n)
             return exchange(alone.value, start, n, _TRIED), best.bound

@@ -17,12 +17,14 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._design_contacts import contact_columns, contact_current
 from tomojax._design_objectives import (
     AbstractObjective,
     Criterion,
     ImageVariance,
     PlaceInformation,
 )
+from tomojax._design_scores import simulated_place_error
 from tomojax._linear import Linear
 from tomojax._patterns import exploration
 from tomojax._points import Points
@@ -30,8 +32,8 @@ from tomojax._sensor import Sensor
 from tomojax._source import Source
 from tomojax._step_methods import Follow
 from tomojax.kernels._blocktri import matmul
-from tomojax.kernels._one_slot import in_slot, slot_weights, tangents, weighed
-from tomojax.kernels._points import green_of, Sheet, SIZE_WIDTH
+from tomojax.kernels._one_slot import slot_weights, weighed
+from tomojax.kernels._points import SIZE_WIDTH
 
 DesignMethod = Literal["points", "linear", "source"]
 
@@ -88,9 +90,10 @@ def design_objective(
 
     - `method` "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
       `grid` × `grid` pixels).
-    - `criterion`: "place", the expected error of a contact's place (of an image the same
-      as "a"); "a", the mean variance; "d", the volume of what stays unknown; "worst",
-      the largest of all places.
+    - `criterion`: "rigs" (`SimulatedPlaceError`, of "points" alone), the error of place on
+      16 rigs that are not nominal; "place", the expected error of a contact's place (of an
+      image the same as "a"); "a", the mean variance; "d", the volume of what stays
+      unknown; "worst", the largest of all places.
     - `lam`: λ of an image; by default where the converter's noise alone limits it.
     - `noise`: a standard deviation, V; one for each channel (M,); or their covariance
       (M, M), V². By default what `points` takes for a rig with nominal values; of images
@@ -116,17 +119,25 @@ def design_objective(
     for name, number in (("lam", lam), ("radius", radius), ("conductance", conductance)):
         if number is not None:
             require_positive(name, float_array(name, number))
+    rigs = criterion == "rigs"
+    require(not rigs or method == "points", "criterion", "'rigs' of an image", "another")
+    given = noise is not None
+    require(not (rigs and given), "noise", "a value for criterion 'rigs'", "none: rigs'")
     precision = None if noise is None else _precision(sensor, noise)
     # Where its contacts are is what `points` alone needs to know closely.
     points = Points.of(sensor, (grid, grid)) if method != "linear" else None
     if method == "points":
         assert points is not None
+        if rigs:
+            contact = _contact(points, radius, conductance)
+            return simulated_place_error(sensor, points, where, *contact, _prior(points))
         return _of_points(points, where, criterion, precision, radius, conductance)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
     shares = None
     if points is not None:
         current = jax.vmap(
-            jax.vmap(_current, (None, None, None, None, 0)), (None, 0, None, None, None)
+            jax.vmap(contact_current, (None, None, None, None, 0)),
+            (None, 0, None, None, None),
         )
         size, resistance = _contact(points, radius, conductance)
         each = current(
@@ -239,31 +250,14 @@ def _of_points(
 
     every = jax.vmap(one, (None, 0))
     each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
-    length = _PLACE_KNOWN / sheet.unit
-    prior = jnp.diag(jnp.stack([1 / length**2, 1 / length**2, jnp.ones_like(length)]))
-    xy = jnp.broadcast_to(jnp.eye(3, dtype=length.dtype)[:, :2], (len(places), 3, 2))
-    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
+    xy = jnp.broadcast_to(jnp.eye(3, dtype=places.dtype)[:, :2], (len(places), 3, 2))
+    return PlaceInformation(criterion, each(places), _prior(points), sheet.unit, xy)
 
 
-def _current(
-    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
-) -> Float[Array, ""]:
-    """V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A: R_kk the disc's own."""
-    raw = tangents(sheet, place, size)[0]
-    radius = sheet.size * jnp.exp(SIZE_WIDTH * size)
-    own = green_of(sheet, place[None], radius[None])(place)[0]
-    z = jnp.broadcast_to(sheet.ground_resistance, raw.shape)[ground]
-    loop = own + sheet.field.electrodes[ground, ground] + z - 2 * raw[ground]
-    return sheet.drive_voltage / (resistance + loop)
-
-
-def contact_columns(
-    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
-) -> Float[Array, "4 M"]:
-    """A disc's voltages, V, and how moves (per unit) and its size change them."""
-    raw = tangents(sheet, place, size)
-    current = _current(sheet, place, size, resistance, ground)
-    return current * in_slot(sheet, raw[None], ground)[0]
+def _prior(points: Points) -> Float[Array, "3 3"]:
+    """What is known beforehand of place (per unit) and size."""
+    known = (points.sheet.unit / _PLACE_KNOWN) ** 2
+    return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
 
 
 def exploratory_voltages(

@@ -150,7 +150,8 @@ def design_shared(
 
     ln γ between an open and a closed switch's, by Adam (Kingma and Ba, ICLR 2015) from
     the best set of single grounds, blurred, and from all half open; a growing cost on what
-    is neither open nor closed. The switches that come out, not γ, are what is rated.
+    is neither open nor closed. The switches that come out, not γ, are what is rated; where
+    single grounds are better, those are the design.
     **Raises:** `ValueError` for wrong places and a number of slots outside 1 to M.
     """
     pairs = pairs_of(sensor, places, conductance)
@@ -172,7 +173,9 @@ def design_shared(
         between = (part * (1 - part)).sum(1).mean()
         return jnp.log(rated(gamma(part, most))) + cost * between
 
-    found = []
+    alone = np.zeros((slots, m))
+    alone[np.arange(slots), best.grounds] = float(most)
+    found = [(best.value, best.value, alone)]
     for start in starts:
         part = jax.nn.sigmoid(_adam(value, jnp.asarray(start, sensor.dtype), steps))
         # A slot without any ground floats: its most closed switch is closed.

@@ -21,19 +21,15 @@ from tomojax._converter import Converter
 from tomojax._custom_types import Numbers
 from tomojax._design_objectives import AbstractObjective
 from tomojax._design_problem import blobs
+from tomojax._design_rigs import GAIN, varied
 from tomojax._forward import voltages
 from tomojax._linear import Linear
 from tomojax._sensor import Sensor
 from tomojax._shapes import Disc
 from tomojax._source import Source
 from tomojax.kernels._blocktri import matmul
-from tomojax.kernels._mesh import centroids
 from tomojax.kernels._positive import gaussian
 from tomojax.kernels._subsets import draw_subset, drawn_weights, heaviest
-
-# Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (m), gains by 1 σ; and
-# the waves of a sheet, at most so many half periods along a side.
-_SHEET, _OFF, _GAIN, _WAVES = 0.02, 75e-6, 5e-4, 4
 
 # Sets that are drawn in the end.
 _LAST = 64
@@ -76,7 +72,7 @@ def simulate_scenes(
     for number, key in enumerate(keys):
         sheet, gain, noise = jax.random.split(key, 3)
         rig = varied(sensor, sheet)
-        gains = 1 + _GAIN * jax.random.normal(gain, (sensor.electrode_count,), sensor.dtype)
+        gains = 1 + GAIN * jax.random.normal(gain, (sensor.electrode_count,), sensor.dtype)
 
         def one(place: Array, rig=rig) -> Array:
             return voltages(rig, Disc(place, radius, density))
@@ -85,26 +81,6 @@ def simulate_scenes(
         exact = jax.jit(lambda x, f=one: jax.lax.map(f, x))(some)
         found[number::rigs] = converter(gains * exact, noise)
     return Scenes(jnp.asarray(at, sensor.dtype), jnp.asarray(found, sensor.dtype))
-
-
-def varied(sensor: Sensor, key: Array) -> Sensor:
-    """A rig that is nearly so: its sheet in long waves, its electrodes' places."""
-    sheet, places = jax.random.split(key)
-    middles = centroids(sensor.divisions, sensor.size).astype(sensor.dtype)
-    order = jnp.arange(_WAVES, dtype=sensor.dtype)
-    along, across = (
-        jnp.cos(jnp.pi * order * middles[:, k : k + 1] / sensor.size[k]) for k in (0, 1)
-    )
-    length = jnp.hypot(order[:, None], order).at[0, 0].set(jnp.inf)
-    strength = jax.random.normal(sheet, length.shape, sensor.dtype) / length
-    waves = ((along @ strength) * across).sum(1)
-    part = 1 + _SHEET * waves / waves.std()
-    off = _OFF * jax.random.normal(places, sensor.electrode_xy.shape, sensor.dtype)
-    return replace(
-        sensor,
-        sheet_resistance=sensor.sheet_resistance * part,
-        electrode_xy=sensor.electrode_xy + off,
-    )
 
 
 class ImageError(AbstractObjective):

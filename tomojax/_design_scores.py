@@ -1,0 +1,124 @@
+"""Errors of place on rigs that are not nominal, of any set of slots, without a fit each.
+
+What `points` takes for independent errors of slots is mostly the sheet's, which all slots
+share. To first order a contact is found off its place by F⁻¹ Σ_l w_l h_l, h_l the score
+of slot l: what the voltages of a rig, less nominal ones, pull it by.
+"""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax._converter import Converter
+from tomojax._design_contacts import contact_columns, contact_current
+from tomojax._design_objectives import AbstractObjective
+from tomojax._design_rigs import GAIN, varied
+from tomojax._forward import resistances
+from tomojax._points import Points
+from tomojax._sensor import Sensor
+from tomojax._step_methods import Follow
+from tomojax.kernels._blocktri import matmul
+from tomojax.kernels._mesh import centroids
+from tomojax.kernels._one_slot import slot_weights, solve_small, weighed
+
+# Rigs that are simulated.
+_RIGS = 16
+
+
+class SimulatedPlaceError(AbstractObjective):
+    """The rms error of a contact's place over simulated rigs, m.
+
+    √(mean_r |F⁻¹ Σ_l w_l h_lr|²), F = F₀ + Σ_l w_l F_l as in `PlaceInformation`. Not convex
+    in the weights: there is no bound.
+    """
+
+    information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
+    scores: Float[Array, "P L R 3"]
+    prior: Float[Array, "3 3"]
+    length: Float[Array, ""]  # the unit, m
+    worst: ClassVar[bool] = False  # pyright: ignore
+    convex: ClassVar[bool] = False
+    unit: ClassVar[str] = "m"  # pyright: ignore
+
+    @property
+    def slots(self) -> int:
+        return self.information.shape[1]
+
+    def alone(self, k: Array) -> "SimulatedPlaceError":
+        one = self.information[k][None], self.scores[k][None]
+        return replace(self, information=one[0], scores=one[1])
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
+        pull = jnp.einsum("l,plri->pir", weights, self.scores, precision="highest")
+        off = solve_small(told + self.prior, pull)[:, :2] * self.length
+        return jnp.sqrt((off**2).sum(1).mean(1))
+
+
+def simulated_place_error(
+    sensor: Sensor,
+    points: Points,
+    places: Float[Array, "P 2"],
+    size: Array,
+    resistance: Array,
+    prior: Float[Array, "3 3"],
+    seed: int = 0,
+) -> SimulatedPlaceError:
+    """Of discs at `places` on rigs as `simulate_scenes` has them."""
+    m, sheet = points.electrode_count, points.sheet
+    noise = Follow.of(points, 1, np.ones(m, bool)).noise
+    inside = _discs(sensor, places, float(sheet.size))
+    ee, ek = _resistances(sensor, inside)
+    keys = jax.random.split(jax.random.key(seed), _RIGS)
+    rigs = [_resistances(varied(sensor, key), inside) for key in keys]
+    more_ee = jnp.stack([r[0] for r in rigs]) - ee  # (R, M, M)
+    more_ek = jnp.stack([r[1] for r in rigs]) - ek  # (R, M, P)
+    gain, hiss = jax.random.split(jax.random.key(seed + 1))
+    gains = GAIN * jax.random.normal(gain, (_RIGS, m), sensor.dtype)
+    hisses = Converter().noise * jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
+
+    def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
+        columns = contact_columns(sheet, place, size, resistance, ground)
+        current = contact_current(sheet, place, size, resistance, ground)
+        own = (more_ee[:, ground, ground] - ek[:, ground])[:, None]
+        off = current * (ek - more_ee[:, ground] + own)
+        off = off + gains * columns[0] + hisses[ground]
+        seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
+        return score(columns, seen, off)
+
+    every = jax.vmap(one, (None, 0, None))
+    grounds = jnp.arange(m)
+    each = jax.jit(lambda p, e: jax.lax.map(lambda x: every(x[0], grounds, x[1]), (p, e)))
+    told, scores = each(places, more_ek.transpose(2, 0, 1))
+    return SimulatedPlaceError(told, scores, prior, sheet.unit)
+
+
+def score(
+    columns: Float[Array, "n M"], seen: Float[Array, "n M"], off: Float[Array, "R M"]
+) -> tuple[Float[Array, "k k"], Float[Array, "R k"]]:
+    """F_l and h_l of a slot's `columns` J (the first the current's, whatever fits) and
+    errors `off`, V; `seen` is J·N⁻¹."""
+    gram, right = matmul(columns, seen.T), matmul(off, seen.T)
+    share = gram[1:, 0] / gram[0, 0]
+    told = gram[1:, 1:] - share[:, None] * gram[0, 1:]
+    return told, right[:, 1:] - right[:, :1] * share
+
+
+def _discs(
+    sensor: Sensor, places: Float[Array, "P 2"], radius: float
+) -> Float[np.ndarray, "K P"]:
+    """Of each disc's current what enters each element; of a small one the nearest."""
+    middles = np.asarray(centroids(sensor.divisions, sensor.size))
+    apart = np.hypot(*(middles[:, None] - np.asarray(places)).transpose(2, 0, 1))
+    inside = (apart <= np.maximum(radius, apart.min(0) * (1 + 1e-9))).astype(float)
+    return inside / inside.sum(0)
+
+
+def _resistances(sensor: Sensor, inside: np.ndarray) -> tuple[Array, Array]:
+    """R_ee', and R_e at the discs, Ω, by elements: mesh errors cancel in differences."""
+    table = resistances(sensor, "fem")
+    return table.electrodes, table.elements @ jnp.asarray(inside, sensor.dtype)
