@@ -51,10 +51,11 @@ for row in tx.patterns_beside(sensor, objective, explored):
 #
 # What knows where the contact is, as *Around* does after two slots, does better with a
 # table by place. `tx.save_policy` writes it; `tomojax live --policy` and `tx.make_step`
-# look it up.
+# look it up. (Without `criterion` a table for `points` is for the error on simulated rigs,
+# which counts errors that slots share, but has no bound.)
 
 # %%
-table = tx.design_policy(sensor, 8)
+table = tx.design_policy(sensor, 8, criterion="place")
 step = tx.make_step(
     sensor, "follow", "mine", tables={"mine": table.policy}, contacts=1, grid=16
 )
@@ -99,3 +100,16 @@ tuned = tx.tune(images, jax.numpy.asarray(chosen))
 length = float(jax.numpy.exp(tuned.objective.log_length))
 print(f"λ {tuned.objective.lam:.3g}, smooth over {length:.2f} pixels")
 print(f"error {float(tuned.value):.3f} after {tuned.solves} solves")
+
+# %% [markdown]
+# ## Places for electrodes
+#
+# The same as gradients through the sheet's Green's function: nine electrodes moved to where
+# the image's resolution is best at the worst place.
+
+# %%
+nine = tx.Sensor.grid(3, 3, pitch=0.04, margin=0.02, divisions=(24, 24))
+moved = tx.design_electrodes(nine, grid=12, starts=1)
+print(f"worst spread {1e3 * moved.spread_before.max():.1f} mm on the uniform grid, ", end="")
+print(f"{1e3 * moved.spread.max():.1f} mm so:")
+print(np.round(1e3 * moved.electrode_xy, 1).tolist())

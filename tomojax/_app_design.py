@@ -38,11 +38,10 @@ _MAP = 32
 )
 @click.option(
     "--criterion",
-    type=click.Choice(["place", "a", "d", "worst"]),
-    default="place",
-    show_default=True,
+    type=click.Choice(["place", "a", "d", "worst", "rigs"]),
     help="Of all places: the mean error of place, the mean variance, the volume of what "
-    "stays unknown, or the worst.",
+    "stays unknown, or the worst; rigs: the error of place on simulated ones. "
+    "[default: place; of a table for points rigs]",
 )
 @click.option("--noise", type=float, help="V rms. [default: as the method takes it]")
 @click.option("--lam", type=float, help="λ of an image. [default: the noise's]")
@@ -108,10 +107,11 @@ def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str
         box = None if not region else np.array(region) / 1e3
         places = np.asarray(problem.design_places(sensor, box, options["contacts"]))
     words = {k: options[k] for k in ("noise", "lam")}
+    criterion = options["criterion"] or "place"
 
     def objective(where: Any) -> Any:
         return problem.design_objective(
-            sensor, where, options["method"], options["criterion"], **words
+            sensor, where, options["method"], criterion, **words
         )
 
     with click.progressbar(length=3, label="design", file=sys.stderr) as bar:
@@ -130,7 +130,7 @@ def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str
         grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
         chosen = np.zeros(made.slots)
         chosen[found.grounds] = 1
-        whole = options["criterion"] == "d" and options["method"] != "points"
+        whole = criterion == "d" and options["method"] != "points"
         figures = None if whole else np.asarray(objective(grid)(jax.numpy.asarray(chosen)))
         bar.update(1)
     gap = found.value / found.bound - 1
@@ -146,7 +146,7 @@ def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str
             "greedy": found.greedy,
             "rounded": found.rounded,
             "method": options["method"],
-            "criterion": options["criterion"],
+            "criterion": criterion,
             "baselines": {row["name"]: row["value"] for row in rows},
         },
         "_places": places,
@@ -171,11 +171,12 @@ def _text(report: dict[str, Any]) -> str:
     s = report["summary"]
     scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
     grounds = " ".join(map(str, s["grounds"]))
+    bound = f"{scale * s['bound']:.4g} ({100 * s['gap']:.1f} %)"
+    beside = f"; no set of as many is below {bound}" if s["gap"] == s["gap"] else ""
     lines = [
         f"grounds: {grounds}",
         *([] if s["lam"] is None else [f"λ: {s['lam']:.4g}"]),
-        f"objective: {scale * s['objective']:.4g} {unit}; no set of as many is below "
-        f"{scale * s['bound']:.4g} ({100 * s['gap']:.1f} %)",
+        f"objective: {scale * s['objective']:.4g} {unit}{beside}",
         f"{'pattern':12s} slots  {'its own':>10s}  designed, {unit}",
     ]
     for row in report["rows"]:
@@ -191,14 +192,15 @@ def _text(report: dict[str, Any]) -> str:
 def _table(sensor: Any, path: Path, options: dict) -> None:
     from tomojax import _design_policy
 
-    words = {k: options[k] for k in ("noise", "lam", "criterion")}
+    words = {k: options[k] for k in ("noise", "lam", "criterion") if options[k]}
     found = _design_policy.design_policy(
         sensor, options["slots"], options["method"], **words
     )
     _design_policy.save_policy(found.policy, path)
     nx, ny = found.value.shape
     worst = 100 * float((found.value / found.bound - 1).max())
-    print(f"policy: {path}, {nx} x {ny} places, each {worst:.1f} % off its bound at most")
+    told = f", each {worst:.1f} % off its bound at most" if worst == worst else ""
+    print(f"policy: {path}, {nx} x {ny} places{told}")
 
 
 def _draw(sensor: Any, report: dict[str, Any]) -> Any:

@@ -78,6 +78,11 @@ _tdms_option = click.option(
     default=True,
     help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
 )
+@click.option(
+    "--policy",
+    type=_FILE,
+    help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
+)
 @click.option("--chunk", type=int, help="Scans that are worked on at once.")
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
 @click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
@@ -114,6 +119,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         threshold=options["threshold"],
         chunk=options["chunk"],
         calibration=str(options["calibration"]) if options["calibration"] else None,
+        policy=str(options["policy"]) if options["policy"] else None,
         tare=options["tare"],
     )
     for path in (options["picture"], options["json_path"]):

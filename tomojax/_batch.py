@@ -71,8 +71,11 @@ class Batch:
         grounds: Integer[np.ndarray, "n S"],
         good: Bool[np.ndarray, "n S M"] | None = None,
         flags: Integer[np.ndarray, " n"] | None = None,
+        lams: Float[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """Rows of n frames; `good` voltages are used, `flags` (bits) are added to.
+
+        `lams`: λ of each frame, instead of that of all.
 
         A frame without a good voltage has no contact, NaN in image and residual, and the
         bit NO_DATA.
@@ -89,7 +92,10 @@ class Batch:
         usable = self._nothing(voltages, good, rows)
         grounds = np.where(good.any(2), grounds, 0)
         keys = grounds * 0 if self.method.any_grounds else grounds
-        groups = list(_groups(keys, good, np.flatnonzero(usable)))
+        each = np.full(len(voltages), self.lam) if lams is None else lams
+        kinds = np.unique(each, return_inverse=True)[1].ravel()
+        apart = keys if lams is None else np.concatenate([keys, kinds[:, None]], 1)
+        groups = list(_groups(apart, good, np.flatnonzero(usable)))
 
         def work(job: tuple[Any, np.ndarray]) -> None:
             prepared, part = job
@@ -100,8 +106,8 @@ class Batch:
             # preparations that are kept, so that no more of them are ever held.
             for some in (groups[:1], *_slices(groups[1:], _KEPT)):
                 jobs = [
-                    (self._prepare(keys[group[0]], good[group[0]]), part)
-                    for group in some
+                    (self._prepare(keys[k], good[k], float(each[k])), part)
+                    for group, k in ((group, group[0]) for group in some)
                     for part in _slices(group, self.method.blocks[-1])
                 ]
                 list(pool.map(work, jobs))
@@ -161,10 +167,10 @@ class Batch:
             rows.residual_by_electrode[quiet] = np.sqrt(mean)
         return data & ~quiet
 
-    def _prepare(self, grounds: np.ndarray, good: np.ndarray) -> Any:
-        key = grounds.tobytes() + np.packbits(good).tobytes()
+    def _prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
+        key = grounds.tobytes() + np.packbits(good).tobytes() + np.float64(lam).tobytes()
         if key not in self._prepared:
-            self._prepared[key] = self.method.prepare(grounds, good, self.lam)
+            self._prepared[key] = self.method.prepare(grounds, good, lam)
             if len(self._prepared) > _KEPT:
                 self._prepared.popitem(last=False)
         self._prepared.move_to_end(key)

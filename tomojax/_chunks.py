@@ -29,7 +29,8 @@ class Settings:
     is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
     off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
     memory; `threshold` None is the method's own. `calibration`: a file of
-    `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are.
+    `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are;
+    `policy`: a file of `save_policy`, whose slots alone are used, with its λ.
     """
 
     method: str = "source"
@@ -42,6 +43,7 @@ class Settings:
     chunk: int | None = None  # scans
     calibration: str | None = None
     tare: bool = True
+    policy: str | None = None
 
     @property
     def pixels(self) -> int:
@@ -55,6 +57,8 @@ class Settings:
         require(
             self.chunk is None or self.chunk > 0, "chunk", self.chunk, "scans, 1 or more"
         )
+        apart = self.policy is None or self.rate == "scan"
+        require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam
         check_limits(lam, self.contacts, self.threshold or 0.0)
 

@@ -1,5 +1,6 @@
 """Tables of ground conditions by place, for a step to look up."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +13,20 @@ from tomojax._checks import require
 from tomojax._design_objectives import AbstractObjective
 from tomojax._design_problem import design_objective
 from tomojax._design_search import exchange, greedy, relax
+from tomojax._design_simulated import ImageError, simulate_scenes
+from tomojax._linear import Linear
 from tomojax._patterns import exploration
 from tomojax._policies import Lookup
 from tomojax._sensor import Sensor
+from tomojax._source import Source
 from tomojax.kernels._subsets import heaviest
 
 # Swaps that are looked at for each place, and places that are computed side by side.
 _TRIED, _TOGETHER = 16, 64
+
+# λ/σ₁² that are tried (decades, and how many), pixels along a side of the images that they
+# are tried on, and the width of a contact in those (σ), m.
+_LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.008
 
 # What a set may be worse by, as a part, to have as many grounds in common with its
 # neighbours' as it has; and how often all are gone through.
@@ -44,7 +52,8 @@ def design_policy(
 
     Each place has the relaxed problem's heaviest slots, improved by exchanges. Then sets
     that differ from their neighbours' give way to one that is 2 % worse at most and has
-    more in common with them, so that little changes at a seam.
+    more in common with them, so that little changes at a seam. Those for images have a λ
+    for each place (`place_lambdas`).
 
     **Arguments:** `method` and `options` as in `design_objective`, but that of "points" the
     default is "rigs" (errors that slots share count); `shape` of the table, by default
@@ -69,7 +78,10 @@ def design_policy(
     grounds = np.argsort(-np.asarray(sets), 1, kind="stable")[:, :slots]
     table = jnp.asarray(grounds.reshape(nx, ny, slots), jnp.int32)
     idle = jnp.resize(exploration(sensor), (slots,)).astype(jnp.int32)
-    policy = Lookup(table, idle, sensor.size)
+    lams = None
+    if method != "points":
+        lams = place_lambdas(sensor, method, places, sets, (nx, ny))
+    policy = Lookup(table, idle, sensor.size, lams)
     each = np.asarray(value).reshape(nx, ny), np.asarray(bound).reshape(nx, ny)
     return PlaceDesigns(policy, *each)
 
@@ -128,11 +140,55 @@ def _smoothed(
     return sets, jax.jit(values)(sets)
 
 
+def place_lambdas(
+    sensor: Sensor,
+    method: str,
+    places: np.ndarray,
+    sets: Float[Array, "P L"],
+    shape: tuple[int, int],
+) -> Float[Array, "nx ny"]:
+    """λ/σ₁² of the least image error at each place and its neighbours, under its set.
+
+    Of simulated contacts on rigs that are not nominal: for "linear" they hold the sheet at
+    V0, for "source" they are soft.
+    """
+    contact = {} if method == "linear" else {"radius": 0.006, "conductance": 1e-4}
+    scenes = simulate_scenes(sensor, places, rigs=min(8, len(places)), **contact)
+    model = (Linear if method == "linear" else Source).of(sensor, (_PIXELS, _PIXELS))
+    objective = ImageError.of(model, scenes, _WIDTH)
+    nx, ny = shape
+    i, j = np.indices(shape).reshape(2, -1)
+    nearby = [
+        np.clip(i + a, 0, nx - 1) * ny + np.clip(j + b, 0, ny - 1)
+        for a in (-1, 0, 1)
+        for b in (-1, 0, 1)
+    ]
+    lams = jnp.asarray(np.logspace(*_LAMS), sensor.dtype)
+
+    @jax.jit
+    def each(objective: ImageError, sets: Array, nearby: Array) -> Array:
+        def one(x: tuple[Array, Array]) -> Array:
+            weights, some = x
+            here = replace(
+                objective, rights=objective.rights[some], targets=objective.targets[some]
+            )
+
+            def error(lam: Array) -> Array:
+                log_lam = jnp.log(lam * model.scale())
+                return replace(here, log_lam=log_lam).value(weights)
+
+            return lams[jnp.argmin(jax.lax.map(error, lams))]
+
+        return jax.lax.map(one, (sets, nearby))
+
+    return each(objective, sets, jnp.asarray(np.stack(nearby, 1))).reshape(shape)
+
+
 def save_policy(policy: Lookup, path: Path | str) -> None:
-    """A table as an .npz file: `table`, `idle`, `size` (m)."""
+    """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one."""
+    arrays = {name: getattr(policy, name) for name in ("table", "idle", "size", "lam")}
     with open(path, "wb") as file:
-        arrays = policy.table, policy.idle, policy.size
-        np.savez(file, **dict(zip(("table", "idle", "size"), map(np.asarray, arrays))))
+        np.savez(file, **{k: np.asarray(v) for k, v in arrays.items() if v is not None})
 
 
 def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
@@ -143,6 +199,7 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
     try:
         with np.load(path, allow_pickle=False) as file:
             table, idle, size = file["table"], file["idle"], file["size"]
+            lam = file["lam"] if "lam" in file else None
     except FileNotFoundError:
         raise ValueError(f"{path}: no such file") from None
     except (OSError, KeyError, ValueError) as error:
@@ -154,5 +211,8 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
     require(known, f"{path}: table", f"{table.min()} to {table.max()}", f"0 to {m - 1}")
     same = size.shape == (2,) and np.allclose(size, np.asarray(sensor.size), rtol=1e-4)
     require(same, f"{path}: size", size, f"{np.asarray(sensor.size)}")
+    fine = lam is None or (lam.shape == table.shape[:2] and (lam > 0).all())
+    require(fine, f"{path}: lam", "no λ for each place", "numbers above 0")
     at = jnp.asarray(table, jnp.int32), jnp.asarray(idle, jnp.int32)
-    return Lookup(*at, sensor.size)
+    given = None if lam is None else jnp.asarray(lam, sensor.dtype)
+    return Lookup(*at, sensor.size, given)

@@ -83,13 +83,15 @@ class Adaptive(AbstractPolicy):
 class Lookup(AbstractPolicy):
     """A table by place: L ground conditions for each; several contacts take turns.
 
-    Without a contact `idle` (L,) is grounded.
+    Without a contact `idle` (L,) is grounded. `lam`, of designs for images: the λ of each
+    place, of σ₁²; a step has its own.
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore
     table: Int[Array, "nx ny L"]
     idle: Int[Array, " L"]
     size: Float[Array, "2"]
+    lam: Float[Array, "nx ny"] | None = None
 
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
         contacts = seen.contacts

@@ -20,6 +20,7 @@ from tomojax._batch import Batch, frames_of, Rows
 from tomojax._calibrate_recording import tare
 from tomojax._calibration import Calibration
 from tomojax._checks import require
+from tomojax._chosen import Chosen
 from tomojax._chunks import Chunk, chunk_scans, CHUNK_SLOTS, read_chunk, Settings
 from tomojax._environment import environment
 from tomojax._method import AbstractMethod, method as make_method
@@ -89,12 +90,17 @@ def reconstruct_recording(
     model = make_method(
         recording.rig.sensor(), settings.method, settings.pixels, calibration
     )
+    given = settings.policy
+    chosen = Chosen(given, recording, settings.contacts) if given else None
     if share[0] > 0:
         _wait_for(file.partial)
     begun = file.partial.exists() and not (overwrite and share[0] == 0)
     if not begun:
         file.discard()
-        lam = choose_lambda(recording, model, settings, calibration)
+        if settings.lam is None and chosen is not None and chosen.median:
+            lam = chosen.median * model.scale()
+        else:
+            lam = choose_lambda(recording, model, settings, calibration)
         _create(file, recording, settings, calibration, model, lam, config)
     attributes = _results.attributes(file.partial)
     _require_same(config, attributes, file.partial)
@@ -108,7 +114,7 @@ def reconstruct_recording(
     with closing(file.writer()) as writer:
         left = np.flatnonzero(~file.done())
         mine = left % share[1] == share[0]
-        work = partial(_work, recording, settings, calibration, batch, file, writer)
+        work = partial(_work, recording, settings, calibration, chosen, batch, file, writer)
         work(left[mine], progress)
         if not alone:
             # What another process has not done comes last, from its end: done twice it is
@@ -197,7 +203,9 @@ def _wait_for(path: Path, seconds: float = 600.0) -> None:
         sleep(0.1)
 
 
-def _work(recording, settings, calibration, batch, file, writer, todo, progress) -> None:
+def _work(
+    recording, settings, calibration, chosen, batch, file, writer, todo, progress
+) -> None:
     """Chunks `todo`: one is read and one written while one is computed."""
     size = chunk_scans(recording, settings)
     per_scan = recording.slots if settings.rate == "slot" else 1
@@ -230,7 +238,12 @@ def _work(recording, settings, calibration, batch, file, writer, todo, progress)
                 if file.finished(chunk):
                     continue
                 _, voltages, grounds, good, flags = frames
-                rows = batch(calibration.voltages(voltages), grounds, good, flags)
+                volts, lams = calibration.voltages(voltages), None
+                if chosen is not None:
+                    good, lams = chosen(frames, volts)
+                    own = settings.lam is None and lams is not None
+                    lams = lams * batch.method.scale() if own else None
+                rows = batch(volts, grounds, good, flags, lams)
                 if writing:
                     writing.result()
                 writing = behind.submit(write, chunk, frames.t, rows)

@@ -28,7 +28,7 @@ import tomojax as tx  # noqa: E402
 
 KINDS = [(m, c) for m in ("points", "linear", "source") for c in ("place", "d", "worst")]
 POLICIES = ("around", "cop_line", "around_contacts", "designed")
-RIGS, LENGTH, HOLD = (21, 22, 23, 24), 120, 60
+RIGS, LENGTH, HOLD = tuple(range(21, 27)), 60, 60
 
 
 def gap(sensor) -> list[dict]:
@@ -63,7 +63,8 @@ def places(sensor) -> list[dict]:
     grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
     rows = []
     for method in ("points", "linear"):
-        objective = tx.design_objective(sensor, grid, method)
+        criterion = "place" if method == "points" else "a"
+        objective = tx.design_objective(sensor, grid, method, criterion)
         begin = time.perf_counter()
         sets, bound = jax.block_until_ready(designs_by_place(objective, 8))
         spent = time.perf_counter() - begin
@@ -138,7 +139,10 @@ def loop(sensor) -> list[dict]:
             [far[0] * np.sin(t + phase[0]), far[1] * np.sin(2 * t + phase[1])], 1
         )
         path = 0.08 + eight
-        volts = np.stack([rig.scene((rig.disc(p, 0.006), 1e-4))[0] for p in path])
+        # A contact is cells of 0.8 mm: it is where their middle is.
+        made = [rig.scene((rig.disc(p, 0.006), 1e-4)) for p in path]
+        volts = np.stack([m[0] for m in made])
+        path = np.stack([m[1][0][0] for m in made])
         for name in POLICIES:
             rig.rng = np.random.default_rng(1)
             state, ground = step.switch(step.state, name), 0
@@ -188,7 +192,7 @@ def draw(rows: list[dict], path: Path) -> None:
     for k, name in enumerate(("place_median_mm", "place_p90_mm")):
         right.bar(at + 0.35 * (k - 0.5), [row[name] for row in loops], 0.35, label=name)
     right.set_xticks(at, [row["policy"] for row in loops])
-    right.set(ylabel="place error, mm", title="Closed loop, four rigs that are not ours")
+    right.set(ylabel="place error, mm", title="Closed loop, six rigs that are not ours")
     right.legend()
     figure.savefig(path, dpi=110)
 

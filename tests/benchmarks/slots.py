@@ -72,7 +72,7 @@ class Sets:
         self.one_for_all, self.tables = {}, {}
         for n in COUNTS:
             self.one_for_all[n] = tx.design(objective, n).grounds
-            policy = tx.design_policy(sensor, n, "linear", grid=GRID).policy
+            policy = tx.design_policy(sensor, n, "linear", (12, 12), grid=GRID).policy
             self.tables[n] = np.asarray(policy.table)
             print(f"designed: {n} slots", flush=True)
             jax.clear_caches()
@@ -110,16 +110,13 @@ class Sets:
 
 def images(objective: tx.ImageError, weights: np.ndarray, lam: float) -> jax.Array:
     now = replace(objective, log_lam=jnp.log(lam))
-
-    def one(x):
-        w, right = x
-        return now.images_of(w, right[None])[0]
-
-    return _images(one, jnp.asarray(weights), objective.rights)
+    return _images(now, jnp.asarray(weights))
 
 
-def _images(one, weights, rights):
-    return jax.jit(lambda w, r: jax.lax.map(one, (w, r)))(weights, rights)
+@jax.jit
+def _images(objective: tx.ImageError, weights: jax.Array) -> jax.Array:
+    each = lambda x: objective.images_of(x[0], x[1][None])[0]  # noqa: E731
+    return jax.lax.map(each, (weights, objective.rights))
 
 
 def study(count: int) -> list[dict]:

@@ -225,7 +225,7 @@ def test_sets_by_gradients_through_draws(simulated):
 
 
 def test_policy_by_place(sensor, tmp_path):
-    found = tx.design_policy(sensor, 3, shape=(6, 6))
+    found = tx.design_policy(sensor, 3, shape=(6, 6), criterion="place")
     assert found.policy.table.shape == (6, 6, 3)
     assert (found.value >= found.bound * (1 - 1e-9)).all()
     assert np.median(found.value / found.bound) < 1.03

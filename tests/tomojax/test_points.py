@@ -104,9 +104,11 @@ def test_float32_beside_float64(scenes, method):
     names = list(scenes)[:13]  # single contacts and pairs
     volts = np.stack([scenes[name][0][CORNERS] for name in names])
     grounds = np.tile(CORNERS, (len(names), 1))
-    one, other = (tx.Batch(m, 1.0, contacts=2)(volts, grounds) for m in (method, wide))
+    # Three as elsewhere in this file, where that is compiled already.
+    one = tx.Batch(method, 1.0, contacts=3)(volts, grounds)
+    other = tx.Batch(wide, 1.0, contacts=2)(volts, grounds)
     np.testing.assert_array_equal(one.contact_count, other.contact_count)
-    np.testing.assert_allclose(one.contact_xy, other.contact_xy, atol=5e-5)
+    np.testing.assert_allclose(one.contact_xy[:, :2], other.contact_xy, atol=5e-5)
 
 
 def test_one_frame_compiled_whole(scenes, method):
@@ -115,11 +117,11 @@ def test_one_frame_compiled_whole(scenes, method):
     prepared = method.prepare(np.array(CORNERS), np.ones((2, 64), bool), 1.0)
     run = jax.jit(lambda p, v: method.estimate(p, v, 2))
     volts = np.stack([scenes[name][0][CORNERS] for name in names]).astype(np.float32)
-    rows = tx.Batch(method, 1.0, contacts=2)(volts, np.tile(CORNERS, (2, 1)))
+    rows = tx.Batch(method, 1.0, contacts=3)(volts, np.tile(CORNERS, (2, 1)))
     for k in range(2):
         contacts, image, residual, *_ = run(prepared, volts[k])
         assert contacts.count == rows.contact_count[k]
-        np.testing.assert_allclose(contacts.xy, rows.contact_xy[k], atol=1e-5)
+        np.testing.assert_allclose(contacts.xy, rows.contact_xy[k, :2], atol=1e-5)
         np.testing.assert_allclose(image, rows.image[k], atol=0.01 * rows.image[k].max())
         np.testing.assert_allclose(residual, rows.residual[k], rtol=0.01)
 
