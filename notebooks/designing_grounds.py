@@ -110,6 +110,8 @@ print(f"error {float(tuned.value):.3f} after {tuned.solves} solves")
 # %%
 nine = tx.Sensor.grid(3, 3, pitch=0.04, margin=0.02, divisions=(24, 24))
 moved = tx.design_electrodes(nine, grid=12, starts=1)
-print(f"worst spread {1e3 * moved.spread_before.max():.1f} mm on the uniform grid, ", end="")
+print(
+    f"worst spread {1e3 * moved.spread_before.max():.1f} mm on the uniform grid, ", end=""
+)
 print(f"{1e3 * moved.spread.max():.1f} mm so:")
 print(np.round(1e3 * moved.electrode_xy, 1).tolist())

@@ -152,8 +152,10 @@ def place_lambdas(
     Of simulated contacts on rigs that are not nominal: for "linear" they hold the sheet at
     V0, for "source" they are soft.
     """
-    contact = {} if method == "linear" else {"radius": 0.006, "conductance": 1e-4}
-    scenes = simulate_scenes(sensor, places, rigs=min(8, len(places)), **contact)
+    radius, conductance = (0.002, 1.0) if method == "linear" else (0.006, 1e-4)
+    scenes = simulate_scenes(
+        sensor, places, radius=radius, conductance=conductance, rigs=min(8, len(places))
+    )
     model = (Linear if method == "linear" else Source).of(sensor, (_PIXELS, _PIXELS))
     objective = ImageError.of(model, scenes, _WIDTH)
     nx, ny = shape
@@ -188,7 +190,8 @@ def save_policy(policy: Lookup, path: Path | str) -> None:
     """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one."""
     arrays = {name: getattr(policy, name) for name in ("table", "idle", "size", "lam")}
     with open(path, "wb") as file:
-        np.savez(file, **{k: np.asarray(v) for k, v in arrays.items() if v is not None})
+        given = {k: np.asarray(v) for k, v in arrays.items() if v is not None}
+        np.savez(file, **given)  # pyright: ignore
 
 
 def load_policy(path: Path | str, sensor: Sensor) -> Lookup:

@@ -61,7 +61,10 @@ def test_results_are_those_of_these_slots(recording, table, tmp_path):
     wanted = batch(scans.voltages[:, :3], scans.grounds[:, :3])
     with h5py.File(out) as file:
         np.testing.assert_allclose(file["image"][:4], wanted.image, rtol=2e-3, atol=1e-6)
-        np.testing.assert_array_equal(file["contact_count"][:], [1] * 12 + [0] * 2)
+        # Images of three slots may have a second peak.
+        np.testing.assert_array_equal(
+            file["contact_count"][:] > 0, [True] * 12 + [False] * 2
+        )
         found = file["contact_xy"][:12, 0]
         assert file.attrs["lam_relative"] == pytest.approx(np.median([1e-4, 1e-3]), rel=0.9)
     assert np.hypot(*(found - np.repeat(PLACES, 4, 0)).T).max() < 0.012
