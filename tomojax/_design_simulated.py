@@ -73,14 +73,19 @@ def simulate_scenes(
         sheet, gain, noise = jax.random.split(key, 3)
         rig = varied(sensor, sheet)
         gains = 1 + GAIN * jax.random.normal(gain, (sensor.electrode_count,), sensor.dtype)
-
-        def one(place: Array, rig=rig) -> Array:
-            return voltages(rig, Disc(place, radius, density))
-
-        some = jnp.asarray(at[number::rigs], sensor.dtype)
-        exact = jax.jit(lambda x, f=one: jax.lax.map(f, x))(some)
+        # As many for each rig, for one compilation.
+        turns = np.arange(number, len(at), rigs)
+        some = jnp.asarray(at[np.resize(turns, -(-len(at) // rigs))], sensor.dtype)
+        exact = _exact(rig, some, radius, density)[: len(turns)]
         found[number::rigs] = converter(gains * exact, noise)
     return Scenes(jnp.asarray(at, sensor.dtype), jnp.asarray(found, sensor.dtype))
+
+
+@eqx.filter_jit
+def _exact(
+    rig: Sensor, places: Float[Array, "n 2"], radius: float, density: float
+) -> Float[Array, "n L M"]:
+    return jax.lax.map(lambda place: voltages(rig, Disc(place, radius, density)), places)
 
 
 class ImageError(AbstractObjective):
