@@ -134,7 +134,7 @@ def study(side: int) -> tuple[list[dict], dict]:
             "electrode_xy_mm": np.round(1e3 * made.electrode_xy, 2).tolist(),
         }
         jax.clear_caches()
-        for kind, variation in itertools.product(CONTACTS, (0.0, 0.02)):
+        for kind, variation in itertools.product(CONTACTS if side else (), (0.0, 0.02)):
             each = {name: widths(s, kind, variation, side) for name, s in sensors.items()}
             jax.clear_caches()
             told = {"lam": {name: e["lam"] for name, e in each.items()}}
@@ -190,7 +190,9 @@ def draw(rows: list[dict], maps: dict, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=10, help="along a side")
+    parser.add_argument(
+        "--scenes", type=int, default=10, help="along a side; 0: spread alone"
+    )
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
     from benchmarks.physics import environment

@@ -186,20 +186,29 @@ def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 4.6), layout="constrained")
-    keys = "place_median_mm", "place_p90_mm", "half_width_mm"
-    for axes, key in zip(figure.subplots(1, 3), keys):
+    keys = {
+        "place_median_mm": "place error, median, mm",
+        "place_p90_mm": "place error, 90 %, mm",
+        "half_width_mm": "half-value width, mm",
+    }
+    for axes, (key, told) in zip(figure.subplots(1, 3), keys.items()):
         for kind, style in (("designed", "C3-o"), ("by_place", "C0-^")):
             some = [r for r in rows if r["set"].startswith(kind)]
             label = "designed, one for all" if kind == "designed" else "designed, by place"
-            axes.loglog(
+            axes.semilogx(
                 [0.1 * r["slots"] for r in some], [r[key] for r in some], style, label=label
             )
         for r in rows:
             if r["set"] in tx.PATTERNS:
                 mark = "^" if r["set"] in ("around", "cop_line", "point") else "o"
-                axes.loglog(0.1 * r["slots"], r[key], mark, color="0.4")
+                axes.semilogx(0.1 * r["slots"], r[key], mark, color="0.4")
                 axes.annotate(r["set"], (0.1 * r["slots"], r[key]), size=7)
-        axes.set(xlabel="Δt, ms (exploration not counted)", ylabel=key)
+        axes.set(xlabel="Δt, ms (exploration not counted)", ylabel=told)
+        axes.set_xticks(
+            [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4],
+            labels="0.1 0.2 0.4 0.8 1.6 3.2 6.4".split(),
+        )
+        axes.set_xticks([], minor=True)
     axes.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 
