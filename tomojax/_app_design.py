@@ -192,7 +192,8 @@ def _text(report: dict[str, Any]) -> str:
 def _table(sensor: Any, path: Path, options: dict) -> None:
     from tomojax import _design_policy
 
-    words = {k: options[k] for k in ("noise", "lam", "criterion") if options[k]}
+    words = {k: options[k] for k in ("noise", "lam", "criterion")}
+    words = {k: v for k, v in words.items() if v is not None}
     found = _design_policy.design_policy(
         sensor, options["slots"], options["method"], **words
     )

@@ -86,6 +86,9 @@ class Batch:
         if good is None:
             good = np.isfinite(voltages)
         self._check(voltages, grounds, good)
+        if lams is not None:
+            fits = lams.shape == voltages.shape[:1] and bool((lams > 0).all())
+            require(fits, "lams", f"shape {lams.shape}", "a λ above 0 for each frame")
         rows = self._empty(len(voltages))
         if flags is not None:
             rows.flags[:] = flags

@@ -13,21 +13,26 @@ from tomojax._method import method as make_method
 from tomojax._patterns import exploration
 from tomojax._recording import Recording
 
+# Methods whose λ/σ₁² a table has.
+_WITH_LAMBDA = "linear", "source"
+
 
 class Chosen:
     """The slots of each scan that a table has for where its contacts are.
 
     `points` finds those in the two exploratory slots, as the paper's adaptive scan does;
     the table's are looked up as a step does, several contacts in turn. A scan without a
-    contact keeps all.
+    contact keeps all. Of `method` "linear" and "source" the table's λ are used as well.
     **Raises:** `ValueError` for a table of another rig, and a scan that lacks a ground of
     the table or of the exploration.
     """
 
-    def __init__(self, path: Path | str, recording: Recording, contacts: int):
+    def __init__(self, path: Path | str, recording: Recording, contacts: int, method: str):
         sensor = recording.rig.sensor()
         policy = load_policy(path, sensor)
-        self.table, self.lam = np.asarray(policy.table), policy.lam
+        self.table = np.asarray(policy.table)
+        # What λ is to the other methods is something else.
+        self.lam = policy.lam if method in _WITH_LAMBDA else None
         self.size, self.corners = np.asarray(sensor.size), np.asarray(exploration(sensor))
         asked = np.union1d(self.table, self.corners)
         missing = np.setdiff1d(asked, recording.read(0, 1).grounds)

@@ -91,7 +91,9 @@ def reconstruct_recording(
         recording.rig.sensor(), settings.method, settings.pixels, calibration
     )
     given = settings.policy
-    chosen = Chosen(given, recording, settings.contacts) if given else None
+    chosen = None
+    if given:
+        chosen = Chosen(given, recording, settings.contacts, settings.method)
     if share[0] > 0:
         _wait_for(file.partial)
     begun = file.partial.exists() and not (overwrite and share[0] == 0)

@@ -185,13 +185,15 @@ def row(name, sets, objective, places, volts, rows_of, cell, scale) -> dict:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    figure = Figure(figsize=(17, 4.6), layout="constrained")
+    rows = [r | {"pairs": 100 * r["separated"]["30"]} for r in rows]
     keys = {
         "place_median_mm": "place error, median, mm",
         "place_p90_mm": "place error, 90 %, mm",
         "half_width_mm": "half-value width, mm",
+        "pairs": "of pairs 30 mm apart told apart, %",
     }
-    for axes, (key, told) in zip(figure.subplots(1, 3), keys.items()):
+    for axes, (key, told) in zip(figure.subplots(1, 4), keys.items()):
         for kind, style in (("designed", "C3-o"), ("by_place", "C0-^")):
             some = [r for r in rows if r["set"].startswith(kind)]
             label = "designed, one for all" if kind == "designed" else "designed, by place"

@@ -40,7 +40,7 @@ def table(sensor, tmp_path_factory):
 
 
 def test_slots_and_lambda_of_each_scan(recording, table):
-    chosen = Chosen(table, recording, 2)
+    chosen = Chosen(table, recording, 2, "linear")
     chunk = read_chunk(recording, 0, 14)
     used, lams = chosen(chunk, chunk.voltages)
     assert lams is not None
@@ -50,6 +50,10 @@ def test_slots_and_lambda_of_each_scan(recording, table):
             assert used[scan].any(1).sum() == 3
             assert lams[scan] == pytest.approx(lam, rel=1e-5)
     assert used[12:].all()
+
+
+def test_lambda_of_another_method_is_its_own(recording, table):
+    assert Chosen(table, recording, 2, "points").lam is None
 
 
 def test_results_are_those_of_these_slots(recording, table, tmp_path):
@@ -81,6 +85,8 @@ def test_a_lambda_for_each_frame(recording):
         same = lams == lam * method.scale()
         assert mixed.image is not None and alone.image is not None
         np.testing.assert_allclose(mixed.image[same], alone.image[same], rtol=1e-5)
+    with pytest.raises(ValueError, match="lams"):
+        batch(scans.voltages, scans.grounds, lams=-lams)
 
 
 def test_a_recording_that_lacks_grounds(sensor, recording, table, tmp_path):
@@ -89,7 +95,7 @@ def test_a_recording_that_lacks_grounds(sensor, recording, table, tmp_path):
     with pytest.raises(
         ValueError, match="grounds that the recording lacks: 12, 13, 14, 15"
     ):
-        Chosen(table, few, 2)
+        Chosen(table, few, 2, "linear")
     slots = tx.Settings(policy=str(table), rate="slot")
     with pytest.raises(ValueError, match="policy: got a row per slot"):
         tx.reconstruct_recording(recording, tmp_path / "o.h5", slots)
