@@ -95,10 +95,15 @@ class Batch:
         usable = self._nothing(voltages, good, rows)
         grounds = np.where(good.any(2), grounds, 0)
         keys = grounds * 0 if self.method.any_grounds else grounds
-        each = np.full(len(voltages), self.lam) if lams is None else lams
-        kinds = np.unique(each, return_inverse=True)[1].ravel()
-        apart = keys if lams is None else np.concatenate([keys, kinds[:, None]], 1)
+        apart = keys
+        if lams is not None:
+            kinds = np.unique(lams, return_inverse=True)[1]
+            apart = np.concatenate([keys, kinds.reshape(-1, 1)], 1)
         groups = list(_groups(apart, good, np.flatnonzero(usable)))
+
+        def of_frame(k: int) -> Any:
+            lam = self.lam if lams is None else float(lams[k])
+            return self._prepare(keys[k], good[k], lam)
 
         def work(job: tuple[Any, np.ndarray]) -> None:
             prepared, part = job
@@ -109,8 +114,8 @@ class Batch:
             # preparations that are kept, so that no more of them are ever held.
             for some in (groups[:1], *_slices(groups[1:], _KEPT)):
                 jobs = [
-                    (self._prepare(keys[k], good[k], float(each[k])), part)
-                    for group, k in ((group, group[0]) for group in some)
+                    (of_frame(int(group[0])), part)
+                    for group in some
                     for part in _slices(group, self.method.blocks[-1])
                 ]
                 list(pool.map(work, jobs))

@@ -32,7 +32,8 @@ class Chosen:
         policy = load_policy(path, sensor)
         self.table = np.asarray(policy.table)
         # What λ is to the other methods is something else.
-        self.lam = policy.lam if method in _WITH_LAMBDA else None
+        known = policy.lam is not None and method in _WITH_LAMBDA
+        self.lam = np.asarray(policy.lam) if known else None
         self.size, self.corners = np.asarray(sensor.size), np.asarray(exploration(sensor))
         asked = np.union1d(self.table, self.corners)
         missing = np.setdiff1d(asked, recording.read(0, 1).grounds)
@@ -48,7 +49,7 @@ class Chosen:
     @property
     def median(self) -> float | None:
         """λ/σ₁² of a place of the table."""
-        return None if self.lam is None else float(np.median(np.asarray(self.lam)))
+        return None if self.lam is None else float(np.median(self.lam))
 
     def __call__(
         self, chunk: Chunk, volts: Float[np.ndarray, "n S M"]
@@ -68,6 +69,6 @@ class Chosen:
             turn = np.arange(self.table.shape[2])
             each = self.table[cells[:, 0], cells[:, 1]]
             used[k] = np.isin(chunk.grounds[k], each[turn % some, turn])
-            if lams is not None:
-                lams[k] = np.asarray(self.lam)[cells[0, 0], cells[0, 1]]
+            if lams is not None and self.lam is not None:
+                lams[k] = self.lam[cells[0, 0], cells[0, 1]]
         return chunk.good & used[:, :, None], lams

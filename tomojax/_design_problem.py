@@ -130,7 +130,8 @@ def design_objective(
         assert points is not None
         if rigs:
             contact = _contact(points, radius, conductance)
-            return simulated_place_error(sensor, points, where, *contact, _prior(points))
+            prior = place_prior(points.sheet.unit)
+            return simulated_place_error(sensor, points, where, *contact, prior)
         return _of_points(points, where, criterion, precision, radius, conductance)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
     shares = None
@@ -251,12 +252,13 @@ def _of_points(
     every = jax.vmap(one, (None, 0))
     each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
     xy = jnp.broadcast_to(jnp.eye(3, dtype=places.dtype)[:, :2], (len(places), 3, 2))
-    return PlaceInformation(criterion, each(places), _prior(points), sheet.unit, xy)
+    prior = place_prior(sheet.unit)
+    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
 
 
-def _prior(points: Points) -> Float[Array, "3 3"]:
+def place_prior(unit: Array) -> Float[Array, "3 3"]:
     """What is known beforehand of place (per unit) and size."""
-    known = (points.sheet.unit / _PLACE_KNOWN) ** 2
+    known = (unit / _PLACE_KNOWN) ** 2
     return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
 
 

@@ -16,6 +16,7 @@ from tomojax._checks import float_array, require, require_finite, require_shape
 from tomojax._custom_types import Numbers
 from tomojax._design import design
 from tomojax._design_objectives import PlaceInformation
+from tomojax._design_problem import place_prior
 from tomojax._points import Points
 from tomojax._sensor import Sensor
 from tomojax._step_methods import Follow
@@ -23,8 +24,8 @@ from tomojax.kernels._blocktri import matmul
 from tomojax.kernels._one_slot import Noise, slot_weights, solve_small, tangents, weighed
 from tomojax.kernels._points import green_of, Sheet
 
-# γ of a switch that is open, of one that is closed; what is known of a place, m.
-_OPEN, _PLACE_KNOWN = 1e-5, 0.02
+# γ of a switch that is open, of one that is closed.
+_OPEN = 1e-5
 
 # Steps of Adam and their size, from half open to switches; and how far from their start
 # the grounds of the best single ones are (as logits).
@@ -122,20 +123,16 @@ def pair_information(
     return told - matmul(across, solve_small(among, across.T))
 
 
-def pair_objective(
-    pairs: Pairs, to_ground: Float[Array, "L M"], criterion: str = "place"
-) -> PlaceInformation:
+def pair_objective(pairs: Pairs, to_ground: Float[Array, "L M"]) -> PlaceInformation:
     """The standard deviation of each pair's distance, of slots with such γ."""
     each = jax.vmap(jax.vmap(pair_information, (None, None, 0)), (None, 0, None))
-    unit = pairs.sheet.unit
-    known = (unit / _PLACE_KNOWN) ** 2
-    prior = jnp.diag(jnp.tile(jnp.stack([known, known, jnp.ones_like(known)]), 2))
+    prior = jnp.kron(jnp.eye(2, dtype=to_ground.dtype), place_prior(pairs.sheet.unit))
     apart = pairs.places[:, 1] - pairs.places[:, 0]
     apart = apart / jnp.linalg.norm(apart, axis=1, keepdims=True)
     none = jnp.zeros_like(apart[:, :1])
     directions = jnp.concatenate([-apart, none, apart, none], 1)[:, :, None]
     told = each(pairs, pairs.places, to_ground)
-    return PlaceInformation(criterion, told, prior, unit, directions)
+    return PlaceInformation("place", told, prior, pairs.sheet.unit, directions)
 
 
 def design_shared(
@@ -149,9 +146,9 @@ def design_shared(
     """Conductances to ground, of all electrodes in each slot, for two contacts' distance.
 
     ln γ between an open and a closed switch's, by Adam (Kingma and Ba, ICLR 2015) from
-    the best set of single grounds, blurred, and from all half open; a growing cost on what
-    is neither open nor closed. The switches that come out, not γ, are what is rated; where
-    single grounds are better, those are the design.
+    the best set of single grounds, blurred, and from some drawn about half open; a growing
+    cost on what is neither open nor closed. The switches that come out, not γ, are what is
+    rated; where single grounds are better, those are the design.
     **Raises:** `ValueError` for wrong places and a number of slots outside 1 to M.
     """
     pairs = pairs_of(sensor, places, conductance)
