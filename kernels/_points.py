@@ -130,10 +130,14 @@ def _surroundings(
 
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:
     """2πa²κ/ρ: the dipole that a field makes of a disc of that conductance, A·m per V/m."""
-    strength = conductance * sheet.sheet_resistance / np.pi  # gρ/π
-    # I₂/I₀ to 2 %.
-    kappa = strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
+    kappa = metallic(sheet, conductance)
     return 2 * np.pi * radius**2 * kappa / sheet.sheet_resistance
+
+
+def metallic(sheet: Sheet, conductance: Array | float) -> Array:
+    """κ = I₂/I₀(√(gρ/π)), to 2 %: 0 of a contact that draws evenly, 1 of metal."""
+    strength = conductance * sheet.sheet_resistance / np.pi  # gρ/π
+    return strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
 
 
 def _lean(sheet, radius, current, drop, pull) -> Float[Array, "S C 2"]:

@@ -38,6 +38,10 @@ from tomojax._design_problem import (  # noqa: E402
     design_places as design_places,
     exploratory_voltages as exploratory_voltages,
 )
+from tomojax._design_rigs import (  # noqa: E402
+    Scenes as Scenes,
+    simulate_scenes as simulate_scenes,
+)
 from tomojax._design_search import relax as relax, Relaxed as Relaxed  # noqa: E402
 from tomojax._design_shared import (  # noqa: E402
     design_shared as design_shared,
@@ -46,8 +50,6 @@ from tomojax._design_shared import (  # noqa: E402
 from tomojax._design_simulated import (  # noqa: E402
     descend_sets as descend_sets,
     ImageError as ImageError,
-    Scenes as Scenes,
-    simulate_scenes as simulate_scenes,
     tune as tune,
 )
 from tomojax._faults import Faults as Faults, find_faults as find_faults  # noqa: E402

@@ -85,7 +85,7 @@ def _search(objective: AbstractObjective, n: int) -> _Found:
         keys = jax.random.split(jax.random.key(0), _DRAWN)
         drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
         starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
-        ends = lax.map(lambda chosen: exchange(value, chosen, n), starts)
+        ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
         reached = lax.map(value, ends)
         sets["best"] = ends[jnp.argmin(reached)]
         values = {name: value(chosen) for name, chosen in sets.items()}

@@ -1,4 +1,6 @@
-"""What one contact makes of a slot, as `points` sees it: a disc that draws its current."""
+"""A contact: what it makes of a slot, as `points` sees it, and what an image of it is."""
+
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -26,3 +28,17 @@ def contact_columns(
     raw = tangents(sheet, place, size)
     current = contact_current(sheet, place, size, resistance, ground)
     return current * in_slot(sheet, raw[None], ground)[0]
+
+
+def blobs(
+    shape: tuple[int, int], cell: Float[Array, "2"], places: Float[Array, "P 2"], width: Any
+) -> Float[Array, "P pixels"]:
+    """Images of Gaussians at `places`, of σ = `width`, m, and of length 1."""
+    sides = [
+        jnp.exp(
+            -((((jnp.arange(n, dtype=d.dtype) + 0.5) * d - at[:, None]) / width) ** 2) / 2
+        )
+        for n, d, at in zip(shape, cell, places.T)
+    ]
+    images = (sides[0][:, :, None] * sides[1][:, None]).reshape(len(places), -1)
+    return images / jnp.linalg.norm(images, axis=1, keepdims=True)

@@ -22,10 +22,12 @@ Criterion = Literal["place", "a", "d", "worst", "rigs"]
 class AbstractObjective(eqx.Module):
     """P figures of a weighting, the lower the better.
 
-    `convex` in the weights: then there is a bound.
+    `convex` in the weights: then there is a bound. `swaps` are looked at for an exchange,
+    those that the slope says most of; without it all.
     """
 
     convex: ClassVar[bool] = True
+    swaps: ClassVar[int | None] = None
 
     @property
     @abstractmethod

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from tomojax._checks import require
 from tomojax._design_objectives import AbstractObjective
 from tomojax._design_problem import design_objective
+from tomojax._design_rigs import simulate_scenes
 from tomojax._design_search import exchange, greedy, relax
-from tomojax._design_simulated import ImageError, simulate_scenes
+from tomojax._design_simulated import ImageError
 from tomojax._linear import Linear
 from tomojax._patterns import exploration
 from tomojax._policies import Lookup
@@ -55,9 +56,9 @@ def design_policy(
     more in common with them, so that little changes at a seam. Those for images have a λ
     for each place (`place_lambdas`).
 
-    **Arguments:** `method` and `options` as in `design_objective`, but that of "points" the
-    default is "rigs" (errors that slots share count); `shape` of the table, by default
-    (32, 32), and (16, 16) for images, which take longer.
+    **Arguments:** `method` and `options` as in `design_objective`, but that of "points" and
+    "linear" the default is "rigs" (errors that slots share count); `shape` of the table, by
+    default (32, 32), and (16, 16) for images, which take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
     1 to the electrodes'.
     """
@@ -70,12 +71,15 @@ def design_policy(
     size = np.asarray(sensor.size, float)
     parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
     places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
-    if method == "points" and options.get("noise") is None:
+    if method != "source" and options.get("noise") is None:
         options.setdefault("criterion", "rigs")
     objective = design_objective(sensor, places, method, **options)
     sets, bound = designs_by_place(objective, int(slots))
     sets, value = _smoothed(objective, sets, (nx, ny))
-    grounds = np.argsort(-np.asarray(sets), 1, kind="stable")[:, :slots]
+    # Nearest first: several contacts share the slots, and what is nearest tells most.
+    away = np.linalg.norm(np.asarray(sensor.electrode_xy) - places[:, None], axis=-1)
+    away = np.where(np.asarray(sets) > 0.5, away, np.inf)
+    grounds = np.argsort(away, 1, kind="stable")[:, :slots]
     table = jnp.asarray(grounds.reshape(nx, ny, slots), jnp.int32)
     idle = jnp.resize(exploration(sensor), (slots,)).astype(jnp.int32)
     lams = None
@@ -98,7 +102,7 @@ def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array
             if not objective.convex:
                 start = greedy(alone.value, slots, n, dtype)
                 unknown = jnp.full((), jnp.nan, dtype)
-                return exchange(alone.value, start, n), unknown
+                return exchange(alone.value, start, n, objective.swaps), unknown
             best = relax(alone, slots, n, dtype=dtype)
             start = heaviest(best.weights, n)
             return exchange(alone.value, start, n, _TRIED), best.bound

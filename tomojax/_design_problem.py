@@ -17,7 +17,8 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax._design_contacts import contact_columns, contact_current
+from tomojax._design_contacts import blobs, contact_columns, contact_current
+from tomojax._design_images import simulated_image
 from tomojax._design_objectives import (
     AbstractObjective,
     Criterion,
@@ -40,6 +41,9 @@ DesignMethod = Literal["points", "linear", "source"]
 # What is known of a contact beforehand: its place to about a pitch, m, and its size (in
 # units of what `points` knows of it). Without the first, one slot may say nothing.
 _PLACE_KNOWN = 0.02
+
+# Radius of a contact that holds the sheet at V0, m.
+_DISC = 0.002
 
 # λ/σ₁² where the converter's noise alone limits an image, directions of an image that
 # are looked at, and the width of a contact in it (σ), of the electrodes' pitch.
@@ -81,7 +85,7 @@ def design_objective(
     lam: float | None = None,
     noise: Numbers | None = None,
     radius: float | None = None,
-    conductance: float = 1e-4,
+    conductance: float | None = None,
     grid: int = 32,
 ) -> AbstractObjective:
     """What a design makes small, over contacts at `places` (P, 2), m.
@@ -90,15 +94,18 @@ def design_objective(
 
     - `method` "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
       `grid` × `grid` pixels).
-    - `criterion`: "rigs" (`SimulatedPlaceError`, of "points" alone), the error of place on
-      16 rigs that are not nominal; "place", the expected error of a contact's place (of an
-      image the same as "a"); "a", the mean variance; "d", the volume of what stays
-      unknown; "worst", the largest of all places.
+    - `criterion`: "rigs", what is seen on 16 simulated rigs that are not nominal: the error
+      of place ("points", `SimulatedPlaceError`), or that and the width of images ("linear",
+      `SimulatedImage`); "place", the expected error of a contact's place (of an image the
+      same as "a"); "a", the mean variance; "d", the volume of what stays unknown; "worst",
+      the largest of all places.
     - `lam`: λ of an image; by default where the converter's noise alone limits it.
     - `noise`: a standard deviation, V; one for each channel (M,); or their covariance
       (M, M), V². By default what `points` takes for a rig with nominal values; of images
       the same for all channels, and of any noise but its relative values are in λ.
-    - `radius`, m, and `conductance`, S, of a contact; in an image a Gaussian of that width.
+    - `radius`, m, and `conductance`, S, of a contact (1e-4 by default); in an image a
+      Gaussian of that width, but by "rigs" a disc, by default of 2 mm and 1 S, which holds
+      the sheet at V0.
 
     **Raises:** `ValueError` for places off the sheet or none, unknown names, λ ≤ 0, and a
     noise that is NaN, not symmetric or not positive.
@@ -120,10 +127,13 @@ def design_objective(
         if number is not None:
             require_positive(name, float_array(name, number))
     rigs = criterion == "rigs"
-    require(not rigs or method == "points", "criterion", "'rigs' of an image", "another")
+    fits = not rigs or method != "source"
+    require(fits, "criterion", "'rigs' of 'source'", "another, or another method")
     given = noise is not None
     require(not (rigs and given), "noise", "a value for criterion 'rigs'", "none: rigs'")
     precision = None if noise is None else _precision(sensor, noise)
+    metal = 1.0 if rigs and method == "linear" else 1e-4
+    conductance = metal if conductance is None else conductance
     # Where its contacts are is what `points` alone needs to know closely.
     points = Points.of(sensor, (grid, grid)) if method != "linear" else None
     if method == "points":
@@ -145,8 +155,14 @@ def design_objective(
             points.sheet, where, size, resistance, jnp.arange(found.electrode_count)
         )
         shares = (each / each.mean(1, keepdims=True)) ** 2
-    width = _BLOB * pitch(sensor) if radius is None else radius
     value = _RELATIVE * found.scale() if lam is None else lam
+    if rigs:
+        assert isinstance(found, Linear)
+        disc = _DISC if radius is None else radius
+        return simulated_image(
+            sensor, found, where, value, disc, conductance, pitch(sensor)
+        )
+    width = _BLOB * pitch(sensor) if radius is None else radius
     return image_objective(found, where, criterion, value, precision, width, shares)
 
 
@@ -195,20 +211,6 @@ def image_objective(
     if criterion == "d":
         columns = _span(columns)
     return ImageVariance(criterion, grams, columns, shares, jnp.asarray(lam, grams.dtype))
-
-
-def blobs(
-    shape: tuple[int, int], cell: Float[Array, "2"], places: Float[Array, "P 2"], width: Any
-) -> Float[Array, "P pixels"]:
-    """Images of Gaussians at `places`, of σ = `width`, m, and of length 1."""
-    sides = [
-        jnp.exp(
-            -((((jnp.arange(n, dtype=d.dtype) + 0.5) * d - at[:, None]) / width) ** 2) / 2
-        )
-        for n, d, at in zip(shape, cell, places.T)
-    ]
-    images = (sides[0][:, :, None] * sides[1][:, None]).reshape(len(places), -1)
-    return images / jnp.linalg.norm(images, axis=1, keepdims=True)
 
 
 def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:

@@ -16,13 +16,11 @@ from jaxtyping import Array, Float
 from tomojax._converter import Converter
 from tomojax._design_contacts import contact_columns, contact_current
 from tomojax._design_objectives import AbstractObjective
-from tomojax._design_rigs import GAIN, varied
-from tomojax._forward import resistances
+from tomojax._design_rigs import differences, disc_shares, GAIN
 from tomojax._points import Points
 from tomojax._sensor import Sensor
 from tomojax._step_methods import Follow
 from tomojax.kernels._blocktri import matmul
-from tomojax.kernels._mesh import centroids
 from tomojax.kernels._one_slot import slot_weights, solve_small, weighed
 
 # Rigs that are simulated.
@@ -70,12 +68,10 @@ def simulated_place_error(
     """Of discs at `places` on rigs as `simulate_scenes` has them."""
     m, sheet = points.electrode_count, points.sheet
     noise = Follow.of(points, 1, np.ones(m, bool)).noise
-    inside = _discs(sensor, places, float(sheet.size))
-    ee, ek = _resistances(sensor, inside)
+    inside = disc_shares(sensor, np.asarray(places), float(sheet.size))
     keys = jax.random.split(jax.random.key(0), _RIGS)
-    rigs = [_resistances(varied(sensor, key), inside) for key in keys]
-    more_ee = jnp.stack([r[0] for r in rigs]) - ee  # (R, M, M)
-    more_ek = jnp.stack([r[1] for r in rigs]) - ek  # (R, M, P)
+    more = [(d.electrodes, d.elements @ inside) for d in differences(sensor, keys)]
+    more_ee, more_ek = (jnp.stack(part) for part in zip(*more))  # (R, M, M), (R, M, P)
     gain, hiss = jax.random.split(jax.random.key(1))
     gains = GAIN * jax.random.normal(gain, (_RIGS, m), sensor.dtype)
     hisses = Converter().noise * jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
@@ -105,19 +101,3 @@ def score(
     share = gram[1:, 0] / gram[0, 0]
     told = gram[1:, 1:] - share[:, None] * gram[0, 1:]
     return told, right[:, 1:] - right[:, :1] * share
-
-
-def _discs(
-    sensor: Sensor, places: Float[Array, "P 2"], radius: float
-) -> Float[np.ndarray, "K P"]:
-    """Of each disc's current what enters each element; of a small one the nearest."""
-    middles = np.asarray(centroids(sensor.divisions, sensor.size))
-    apart = np.hypot(*(middles[:, None] - np.asarray(places)).transpose(2, 0, 1))
-    inside = (apart <= np.maximum(radius, apart.min(0) * (1 + 1e-9))).astype(float)
-    return inside / inside.sum(0)
-
-
-def _resistances(sensor: Sensor, inside: np.ndarray) -> tuple[Array, Array]:
-    """R_ee', and R_e at the discs, Ω, by elements: mesh errors cancel in differences."""
-    table = resistances(sensor, "fem")
-    return table.electrodes, table.elements @ jnp.asarray(inside, sensor.dtype)

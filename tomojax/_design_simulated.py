@@ -16,16 +16,11 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from tomojax._checks import float_array, require, require_shape
-from tomojax._converter import Converter
-from tomojax._custom_types import Numbers
+from tomojax._checks import require_shape
+from tomojax._design_contacts import blobs
 from tomojax._design_objectives import AbstractObjective
-from tomojax._design_problem import blobs
-from tomojax._design_rigs import GAIN, varied
-from tomojax._forward import voltages
+from tomojax._design_rigs import Scenes
 from tomojax._linear import Linear
-from tomojax._sensor import Sensor
-from tomojax._shapes import Disc
 from tomojax._source import Source
 from tomojax.kernels._blocktri import matmul
 from tomojax.kernels._positive import gaussian
@@ -39,53 +34,6 @@ _DECADES, _STEPS = 3, 12
 
 # Of λ/σ₁², where the search for λ begins.
 _FIRST = 1e-5
-
-
-class Scenes(NamedTuple):
-    """Single contacts and the voltages of all ground conditions."""
-
-    places: Float[Array, "P 2"]  # m
-    voltages: Float[Array, "P L M"]  # V
-
-
-def simulate_scenes(
-    sensor: Sensor,
-    places: Numbers,
-    *,
-    radius: float = 0.002,
-    conductance: float = 1.0,
-    rigs: int = 4,
-    seed: int = 0,
-) -> Scenes:
-    """Contacts (discs, m and S) at `places` on `rigs` that are not as `sensor` says.
-
-    Each has a sheet that varies by 2 % rms in waves of half a side and longer, electrodes
-    off by 75 µm, gains off by 0.05 %, and a 16-bit converter with 0.3 mV of noise. Rigs
-    take turns over the places. A contact of 1 S holds the sheet at V0, as in Eq. 1.
-    """
-    at = np.asarray(float_array("places", places, sensor.dtype))
-    require(1 <= rigs <= len(at), "rigs", rigs, f"1 to {len(at)}, one place each at least")
-    density = conductance / (np.pi * radius**2)
-    converter = Converter()
-    found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
-    keys = jax.random.split(jax.random.key(seed), rigs)
-    for number, key in enumerate(keys):
-        sheet, gain, noise = jax.random.split(key, 3)
-        rig = varied(sensor, sheet)
-        gains = 1 + GAIN * jax.random.normal(gain, (sensor.electrode_count,), sensor.dtype)
-        # As many for each rig, for one compilation.
-        turns = np.arange(number, len(at), rigs)
-        some = jnp.asarray(at[np.resize(turns, -(-len(at) // rigs))], sensor.dtype)
-        exact = _exact(rig, some, radius, density)[: len(turns)]
-        found[number::rigs] = converter(gains * exact, noise)
-    return Scenes(jnp.asarray(at, sensor.dtype), jnp.asarray(found, sensor.dtype))
-
-
-@eqx.filter_jit
-def _exact(
-    rig: Sensor, places: Float[Array, "n 2"], radius: float, density: float
-) -> Float[Array, "n L M"]:
-    return jax.lax.map(lambda place: voltages(rig, Disc(place, radius, density)), places)
 
 
 class ImageError(AbstractObjective):
@@ -118,7 +66,10 @@ class ImageError(AbstractObjective):
         count, m = len(factors), method.electrode_count
         require_shape("voltages", scenes.voltages, (None, count, m))
         rights = jnp.einsum("lmr,plm->plr", factors, scenes.voltages, precision="highest")
-        targets = blobs(method.shape, method.cell, scenes.places, width)
+        places = scenes.places.reshape(-1, 2)
+        targets = blobs(method.shape, method.cell, places, width)
+        targets = targets.reshape(len(scenes.places), -1, targets.shape[1]).sum(1)
+        targets = targets / jnp.linalg.norm(targets, axis=1, keepdims=True)
         lam = jnp.log(jnp.asarray(_FIRST * method.scale(), basis.dtype))
         length = jnp.zeros((), basis.dtype) if smooth else None
         return cls(grams, rights, basis, targets, lam, length, method.shape)
@@ -132,7 +83,8 @@ class ImageError(AbstractObjective):
         return float(jnp.exp(self.log_lam))
 
     def alone(self, k: Array) -> "ImageError":
-        return replace(self, rights=self.rights[k][None], targets=self.targets[k][None])
+        k = jnp.atleast_1d(k)
+        return replace(self, rights=self.rights[k], targets=self.targets[k])
 
     def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
         """φ of every scene, from one set of slots."""

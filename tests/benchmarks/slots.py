@@ -1,13 +1,15 @@
 """Error against the number of slots: the paper's nine patterns and designed sets, by Eq. 3.
 
-    python tests/benchmarks/slots.py [--scenes 40] [--out FOLDER]
+    python tests/benchmarks/slots.py [--scenes 160] [--out FOLDER]
 
 Images of `linear` (J(0)) of contacts that hold the sheet at V0, the paper's own case.
-Designs are made on nominal values; λ is chosen for each set by the least image error of
-simulated scenes (rigs that vary); what is measured are voltages of a resistor network
-(tests/rig.py), other sheets and places. Sets by place look up where `points` finds the
-contacts in the two exploratory slots, which are not counted, as in the paper. Writes
-slots.json and slots.png.
+Designs are made on nominal values and simulated rigs; what is measured are voltages of a
+resistor network (tests/rig.py), other sheets and places. λ is a trade of place for width,
+so sets are compared where they are equally wide: each has the λ at which its images of
+simulated scenes are 10 mm (half-value width). Beside it, the λ of least image error, and
+the whole curve. Sets by place look up where `points` finds the contacts in the two
+exploratory slots, which are not counted, as in the paper. "at most n" is the design of
+up to n slots whose simulated figures are best. Writes slots.json and slots.png.
 """
 
 import argparse
@@ -29,12 +31,14 @@ from rig import Rig  # noqa: E402
 
 import tomojax as tx  # noqa: E402
 from tomojax import kernels  # noqa: E402
+from tomojax._design_policy import designs_by_place  # noqa: E402
 
 COUNTS = (1, 2, 4, 6, 8, 12, 16, 28)
+BY_PLACE, ONE_FOR_ALL, SHAPE = (1, 2, 4, 6, 8, 12), (2, 4, 8, 16), (20, 20)
 APART = (0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06)  # m, of two contacts
 GRID, WIDTH, RADIUS = 32, 0.008, 0.002
-RAYLEIGH = 0.19
-LAMS = np.logspace(-7.5, -2, 23)  # λ/σ₁²
+RAYLEIGH, WIDE = 0.19, 10.0  # mm
+LAMS = np.logspace(-7.5, -3.5, 17)  # λ/σ₁²
 
 
 def scenes(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -42,7 +46,7 @@ def scenes(count: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     found, rng = {}, np.random.default_rng(77)
     for name in ("one", *APART):
         places, volts = [], []
-        for k in range(count):
+        for k in range(count if name == "one" else count // 4):
             if k % 10 == 0:
                 rig = Rig(np.random.default_rng(900 + k))
             middle = (
@@ -67,13 +71,21 @@ class Sets:
         self.sensor = sensor
         self.points = tx.method(tx.Sensor.grid(divisions=(32, 32)), "points", GRID)
         self.corners = np.asarray(tx.exploration(sensor))
-        places = tx.design_places(sensor, count=64)
-        objective = tx.design_objective(sensor, places, "linear", grid=GRID)
-        self.one_for_all, self.tables = {}, {}
-        for n in COUNTS:
-            self.one_for_all[n] = tx.design(objective, n).grounds
-            policy = tx.design_policy(sensor, n, "linear", (12, 12), grid=GRID).policy
-            self.tables[n] = np.asarray(policy.table)
+        information = tx.design_objective(
+            sensor, tx.design_places(sensor, count=64), "linear", grid=GRID
+        )
+        self.one_for_all = {n: tx.design(information, n).grounds for n in ONE_FOR_ALL}
+        jax.clear_caches()
+        size = np.asarray(sensor.size)
+        parts = [(np.arange(n) + 0.5) / n * s for n, s in zip(SHAPE, size)]
+        places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+        objective = tx.design_objective(sensor, places, "linear", "rigs", grid=GRID)
+        away = np.linalg.norm(np.asarray(sensor.electrode_xy) - places[:, None], axis=-1)
+        self.tables = {}
+        for n in BY_PLACE:
+            sets = np.asarray(designs_by_place(objective, n)[0])
+            order = np.argsort(np.where(sets > 0.5, away, np.inf), 1)[:, :n]
+            self.tables[n] = order.reshape(*SHAPE, n)
             print(f"designed: {n} slots", flush=True)
             jax.clear_caches()
 
@@ -94,12 +106,13 @@ class Sets:
                 at = np.nan_to_num(rows.contact_xy[k, :some], nan=0.08) / size
                 cells = np.clip((at * table.shape[:2]).astype(int), 0, table.shape[0] - 1)
                 each = [table[i, j] for i, j in cells]
-                # As a step takes them: in turn, and no ground twice.
+                # In turn, and no ground twice.
                 turn = [g for slot in zip(*each) for g in slot]
                 w[list(dict.fromkeys(turn))[: int(n)]] = 1
         elif kind in ("around", "cop_line", "point"):
-            for w, v in zip(weights, volts):
-                w[np.asarray(tx.pattern(self.sensor, kind, v[self.corners]))] = 1
+            scan = tx.AdaptiveScan(self.sensor, kind)
+            sets = jax.jit(jax.vmap(lambda v: scan(v)[0]))(volts[:, self.corners])
+            np.put_along_axis(weights, np.asarray(sets), 1, 1)
         elif kind.startswith("random"):
             for k, w in enumerate(weights):
                 w[np.asarray(tx.pattern(self.sensor, kind, seed=k))] = 1
@@ -122,102 +135,161 @@ def _images(objective: tx.ImageError, weights: jax.Array) -> jax.Array:
 def study(count: int) -> list[dict]:
     fine = tx.Sensor.grid(divisions=(64, 64))
     linear = tx.method(fine, "linear", GRID)
-    cell, scale = linear.cell, linear.scale()
-    train = tx.simulate_scenes(fine, tx.design_places(fine, count=48), rigs=8, seed=3)
+    rng = np.random.default_rng(4)
+    radii = RADIUS * np.sqrt(2) ** rng.uniform(-1, 1, 192)
+    region = [0.015, 0.015, 0.145, 0.145]
+    single = tx.design_places(fine, region, 192)
+    angle = rng.uniform(0, np.pi, 96)
+    along = 0.015 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    middle = np.asarray(tx.design_places(fine, [0.04, 0.04, 0.12, 0.12], 96))
+    pairs = np.stack([middle + along, middle - along], 1)
+    train = {
+        "train": tx.simulate_scenes(fine, single, radius=radii, rigs=8, seed=3),
+        "pairs": tx.simulate_scenes(fine, pairs, rigs=8, seed=4),
+    }
     sets, data = Sets(fine), scenes(count)
-    objective = {"train": tx.ImageError.of(linear, train, WIDTH)}
-    places = {"train": np.asarray(train.places)[:, None]}
-    volts = {"train": np.asarray(train.voltages)}
-    for name, (at, v) in data.items():
-        scene = tx.Scenes(jnp.asarray(at[:, 0]), jnp.asarray(v))
-        objective[name] = tx.ImageError.of(linear, scene, WIDTH)
-        places[name], volts[name] = at, v
-    rows_of = {name: sets.found(v) for name, v in volts.items()}
+    data |= {k: (np.asarray(v.places), np.asarray(v.voltages)) for k, v in train.items()}
+    places = {k: at.reshape(len(at), -1, 2) for k, (at, _) in data.items()}
+    volts = {k: v for k, (_, v) in data.items()}
+    objective = {
+        k: tx.ImageError.of(
+            linear, tx.Scenes(jnp.asarray(places[k]), jnp.asarray(v)), WIDTH
+        )
+        for k, v in volts.items()
+    }
+    rows_of = {k: sets.found(v) for k, v in volts.items()}
     names = [
         *tx.PATTERNS,
-        *(f"designed {n}" for n in COUNTS),
-        *(f"by_place {n}" for n in COUNTS),
+        *(f"designed {n}" for n in ONE_FOR_ALL),
+        *(f"by_place {n}" for n in BY_PLACE),
     ]
     table = []
     for name in names:
-        table.append(row(name, sets, objective, places, volts, rows_of, cell, scale))
-        print(json.dumps(table[-1]), flush=True)
+        weights = {k: sets.of(name, v, rows_of[k]) for k, v in volts.items()}
+        table.append({"set": name} | figures(objective, weights, places, linear))
+        print(json.dumps({k: v for k, v in table[-1].items() if k != "curve"}), flush=True)
         jax.clear_caches()
-    return table
+    return table + [at_most(table, n) for n in COUNTS]
 
 
-def row(name, sets, objective, places, volts, rows_of, cell, scale) -> dict:
-    weights = {k: sets.of(name, v, rows_of[k]) for k, v in volts.items()}
-    targets = objective["train"].targets
-    errors = []
-    for lam in LAMS * scale:
-        found = images(objective["train"], weights["train"], lam)
-        alike = (found * targets).sum(1) ** 2 / (found**2).sum(1)
-        errors.append(float(1 - alike.mean()))
-    lam = float(LAMS[int(np.argmin(errors))])
-    square = lambda k: images(objective[k], weights[k], lam * scale).reshape(-1, GRID, GRID)  # noqa: E731
-    one = square("one")
-    place = jax.vmap(lambda i: kernels.image_place(i, cell))(one)
-    off = 1e3 * np.linalg.norm(np.asarray(place) - places["one"][:, 0], axis=1)
-    width = 1e3 * np.asarray(jax.vmap(lambda i: kernels.half_width(i, cell))(one))
-    dips = {}
-    for d in APART:
-        pair = jnp.asarray(places[str(d)])
+def figures(objective, weights, places, linear) -> dict:
+    """Of one set: where its simulated images are WIDE, where their error is least, and
+    all along λ."""
+    cell, scale = linear.cell, linear.scale()
+
+    def square(k: str, lam: float) -> jax.Array:
+        return images(objective[k], weights[k], lam * scale).reshape(-1, GRID, GRID)
+
+    def singles(k: str, lam: float) -> dict:
+        found = square(k, lam)
+        place = jax.vmap(lambda i: kernels.image_place(i, cell))(found)
+        off = 1e3 * np.linalg.norm(np.asarray(place) - places[k][:, 0], axis=1)
+        width = 1e3 * np.asarray(jax.vmap(lambda i: kernels.half_width(i, cell))(found))
+        flat, targets = found.reshape(len(found), -1), objective[k].targets
+        alike = (flat * targets).sum(1) ** 2 / (flat**2).sum(1)
+        return {
+            "lam": lam,
+            "place_median_mm": float(np.median(off)),
+            "place_p90_mm": float(np.quantile(off, 0.9)),
+            "place_mean_mm": float(off.mean()),
+            "half_width_mm": float(width.mean()),
+            "image_error": float(1 - alike.mean()),
+        }
+
+    def apart(k: str, lam: float) -> float:
         each = jax.vmap(lambda i, p: kernels.two_point_dip(i, cell, p[0], p[1]))
-        dips[f"{1e3 * d:g}"] = float(
-            (np.asarray(each(square(str(d)), pair)) > RAYLEIGH).mean()
-        )
-    far = [float(mm) for mm, part in dips.items() if part >= 0.8]
+        dips = each(square(k, lam), jnp.asarray(places[k]))
+        return float((np.asarray(dips) > RAYLEIGH).mean())
+
+    def whole(lam: float) -> dict:
+        separated = {f"{1e3 * d:g}": apart(str(d), lam) for d in APART}
+        return singles("one", lam) | {"separated": separated}
+
+    simulated = [singles("train", float(lam)) for lam in LAMS]
+    widths = np.maximum.accumulate([s["half_width_mm"] for s in simulated])
+    wide = float(np.exp(np.interp(WIDE, widths, np.log(LAMS))))
+    least = float(LAMS[int(np.argmin([s["image_error"] for s in simulated]))])
     return {
-        "set": name,
         "slots": int(weights["one"].sum(1).mean().round()),
-        "lam_rule": "least image error of simulated scenes",
-        "lam": lam,
-        "train_error": float(min(errors)),
-        "place_median_mm": float(np.median(off)),
-        "place_p90_mm": float(np.quantile(off, 0.9)),
-        "half_width_mm": float(width.mean()),
-        "separated": dips,
-        "separation_mm": min(far) if far else None,
+        "simulated": singles("train", wide) | {"pairs_30": apart("pairs", wide)},
+        "equally_wide": whole(wide),
+        "least_error": whole(least),
+        "curve": [singles("one", float(lam)) for lam in LAMS],
+    }
+
+
+def at_most(table: list[dict], n: int) -> dict:
+    """Of the designs by place of up to n slots, the best by their simulated figures: one
+    for a single contact, one for two."""
+    some = [r for r in table if r["set"] in [f"by_place {m}" for m in BY_PLACE if m <= n]]
+    one = min(some, key=lambda r: r["simulated"]["place_mean_mm"])
+    two = max(some, key=lambda r: r["simulated"]["pairs_30"])
+    return {
+        "set": f"at_most {n}",
+        "slots": n,
+        "slots_taken": [one["slots"], two["slots"]],
+        "equally_wide": one["equally_wide"]
+        | {"separated": two["equally_wide"]["separated"]},
+        "curve": one["curve"],
     }
 
 
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(17, 4.6), layout="constrained")
-    rows = [r | {"pairs": 100 * r["separated"]["30"]} for r in rows]
+    figure = Figure(figsize=(18, 4.8), layout="constrained")
+    *panels, last = figure.subplots(1, 4)
     keys = {
-        "place_median_mm": "place error, median, mm",
-        "place_p90_mm": "place error, 90 %, mm",
-        "half_width_mm": "half-value width, mm",
+        "place_median_mm": f"place error at {WIDE:g} mm, median, mm",
+        "place_p90_mm": f"place error at {WIDE:g} mm, 90 %, mm",
         "pairs": "of pairs 30 mm apart told apart, %",
     }
-    for axes, (key, told) in zip(figure.subplots(1, 4), keys.items()):
-        for kind, style in (("designed", "C3-o"), ("by_place", "C0-^")):
+    kinds = {
+        "at_most": ("C0-^", "designed by place, at most so many slots"),
+        "by_place": ("C0:", "designed by place, all of them"),
+        "designed": ("C3-o", "designed, one set for all places"),
+    }
+
+    def figure_of(row: dict, key: str) -> float:
+        wide = row["equally_wide"]
+        return 100 * wide["separated"]["30"] if key == "pairs" else wide[key]
+
+    for axes, (key, told) in zip(panels, keys.items()):
+        for kind, (style, label) in kinds.items():
             some = [r for r in rows if r["set"].startswith(kind)]
-            label = "designed, one for all" if kind == "designed" else "designed, by place"
-            axes.semilogx(
-                [0.1 * r["slots"] for r in some], [r[key] for r in some], style, label=label
-            )
+            x = [0.1 * r["slots"] for r in some]
+            axes.semilogx(x, [figure_of(r, key) for r in some], style, label=label)
         for r in rows:
             if r["set"] in tx.PATTERNS:
                 mark = "^" if r["set"] in ("around", "cop_line", "point") else "o"
-                axes.semilogx(0.1 * r["slots"], r[key], mark, color="0.4")
-                axes.annotate(r["set"], (0.1 * r["slots"], r[key]), size=7)
+                axes.semilogx(0.1 * r["slots"], figure_of(r, key), mark, color="0.4")
+                axes.annotate(r["set"], (0.1 * r["slots"], figure_of(r, key)), size=7)
         axes.set(xlabel="Δt, ms (exploration not counted)", ylabel=told)
         axes.set_xticks(
             [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4],
             labels="0.1 0.2 0.4 0.8 1.6 3.2 6.4".split(),
         )
         axes.set_xticks([], minor=True)
-    axes.legend(fontsize=8)
+    panels[0].legend(fontsize=8)
+    for name in ("around", "cop_line", "point", "by_place 8"):
+        curve = next(r["curve"] for r in rows if r["set"] == name)
+        for key, style in (("place_median_mm", "-"), ("place_p90_mm", ":")):
+            last.plot(
+                [c["half_width_mm"] for c in curve],
+                [c[key] for c in curve],
+                style,
+                color=f"C{('by_place 8', 'around', 'cop_line', 'point').index(name)}",
+                label=name if style == "-" else None,
+            )
+    last.set(xlabel="half-value width, mm", ylabel="place error, mm: median, 90 % (dotted)")
+    last.set(xlim=(7, 20), ylim=(0, 10), title="All along λ")
+    last.legend(fontsize=8)
     figure.savefig(path, dpi=110)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=40)
+    parser.add_argument("--scenes", type=int, default=160)
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
     from benchmarks.physics import environment

@@ -1,6 +1,4 @@
-"""Several grounds at once, and errors of place on simulated rigs."""
-
-from dataclasses import replace
+"""Several grounds at once."""
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +8,6 @@ import pytest
 import tomojax as tx
 from tomojax import _design_shared as shared
 from tomojax._design_contacts import contact_columns
-from tomojax._design_scores import score
-from tomojax._points import Points
 from tomojax.kernels._one_slot import in_slot, tangents
 
 
@@ -98,41 +94,3 @@ def test_switches_come_out(sensor):
 def test_bad_pairs(sensor, places):
     with pytest.raises(ValueError, match="places"):
         tx.design_shared(sensor, places)
-
-
-def test_a_move_of_the_contact_is_its_score(sensor):
-    """What the voltages of a contact a little further on pull by is that move."""
-    points = Points.of(sensor, (8, 8))
-    size, resistance = jnp.zeros(()), jnp.asarray(1e4)
-    place, move = jnp.asarray([0.033, 0.041]), 1e-6
-    there = place + jnp.asarray([move, 0])
-    args = size, resistance, jnp.asarray(5)
-    columns = contact_columns(points.sheet, place, *args)
-    off = 1.3 * contact_columns(points.sheet, there, *args)[0] - columns[0]
-    told, pull = score(columns, columns, off[None])
-    known = told + jnp.diag(jnp.asarray([0.0, 0.0, 1e-9]))
-    moved = jnp.linalg.solve(known, pull[0]) * points.sheet.unit
-    # Of voltages 1.3 times as high the move counts 1.3 times.
-    np.testing.assert_allclose(moved[:2], [1.3 * move, 0], atol=0.01 * move)
-
-
-def test_errors_on_rigs(sensor):
-    places = tx.design_places(sensor, count=6)
-    objective = tx.design_objective(sensor, places, criterion="rigs")
-    ones = jnp.ones(16)
-    figures = np.asarray(objective(ones))
-    assert (figures > 1e-6).all() and (figures < 2e-3).all()
-    found = tx.design(objective, 3)
-    assert np.isnan(found.bound) and found.value <= found.greedy * (1 + 1e-9)
-    quiet = replace(objective, scores=objective.scores / 2)  # pyright: ignore
-    np.testing.assert_allclose(quiet(ones), figures / 2, rtol=1e-9)
-    slope = jax.grad(objective.value)(0.25 * ones)
-    assert np.isfinite(np.asarray(slope)).all()
-
-
-def test_rigs_are_for_points(sensor):
-    places = tx.design_places(sensor, count=2)
-    with pytest.raises(ValueError, match="criterion: got 'rigs' of an image"):
-        tx.design_objective(sensor, places, "linear", "rigs")
-    with pytest.raises(ValueError, match="noise: got a value for criterion 'rigs'"):
-        tx.design_objective(sensor, places, criterion="rigs", noise=1e-3)
