@@ -18,7 +18,7 @@ from tomojax.kernels._merit import half_width, image_place
 
 # Contacts around each place, how far off (of the electrodes' pitch, to each side), their
 # radii (factor, both ways), rigs that take turns, and what a width counts.
-_NEAR, _AROUND, _SIZES, _RIGS, _WIDTH = 12, 0.25, np.sqrt(2), 16, 0.6
+_NEAR, _AROUND, _SIZES, _RIGS, _WIDTH = 12, 1 / 6, np.sqrt(2), 16, 0.6
 
 
 class SimulatedImage(AbstractObjective):
@@ -66,7 +66,7 @@ def simulated_image(
     conductance: float,
     pitch: float,
 ) -> SimulatedImage:
-    """Of contacts within a quarter of the `pitch` of `places`, of radii about `radius`."""
+    """Of contacts within a sixth of the `pitch` of `places`, of radii about `radius`."""
     drawn = qmc.Halton(3, seed=0).random(len(places) * _NEAR)
     off = _AROUND * pitch * (2 * drawn[:, :2] - 1)
     at = np.repeat(np.asarray(places), _NEAR, 0) + off

@@ -25,6 +25,9 @@ from tomojax.kernels._subsets import heaviest
 # Swaps that are looked at for each place, and places that are computed side by side.
 _TRIED, _TOGETHER = 16, 64
 
+# Places of a table.
+_SHAPES = {"points": (32, 32), "linear": (24, 24), "source": (16, 16)}
+
 # λ/σ₁² that are tried (decades, and how many), pixels along a side of the images that they
 # are tried on, and the width of a contact in those (σ), m.
 _LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.008
@@ -58,7 +61,7 @@ def design_policy(
 
     **Arguments:** `method` and `options` as in `design_objective`, but that of "points" and
     "linear" the default is "rigs" (errors that slots share count); `shape` of the table, by
-    default (32, 32), and (16, 16) for images, which take longer.
+    default (32, 32), (24, 24) of "linear" and (16, 16) of "source", which take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
     1 to the electrodes'.
     """
@@ -67,7 +70,7 @@ def design_policy(
     require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
     whole = method != "points" and options.get("criterion") == "d"
     require(not whole, "criterion", "'d' of an image", "one with a figure for each place")
-    nx, ny = shape or ((32, 32) if method == "points" else (16, 16))
+    nx, ny = shape or _SHAPES.get(method, (16, 16))
     size = np.asarray(sensor.size, float)
     parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
     places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)

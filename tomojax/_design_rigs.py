@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax._checks import float_array, require, require_positive, require_shape
 from tomojax._converter import Converter
@@ -97,7 +97,8 @@ def simulate_scenes(
 
     Contacts draw their current evenly, or as metal does, from an even sheet in closed
     form; what a rig has more is by elements. (On a mesh alone a contact that holds the
-    sheet at V0 holds all nodes that it touches, and is larger by an element.)
+    sheet at V0 holds all nodes that it touches, and is larger by an element.) Metal that
+    touches the grounded electrode leaves the sheet no current.
 
     **Arguments:** `places` (P, 2), or (P, C, 2) of C contacts at once; `radius` one, or
     one for each scene (P,).
@@ -113,6 +114,9 @@ def simulate_scenes(
     require_positive("radius", radii)
     require_positive("conductance", float_array("conductance", conductance))
     radii = np.broadcast_to(np.asarray(radii), len(at))
+    away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
+    reach = radii + np.asarray(sensor.electrode_diameter) / 2
+    touched = jnp.asarray((away < reach[:, None, None]).any(1))
     sheet, converter = Points.of(sensor, (8, 8)).sheet, Converter()
     found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
     keys = jax.random.split(jax.random.key(seed), rigs)
@@ -123,7 +127,7 @@ def simulate_scenes(
         some = np.resize(turns, -(-len(at) // rigs))
         shares = disc_shares(sensor, at[some].reshape(-1, 2), float(radii.mean()))
         there = (more.elements @ shares).T.reshape(*at[some].shape[:2], -1)
-        drawn = jnp.asarray(at[some]), jnp.asarray(radii[some]), there
+        drawn = jnp.asarray(at[some]), jnp.asarray(radii[some]), there, touched[some]
         exact = _exact(sheet, *drawn, more.electrodes, conductance)
         gains = 1 + GAIN * jax.random.normal(split[number, 1], found.shape[1:2])
         seen = converter(gains.astype(sensor.dtype) * exact, split[number, 2])
@@ -137,6 +141,7 @@ def _exact(
     places: Float[Array, "n C 2"],
     radii: Float[Array, " n"],
     there: Float[Array, "n C M"],
+    touched: Bool[Array, "n M"],
     electrodes: Float[Array, "M M"],
     conductance: Array | float,
 ) -> Float[Array, "n L M"]:
@@ -146,10 +151,13 @@ def _exact(
     own = jnp.diagonal(each) + sheet.ground_resistance  # R_ll + z
     columns = own[:, None] - each  # V per A into the sheet, but for the contacts' places
     # Metal's current is at its rim: as an even disc's that is larger by e^¼.
-    larger = jnp.exp(metallic(sheet, conductance) / 4)
+    metal = metallic(sheet, conductance)
+    larger = jnp.exp(metal / 4)
+    z = jnp.broadcast_to(sheet.ground_resistance, own.shape)
+    short = sheet.drive_voltage * z / (z + 1 / conductance)
 
-    def scene(some: tuple[Array, Array, Array]) -> Float[Array, "L M"]:
-        place, radius, more = some
+    def scene(some: tuple[Array, Array, Array, Array]) -> Float[Array, "L M"]:
+        place, radius, more, touched = some
         radius = jnp.broadcast_to(radius * larger, place.shape[:1])
         potential = jax.vmap(field_at, (None, 0, 0))(sheet.field, place, radius) + more
         among = jax.vmap(green_of(sheet, place, radius))(place)
@@ -160,8 +168,9 @@ def _exact(
             loop = among - at_ground - at_ground[:, None] + own[ground]
             drive = jnp.broadcast_to(sheet.drive_voltage, (len(place), 1))
             current = solve_small(loop, drive)[:, 0]
-            return current @ (potential - at_ground[:, None] + columns[ground])
+            volts = current @ (potential - at_ground[:, None] + columns[ground])
+            return jnp.where(touched[ground] & (metal > 0.5), short[ground], volts)
 
         return jax.vmap(slot)(jnp.arange(len(each)))
 
-    return jax.lax.map(scene, (places, radii, there))
+    return jax.lax.map(scene, (places, radii, there, touched))

@@ -34,7 +34,7 @@ from tomojax import kernels  # noqa: E402
 from tomojax._design_policy import designs_by_place  # noqa: E402
 
 COUNTS = (1, 2, 4, 6, 8, 12, 16, 28)
-BY_PLACE, ONE_FOR_ALL, SHAPE = (1, 2, 4, 6, 8, 12), (2, 4, 8, 16), (20, 20)
+BY_PLACE, ONE_FOR_ALL, SHAPE = (1, 2, 4, 6, 8), (2, 4, 8, 16), (24, 24)
 APART = (0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06)  # m, of two contacts
 GRID, WIDTH, RADIUS = 32, 0.008, 0.002
 RAYLEIGH, WIDE = 0.19, 10.0  # mm

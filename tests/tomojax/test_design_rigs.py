@@ -34,7 +34,7 @@ def images(sensor):
 @pytest.mark.parametrize("count", [1, 2])
 def test_scenes_of_soft_contacts_are_a_mesh_s(sensor, count):
     places, conductance = np.array([[0.031, 0.042], [0.052, 0.022]])[:count], 1e-4
-    none = jnp.zeros((1, count, 16)), jnp.zeros((16, 16))
+    none = jnp.zeros((1, count, 16)), jnp.zeros((1, 16), bool), jnp.zeros((16, 16))
     sheet = Points.of(sensor, (8, 8)).sheet
     at = jnp.asarray(places)[None], jnp.asarray([0.006])
     got = rigs._exact(sheet, *at, *none, conductance)[0]
@@ -53,6 +53,18 @@ def test_scenes_of_metal_are_a_network_s():
         inside = rig.disc(place, 0.003)
         exact = rig.scene((inside, 1.0))[0]
         assert np.sqrt(((volts - exact) ** 2).mean()) < 0.03 * np.abs(exact).max()
+
+
+def test_metal_on_the_grounded_electrode(sensor):
+    """No current is left for the sheet, as in a network."""
+    rig = Rig(np.random.default_rng(0), 0, 0, 0, 0)
+    place = np.array([0.0502, 0.0498])
+    ground, other = 18, 27
+    exact = rig.scene((rig.disc(place, 0.002), 1.0))[0]
+    wide = tx.Sensor.grid(divisions=(32, 32))
+    got = np.asarray(tx.simulate_scenes(wide, [place], rigs=1).voltages[0])
+    assert np.abs(got[ground] - exact[ground]).max() < 0.05
+    assert np.ptp(got[ground]) < 0.01 and np.ptp(got[other]) > 1
 
 
 def test_a_radius_for_each_scene(sensor):
