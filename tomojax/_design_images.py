@@ -67,7 +67,8 @@ def simulated_image(
     pitch: float,
 ) -> SimulatedImage:
     """Of contacts within a sixth of the `pitch` of `places`, of radii about `radius`."""
-    drawn = qmc.Halton(3, seed=0).random(len(places) * _NEAR)
+    # The sequence's first is the corner.
+    drawn = qmc.Halton(3, scramble=False).random(len(places) * _NEAR + 1)[1:]
     off = _AROUND * pitch * (2 * drawn[:, :2] - 1)
     at = np.repeat(np.asarray(places), _NEAR, 0) + off
     radii = radius * _SIZES ** (2 * drawn[:, 2] - 1)
