@@ -40,7 +40,7 @@ _MAP = 32
     "--criterion",
     type=click.Choice(["place", "a", "d", "worst", "rigs"]),
     help="Of all places: the mean error of place, the mean variance, the volume of what "
-    "stays unknown, or the worst; rigs: the error of place on simulated ones. "
+    "stays unknown, or the worst; rigs: what is seen on simulated ones. "
     "[default: place; of a table for points or linear rigs]",
 )
 @click.option("--noise", type=float, help="V rms. [default: as the method takes it]")
