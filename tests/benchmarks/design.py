@@ -198,6 +198,7 @@ def draw(rows: list[dict], path: Path) -> None:
         right.bar(at + 0.35 * (k - 0.5), [row[name] for row in loops], 0.35, label=name)
     right.set_xticks(at, [row["policy"] for row in loops])
     right.set(ylabel="place error, mm", title="Closed loop, rigs that are not ours")
+    right.margins(y=0.25)  # the legend's
     right.legend()
     figure.savefig(path, dpi=110)
 

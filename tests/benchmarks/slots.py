@@ -270,7 +270,7 @@ def draw(rows: list[dict], path: Path) -> None:
             labels="0.1 0.2 0.4 0.8 1.6 3.2 6.4".split(),
         )
         axes.set_xticks([], minor=True)
-    panels[0].legend(fontsize=8)
+    panels[2].legend(fontsize=8, loc="lower right")
     for name in ("around", "cop_line", "point", "by_place 8"):
         curve = next(r["curve"] for r in rows if r["set"] == name)
         for key, style in (("place_median_mm", "-"), ("place_p90_mm", ":")):
