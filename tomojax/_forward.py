@@ -181,7 +181,10 @@ def voltages(
     Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches (at the
     mesh's nodes, and at the metal of electrodes under it), and one factorisation serves
     every ground condition. Between 0 and V0, as long as electrodes are small beside their
-    distance to the edge (a disc as near to it as it is wide was seen to read −1 %).
+    distance to the edge (a disc as near to it as it is wide was seen to read −1 %). A
+    contact that conducts far better than the sheet holds all nodes that it touches: a disc
+    of 2 mm and 1 S acted like one larger by about an element (`simulate_scenes` has none
+    of that).
 
     **Arguments:**
 
