@@ -42,6 +42,10 @@ class SimulatedImage(AbstractObjective):
     def slots(self) -> int:
         return self.images.slots
 
+    @property
+    def lam(self) -> float:
+        return self.images.lam
+
     def alone(self, k: Array) -> "SimulatedImage":
         count = self.contacts.shape[1]
         scenes = self.images.alone(k * count + jnp.arange(count))

@@ -126,6 +126,7 @@ def test_images_on_rigs(sensor, images):
     """Figures are of places and widths; alone they are the same; slopes are right."""
     w = jnp.asarray(np.random.default_rng(3).uniform(0.2, 1, 16))
     figures = np.asarray(images(w))
+    assert images.lam > 0
     assert figures.shape == (4,) and (figures > 0.002).all() and (figures < 0.05).all()
     alone = [float(images.alone(jnp.asarray(k)).value(w)) for k in range(4)]
     np.testing.assert_allclose(alone, figures, rtol=1e-9)
