@@ -9,7 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from tomojax._checks import float_array, require, require_positive, require_shape
+from tomojax._checks import (
+    float_array,
+    require,
+    require_finite,
+    require_positive,
+    require_shape,
+)
 from tomojax._converter import Converter
 from tomojax._custom_types import Numbers
 from tomojax._forward import resistances
@@ -102,12 +108,15 @@ def simulate_scenes(
 
     **Arguments:** `places` (P, 2), or (P, C, 2) of C contacts at once; `radius` one, or
     one for each scene (P,).
-    **Raises:** `ValueError` for other shapes, radii and conductances that are not above 0,
-    and a number of rigs outside 1 to the scenes'.
+    **Raises:** `ValueError` for other shapes, places off the sheet, radii and conductances
+    that are not above 0, and a number of rigs outside 1 to the scenes'.
     """
     given = float_array("places", places, sensor.dtype)
     require_shape("places", given, (None, 2), (None, None, 2))
+    require_finite("places", given)
     at = np.asarray(given).reshape(len(given), -1, 2)
+    off = int(((at < 0) | (at > np.asarray(sensor.size))).any(-1).sum())
+    require(off == 0, "places", f"{off} off the sheet", "places on it")
     require(1 <= rigs <= len(at), "rigs", rigs, f"1 to {len(at)}, one scene each at least")
     radii = float_array("radius", radius, sensor.dtype)
     require_shape("radius", radii, (), (len(at),))

@@ -8,7 +8,8 @@ resistor network (tests/rig.py), other sheets and places. λ is a trade of place
 so sets are compared where they are equally wide: each has the λ at which its images of
 simulated scenes are 10 mm (half-value width). Beside it, the λ of least image error, and
 the whole curve. Sets by place look up where `points` finds the contacts in the two
-exploratory slots, which are not counted, as in the paper. "at most n" is the design of
+exploratory slots, which are not counted, as in the paper. Tables are `design_policy`'s
+before it makes neighbours alike. "at most n" is the design of
 up to n slots whose simulated figures are best. Writes slots.json and slots.png.
 """
 

@@ -55,7 +55,7 @@ def test_scenes_of_metal_are_a_network_s():
         assert np.sqrt(((volts - exact) ** 2).mean()) < 0.03 * np.abs(exact).max()
 
 
-def test_metal_on_the_grounded_electrode(sensor):
+def test_metal_on_the_grounded_electrode():
     """No current is left for the sheet, as in a network."""
     rig = Rig(np.random.default_rng(0), 0, 0, 0, 0)
     place = np.array([0.0502, 0.0498])
@@ -81,6 +81,8 @@ def test_a_radius_for_each_scene(sensor):
     "words, message",
     [
         ({"places": np.zeros((3, 4))}, r"places: got shape \(3, 4\)"),
+        ({"places": [[0.03, 0.09]] * 2}, "places: got 2 off the sheet"),
+        ({"places": [[0.03, np.nan]] * 2}, "places: "),
         ({"radius": 0.0}, "radius: got"),
         ({"radius": [0.001] * 3}, r"radius: got shape \(3,\)"),
         ({"conductance": -1.0}, "conductance: got"),
