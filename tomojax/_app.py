@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
-from tomojax import _app_design, _app_live, _app_recordings, _app_track, _demo
+from tomojax import (
+    _app_design,
+    _app_frontier,
+    _app_live,
+    _app_recordings,
+    _app_track,
+    _demo,
+)
 from tomojax._environment import environment
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
@@ -76,6 +83,7 @@ app.add_command(_app_track.track)
 app.add_command(_app_live.record)
 app.add_command(_app_live.live)
 app.add_command(_app_design.design)
+app.add_command(_app_frontier.frontier)
 
 
 def run() -> None:

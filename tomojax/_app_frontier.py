@@ -1,0 +1,95 @@
+"""`tomojax frontier`: which method, pattern, mesh and precision to take."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+import numpy as np
+
+from tomojax._environment import environment
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("tomojax-frontier"),
+    show_default=True,
+    help="Folder for pictures and rows; run again, it goes on where it was.",
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write rows and a summary here. [default: frontier.json in the folder]",
+)
+@click.option("--scenes", type=int, help="Of each kind. [default: 40; quick: 8]")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option(
+    "--like",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="A recording of the rig: its sheet and electrodes.",
+)
+def frontier(
+    quick: bool,
+    out: Path,
+    json_path: Path | None,
+    scenes: int | None,
+    seed: int,
+    like: Path | None,
+) -> None:
+    """Speed against accuracy of every method and of the peers, on this machine.
+
+    On scenes whose voltages another model made: a resistor network with a rig's errors.
+    """
+    from tomojax import _frontier, _frontier_report
+    from tomojax._recording import open_recording
+    from tomojax._sensor import Sensor
+
+    _peers_there()
+    if scenes is not None and not 2 <= scenes <= 1000:
+        raise ValueError(f"--scenes: got {scenes}, expected 2 to 1000")
+    if seed < 0:
+        raise ValueError(f"--seed: got {seed}, expected 0 or more")
+    if json_path:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+    sensor = Sensor.grid(divisions=(64, 64), dtype=np.float32)
+    if like is not None:
+        with open_recording(like) as recording:
+            sensor = recording.rig.sensor()
+    steps = len(_frontier.jobs(quick)) + 1
+    with click.progressbar(
+        length=steps, label="frontier", file=sys.stderr, item_show_func=lambda m: m
+    ) as bar:
+        rows = _frontier.run(
+            sensor, out, quick, scenes, seed, lambda done: bar.update(1, done)
+        )
+    failed = [row for row in rows if row.get("failed")]
+    rows = [row for row in rows if not row.get("failed")]
+    _frontier.mark_front(rows)
+    print(_frontier_report.text(rows))
+    for row in failed:
+        print(f"failed: {row['method']}, {row['dtype']}: {row['failed']}")
+    path = json_path or out / "frontier.json"
+    summary = _frontier_report.summary(rows) | {"failed": failed}
+    report = {"rows": rows, "summary": summary, "environment": environment()}
+    path.write_text(json.dumps(report, indent=1) + "\n")
+    for draw, name in (
+        (_frontier_report.chart, "frontier.png"),
+        (_frontier_report.rungs, "frontier_rungs.png"),
+    ):
+        draw(rows).savefig(out / name, dpi=110)
+        print(f"picture: {out / name}")
+
+
+def _peers_there() -> None:
+    """Known before the work: the peers are part of the picture."""
+    from importlib.util import find_spec
+
+    for module in ("pyeit", "skfem"):
+        if find_spec(module) is None:
+            raise ValueError(
+                f"{module} is not installed; pip install 'tomojax[app,peers]' brings it"
+            )

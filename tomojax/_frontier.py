@@ -1,0 +1,175 @@
+"""`tomojax frontier`: speed against accuracy of every method, on this machine.
+
+A scene's voltages are a resistor network's, with the errors of a rig; what reconstructs
+is told nominal values. Each method, mesh and dtype is a job in a process of its own; rows
+are kept as they come, so that a run that was cut off goes on where it was.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from tomojax._design import design
+from tomojax._design_problem import design_objective, design_places
+from tomojax._frontier_job import Job
+from tomojax._frontier_scenes import KINDS, load_trials, make_trials, save_trials
+from tomojax._patterns import PATTERNS
+from tomojax._sensor import Sensor
+
+# Scenes of each kind.
+SCENES, QUICK_SCENES = 40, 8
+
+_RULES = ("own", "cautious", "gcv", "discrepancy", "l_curve")
+
+
+def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
+    """What is measured. All that only `linear` has a choice of is swept with `linear`."""
+    if quick:
+        return [
+            Job("linear", ("all", "around"), batches=(256,)),
+            Job("source", ("corner", "corners", "all"), batches=(256,)),
+            Job("points", ("corners",), batches=(1, 256)),
+            Job("follow", ("around_contacts",)),
+            Job("peers", ("all", "edge"), batches=(256,), dtype="float64"),
+        ]
+    batches, own = (1, 32, 256, 1024), ("own",)
+    every = ("corner", "corners", "ten", *PATTERNS, "designed")
+    some = ("corner", "corners", "ten", "all")
+    few = ("corners", "around", "all")
+    return [
+        Job("linear", every, own, batches, designed=designed),
+        Job("linear", ("around", "all"), _RULES[1:], (256,)),
+        Job("linear", ("around", "all"), own, (1, 256), dtype="float64"),
+        *(Job("linear", ("around", "all"), own, (256,), pixels) for pixels in (16, 64)),
+        Job("source", every, own, batches, designed=designed),
+        Job("source", few, own, (1, 256), dtype="float64"),
+        *(Job("source", few, own, (256,), pixels) for pixels in (16, 64)),
+        Job("positive", few, own, (1, 256)),
+        Job("points", some),
+        Job("points", ("corners",), dtype="float64"),
+        Job("conductance", ("corners", "ten", "all")),
+        Job("auto", ("corners", "ten", "all")),
+        Job("follow", ("around_contacts", "around", "all")),
+        Job("peers", ("all", "boundary", "edge", "around"), own, (1, 256), dtype="float64"),
+    ]
+
+
+def run(
+    sensor: Sensor,
+    folder: Path,
+    quick: bool = False,
+    scenes: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str], Any] = lambda done: None,
+) -> list[dict[str, Any]]:
+    """Rows of all jobs; what `folder` has of the same run already is not done again.
+
+    **Raises:** `ValueError` where `folder` holds a run with other scenes.
+    """
+    count = scenes or (QUICK_SCENES if quick else SCENES)
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"scenes": count, "seed": seed, "quick": quick}
+    _same_run(folder / "frontier-run.json", told)
+    path = folder / "frontier-scenes.npz"
+    if not path.exists():
+        new = path.with_name("new-scenes.npz")
+        save_trials(new, sensor, make_trials(sensor, count, seed))
+        new.rename(path)
+    progress("scenes")
+    done, rows = _kept(folder / "frontier-rows.jsonl")
+    for job in jobs(quick, () if quick else _designed(path)):
+        key = json.dumps(job._asdict())
+        if key not in done:
+            made = _measured(path, job)
+            with (folder / "frontier-rows.jsonl").open("a") as file:
+                file.write(json.dumps({"job": key, "rows": made}) + "\n")
+            rows += made
+        progress(job.method)
+    return rows
+
+
+def _same_run(path: Path, told: dict[str, Any]) -> None:
+    if path.exists() and json.loads(path.read_text()) != told:
+        was = path.read_text().strip()
+        raise ValueError(
+            f"{path.parent}: got a run of {told}, expected {was} as begun there, "
+            "or another folder"
+        )
+    path.write_text(json.dumps(told) + "\n")
+
+
+def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
+    """Jobs that are done, and their rows; a line that was cut off does not count."""
+    done, rows = set(), []
+    text = path.read_text() if path.exists() else ""
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole)
+    for line in whole.splitlines():
+        kept = json.loads(line)
+        done.add(kept["job"])
+        rows += kept["rows"]
+    return done, rows
+
+
+def _designed(path: Path) -> tuple[int, ...]:
+    """Eight grounds for the whole sheet, by their place error."""
+    with jax.enable_x64(True):
+        sensor, _ = load_trials(path, "float64")
+        places = design_places(sensor)
+        found = design(design_objective(sensor, places, "points", "place"), 8)
+    return tuple(int(g) for g in found.grounds)
+
+
+def _measured(path: Path, job: Job) -> list[dict[str, Any]]:
+    """Its rows; of a job that fails one that says so."""
+    words = [sys.executable, "-m", "tomojax._frontier_job", str(path)]
+    command = [*words, json.dumps(job._asdict())]
+    wide = "1" if job.dtype == "float64" else "0"
+    settings = {**os.environ, "JAX_ENABLE_X64": wide}
+    out = subprocess.run(command, capture_output=True, text=True, env=settings)
+    if out.returncode:
+        why = (out.stderr.strip().splitlines() or ["killed"])[-1]
+        return [{**job._asdict(), "scene": None, "failed": why}]
+    return [json.loads(line) for line in out.stdout.splitlines() if line.startswith("{")]
+
+
+def mark_front(rows: list[dict[str, Any]]) -> None:
+    """`on_front`: of its kind of scene none is both quicker a frame and nearer the place.
+
+    The peers do not take part: the front is ours, and they are where they are.
+    """
+    for row in rows:
+        row["on_front"] = False
+    for kind in KINDS:
+        some = [r for r in rows if r["scene"] == kind and not r["peer"]]
+        some = [r for r in some if r["place_median_mm"] is not None]
+        best = np.inf
+        for row in sorted(some, key=lambda r: (r["p50_us"], r["place_median_mm"])):
+            if row["place_median_mm"] < best:
+                row["on_front"], best = True, row["place_median_mm"]
+
+
+def beside_peers(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """For each row of a peer: ours that is no further off and quickest, and the one that
+    is no slower and nearest."""
+    for peer in (r for r in rows if r["peer"] and r["place_median_mm"] is not None):
+        ours = [r for r in rows if r["scene"] == peer["scene"] and not r["peer"]]
+        ours = [r for r in ours if r["place_median_mm"] is not None]
+        near = [r for r in ours if r["place_median_mm"] <= peer["place_median_mm"]]
+        fast = [r for r in ours if r["p50_us"] <= peer["p50_us"]]
+        quickest = min(near, key=lambda r: r["p50_us"], default=None)
+        nearest = min(fast, key=lambda r: r["place_median_mm"], default=None)
+        yield {
+            "peer": peer,
+            "times_as_fast": quickest and peer["p50_us"] / quickest["p50_us"],
+            "quickest": quickest,
+            "nearest": nearest,
+        }
