@@ -11,6 +11,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from pathlib import Path
 from typing import Any, cast, get_args, NamedTuple
 
@@ -29,10 +30,10 @@ from tomojax._patterns import AdaptivePattern, AdaptiveScan, exploration, patter
 from tomojax._sensor import Sensor
 
 # Seconds for which a call is repeated, and calls at least and at most.
-_SECONDS, _LEAST, _MOST = 1.0, 5, 300
+_SECONDS, _LEAST, _MOST = 0.5, 3, 300
 
 # Contacts looked for; slots of a step before what it says is compared.
-_CONTACTS, _WARM = 4, 12
+_CONTACTS, _WARM = 3, 12
 
 # Frames that λ is chosen from.
 _FRAMES = 8
@@ -167,7 +168,7 @@ def _times(
                 if fits and not images:
                     continue  # an image costs next to nothing beside the fit
                 count = min(batch, len(at)) if fits else batch
-                turn = iter(np.resize(at, 1 << 16))
+                turn = cycle(at)
 
                 def call(count=count, turn=turn, images=images, ready=prepared) -> None:
                     some = [next(turn) for _ in range(count)]

@@ -22,7 +22,7 @@ from tomojax._frontier_scenes import KINDS, score, Trials
 from tomojax._sensor import Sensor
 from tomojax.kernels._mesh import nodes as mesh_nodes, triangles
 
-_CELLS, _CONTACTS = 40, 4
+_CELLS, _CONTACTS = 40, 3
 _RELATIVE = tuple(10.0 ** np.arange(-6, 0))
 
 

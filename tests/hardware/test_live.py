@@ -47,7 +47,10 @@ def test_the_loop_is_closed(step, scene, places, tmp_path, link):
     # What was asked for is grounded in the next slot or the one after.
     asked, grounds = rows["next"][:-2].astype(int), rows["ground"].astype(int)
     obeyed = (asked == grounds[1:-1]) | (asked == grounds[2:])
-    assert obeyed[done[:-2]].mean() > 0.5
+    # Of those that were answered before the next was read: what the machine is busy with
+    # is not the loop's.
+    quick = done[:-2] & (rows["latency"][:-2] < 0.8 / RATE)
+    assert quick.sum() > 20 and obeyed[quick].mean() > 0.5
     worked = rows[done]
     on = worked["count"] == 1
     off = np.linalg.norm(worked["xy"][on][:, 0, None] - places, axis=-1).min(1)
