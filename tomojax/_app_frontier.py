@@ -3,6 +3,7 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -61,10 +62,15 @@ def frontier(
             sensor = recording.rig.sensor()
     steps = len(_frontier.jobs(quick)) + 1
     with click.progressbar(
-        length=steps, label="frontier", file=sys.stderr, item_show_func=lambda m: m
+        length=steps, label="frontier", file=sys.stderr, item_show_func=_named
     ) as bar:
         rows = _frontier.run(
-            sensor, out, quick, scenes, seed, lambda done: bar.update(1, done)
+            sensor,
+            out,
+            quick,
+            scenes,
+            seed,
+            lambda done: bar.update(1, done),  # pyright: ignore
         )
     failed = [row for row in rows if row.get("failed")]
     rows = [row for row in rows if not row.get("failed")]
@@ -82,6 +88,10 @@ def frontier(
     ):
         draw(rows).savefig(out / name, dpi=110)
         print(f"picture: {out / name}")
+
+
+def _named(job: Any) -> str | None:
+    return job
 
 
 def _peers_there() -> None:

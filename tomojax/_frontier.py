@@ -24,7 +24,7 @@ from tomojax._patterns import PATTERNS
 from tomojax._sensor import Sensor
 
 # Scenes of each kind.
-SCENES, QUICK_SCENES = 40, 8
+SCENES, QUICK_SCENES = 40, 6
 
 _RULES = ("own", "cautious", "gcv", "discrepancy", "l_curve")
 
@@ -34,10 +34,10 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
     if quick:
         return [
             Job("linear", ("all", "around"), batches=(256,)),
-            Job("source", ("corner", "corners", "all"), batches=(256,)),
-            Job("points", ("corners",), batches=(1, 256)),
+            Job("source", ("corner", "all"), batches=(256,)),
+            Job("source", ("corner",), batches=(256,), pixels=16),
             Job("follow", ("around_contacts",)),
-            Job("peers", ("all", "edge"), batches=(256,), dtype="float64"),
+            Job("peers", ("edge",), batches=(256,), dtype="float64"),
         ]
     batches, own = (1, 32, 256, 1024), ("own",)
     every = ("corner", "corners", "ten", *PATTERNS, "designed")
@@ -52,10 +52,10 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         Job("source", few, own, (1, 256), dtype="float64"),
         *(Job("source", few, own, (256,), pixels) for pixels in (16, 64)),
         Job("positive", few, own, (1, 256)),
-        Job("points", some),
-        Job("points", ("corners",), dtype="float64"),
-        Job("conductance", ("corners", "ten", "all")),
-        Job("auto", ("corners", "ten", "all")),
+        Job("points", some, own, (64,)),
+        Job("points", ("corners",), own, (64,), dtype="float64"),
+        Job("conductance", ("corners", "ten", "all"), own, (4,)),
+        Job("auto", ("corners", "ten", "all"), own, (32,)),
         Job("follow", ("around_contacts", "around", "all")),
         Job("peers", ("all", "boundary", "edge", "around"), own, (1, 256), dtype="float64"),
     ]

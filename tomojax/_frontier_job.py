@@ -33,7 +33,7 @@ from tomojax._sensor import Sensor
 _SECONDS, _LEAST, _MOST = 0.5, 3, 300
 
 # Contacts looked for; slots of a step before what it says is compared.
-_CONTACTS, _WARM = 3, 12
+_CONTACTS, _WARM = 3, 30
 
 # Frames that λ is chosen from.
 _FRAMES = 8
@@ -104,7 +104,7 @@ def method_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
     """Rows of a method of the ladder."""
     model = make_method(sensor, job.method, job.pixels)
     size = np.asarray(sensor.size)
-    mesh = pixel_divisions(sensor, (job.pixels,) * 2, model.cells_per_diameter)
+    mesh = pixel_divisions(sensor, (job.pixels, job.pixels), model.cells_per_diameter)
     for name in job.patterns:
         grounds = grounds_of(sensor, name, trials.volts, job.designed)
         volts = np.take_along_axis(trials.volts, grounds[..., None], 1)
@@ -167,18 +167,17 @@ def _times(
             for images in (True, False):
                 if fits and not images:
                     continue  # an image costs next to nothing beside the fit
-                count = min(batch, len(at)) if fits else batch
                 turn = cycle(at)
 
-                def call(count=count, turn=turn, images=images, ready=prepared) -> None:
+                def call(count=batch, turn=turn, images=images, ready=prepared) -> None:
                     some = [next(turn) for _ in range(count)]
                     v, under = jnp.asarray(volts[some]), grounds[some]
                     out = model.block(ready, v, under, _CONTACTS, images)
                     [np.asarray(a) for a in out if a is not None]
 
-                if fits and batch > 1:
+                if fits:
                     call()  # compiles what any of the scenes asks for
-                told = timing(*repeated(call), count)
+                told = timing(*repeated(call), batch)
                 output = "image" if images else "contacts"
                 yield kind, {"output": output, "prepare_ms": spent, **told}
 
@@ -202,12 +201,12 @@ def chosen_lambda(model: AbstractMethod, rule: str, frames: list[Frame]) -> floa
 def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
     """Of the step that follows contacts, each slot grounded as its policy asks."""
     for name in job.patterns:
-        step = make_step(sensor, "follow", name, contacts=2)
+        step = make_step(sensor, "follow", name, contacts=_CONTACTS)
         volts = trials.volts.astype(job.dtype)
         for kind, at in _kinds(trials):
             outs, spent, first = [], [], 0.0
             for k in at:
-                state, ground = step.state, 0
+                state, ground, out = step.state, 0, None
                 for _ in range(_WARM):
                     v, begin = volts[k, ground], time.perf_counter()
                     state, out = step(state, v, ground)
@@ -246,8 +245,12 @@ def _rows_of(outs: list[Any]) -> Rows:
 
 
 def main() -> None:
-    path, words = Path(sys.argv[1]), json.loads(sys.argv[2])
-    job = Job(**{k: tuple(v) if isinstance(v, list) else v for k, v in words.items()})
+    path = Path(sys.argv[1])
+    words: dict[str, Any] = json.loads(sys.argv[2])
+    told: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in words.items()
+    }
+    job = Job(**told)
     sensor, trials = load_trials(path, job.dtype)
     if job.method == "follow":
         rows = follow_rows(job, sensor, trials)

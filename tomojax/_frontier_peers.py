@@ -42,7 +42,7 @@ def paper_jacobian(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     stiffness = stiffness / float(sensor.sheet_resistance)
     places = np.asarray(sensor.electrode_xy, float)
     at = ((points[:, None] - places) ** 2).sum(-1).argmin(0)
-    lu = spla.splu(stiffness[1:, 1:])
+    lu = spla.splu(stiffness[1:, 1:])  # pyright: ignore
     potentials = np.zeros((len(points),) * 2)
     potentials[1:, 1:] = lu.solve(np.eye(len(points) - 1))
     of_elements = potentials[:, corners].mean(-1)
@@ -132,7 +132,7 @@ def _pyeit(sensor: Sensor) -> Callable[..., Callable[[np.ndarray], np.ndarray]]:
     m = len(places)
     pair, reads = np.array([[1, 0]]), np.array([[[e, 0] for e in range(m)]])
     solver = JAC(mesh, PyEITProtocol(pair, reads, np.ones(m, bool)))
-    solver.setup(p=0.5, lamb=0.01, method="kotre")
+    solver.is_ready = True  # its own setup is of a conductivity's Jacobian
 
     def prepare(rows: np.ndarray, relative: float) -> Callable[[np.ndarray], np.ndarray]:
         # Its sign is of a conductivity's change. Its λ multiplies √diag(JᵀJ).
@@ -161,10 +161,11 @@ def _read(images: np.ndarray, loops: np.ndarray, sensor: Sensor) -> Rows:
     pixels = images.reshape(n, *shape, 2).mean(-1)
     currents = (images / loops).reshape(n, *shape, 2).mean(-1)
     both = (jnp.asarray(a, jnp.float32) for a in (pixels, currents))
-    contacts = map(np.asarray, jax.vmap(read)(*both))
+    contacts: Any = map(np.asarray, jax.vmap(read)(*both))
     nothing = np.zeros(n)
     flags, rung = np.zeros(n, np.uint32), np.zeros(n, np.uint8)
-    return Rows(*contacts, nothing, flags, rung, pixels, None)
+    told: list[Any] = [*contacts, nothing, flags, rung, pixels, None]
+    return Rows(*told)
 
 
 def _scores(rows: Rows, trials: Trials, sensor: Sensor) -> dict[str, dict]:

@@ -68,6 +68,7 @@ def make_trials(
     """
     rng = np.random.default_rng(seed)
     made: list[tuple] = []
+    rig = Network(sensor, rng)
     for kind in KINDS:
         for k in range(count):
             if k % _SCENES_OF_A_RIG == 0:
@@ -79,7 +80,8 @@ def make_trials(
                 xy[row], total[row] = place, conductance
             made.append((kind, rig.measure(exact), xy, total, _image(rig, contacts)))
             progress()
-    return Trials(*(np.array(values) for values in zip(*made)))
+    told: list = [np.array(values) for values in zip(*made)]
+    return Trials(*told)
 
 
 def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact]:
@@ -94,8 +96,8 @@ def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact
         inside = rig.disc(somewhere(radius + 1e-3), radius * unit)
         return [(inside, 10 ** rng.uniform(-5.5, -2.5))]
     if kind == "bar":
-        sides = unit * rng.uniform([0.065, 0.008], [0.085, 0.012])
-        inside = rig.bar(somewhere(0.055), *sides, rng.uniform(0, np.pi))
+        length, width = unit * rng.uniform([0.065, 0.008], [0.085, 0.012])
+        inside = rig.bar(somewhere(0.055), length, width, rng.uniform(0, np.pi))
         return [(inside, 10 ** rng.uniform(-3.5, 0.5))]
     if kind == "large":
         inside = rig.disc(somewhere(0.05), unit * rng.uniform(0.025, 0.04))

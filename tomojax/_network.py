@@ -31,10 +31,10 @@ class Network:
         self,
         sensor: Sensor,
         rng: np.random.Generator,
-        variation: float = 0.02,
-        offset: float = 1.5e-4,
-        noise: float = 3e-4,
-        gain: float = 5e-4,
+        variation: float | int = 0.02,
+        offset: float | int = 1.5e-4,
+        noise: float | int = 3e-4,
+        gain: float | int = 5e-4,
     ):
         self.rng, self.noise = rng, noise
         size = np.asarray(sensor.size, float)
@@ -101,7 +101,7 @@ class Network:
         codes = np.clip(np.round(read * _CODES_PER_VOLT), -_LARGEST, _LARGEST - 1)
         return codes / _CODES_PER_VOLT
 
-    def disc(self, xy: Sequence[float] | np.ndarray, radius: float) -> np.ndarray:
+    def disc(self, xy: Sequence[float] | np.ndarray, radius: float | int) -> np.ndarray:
         """The cells in a disc."""
         return np.hypot(*(self.cells - np.asarray(xy)).T) <= radius
 

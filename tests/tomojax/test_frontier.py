@@ -1,0 +1,251 @@
+"""`tomojax frontier`: its scenes, scores and front; one job, and what is kept of it."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import references
+
+import tomojax as tx
+from tomojax import _frontier, _frontier_report
+from tomojax._app import run
+from tomojax._frontier_job import Job, method_rows
+from tomojax._frontier_peers import paper_jacobian, peer_rows
+from tomojax._frontier_scenes import (
+    KINDS,
+    load_trials,
+    make_trials,
+    save_trials,
+    score,
+    Trials,
+)
+from tomojax._network import Network
+from tomojax.kernels import _mesh
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A file with two scenes of each kind."""
+    path = tmp_path_factory.mktemp("frontier") / "scenes.npz"
+    sensor = tx.Sensor.grid(dtype=np.float32)
+    told = []
+    save_trials(path, sensor, make_trials(sensor, 2, 3, lambda: told.append(1)))
+    assert len(told) == 2 * len(KINDS)
+    return path
+
+
+def test_a_network_of_another_sensor_is_like_the_exact_model():
+    """Two numbers of electrodes on a sheet that is not square; no errors of a rig."""
+    xy = np.array([[0.02, 0.02], [0.08, 0.02], [0.05, 0.05], [0.02, 0.08], [0.1, 0.07]])
+    sensor = tx.Sensor(
+        [0.12, 0.10], xy, divisions=(96, 80), ground_resistance=20.0, electrode_shunt=1.0
+    )
+    rig = Network(sensor, np.random.default_rng(0), 0, 0, 0, 0)
+    inside = rig.disc([0.065, 0.06], 0.01)
+    volts, truth = rig.scene((inside, 2e-4))
+    area = inside.sum() * 0.0008**2
+    shape = tx.Disc(truth[0][0], np.sqrt(area / np.pi), 2e-4 / area)
+    expected = np.asarray(tx.voltages(sensor, shape))
+    np.testing.assert_allclose(volts, expected, atol=0.03 * expected.max())
+
+
+def test_scenes_come_back(kept):
+    sensor, trials = load_trials(kept, "float32")
+    again = make_trials(sensor, 2, 3)
+    np.testing.assert_array_equal(trials.volts, again.volts)
+    assert sensor.dtype == np.float32 and sorted(set(trials.kind)) == sorted(KINDS)
+    contacts = np.isfinite(trials.conductance).sum(1)
+    assert contacts.tolist() == [1, 1, 2, 2, 3, 3, 1, 1, 1, 1]
+    total = np.nansum(trials.conductance, 1)
+    np.testing.assert_allclose(trials.image.sum((1, 2)), total)
+
+
+def rows_of(places, image=None):
+    """Rows with these contacts, each (C, 2) m."""
+    n, most = len(places), 3
+    xy, count = np.full((n, most, 2), np.nan), [len(p) for p in places]
+    for k, found in enumerate(places):
+        xy[k, : len(found)] = np.reshape(found, (-1, 2))
+    nan = np.where(np.isfinite(xy[..., 0]), 1.0, np.nan)
+    flags = np.where(np.array(count) == 0, tx.Flag.NO_CONTACT.value, 0)
+    covariance = np.full((n, most, 3), np.nan)
+    return tx.Rows(
+        *(np.array(count), xy, nan, nan, nan, 2e-4 * nan, covariance),
+        *(np.zeros(n), flags, np.zeros(n, int), image, None),
+    )
+
+
+def trials_of(kind, places, image=None):
+    xy = np.full((len(places), 3, 2), np.nan)
+    total = np.full((len(places), 3), np.nan)
+    for k, there in enumerate(places):
+        xy[k, : len(there)], total[k, : len(there)] = there, 1e-4
+    image = np.ones((len(places), 64, 64)) if image is None else image
+    return Trials(np.full(len(places), kind), np.zeros((0,)), xy, total, image)
+
+
+def test_scores_of_places():
+    size = np.array([0.16, 0.16])
+    there = [[[0.05, 0.05]]] * 4
+    found = [[[0.05, 0.051]], [[0.053, 0.05]], [[0.05, 0.09]], []]
+    got = score(rows_of(found), trials_of("one", there), size)
+    assert got["place_median_mm"] == pytest.approx((3 + 40) / 2)
+    assert got["place_p90_mm"] is None  # one of four is lost
+    assert got["far"] == 2 and got["far_undoubted"] == 1 and got["doubted"] == 0.25
+    assert got["count_right"] == 0.75 and got["conductance_error"] is None
+    got = score(rows_of(found[:3]), trials_of("one", there[:3]), size)
+    assert got["conductance_error"] == pytest.approx(1.0)
+    two = [[[0.05, 0.05], [0.08, 0.05]]] * 3
+    seen = [[[0.08, 0.052], [0.05, 0.05]], [[0.065, 0.05]], [[0.05, 0.05], [0.1, 0.05]]]
+    got = score(rows_of(seen), trials_of("two", two), size)
+    assert got["told_apart"] == pytest.approx(1 / 3)
+    assert got["place_median_mm"] == pytest.approx(15)  # of the worst contact
+    # A bar is where the mean of what was found is.
+    got = score(rows_of([two[0][0:2][0:2]]), trials_of("bar", [[[0.065, 0.05]]]), size)
+    assert got["place_median_mm"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("pixels", [16, 24, 64])
+def test_scores_of_images(pixels):
+    size = np.array([0.16, 0.16])
+    image, truth = np.zeros((1, pixels, pixels)), np.zeros((1, 64, 64))
+    part = pixels // 8
+    image[0, 2 * part : 4 * part, 2 * part : 4 * part] = 3.0
+    truth[0, 16:32, 16:32] = 1e-6
+    rows, trials = (
+        rows_of([[[0.06, 0.06]]], image),
+        trials_of("one", [[[0.06, 0.06]]], truth),
+    )
+    got = score(rows, trials, size)
+    assert got["image_error"] == pytest.approx(0, abs=1e-6)
+    assert got["width_mm"] == pytest.approx(2e3 * np.sqrt(0.04**2 / np.pi))
+
+
+def row(method, us, mm, scene="one", peer=False):
+    return {
+        **{"method": method, "scene": scene, "peer": peer, "pattern": "all", "slots": 64},
+        **{"p50_us": us, "p99_us": us, "place_median_mm": mm, "place_p90_mm": mm},
+        **{"lam_rule": "own", "pixels": 32, "dtype": "float32", "batch": 1},
+        **{"doubted": 0.0},
+    }
+
+
+def test_front_and_peers():
+    rows = [
+        row("source", 5.0, 1.2),
+        row("linear", 6.0, 3.0),
+        row("points", 900.0, 0.2),
+        row("conductance", 1000.0, None),
+        row("pyEIT", 60.0, 4.0, peer=True),
+        row("pyEIT", 1.0, 0.1, peer=True),
+        row("source", 5.0, 20.0, "two"),
+    ]
+    _frontier.mark_front(rows)
+    assert [r["on_front"] for r in rows] == [True, False, True, False, False, False, True]
+    far, near = _frontier.beside_peers(rows)
+    assert far["times_as_fast"] == 12 and far["nearest"]["place_median_mm"] == 1.2
+    assert near["times_as_fast"] is None and near["nearest"] is None
+    text = _frontier_report.text(rows)
+    assert "of 2 speeds of peers 1 have none" in text and "0.20" in text
+    for draw in (_frontier_report.chart, _frontier_report.rungs):
+        assert draw(rows).axes
+    assert _frontier_report.summary(rows)["peers"][0]["place_mm"] == 4.0
+
+
+def test_one_job(kept):
+    sensor, trials = load_trials(kept, "float32")
+    job = Job("source", ("corner", "around"), batches=(4,), pixels=16)
+    rows = list(method_rows(job, sensor, trials))
+    # Patterns, with and without an image; each for every kind.
+    assert len(rows) == 2 * 2 * len(KINDS)
+    assert {r["slots"] for r in rows} == {1, 8}
+    ones = [r for r in rows if r["scene"] == "one"]
+    assert all(r["place_median_mm"] < 10 and r["p50_us"] > 0 for r in ones)
+    assert all(r["p99_us"] >= r["p50_us"] and r["first_s"] > 0 for r in rows)
+    json.dumps(rows)
+
+
+def test_peers_have_the_paper_s_jacobian(kept):
+    """Voltages with 1 V on an element and one electrode grounded, solved at once."""
+    sensor, trials = load_trials(kept, "float64")
+    jac, loops = paper_jacobian(sensor)
+    shape, ground, element = (40, 40), 9, 1234
+    nodes = np.asarray(_mesh.nodes(shape, sensor.size))
+    at = ((nodes[:, None] - np.asarray(sensor.electrode_xy)) ** 2).sum(-1).argmin(0)
+    n = len(nodes)
+    system, right = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+    system[:n, :n] = references.skfem_stiffness(
+        np.full(3200, 1e-4), shape, sensor.size
+    ).todense()
+    system[at[ground], at[ground]] += 1 / 4.0  # through the ground path
+    # The current that holds the element's mean at 1 V is the last unknown.
+    corners = _mesh.triangles(shape)[element]
+    system[corners, n], system[n, corners], right[n] = -1 / 3, 1 / 3, 1.0
+    u = np.linalg.solve(system, right)
+    np.testing.assert_allclose(jac[ground, :, element], u[at], atol=1e-7)
+    assert loops[ground, element] == pytest.approx(1 / u[n], rel=1e-6)
+    rows = list(peer_rows(Job("peers", ("edge",), batches=(4,)), sensor, trials))
+    assert len(rows) == 2 * len(KINDS) and all(r["peer"] for r in rows)
+    assert {r["method"] for r in rows} == {"pyEIT", "scikit-fem + NumPy"}
+
+
+def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
+    sensor = tx.Sensor.grid(dtype=np.float32)
+    jobs = [Job("linear", ("all",)), Job("source", ("all",)), Job("points", ("all",))]
+    monkeypatch.setattr(_frontier, "jobs", lambda *_: jobs)
+    monkeypatch.setattr(
+        _frontier, "make_trials", lambda *_: load_trials(kept, "float32")[1]
+    )
+    asked = []
+
+    def measured(path, job):
+        if job.method == "points" and len(asked) < 3:
+            raise KeyboardInterrupt
+        asked.append(job.method)
+        return [row(job.method, 1.0, 1.0)]
+
+    monkeypatch.setattr(_frontier, "_measured", measured)
+    with pytest.raises(KeyboardInterrupt):
+        _frontier.run(sensor, tmp_path, True)
+    path = tmp_path / "frontier-rows.jsonl"
+    with path.open("a") as file:
+        file.write('{"job": "cut o')  # as a crash leaves it
+    asked.append("again")
+    rows = _frontier.run(sensor, tmp_path, True)
+    assert asked == ["linear", "source", "again", "points"] and len(rows) == 3
+    assert all(json.loads(line) for line in path.read_text().splitlines())
+    with pytest.raises(ValueError, match="or another folder"):
+        _frontier.run(sensor, tmp_path, True, seed=5)
+
+
+def test_a_job_that_fails_says_so(kept):
+    bad = Job("linear", ("no_such_pattern",))
+    (said,) = _frontier._measured(kept, bad)
+    assert "no_such_pattern" in said["failed"] and said["scene"] is None
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--scenes", "1"], "--scenes: got 1, expected 2 to 1000"),
+        (["--seed", "-1"], "--seed: got -1"),
+        (["--like", "none.h5"], "none.h5"),
+    ],
+)
+def test_mistakes(words, message, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tomojax", "frontier", *words])
+    with pytest.raises(SystemExit) as stop:
+        run()
+    said = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2 and len(said) == 1 and message in said[0]
+
+
+def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "argv", ["tomojax", "frontier"])
+    with pytest.raises(SystemExit):
+        run()
+    assert "tomojax[app,peers]" in capsys.readouterr().err
