@@ -46,6 +46,7 @@ def frontier(
     On scenes whose voltages another model made: a resistor network with a rig's errors.
     """
     from tomojax import _frontier, _frontier_report
+    from tomojax._frontier_scenes import KINDS
     from tomojax._recording import open_recording
     from tomojax._sensor import Sensor
 
@@ -73,14 +74,18 @@ def frontier(
             lambda done: bar.update(1, done),  # pyright: ignore
         )
     failed = [row for row in rows if row.get("failed")]
-    rows = [row for row in rows if not row.get("failed")]
+    rates, day = ([r for r in rows if r["scene"] == name] for name in ("rate", "day"))
+    rows = [row for row in rows if row["scene"] in KINDS]
     _frontier.mark_front(rows)
     print(_frontier_report.text(rows))
+    for line in _frontier_report.machine_lines(rates, day):
+        print(line)
     for row in failed:
         print(f"failed: {row['method']}, {row['dtype']}: {row['failed']}")
     path = json_path or out / "frontier.json"
     summary = _frontier_report.summary(rows) | {"failed": failed}
-    report = {"rows": rows, "summary": summary, "environment": environment()}
+    report = {"rows": rows, "rates": rates, "day": day, "summary": summary}
+    report["environment"] = environment()
     path.write_text(json.dumps(report, indent=1) + "\n")
     for draw, name in (
         (_frontier_report.chart, "frontier.png"),
@@ -88,6 +93,9 @@ def frontier(
     ):
         draw(rows).savefig(out / name, dpi=110)
         print(f"picture: {out / name}")
+    if rates:
+        _frontier_report.rate_chart(rates).savefig(out / "frontier_rates.png", dpi=110)
+        print(f"picture: {out / 'frontier_rates.png'}")
 
 
 def _named(job: Any) -> str | None:

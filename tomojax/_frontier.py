@@ -43,6 +43,7 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
     every = ("corner", "corners", "ten", *PATTERNS, "designed")
     some = ("corner", "corners", "ten", "all")
     few = ("corners", "around", "all")
+    rated, counts = ("corner", "edge"), tuple(4**k for k in range(7))
     return [
         Job("linear", every, own, batches, designed=designed),
         Job("linear", ("around", "all"), _RULES[1:], (256,)),
@@ -58,6 +59,9 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         Job("auto", ("corners", "ten", "all"), own, (32,)),
         Job("follow", ("around_contacts", "around", "all")),
         Job("peers", ("all", "boundary", "edge", "around"), own, (1, 256), dtype="float64"),
+        *(Job("rates", rated, own, counts, pixels) for pixels in (16, 32, 64)),
+        Job("rates", rated, own, counts, threads=1),
+        Job("day", ("corners", "ten")),
     ]
 
 

@@ -49,6 +49,7 @@ class Job(NamedTuple):
     pixels: int = 32
     dtype: str = "float32"
     designed: tuple[int, ...] = ()
+    threads: int = 0  # of "rates": cores that it may use; 0 is all
 
 
 def grounds_of(
@@ -258,6 +259,11 @@ def main() -> None:
         from tomojax._frontier_peers import peer_rows
 
         rows = peer_rows(job, sensor, trials)
+    elif job.method in ("rates", "day"):
+        from tomojax import _frontier_rates
+
+        kinds = {"rates": _frontier_rates.rate_rows, "day": _frontier_rates.day_rows}
+        rows = kinds[job.method](job, sensor, trials)
     else:
         rows = method_rows(job, sensor, trials)
     made = list(rows)

@@ -1,5 +1,6 @@
 """What `tomojax frontier` prints and draws."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -169,4 +170,54 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
         line[0].set_title(f"{pattern} ({2 if pattern == 'corners' else 'every ground'})")
     panels[0, 0].legend(fontsize=8)
     panels[0, 2].legend(fontsize=8, loc="lower left")
+    return figure
+
+
+def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Iterator[str]:
+    """Images a second beside the machine's bound, and a day of frames."""
+    sets = {(r["method"], r["slots"], r["pixels"], r["threads"]) for r in rates}
+    for method, slots, pixels, threads in sorted(sets):
+        some = [
+            r
+            for r in rates
+            if (r["method"], r["slots"], r["pixels"], r["threads"])
+            == (method, slots, pixels, threads)
+        ]
+        best = max(some, key=lambda r: r["frames_per_s"])
+        yield (
+            f"images, {method}, {slots} slots, {pixels} x {pixels}, {threads} threads: "
+            f"{best['frames_per_s']:.3g}/s from a batch of {best['batch']}, "
+            f"{100 * best['part_of_bound']:.0f} % of the bound ({best['bound']})"
+        )
+    for row in day:
+        yield (
+            f"a day of frames, {row['method']}, {row['slots']} slots: "
+            f"{row['mean_us']:.0f} µs a frame; rungs {row['rungs']}"
+        )
+
+
+def rate_chart(rates: list[dict[str, Any]]) -> Any:
+    """Images a second against the batch; dashed, what the machine could do."""
+    from matplotlib.figure import Figure
+
+    panels = sorted({(r["pixels"], r["threads"]) for r in rates})
+    figure = Figure(figsize=(4.2 * len(panels), 4.5), layout="constrained")
+    for axes, (pixels, threads) in zip(
+        figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels
+    ):
+        some = [r for r in rates if (r["pixels"], r["threads"]) == (pixels, threads)]
+        for k, (method, slots) in enumerate(
+            sorted({(r["method"], r["slots"]) for r in some})
+        ):
+            mine = [r for r in some if (r["method"], r["slots"]) == (method, slots)]
+            x = [r["batch"] for r in mine]
+            label = f"{method}, {slots} slots"
+            axes.loglog(x, [r["frames_per_s"] for r in mine], "-o", color=f"C{k}",
+                        ms=4, label=label)  # fmt: skip
+            axes.loglog(x, [r["bound_frames_per_s"] for r in mine], "--", color=f"C{k}")
+        axes.set_title(f"{pixels} x {pixels} pixels, {threads} threads")
+        axes.set_xlabel("frames in a call")
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("images/s; dashed: the machine's bound")
+    figure.axes[0].legend(fontsize=8)
     return figure

@@ -15,10 +15,24 @@ def places():
 
 
 @pytest.fixture(scope="session")
-def scene(tmp_path_factory):
-    """A contact at each of PLACES for 50 ms, then none for as long."""
+def moments():
+    """Voltages of a contact at each of PLACES, and of none."""
     rig = Rig(np.random.default_rng(21))
     some = [rig.scene((rig.disc(place, 0.006), 1e-4))[0] for place in PLACES]
+    return np.stack([*some, rig.scene()[0]])
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory, moments):
+    """A contact at each of PLACES for 50 ms, then none for as long."""
     path = tmp_path_factory.mktemp("scene") / "scene.npz"
-    write_scene(path, np.stack([*some, rig.scene()[0]]), 0.05)
+    write_scene(path, moments, 0.05)
+    return path
+
+
+@pytest.fixture(scope="session")
+def held(tmp_path_factory, moments):
+    """The same without the last: there is a contact whenever one looks."""
+    path = tmp_path_factory.mktemp("held") / "scene.npz"
+    write_scene(path, moments[:-1], 0.05)
     return path

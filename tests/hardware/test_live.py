@@ -123,11 +123,11 @@ def test_live_into_a_file_of_rerun(scene, tmp_path):
     assert all(name in told for name in (b"contacts_mm", b"image", b"latency_us"))
 
 
-def test_live_with_a_config_and_a_recording(scene, tmp_path):
+def test_live_with_a_config_and_a_recording(held, tmp_path):
     (tmp_path / "rig.toml").write_text(
         'method = "follow"\ncontacts = 1\nseconds = 4.0\nfile-seconds = 60.0\n'
     )
-    with VirtualRig(scene, rate=RATE) as rig:
+    with VirtualRig(held, rate=RATE) as rig:
         words = "live", rig.where, "--config", "rig.toml", "--record", "b.h5"
         done = command(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ import pytest
 import references
 
 import tomojax as tx
-from tomojax import _frontier, _frontier_report
+from tomojax import _frontier, _frontier_rates, _frontier_report
 from tomojax._app import run
 from tomojax._frontier_job import Job, method_rows
 from tomojax._frontier_peers import paper_jacobian, peer_rows
@@ -249,3 +249,35 @@ def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
     with pytest.raises(SystemExit):
         run()
     assert "tomojax[app,peers]" in capsys.readouterr().err
+
+
+def test_rates_stay_below_the_machine_s(kept, monkeypatch):
+    sensor, trials = load_trials(kept, "float32")
+    monkeypatch.setattr(_frontier_rates, "machine", lambda dtype: (1e15, 1e18))
+    job = Job("rates", ("corner",), batches=(1, 4), pixels=16)
+    rates = list(_frontier_rates.rate_rows(job, sensor, trials))
+    assert [(r["method"], r["batch"]) for r in rates] == [
+        *(("linear", 1), ("linear", 4), ("source", 1), ("source", 4))
+    ]
+    assert all(0 < r["part_of_bound"] < 1 for r in rates)
+    one = rates[2]  # a frame of 64 voltages through 64 rows to 256 pixels
+    flops, numbers = 2 * (64 * 64 + 64 * 256), 64 + 256 + 64 * (64 + 256)
+    expected = max(flops / 1e18, 4 * numbers / 1e15)
+    assert one["bound_frames_per_s"] == pytest.approx(1 / expected)
+    assert one["bound"] == "bytes"
+    assert _frontier_report.rate_chart(rates).axes
+    lines = list(_frontier_report.machine_lines(rates, []))
+    assert len(lines) == 2 and "256" not in lines[0] and "16 x 16" in lines[0]
+
+
+def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
+    sensor, trials = load_trials(kept, "float32")
+    made = tx.method(sensor, "source", 16)
+    monkeypatch.setattr(_frontier_rates, "make_method", lambda *_: made)
+    job = Job("day", ("corners",))
+    auto, largest = _frontier_rates.day_rows(job, sensor, trials)
+    assert auto["kinds"] == largest["kinds"] and auto["frames"] == 200
+    assert auto["contacts_where_nothing_is"] == 0
+    assert {k: v["scenes"] for k, v in auto["kinds"].items()} == _frontier_rates._DAY
+    (line,) = _frontier_report.machine_lines([], [auto])
+    assert "a day of frames, auto" in line
