@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tomojax._batch import Batch
+from tomojax._batch import Batch, Rows
 from tomojax._calibration import NOISE
 from tomojax._frontier_job import grounds_of, Job, repeated
 from tomojax._frontier_scenes import score, Trials
@@ -127,11 +127,10 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
                 spent.append(time.perf_counter() - begin)
             start, figures = 0, {}
             for kind, some in chosen.items():
-                part = type(rows)(
-                    *(None if a is None else a[start : start + len(some)] for a in rows)
-                )
-                figures[kind] = score(part, trials.of(some), np.asarray(sensor.size))
-                start += len(some)
+                end = start + len(some)
+                told: list = [None if a is None else a[start:end] for a in rows]
+                figures[kind] = score(Rows(*told), trials.of(some), np.asarray(sensor.size))
+                start = end
             false = int((rows.contact_count[start:] > 0).sum())
             yield {
                 "scene": "day",
