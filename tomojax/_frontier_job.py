@@ -7,6 +7,7 @@ process's memory is the job's own, and what a crash takes with it is one job.
 """
 
 import json
+import os
 import resource
 import sys
 import time
@@ -245,6 +246,15 @@ def _rows_of(outs: list[Any]) -> Rows:
     return Rows(*shape, residual, flags, none, None, None)
 
 
+def peak_mb() -> float:
+    """The process's own peak: on Linux getrusage may carry the parent's over."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+
 def main() -> None:
     path = Path(sys.argv[1])
     words: dict[str, Any] = json.loads(sys.argv[2])
@@ -252,6 +262,8 @@ def main() -> None:
         k: tuple(v) if isinstance(v, list) else v for k, v in words.items()
     }
     job = Job(**told)
+    if job.threads:  # before JAX makes its threads
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
     sensor, trials = load_trials(path, job.dtype)
     if job.method == "follow":
         rows = follow_rows(job, sensor, trials)
@@ -267,10 +279,9 @@ def main() -> None:
     else:
         rows = method_rows(job, sensor, trials)
     made = list(rows)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     common = {"dtype": job.dtype, "device": str(jax.devices()[0].device_kind)}
     for row in made:
-        print(json.dumps({**common, "peer": False, **row, "memory_mb": peak}))
+        print(json.dumps({**common, "peer": False, **row, "memory_mb": peak_mb()}))
 
 
 if __name__ == "__main__":

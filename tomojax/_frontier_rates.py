@@ -33,8 +33,6 @@ _NOTHING = 140
 
 def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
     """Images of frames with one pattern, on the device from beginning to end."""
-    if job.threads:
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
     copy, product = machine(job.dtype)
     for method in ("linear", "source"):
         model = make_method(sensor, method, job.pixels)
