@@ -19,7 +19,13 @@ import numpy as np
 from tomojax._design import design
 from tomojax._design_problem import design_objective, design_places
 from tomojax._frontier_job import Job
-from tomojax._frontier_scenes import KINDS, load_trials, make_trials, save_trials
+from tomojax._frontier_scenes import (
+    identity,
+    KINDS,
+    load_trials,
+    make_trials,
+    save_trials,
+)
 from tomojax._patterns import PATTERNS
 from tomojax._sensor import Sensor
 
@@ -75,11 +81,12 @@ def run(
 ) -> list[dict[str, Any]]:
     """Rows of all jobs; what `folder` has of the same run already is not done again.
 
-    **Raises:** `ValueError` where `folder` holds a run with other scenes.
+    **Raises:** `ValueError` where `folder` holds a run with other scenes or of another
+    sensor.
     """
     count = scenes or (QUICK_SCENES if quick else SCENES)
     folder.mkdir(parents=True, exist_ok=True)
-    told = {"scenes": count, "seed": seed, "quick": quick}
+    told = {"scenes": count, "seed": seed, "quick": quick, "sensor": identity(sensor)}
     _same_run(folder / "frontier-run.json", told)
     path = folder / "frontier-scenes.npz"
     if not path.exists():
@@ -92,19 +99,21 @@ def run(
         key = json.dumps(job._asdict())
         if key not in done:
             made = _measured(path, job)
-            with (folder / "frontier-rows.jsonl").open("a") as file:
-                file.write(json.dumps({"job": key, "rows": made}) + "\n")
             rows += made
+            if not made[0].get("failed"):  # what failed is tried again the next time
+                with (folder / "frontier-rows.jsonl").open("a") as file:
+                    file.write(json.dumps({"job": key, "rows": made}) + "\n")
         progress(job.method)
     return rows
 
 
 def _same_run(path: Path, told: dict[str, Any]) -> None:
     if path.exists() and json.loads(path.read_text()) != told:
-        was = path.read_text().strip()
+        was = json.loads(path.read_text())
+        other = ", ".join(name for name in told if told[name] != was.get(name))
         raise ValueError(
-            f"{path.parent}: got a run of {told}, expected {was} as begun there, "
-            "or another folder"
+            f"{path.parent}: got a run with another {other}, expected the one that was "
+            "begun there, or another folder"
         )
     path.write_text(json.dumps(told) + "\n")
 

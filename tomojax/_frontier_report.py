@@ -41,12 +41,12 @@ def text(rows: list[dict[str, Any]]) -> str:
             lines.append(_line(row))
     found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
     if found:
-        least = min((f["times_as_fast"] or 0.0) for f in found)
+        faster = [f["times_as_fast"] for f in found if f["times_as_fast"]]
         worse = sum(f["nearest"] is None or not _no_further(f) for f in found)
         lines.append(
-            f"of one contact, at every accuracy that a peer reaches ours takes "
-            f"1/{least:.0f} of its time or less; of {len(found)} speeds of peers "
-            f"{worse} have none of ours that is no further off"
+            f"of one contact, ours reaches the accuracy of {len(faster)} of the peers' "
+            f"{len(found)} rows, {min(faster, default=0):.1f} times as fast or more; of "
+            f"their speeds {worse} have none of ours that is no further off"
         )
     return "\n".join(lines)
 
@@ -137,7 +137,7 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
     """Which rung each kind of scene needs: error, doubt, time, and what `auto` took."""
     from matplotlib.figure import Figure
 
-    models = [m for m in ("linear", "source", "points", "conductance", "auto")]
+    models = ("linear", "source", "points", "conductance", "auto")
     patterns = [p for p in ("corners", "all") if any(r["pattern"] == p for r in rows)]
     figure = Figure(figsize=(13, 3.6 * len(patterns) + 0.6), layout="constrained")
     panels = figure.subplots(len(patterns), 3, squeeze=False)

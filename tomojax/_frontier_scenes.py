@@ -1,5 +1,6 @@
 """Scenes with truth for `tomojax frontier`, from a resistor network, and their scores."""
 
+import hashlib
 from collections.abc import Callable
 from itertools import permutations
 from pathlib import Path
@@ -132,6 +133,12 @@ def _image(rig: Network, contacts: list[Contact]) -> Float[np.ndarray, "nx ny"]:
     for inside, total in contacts:
         np.add.at(image, tuple(index[inside].T), total / inside.sum())
     return image
+
+
+def identity(sensor: Sensor) -> str:
+    """Of what a run's scenes are made for."""
+    arrays = (np.asarray(getattr(sensor, name), np.float32) for name in _TOLD)
+    return hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()[:16]
 
 
 def save_trials(path: Path, sensor: Sensor, trials: Trials) -> None:

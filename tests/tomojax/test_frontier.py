@@ -102,7 +102,7 @@ def test_scores_of_places():
     assert got["told_apart"] == pytest.approx(1 / 3)
     assert got["place_median_mm"] == pytest.approx(15)  # of the worst contact
     # A bar is where the mean of what was found is.
-    got = score(rows_of([two[0][0:2][0:2]]), trials_of("bar", [[[0.065, 0.05]]]), size)
+    got = score(rows_of([two[0]]), trials_of("bar", [[[0.065, 0.05]]]), size)
     assert got["place_median_mm"] == pytest.approx(0, abs=1e-9)
 
 
@@ -147,7 +147,7 @@ def test_front_and_peers():
     assert far["times_as_fast"] == 12 and far["nearest"]["place_median_mm"] == 1.2
     assert near["times_as_fast"] is None and near["nearest"] is None
     text = _frontier_report.text(rows)
-    assert "of 2 speeds of peers 1 have none" in text and "0.20" in text
+    assert "accuracy of 1 of the peers' 2 rows, 12.0 times" in text and "0.20" in text
     for draw in (_frontier_report.chart, _frontier_report.rungs):
         assert draw(rows).axes
     assert _frontier_report.summary(rows)["peers"][0]["place_mm"] == 4.0
@@ -215,8 +215,29 @@ def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
     rows = _frontier.run(sensor, tmp_path, True)
     assert asked == ["linear", "source", "again", "points"] and len(rows) == 3
     assert all(json.loads(line) for line in path.read_text().splitlines())
-    with pytest.raises(ValueError, match="or another folder"):
+    with pytest.raises(ValueError, match="another seed.*or another folder"):
         _frontier.run(sensor, tmp_path, True, seed=5)
+    other = tx.Sensor.grid(dtype=np.float32, sheet_resistance=5e3)
+    with pytest.raises(ValueError, match="another sensor"):
+        _frontier.run(other, tmp_path, True)
+
+
+def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
+    sensor, tried = tx.Sensor.grid(dtype=np.float32), []
+    monkeypatch.setattr(_frontier, "jobs", lambda *_: [Job("linear", ("all",))])
+    monkeypatch.setattr(
+        _frontier, "make_trials", lambda *_: load_trials(kept, "float32")[1]
+    )
+
+    def measured(path, job):
+        tried.append(job.method)
+        return [{"failed": "killed"} if len(tried) == 1 else row("linear", 1.0, 1.0)]
+
+    monkeypatch.setattr(_frontier, "_measured", measured)
+    assert _frontier.run(sensor, tmp_path, True)[0]["failed"] == "killed"
+    for _ in range(2):
+        assert _frontier.run(sensor, tmp_path, True)[0]["method"] == "linear"
+    assert len(tried) == 2
 
 
 def test_a_job_that_fails_says_so(kept):
