@@ -32,6 +32,10 @@ from tomojax.kernels._drawing import (
     points_as_contacts as points_as_contacts,
     points_image as points_image,
 )
+from tomojax.kernels._explained import (
+    point_sources as point_sources,
+    unexplained as unexplained,
+)
 from tomojax.kernels._fem import (
     fem_contact as fem_contact,
     fem_resistances as fem_resistances,

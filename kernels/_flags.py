@@ -25,3 +25,4 @@ class Flag(enum.IntFlag):
     NO_DATA = 32768  # too few good channels: no result
     MODEL_LIMITED = 65536  # of what a place is uncertain by, noise is the lesser part
     HURRIED = 131072  # a cheaper method answered, to keep a step's deadline
+    CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows

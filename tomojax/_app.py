@@ -11,6 +11,7 @@ from tomojax import (
     _app_frontier,
     _app_live,
     _app_recordings,
+    _app_stability,
     _app_track,
     _demo,
 )
@@ -84,6 +85,7 @@ app.add_command(_app_live.record)
 app.add_command(_app_live.live)
 app.add_command(_app_design.design)
 app.add_command(_app_frontier.frontier)
+app.add_command(_app_stability.stability)
 
 
 def run() -> None:

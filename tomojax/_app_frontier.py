@@ -26,7 +26,7 @@ from tomojax._environment import environment
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write rows and a summary here. [default: frontier.json in the folder]",
 )
-@click.option("--scenes", type=int, help="Of each kind. [default: 40; quick: 6]")
+@click.option("--scenes", type=int, help="Of each kind. [default: 20; quick: 6]")
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option(
     "--like",

@@ -141,7 +141,8 @@ class Auto(AbstractMethod):
         slots = jnp.maximum(prepared.errors.used.any(1).sum(), 1).astype(rest.dtype)
         cost = misfit_cost((rest**2).sum(1)).sum() / slots
         rung = jnp.asarray(Rung.SOURCE.value)
-        return cost < TOLERANCE, estimate._replace(rung=rung, flags=jnp.zeros_like(rung))
+        # Its flags stay: the image explains the slots, the contacts read off it may not.
+        return cost < TOLERANCE, estimate._replace(rung=rung)
 
     def _conductance(
         self, prepared: Prepared, voltages: Float[Array, "S M"], count: int

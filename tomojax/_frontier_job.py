@@ -51,6 +51,7 @@ class Job(NamedTuple):
     dtype: str = "float32"
     designed: tuple[int, ...] = ()
     threads: int = 0  # of "rates": cores that it may use; 0 is all
+    most: int = 0  # scenes of each kind; 0 is all
 
 
 def grounds_of(
@@ -219,7 +220,7 @@ def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
                     np.asarray(out.contacts.xy)
                     spent.append(time.perf_counter() - begin)
                 outs.append(jax.tree.map(np.asarray, out))
-            rows = _rows_of(outs)
+            rows = rows_of_steps(outs)
             yield {
                 "scene": kind,
                 "method": "follow",
@@ -236,7 +237,7 @@ def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
             }
 
 
-def _rows_of(outs: list[Any]) -> Rows:
+def rows_of_steps(outs: list[Any]) -> Rows:
     """Of outputs of a step, as a batch has them; without images."""
     fields = zip(*(out.contacts for out in outs))
     count, xy, radius, angle, current, conductance, covariance = map(np.array, fields)
@@ -267,6 +268,8 @@ def main() -> None:
     if job.threads:  # before JAX makes its threads
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
     sensor, trials = load_trials(path, job.dtype)
+    if job.most:
+        trials = trials.of(np.concatenate([at[: job.most] for _, at in _kinds(trials)]))
     if job.method == "follow":
         rows = follow_rows(job, sensor, trials)
     elif job.method == "peers":

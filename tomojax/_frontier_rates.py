@@ -26,9 +26,9 @@ from tomojax._source import Source
 
 _LARGE, _WIDE = 1 << 25, 2048  # numbers of a copy, a side of a product
 
-# Of 200 frames: 70 % nothing, 20 % one contact, 8 % two or three, 2 % large.
-_DAY = {"one": 40, "two": 12, "three": 4, "large": 4}
-_NOTHING = 140
+# Of 100 frames: 70 % nothing, 20 % one contact, 8 % two or three, 2 % large.
+_DAY = {"one": 20, "two": 6, "three": 2, "large": 2}
+_NOTHING = 70
 
 
 def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
@@ -119,7 +119,7 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
             model = make_method(sensor, method, job.pixels)
             batch = Batch(model, model.choose_lambda([]), 3)
             rows, spent = batch(volts, grounds), []
-            for _ in range(3):
+            for _ in range(2):
                 begin = time.perf_counter()
                 batch(volts, grounds)
                 spent.append(time.perf_counter() - begin)

@@ -39,7 +39,13 @@ FAR, APART = 20.0, 1 / 3
 # Any of these says that a row is not to be trusted as it stands.
 DOUBT = sum(
     flag.value
-    for flag in (Flag.HIGH_RESIDUAL, Flag.SOLVE_FAILED, Flag.NO_DATA, Flag.NO_CONTACT)
+    for flag in (
+        Flag.HIGH_RESIDUAL,
+        Flag.CONTACTS_UNEXPLAINED,
+        Flag.SOLVE_FAILED,
+        Flag.NO_DATA,
+        Flag.NO_CONTACT,
+    )
 )
 
 

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax import kernels
 from tomojax._forward import resistances
@@ -25,6 +25,11 @@ from tomojax.kernels._blocktri import matmul
 # Rows of the basis that stands for J, and how many of them are used from which λ/σ₁² on:
 # an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see `reduce_jacobian`).
 _RANK, _FEWER, _FROM = 256, 128, 1e-3
+
+# What the contacts leave of the slots' voltages, each slot with currents of its own and
+# without its mean. J(0) places even lone contacts only so well: half of them leave more.
+# Slots that are looked at.
+_UNEXPLAINED, _SOME = 0.09, 8
 
 # λ/σ₁² of `tomojax table1`.
 _RELATIVE = 1.8e-3
@@ -126,7 +131,30 @@ class Linear(AbstractMethod):
         residual = jnp.sqrt(jnp.mean(misfit**2, where=prepared.used))
         grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
         each = rms_by_electrode(grid[1], grid[0])
-        return Estimate(contacts, image, residual, by_electrode=each)
+        flags = self._unexplained(prepared, voltages, contacts)
+        return Estimate(contacts, image, residual, flags, by_electrode=each)
+
+    def _unexplained(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], contacts: kernels.Contacts
+    ) -> Int[Array, ""]:
+        """Of a few of the slots; J(0)'s columns have T's shape, whatever the contact."""
+        step = max(1, len(voltages) // _SOME)
+        rows = prepared.rows.reshape(*voltages.shape, -1)[::step]
+        used = prepared.used.reshape(voltages.shape)[::step]
+        basis = self.basis[: rows.shape[-1]]
+        points = kernels.point_sources(basis, contacts, self.shape, self.cell)
+        columns = jnp.einsum("smr,cr->scm", rows, points, precision="highest")
+        seen = _centred(voltages[::step], used)
+        left = kernels.unexplained(_centred(columns, used[:, None]), seen)
+        bit = kernels.Flag.CONTACTS_UNEXPLAINED.value
+        return jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
+
+
+def _centred(values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]) -> Array:
+    """Without the mean over the channels that are used; 0 where not."""
+    count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
+    mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
+    return jnp.where(used, values - mean, 0)
 
 
 @eqx.filter_jit

@@ -60,7 +60,13 @@ class Network:
         free = np.flatnonzero(node < 0)
         node[free] = m + np.arange(len(free))
         self.node, self.count = node, m + len(free)
+        self.shape = shape
         self.network = _joined(self.sheet, node, shape, self.count)
+
+    def resist(self, inside: Bool[np.ndarray, " cells"], factor: float | int) -> None:
+        """The sheet's resistance there, so many times what it was: a tear, wear."""
+        self.sheet = np.where(inside, factor, 1) * self.sheet
+        self.network = _joined(self.sheet, self.node, self.shape, self.count)
 
     def scene(
         self, *contacts: Contact

@@ -37,6 +37,7 @@ class Seen(NamedTuple):
 
     explored: Float[Array, "2 M"]  # voltages under the two corner grounds, V
     contacts: kernels.Contacts
+    doubted: Bool[Array, ""]  # whether they leave too much of the last slot unexplained
 
 
 class Plan(NamedTuple):
@@ -83,8 +84,9 @@ class Adaptive(AbstractPolicy):
 class Lookup(AbstractPolicy):
     """A table by place: L ground conditions for each; several contacts take turns.
 
-    Without a contact `idle` (L,) is grounded. `lam`, of designs for images: the λ of each
-    place, of σ₁²; a step has its own.
+    Without a contact `idle` (L,) is grounded, and where the contacts do not explain what
+    is measured: there may be another, which is better seen from afar. `lam`, of designs for
+    images: the λ of each place, of σ₁²; a step has its own.
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore
@@ -104,7 +106,7 @@ class Lookup(AbstractPolicy):
         some = jnp.maximum(count, 1)
         # With n contacts each is given every nth of its own.
         mixed = each[turn % some, turn]
-        return jnp.where(count > 0, mixed, self.idle)
+        return jnp.where((count > 0) & ~seen.doubted, mixed, self.idle)
 
 
 class Information(AbstractPolicy):

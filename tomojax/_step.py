@@ -195,7 +195,8 @@ class Step:
         memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
         contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
         flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
-        plan = self._planned(state.plan, slot, voltages, contacts, ok)
+        doubted = (bits & Flag.HIGH_RESIDUAL.value) > 0
+        plan = self._planned(state.plan, slot, voltages, (contacts, doubted), ok)
         output = Output(
             contacts,
             jnp.where(ok, residual, jnp.nan),
@@ -242,12 +243,12 @@ class Step:
         plan: Plan,
         slot: Slot,
         voltages: Array,
-        contacts: kernels.Contacts,
+        found: tuple[kernels.Contacts, Array],
         ok: Array,
     ) -> Plan:
         corner = (slot.ground == self._corners) & ok
         explored = jnp.where(corner[:, None], voltages, plan.explored)
-        seen = Seen(explored, contacts)
+        seen = Seen(explored, *found)
         at, m = plan.at + 1, self.electrode_count
         corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
 

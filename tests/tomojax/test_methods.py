@@ -37,8 +37,11 @@ def batch(method, **options):
 
 def test_finds_the_contact(method, volts):
     rows = batch(method)(volts, np.tile(GROUNDS, (20, 1)))
-    limit = 2e-3 if "Source" in type(method).__name__ else 0.03  # the paper's blur
-    assert (rows.contact_count == 1).all() and not rows.flags.any()
+    linear = "Source" not in type(method).__name__
+    limit = 0.03 if linear else 2e-3  # the paper's blur
+    # J(0)'s contact is millimetres off: it says that it is not all that is seen.
+    expected = tx.Flag.CONTACTS_UNEXPLAINED if linear else 0
+    assert (rows.contact_count == 1).all() and (rows.flags == expected).all()
     apart = np.hypot(*(rows.contact_xy[:, 0] - [0.094, 0.067]).T)
     assert apart.max() < limit
     assert np.isfinite(rows.image).all() and rows.image.shape == (20, 32, 32)

@@ -1,0 +1,226 @@
+"""`tomojax stability`: where each method fails, and what it says then.
+
+A sweep goes from harmless to hopeless (`_stability_scenes`, `_stability_faults`). A
+method's limit is the last value up to which four scenes in five are right; beyond it, a
+place that is far off has to come with a flag.
+"""
+
+import json
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from tomojax import _stability_faults, _stability_scenes
+from tomojax._batch import Batch, frames_of, Rows
+from tomojax._frontier import same_run
+from tomojax._frontier_job import rows_of_steps
+from tomojax._frontier_scenes import DOUBT, FAR, identity
+from tomojax._make_step import make_step
+from tomojax._method import AbstractMethod, method as make_method
+from tomojax._sensor import Sensor
+from tomojax._stability_scenes import Bench, Scenes, Sweep
+from tomojax._step import Step
+
+SWEEPS = {**_stability_scenes.SWEEPS, **_stability_faults.SWEEPS}
+
+# What takes part; slow ones see a few of the scenes.
+METHODS = ("linear", "source", "positive", "points", "follow", "auto", "conductance")
+QUICK = ("linear", "source", "points", "follow")
+_FEW = {"auto": 3, "conductance": 3}
+SCENES, QUICK_SCENES = 10, 4
+
+# Contacts looked for; slots of a step before what it says counts; pixels along a side.
+CONTACTS, _SLOTS, _PIXELS = 3, 60, 32
+
+# Part of the scenes that is right where a method holds; of places that are far off, the
+# part that is flagged where it may be trusted to flag.
+HOLDS, FLAGGED = 0.8, 0.95
+
+
+class Trial:
+    """Methods made once for a bench, and applied to scenes."""
+
+    def __init__(self, bench: Bench):
+        self.bench = bench
+        self._models: dict[str, AbstractMethod] = {}
+
+    def found(self, name: str, scenes: Scenes) -> Rows:
+        """Rows of a method; `linear` has every ground, the others two."""
+        if name == "follow":
+            return self._followed(scenes)
+        model, bench = self._model(name, scenes.told), self.bench
+        count = len(scenes.volts)
+        every = np.arange(len(bench.electrodes))
+        grounds = np.tile(every if name == "linear" else bench.corners, (count, 1))
+        volts = np.take_along_axis(scenes.volts, grounds[..., None], 1)
+        volts = volts.astype(bench.sensor.dtype)
+        good = np.isfinite(volts)
+        lam = model.choose_lambda(frames_of(volts, grounds, good, 8)) * scenes.lam
+        return Batch(model, lam, CONTACTS)(volts, grounds, good)
+
+    def _model(self, name: str, told: Sensor | None) -> AbstractMethod:
+        if told is not None:
+            return make_method(told, name, _PIXELS)
+        if name not in self._models:
+            self._models[name] = make_method(self.bench.sensor, name, _PIXELS)
+        return self._models[name]
+
+    @cached_property
+    def step(self) -> Step:
+        return make_step(self.bench.sensor, contacts=CONTACTS)
+
+    def _followed(self, scenes: Scenes) -> Rows:
+        """After so many slots, each grounded as the step asks."""
+        outs = []
+        for k, volts in enumerate(scenes.volts):
+            state, ground, out = self.step.state, 0, None
+            parts = [volts] if scenes.before is None else [scenes.before[k], volts]
+            for part in parts:
+                for _ in range(_SLOTS):
+                    state, out = self.step(state, part[ground], ground)
+                    ground = int(out.ground)
+            outs.append(jax.tree.map(np.asarray, out))
+        return rows_of_steps(outs)
+
+
+def trial_row(trial: Trial, method: str, scenes: Scenes) -> dict[str, Any]:
+    """How right, how far off and how doubted a method is on scenes of one value."""
+    few = _FEW.get(method)
+    some = Scenes(*(a[:few] if isinstance(a, np.ndarray) else a for a in scenes))
+    try:
+        rows = trial.found(method, some)
+    except ValueError as error:
+        return {"scenes": len(some.volts), "raised": str(error)}
+    errors = np.array([_error(rows, k, xy) for k, xy in enumerate(some.xy)])
+    doubted = (rows.flags & DOUBT) > 0
+    far = errors > 1e-3 * FAR
+    near = errors <= some.near
+    row = {
+        "scenes": len(errors),
+        "raised": None,
+        "near": float(near.mean()),
+        "far": int(far.sum()),
+        "far_undoubted": int((far & ~doubted).sum()),
+        "doubted": float(doubted.mean()),
+        "near_doubted": int((near & doubted).sum()),
+        "silent": int((_not_numbers(rows) & ~doubted).sum()),
+    }
+    for key, part in (("median", 0.5), ("p90", 0.9)):
+        value = np.sort(errors)[int(np.ceil(part * len(errors))) - 1]
+        row[f"place_{key}_mm"] = 1e3 * float(value) if np.isfinite(value) else None
+    if method == "auto":
+        row["rungs"] = np.bincount(rows.rung, minlength=4).tolist()
+    return row
+
+
+def _error(rows: Rows, k: int, xy: np.ndarray) -> float:
+    """Of the worst contact to the nearest that was found, m."""
+    count = int(rows.contact_count[k])
+    if not count:
+        return np.inf
+    places = xy[np.isfinite(xy).all(1)]
+    ways = np.hypot(*np.moveaxis(rows.contact_xy[k, :count, None] - places, -1, 0))
+    return float(np.nan_to_num(ways, nan=np.inf).min(0).max())
+
+
+def _not_numbers(rows: Rows) -> np.ndarray:
+    """Which rows say something that is no number."""
+    there = np.arange(rows.contact_xy.shape[1]) < rows.contact_count[:, None]
+    places = np.isfinite(rows.contact_xy).all(2) & np.isfinite(rows.contact_current)
+    bad = (there & ~places).any(1) | ~np.isfinite(rows.residual)
+    if rows.image is not None:
+        bad |= ~np.isfinite(rows.image).all((1, 2))
+    return bad
+
+
+def sweep_rows(trial: Trial, name: str, methods: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Of one sweep: a row for each value and method."""
+    sweep, rows = SWEEPS[name], []
+    for value in sweep.values:
+        scenes = sweep.make(trial.bench, value)
+        for method in methods:
+            if takes_part(sweep, method, scenes):
+                told = {"sweep": name, "method": method, "value": float(value)}
+                rows.append(told | trial_row(trial, method, scenes))
+    return rows
+
+
+def takes_part(sweep: Sweep, method: str, scenes: Scenes) -> bool:
+    """A step is made for one sensor, and has no scans."""
+    if sweep.only and method not in sweep.only:
+        return False
+    return method != "follow" or (sweep.follows and scenes.told is None)
+
+
+def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of each sweep and method: the limit, and what the user gets beyond it."""
+    found = []
+    for name, method in dict.fromkeys((r["sweep"], r["method"]) for r in rows):
+        some = [r for r in rows if (r["sweep"], r["method"]) == (name, method)]
+        held = [bool(r["raised"] is None and r["near"] >= HOLDS) for r in some]
+        count = held.index(False) if False in held else len(held)
+        beyond = some[count:]
+        far, undoubted = (
+            sum(r.get(key, 0) for r in some) for key in ("far", "far_undoubted")
+        )
+        found.append(
+            {
+                "sweep": name,
+                "method": method,
+                "limit": some[count - 1]["value"] if count else None,
+                "last": some[-1]["value"],
+                "beyond": _beyond(beyond, far, undoubted),
+                "far": far,
+                "far_undoubted": undoubted,
+                "silent": sum(r.get("silent", 0) for r in some),
+                "test": f"tests/stability/test_sweeps.py::test_{method}[{name}]",
+            }
+        )
+    return found
+
+
+def _beyond(rows: list[dict[str, Any]], far: int, undoubted: int) -> str:
+    if not rows:
+        return "holds"
+    words = []
+    if any(r["raised"] for r in rows):
+        words.append("error")
+    if any(np.argmax(r.get("rungs", [0])) == 3 for r in rows):
+        words.append("fallback")
+    if far:
+        words.append("flag" if undoubted <= (1 - FLAGGED) * far else "unflagged")
+    return ", ".join(words) or "worse"
+
+
+def run(
+    sensor: Sensor,
+    folder: Path,
+    quick: bool = False,
+    only: tuple[str, ...] = (),
+    scenes: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str], Any] = lambda done: None,
+) -> list[dict[str, Any]]:
+    """Rows of all sweeps; what `folder` has of the same run already is not done again."""
+    count = scenes or (QUICK_SCENES if quick else SCENES)
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"scenes": count, "seed": seed, "quick": quick, "sensor": identity(sensor)}
+    same_run(folder / "stability-run.json", told)
+    trial = Trial(Bench(sensor, count, seed))
+    rows: list[dict[str, Any]] = []
+    for name in only or SWEEPS:
+        path = folder / f"stability-{name}.json"
+        if path.exists():
+            rows += json.loads(path.read_text())
+        else:
+            new = sweep_rows(trial, name, QUICK if quick else METHODS)
+            part = path.with_suffix(".part")
+            part.write_text(json.dumps(new) + "\n")
+            part.rename(path)
+            rows += new
+        progress(name)
+    return rows

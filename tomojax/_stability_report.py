@@ -1,0 +1,87 @@
+"""What `tomojax stability` prints and draws."""
+
+from typing import Any
+
+import numpy as np
+
+from tomojax._frontier_report import COLOURS
+from tomojax._stability import FLAGGED, SWEEPS
+
+_WIDE, _FAR_AWAY = 5, 300.0  # panels in a line; mm where something lost is drawn
+
+
+def text(limits: list[dict[str, Any]]) -> str:
+    """A line for each sweep and method."""
+    lines = [f"{'sweep':34s} {'method':12s} {'holds to':>9s} of {'':9s} beyond"]
+    for row in limits:
+        limit = "-" if row["limit"] is None else f"{row['limit']:g}"
+        said = row["beyond"]
+        if row["far"]:
+            flagged = row["far"] - row["far_undoubted"]
+            said += f" ({flagged} of {row['far']} far off are flagged)"
+        title = SWEEPS[row["sweep"]].title
+        lines.append(
+            f"{title[:33]:34s} {row['method']:12s} {limit:>9s} of {row['last']:<9g} {said}"
+        )
+    return "\n".join(lines)
+
+
+def flagged(limits: list[dict[str, Any]]) -> dict[str, Any]:
+    """Of places that are far off, over all sweeps, the part that is flagged."""
+    found = {}
+    for method in dict.fromkeys(row["method"] for row in limits):
+        some = [row for row in limits if row["method"] == method]
+        far, undoubted, silent = (
+            sum(row[key] for row in some) for key in ("far", "far_undoubted", "silent")
+        )
+        found[method] = {
+            "far": far,
+            "flagged": 1 - undoubted / far if far else None,
+            "not_a_number_unflagged": silent,
+        }
+    return found
+
+
+def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
+    """A panel for each sweep: place error of nine in ten, limits, and what is unflagged."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(row["sweep"] for row in rows))
+    high = -(-(len(names) + 1) // _WIDE)
+    figure = Figure(figsize=(4 * _WIDE, 3.1 * high), layout="constrained")
+    panels = figure.subplots(high, _WIDE, squeeze=False).ravel()
+    for axes, name in zip(panels, names):
+        _panel(axes, [r for r in rows if r["sweep"] == name], name)
+        for k, row in enumerate(r for r in limits if r["sweep"] == name):
+            at = list(SWEEPS[name].values)
+            if row["limit"] is not None and row["limit"] != at[-1]:
+                x = at.index(row["limit"]) + 0.42 + 0.04 * k
+                axes.axvline(x, color=COLOURS[row["method"]], ls=":", lw=1.2)
+    legend, *rest = panels[len(names) :]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        legend.plot([], [], "-o", ms=4, color=COLOURS[method], label=method)
+    legend.plot([], [], "o", ms=10, mfc="none", mec="r", label="far off, not flagged")
+    legend.plot([], [], ":", color="0.4", label="limit: 4 of 5 scenes right")
+    legend.legend(loc="center", frameon=False)
+    for axes in (legend, *rest):
+        axes.set_axis_off()
+    return figure
+
+
+def _panel(axes: Any, rows: list[dict[str, Any]], name: str) -> None:
+    sweep = SWEEPS[name]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
+        x = np.array([sweep.values.index(row["value"]) for row in mine])
+        y = np.array([row.get("place_p90_mm") or _FAR_AWAY for row in mine])
+        axes.plot(x, y, "-o", ms=4, color=COLOURS[method])
+        silent = [
+            bool(r.get("far")) and r["far_undoubted"] > (1 - FLAGGED) * r["far"]
+            for r in mine
+        ]
+        axes.plot(x[silent], y[silent], "o", ms=10, mfc="none", mec="r")
+    axes.set_xticks(range(len(sweep.values)), [f"{v:g}" for v in sweep.values], fontsize=7)
+    axes.set(yscale="log", ylim=(0.05, 1.3 * _FAR_AWAY))
+    axes.set_title(sweep.title, fontsize=9)
+    axes.set_ylabel("place error, mm (90 %)", fontsize=8)
+    axes.grid(alpha=0.3)
