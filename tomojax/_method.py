@@ -33,7 +33,7 @@ METHODS = {
 
 
 # What noise and offsets of a converter leave in any case, V rms.
-_NOISE = 1e-3
+NOISE = 1e-3
 
 
 class Rung(IntEnum):
@@ -186,7 +186,7 @@ def judge(
     """
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
-    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _NOISE
+    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + NOISE
     none = kernels.no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, flags)

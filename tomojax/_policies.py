@@ -37,7 +37,16 @@ class Seen(NamedTuple):
 
     explored: Float[Array, "2 M"]  # voltages under the two corner grounds, V
     contacts: kernels.Contacts
-    doubted: Bool[Array, ""]  # whether they leave too much of the last slot unexplained
+    doubted: Bool[Array, ""]  # whether they left much of a slot of this stretch unexplained
+    ground: Int[Array, ""]  # of the last slot
+
+    def onwards(self, length: int) -> Int[Array, " L"]:
+        """The electrodes after the last ground, in order.
+
+        Where there is another contact it is found by grounds next to each other: three in
+        a row have to show it at one place. Grounds far from each other find half as many.
+        """
+        return (self.ground + 1 + jnp.arange(length)) % self.explored.shape[1]
 
 
 class Plan(NamedTuple):
@@ -49,6 +58,7 @@ class Plan(NamedTuple):
     at: Int[Array, ""]
     exploring: Bool[Array, ""]  # whether these are the corners
     explored: Float[Array, "2 M"]
+    doubted: Bool[Array, ""]  # as in `Seen`
 
 
 class AbstractPolicy(eqx.Module):
@@ -84,9 +94,9 @@ class Adaptive(AbstractPolicy):
 class Lookup(AbstractPolicy):
     """A table by place: L ground conditions for each; several contacts take turns.
 
-    Without a contact `idle` (L,) is grounded, and where the contacts do not explain what
-    is measured: there may be another, which is better seen from afar. `lam`, of designs for
-    images: the λ of each place, of σ₁²; a step has its own.
+    Without a contact `idle` (L,) is grounded; one electrode after another where the
+    contacts do not explain what is measured, as there may be one more. `lam`, of designs
+    for images: the λ of each place, of σ₁²; a step has its own.
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore
@@ -106,14 +116,16 @@ class Lookup(AbstractPolicy):
         some = jnp.maximum(count, 1)
         # With n contacts each is given every nth of its own.
         mixed = each[turn % some, turn]
-        return jnp.where((count > 0) & ~seen.doubted, mixed, self.idle)
+        grounds = jnp.where(seen.doubted, seen.onwards(length), mixed)
+        return jnp.where(count > 0, grounds, self.idle)
 
 
 class Information(AbstractPolicy):
     """One slot at a time: the ground whose slot is expected to say most of the places.
 
     The largest Σ_c ln|P_c⁻¹ + J_c(l)| over grounds l, P the covariance of a contact's
-    place and J(l) what a slot says of it, looked up by place.
+    place and J(l) what a slot says of it, looked up by place. The next electrode where the
+    contacts do not explain what is measured, as of `Lookup`.
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore
@@ -134,6 +146,7 @@ class Information(AbstractPolicy):
         det = xx * yy - mixed**2
         told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
         best = jnp.argmax(jnp.where(there[:, None], told, 0).sum(0))
+        best = jnp.where(seen.doubted, seen.onwards(1)[0], best)
         return jnp.where(there.any(), best, self.idle)[None]
 
 
