@@ -66,7 +66,7 @@ def stability(
         with open_recording(like) as recording:
             sensor = recording.rig.sensor()
     with click.progressbar(
-        length=len(only or names),
+        length=len(only) or len(names) + 1,
         label="stability",
         file=sys.stderr,
         item_show_func=_named,
@@ -80,15 +80,26 @@ def stability(
             seed,
             lambda done: bar.update(1, done),  # pyright: ignore
         )
+        numbers = None
+        if not only:
+            numbers = _stability.numbers(out, quick)
+            bar.update(1)
     limits = _stability.limits(rows)
     print(_stability_report.text(limits))
-    summary = {"flagged": _stability_report.flagged(limits), "values": rows}
+    flagged = _stability_report.flagged(limits)
+    print(_stability_report.flagged_text(flagged))
+    summary = {"flagged": flagged, "values": rows, "numbers": numbers}
     path = json_path or out / "stability.json"
     report = {"rows": limits, "summary": summary, "environment": environment()}
     path.write_text(json.dumps(report, indent=1) + "\n")
     picture = out / "stability.png"
     _stability_report.chart(rows, limits).savefig(picture, dpi=100)
     print(f"picture: {picture}")
+    if numbers:
+        print(_stability_report.numbers_text(numbers))
+        picture = out / "stability_numbers.png"
+        _stability_report.numbers_chart(numbers, limits).savefig(picture, dpi=100)
+        print(f"picture: {picture}")
 
 
 def _named(sweep: Any) -> str | None:

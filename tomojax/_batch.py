@@ -105,9 +105,13 @@ class Batch:
             lam = self.lam if lams is None else float(lams[k])
             return self._prepare(keys[k], good[k], lam)
 
+        # What `jax.enable_x64` says here holds in this thread alone.
+        wide = jax.config.jax_enable_x64  # pyright: ignore
+
         def work(job: tuple[Any, np.ndarray]) -> None:
             prepared, part = job
-            self._run(prepared, part, voltages, grounds, good, rows)
+            with jax.enable_x64(wide):
+                self._run(prepared, part, voltages, grounds, good, rows)
 
         with ThreadPoolExecutor(_WORKERS) as pool:
             # The first alone: what it compiles serves the others. Then as many as the

@@ -185,7 +185,7 @@ def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Ite
         ]
         best = max(some, key=lambda r: r["frames_per_s"])
         yield (
-            f"images, {method}, {slots} slots, {pixels} x {pixels}, {threads} threads: "
+            f"images, {method}, slots {slots}, {pixels} x {pixels}, threads {threads}: "
             f"{best['frames_per_s']:.3g}/s from a batch of {best['batch']}, "
             f"{100 * best['part_of_bound']:.0f} % of the bound ({best['bound']})"
         )
@@ -211,11 +211,11 @@ def rate_chart(rates: list[dict[str, Any]]) -> Any:
         ):
             mine = [r for r in some if (r["method"], r["slots"]) == (method, slots)]
             x = [r["batch"] for r in mine]
-            label = f"{method}, {slots} slots"
+            label = f"{method}, {slots} slot{'s' * (slots > 1)}"
             axes.loglog(x, [r["frames_per_s"] for r in mine], "-o", color=f"C{k}",
                         ms=4, label=label)  # fmt: skip
             axes.loglog(x, [r["bound_frames_per_s"] for r in mine], "--", color=f"C{k}")
-        axes.set_title(f"{pixels} x {pixels} pixels, {threads} threads")
+        axes.set_title(f"{pixels} x {pixels} pixels, threads: {threads}")
         axes.set_xlabel("frames in a call")
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("images/s; dashed: the machine's bound")

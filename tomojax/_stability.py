@@ -22,6 +22,7 @@ from tomojax._frontier_scenes import DOUBT, FAR, identity
 from tomojax._make_step import make_step
 from tomojax._method import AbstractMethod, method as make_method
 from tomojax._sensor import Sensor
+from tomojax._stability_numbers import gradient_rows, solver_rows
 from tomojax._stability_scenes import Bench, Scenes, Sweep
 from tomojax._step import Step
 
@@ -32,6 +33,9 @@ METHODS = ("linear", "source", "positive", "points", "follow", "auto", "conducta
 QUICK = ("linear", "source", "points", "follow")
 _FEW = {"auto": 3, "conductance": 3}
 SCENES, QUICK_SCENES = 10, 4
+
+# Those that are run in float64 too.
+_BOTH = ("linear", "source", "positive", "points")
 
 # Contacts looked for; slots of a step before what it says counts; pixels along a side.
 CONTACTS, _SLOTS, _PIXELS = 3, 60, 32
@@ -46,28 +50,35 @@ class Trial:
 
     def __init__(self, bench: Bench):
         self.bench = bench
-        self._models: dict[str, AbstractMethod] = {}
+        self._models: dict[tuple[str, Any], AbstractMethod] = {}
 
-    def found(self, name: str, scenes: Scenes) -> Rows:
-        """Rows of a method; `linear` has every ground, the others two."""
+    def found(self, name: str, scenes: Scenes, dtype: Any = np.float32) -> Rows:
+        """Rows of a method; `linear` has every ground, the others two.
+
+        In float64 where that is enabled: `jax.enable_x64`.
+        """
         if name == "follow":
             return self._followed(scenes)
-        model, bench = self._model(name, scenes.told), self.bench
+        model, bench = self._model(name, scenes.told, dtype), self.bench
         count = len(scenes.volts)
         every = np.arange(len(bench.electrodes))
         grounds = np.tile(every if name == "linear" else bench.corners, (count, 1))
         volts = np.take_along_axis(scenes.volts, grounds[..., None], 1)
-        volts = volts.astype(bench.sensor.dtype)
+        volts = volts.astype(dtype)
         good = np.isfinite(volts)
         lam = model.choose_lambda(frames_of(volts, grounds, good, 8)) * scenes.lam
         return Batch(model, lam, CONTACTS)(volts, grounds, good)
 
-    def _model(self, name: str, told: Sensor | None) -> AbstractMethod:
+    def _model(self, name: str, told: Sensor | None, dtype: Any) -> AbstractMethod:
+        def made(sensor: Sensor) -> AbstractMethod:
+            cast = jax.tree.map(lambda a: a.astype(dtype), sensor)
+            return make_method(cast, name, _PIXELS)
+
         if told is not None:
-            return make_method(told, name, _PIXELS)
-        if name not in self._models:
-            self._models[name] = make_method(self.bench.sensor, name, _PIXELS)
-        return self._models[name]
+            return made(told)
+        if (name, dtype) not in self._models:
+            self._models[name, dtype] = made(self.bench.sensor)
+        return self._models[name, dtype]
 
     @cached_property
     def step(self) -> Step:
@@ -114,7 +125,23 @@ def trial_row(trial: Trial, method: str, scenes: Scenes) -> dict[str, Any]:
         row[f"place_{key}_mm"] = 1e3 * float(value) if np.isfinite(value) else None
     if method == "auto":
         row["rungs"] = np.bincount(rows.rung, minlength=4).tolist()
+    if method in _BOTH:
+        with jax.enable_x64(True):
+            wide = trial.found(method, some, np.float64)
+        row |= _beside_float64(rows, wide)
     return row
+
+
+def _beside_float64(rows: Rows, wide: Rows) -> dict[str, Any]:
+    """How far apart places of float32 and float64 are, where neither is doubted."""
+    sound = ((rows.flags | wide.flags) & DOUBT) == 0
+    same = rows.contact_count == wide.contact_count
+    away = np.hypot(*np.moveaxis(rows.contact_xy - wide.contact_xy, -1, 0))
+    apart = np.nanmax(np.where(np.isfinite(away), away, 0), 1)[sound & same]
+    return {
+        "dtypes_apart_mm": 1e3 * float(apart.max()) if len(apart) else 0.0,
+        "dtypes_other_count": int((sound & ~same).sum()),
+    }
 
 
 def _error(rows: Rows, k: int, xy: np.ndarray) -> float:
@@ -177,6 +204,8 @@ def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "far": far,
                 "far_undoubted": undoubted,
                 "silent": sum(r.get("silent", 0) for r in some),
+                "dtypes_apart_mm": max(r.get("dtypes_apart_mm", 0) for r in some),
+                "dtypes_other_count": sum(r.get("dtypes_other_count", 0) for r in some),
                 "test": f"tests/stability/test_sweeps.py::test_{method}[{name}]",
             }
         )
@@ -212,15 +241,31 @@ def run(
     same_run(folder / "stability-run.json", told)
     trial = Trial(Bench(sensor, count, seed))
     rows: list[dict[str, Any]] = []
+    methods = QUICK if quick else METHODS
     for name in only or SWEEPS:
         path = folder / f"stability-{name}.json"
-        if path.exists():
-            rows += json.loads(path.read_text())
-        else:
-            new = sweep_rows(trial, name, QUICK if quick else METHODS)
-            part = path.with_suffix(".part")
-            part.write_text(json.dumps(new) + "\n")
-            part.rename(path)
-            rows += new
+        rows += _kept(path, lambda name=name: sweep_rows(trial, name, methods))
         progress(name)
     return rows
+
+
+def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
+    """Of solvers and gradients; kept in `folder` as the rows are."""
+
+    def made() -> dict[str, Any]:
+        with jax.enable_x64(True):
+            points = (1000, 100) if quick else (10_000, 100)
+            return {"solvers": solver_rows(), "gradients": gradient_rows(*points)}
+
+    return _kept(folder / "stability-numbers.json", made)
+
+
+def _kept(path: Path, make: Callable[[], Any]) -> Any:
+    """What is in the file; if there is none, it is made."""
+    if path.exists():
+        return json.loads(path.read_text())
+    new = make()
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(new) + "\n")
+    part.rename(path)
+    return new

@@ -3,24 +3,29 @@
 On a small sensor, so that thousands of points are a matter of minutes.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from tomojax import kernels
 from tomojax._forward import resistances, voltages
 from tomojax._sensor import Sensor
+from tomojax.kernels._mesh import nodes as mesh_nodes, triangles
 
 # λ/σ₁² of the solvers; routes of `kernels.tikhonov`.
 RELATIVE = tuple(10.0 ** -np.arange(2, 13))
 ROUTES = ("cholesky", "qr", "refined")
 
-# Points of a compiled call; of how many derivatives are compared with differences.
-_TOGETHER, _COMPARED, _STEP = 100, 50, 1e-5
+_TOGETHER = 100  # points of a compiled call
+
+# Of how many points derivatives are compared with differences; steps of those.
+_COMPARED, _STEP = 50, 1e-5
 
 
 def small(dtype: Any) -> Sensor:
@@ -38,7 +43,7 @@ def solver_rows(seed: int = 0) -> list[dict[str, Any]]:
     grounds = jnp.arange(0, 16, 2)
     jac = _jacobian(sensor, table, grounds)
     rng = np.random.default_rng(seed)
-    volts = matmul_host(jac, np.maximum(rng.normal(size=jac.shape[1]), 0))
+    volts = jac @ np.maximum(rng.normal(size=jac.shape[1]), 0)
     volts = volts + 1e-3 * np.abs(volts).max() * rng.normal(size=len(volts))
     largest = np.linalg.norm(jac, 2) ** 2
     rows = []
@@ -57,10 +62,6 @@ def solver_rows(seed: int = 0) -> list[dict[str, Any]]:
             flagged = not np.isfinite(error)
             rows.append(told | {"error": None if flagged else float(error)})
     return rows
-
-
-def matmul_host(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.asarray(a) @ np.asarray(b)
 
 
 def _jacobian(sensor: Sensor, table: kernels.Resistances, grounds: Array) -> np.ndarray:
@@ -109,14 +110,14 @@ def symmetric_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     return points
 
 
-def pipeline(sensor: Sensor, point: dict[str, Array]) -> Float[Array, ""]:
+def pipeline(
+    sensor: Sensor, centres: Float[Array, "K 2"], point: dict[str, Array]
+) -> Float[Array, ""]:
     """From sheet, electrodes, contact, grounds' weights and λ to how wrong an image is.
 
     The distance of the image's centre of gravity from the contact, squared, and its second
     moment, in units of the sheet's side: sensor → resistances → voltages → J_s → Eq. 3.
     """
-    from dataclasses import replace
-
     side = sensor.size[0]
     xy = sensor.electrode_xy.at[5, 0].add(point["shift"])
     changed = replace(
@@ -126,7 +127,6 @@ def pipeline(sensor: Sensor, point: dict[str, Array]) -> Float[Array, ""]:
         ground_resistance=jnp.exp(point["log_ground"]),
     )
     table = resistances(changed)
-    centres = _centres(sensor)
     place = jnp.stack([point["x"], point["y"]])
     near = jnp.exp(-((centres - place) ** 2).sum(1) / (2 * (0.06 * side) ** 2))
     g = jnp.exp(point["log_conductance"]) * near / near.sum()
@@ -141,7 +141,7 @@ def pipeline(sensor: Sensor, point: dict[str, Array]) -> Float[Array, ""]:
     # Of the scale of J, whatever the weights.
     lam = jnp.exp(point["log_lam"]) * (rows**2).sum()
     phi = kernels.tikhonov(rows, v.ravel(), lam, weights)
-    mass = jnp.sqrt(phi**2 + 1e-12)
+    mass = phi**2 + 1e-30
     share = mass / mass.sum()
     middle = (share[:, None] * centres).sum(0)
     spread = (share * ((centres - middle) ** 2).sum(1)).sum()
@@ -150,9 +150,7 @@ def pipeline(sensor: Sensor, point: dict[str, Array]) -> Float[Array, ""]:
 
 def _centres(sensor: Sensor) -> Float[Array, "K 2"]:
     """Of the elements."""
-    from tomojax.kernels._mesh import nodes, triangles
-
-    points = np.asarray(nodes(sensor.divisions, np.asarray(sensor.size)))
+    points = np.asarray(mesh_nodes(sensor.divisions, np.asarray(sensor.size)))
     corners = np.asarray(triangles(sensor.divisions))
     return jnp.asarray(points[corners].mean(1), sensor.dtype)
 
@@ -163,9 +161,11 @@ def gradient_rows(
     """Whether the pipeline's gradient is finite, and its largest difference from
     differences, at random and at symmetric points. Needs float64 to be enabled."""
     sensor = small(np.float64)
-    value = partial(pipeline, sensor)
-    both = jax.jit(jax.vmap(jax.value_and_grad(value)))
-    plain = jax.jit(jax.vmap(value))
+    value = partial(pipeline, sensor, _centres(sensor))
+    # One after another: of several at once, jaxlib 0.10 factors matrices side by side on
+    # the CPU, and hangs.
+    both = jax.jit(partial(lax.map, jax.value_and_grad(value)))
+    plain = jax.jit(partial(lax.map, value))
     rows = []
     for kind, points in (
         ("random", random_points(count, seed)),

@@ -38,8 +38,74 @@ def flagged(limits: list[dict[str, Any]]) -> dict[str, Any]:
             "far": far,
             "flagged": 1 - undoubted / far if far else None,
             "not_a_number_unflagged": silent,
+            "dtypes_apart_mm": max(row["dtypes_apart_mm"] for row in some),
+            "dtypes_other_count": sum(row["dtypes_other_count"] for row in some),
         }
     return found
+
+
+def flagged_text(flagged: dict[str, Any]) -> str:
+    """A line for each method."""
+    lines = []
+    for method, row in flagged.items():
+        part = "none" if row["flagged"] is None else f"{100 * row['flagged']:.0f} %"
+        lines.append(
+            f"{method}: of {row['far']} places over 20 mm off {part} flagged; "
+            f"{row['not_a_number_unflagged']} unflagged that are no number; float32 "
+            f"{row['dtypes_apart_mm']:.2g} mm from float64 at most"
+        )
+    return "\n".join(lines)
+
+
+def numbers_text(numbers: dict[str, Any]) -> str:
+    """Of solvers and gradients."""
+    lines = []
+    for solver in dict.fromkeys(row["solver"] for row in numbers["solvers"]):
+        errors = [r["error"] for r in numbers["solvers"] if r["solver"] == solver]
+        failed = sum(error is None for error in errors)
+        worst = max(error for error in errors if error is not None)
+        lines.append(
+            f"solver in float32, {solver}: largest error of an image {worst:.1e}, NaN at "
+            f"{failed} of {len(errors)} λ"
+        )
+    for row in numbers["gradients"]:
+        largest = max(row["largest_difference"].values())
+        lines.append(
+            f"gradients at {row['count']} {row['points']} points: {row['finite']} finite, "
+            f"{largest:.1e} from differences at most"
+        )
+    return "\n".join(lines)
+
+
+def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
+    """Solvers along λ, gradients beside differences, float32 beside float64."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
+    solvers, gradients, dtypes = figure.subplots(1, 3)
+    for name in dict.fromkeys(row["solver"] for row in numbers["solvers"]):
+        mine = [row for row in numbers["solvers"] if row["solver"] == name]
+        x = [row["relative_lam"] for row in mine]
+        solvers.loglog(x, [row["error"] or np.nan for row in mine], "-o", ms=4, label=name)
+    solvers.set(xlabel="λ/σ₁²", ylabel="error of an image in float32 (no point: NaN)")
+    for k, row in enumerate(numbers["gradients"]):
+        names, values = zip(*row["largest_difference"].items())
+        at, label = np.arange(len(names)) + 0.4 * k, f"{row['count']} {row['points']}"
+        gradients.bar(at, values, 0.4, label=f"{label} points, {row['finite']} finite")
+        gradients.set_xticks(np.arange(len(names)) + 0.2, names, rotation=45, ha="right")
+    gradients.set(yscale="log", ylabel="derivative beside differences")
+    methods = [m for m in COLOURS if any(r["method"] == m for r in limits)]
+    for method in methods:
+        values = [r["dtypes_apart_mm"] for r in limits if r["method"] == method]
+        x = np.maximum(np.sort(values), 1e-6)
+        y = (np.arange(len(x)) + 1) / len(x)
+        dtypes.plot(x, y, color=COLOURS[method], label=method)
+    dtypes.set(xscale="log", xlabel="float32 from float64, mm, at most in a sweep")
+    dtypes.set(ylabel="part of the sweeps")
+    for axes in (solvers, gradients, dtypes):
+        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3)
+    return figure
 
 
 def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
