@@ -128,7 +128,10 @@ class Batch:
     def _check(self, voltages, grounds, good) -> None:
         m = self.method.electrode_count
         shape = voltages.shape
-        require(shape[2:] == (m,), "voltages", f"shape {shape}", f"(frames, slots, {m})")
+        fits = len(shape) == 3 and shape[1] > 0 and shape[2] == m
+        require(
+            fits, "voltages", f"shape {shape}", f"(frames, slots, {m}), a slot at least"
+        )
         require(grounds.shape == shape[:2], "grounds", grounds.shape, f"{shape[:2]}")
         require(good.shape == shape, "good", good.shape, f"{shape}")
         used = grounds[good.any(-1)]

@@ -19,7 +19,7 @@ COLOURS = {
 }
 _PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D"}
 _RUNGS = ("nothing", "points", "source", "conductance")
-_WORDS = {
+WORDS = {
     "one": "one contact",
     "two": "two, 15 to 40 mm apart",
     "three": "three contacts",
@@ -36,7 +36,7 @@ def text(rows: list[dict[str, Any]]) -> str:
     ]
     for kind in KINDS:
         some = [r for r in rows if r["scene"] == kind and (r["on_front"] or r["peer"])]
-        lines.append(f"{_WORDS[kind]}:")
+        lines.append(f"{WORDS[kind]}:")
         for row in sorted(some, key=lambda r: (r["peer"], -r["p50_us"])):
             lines.append(_line(row))
     found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
@@ -116,7 +116,7 @@ def chart(rows: list[dict[str, Any]]) -> Any:
         front = sorted((r["p50_us"], r["place_median_mm"]) for r in some if r["on_front"])
         if front:
             axes.step(*zip(*front), where="post", color="k", lw=1)
-        axes.set(xscale="log", yscale="log", title=_WORDS[kind])
+        axes.set(xscale="log", yscale="log", title=WORDS[kind])
         axes.set(xlabel="µs a frame (median)", ylabel="place error, mm (median)")
         axes.grid(alpha=0.3)
     legend = panels[-1]

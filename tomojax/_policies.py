@@ -46,7 +46,8 @@ class Seen(NamedTuple):
         Where there is another contact it is found by grounds next to each other: three in
         a row have to show it at one place. Grounds far from each other find half as many.
         """
-        return (self.ground + 1 + jnp.arange(length)) % self.explored.shape[1]
+        turn = jnp.arange(1, length + 1, dtype=self.ground.dtype)
+        return (self.ground + turn) % self.explored.shape[1]
 
 
 class Plan(NamedTuple):
@@ -116,7 +117,8 @@ class Lookup(AbstractPolicy):
         some = jnp.maximum(count, 1)
         # With n contacts each is given every nth of its own.
         mixed = each[turn % some, turn]
-        grounds = jnp.where(seen.doubted, seen.onwards(length), mixed)
+        onwards = seen.onwards(length).astype(mixed.dtype)
+        grounds = jnp.where(seen.doubted, onwards, mixed)
         return jnp.where(count > 0, grounds, self.idle)
 
 
@@ -146,7 +148,7 @@ class Information(AbstractPolicy):
         det = xx * yy - mixed**2
         told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
         best = jnp.argmax(jnp.where(there[:, None], told, 0).sum(0))
-        best = jnp.where(seen.doubted, seen.onwards(1)[0], best)
+        best = jnp.where(seen.doubted, seen.onwards(1)[0].astype(best.dtype), best)
         return jnp.where(there.any(), best, self.idle)[None]
 
 

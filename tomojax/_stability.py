@@ -98,8 +98,13 @@ class Trial:
         return rows_of_steps(outs)
 
 
-def trial_row(trial: Trial, method: str, scenes: Scenes) -> dict[str, Any]:
-    """How right, how far off and how doubted a method is on scenes of one value."""
+def trial_row(
+    trial: Trial, method: str, scenes: Scenes, both: bool = True
+) -> dict[str, Any]:
+    """How right, how far off and how doubted a method is on scenes of one value.
+
+    With `both` in float64 too, where a method has a part in that.
+    """
     few = _FEW.get(method)
     some = Scenes(*(a[:few] if isinstance(a, np.ndarray) else a for a in scenes))
     try:
@@ -125,7 +130,7 @@ def trial_row(trial: Trial, method: str, scenes: Scenes) -> dict[str, Any]:
         row[f"place_{key}_mm"] = 1e3 * float(value) if np.isfinite(value) else None
     if method == "auto":
         row["rungs"] = np.bincount(rows.rung, minlength=4).tolist()
-    if method in _BOTH:
+    if both and method in _BOTH:
         with jax.enable_x64(True):
             wide = trial.found(method, some, np.float64)
         row |= _beside_float64(rows, wide)

@@ -150,7 +150,7 @@ def pipeline(
 
 def _centres(sensor: Sensor) -> Float[Array, "K 2"]:
     """Of the elements."""
-    points = np.asarray(mesh_nodes(sensor.divisions, np.asarray(sensor.size)))
+    points = np.asarray(mesh_nodes(sensor.divisions, sensor.size))
     corners = np.asarray(triangles(sensor.divisions))
     return jnp.asarray(points[corners].mean(1), sensor.dtype)
 

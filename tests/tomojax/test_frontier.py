@@ -297,7 +297,7 @@ def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
     monkeypatch.setattr(_frontier_rates, "make_method", lambda *_: made)
     job = Job("day", ("corners",))
     auto, largest = _frontier_rates.day_rows(job, sensor, trials)
-    assert auto["kinds"] == largest["kinds"] and auto["frames"] == 200
+    assert auto["kinds"] == largest["kinds"] and auto["frames"] == 100
     assert auto["contacts_where_nothing_is"] == 0
     assert {k: v["scenes"] for k, v in auto["kinds"].items()} == _frontier_rates._DAY
     (line,) = _frontier_report.machine_lines([], [auto])

@@ -1,0 +1,53 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Where it fails
+#
+# From a committed run of `tomojax stability`: one thing gets worse from value to value,
+# until each method fails. The limit is the last value up to which four scenes in five are
+# within 10 mm of the truth. Beyond it a place that is over 20 mm off has to come with a
+# flag: HIGH_RESIDUAL, CONTACTS_UNEXPLAINED, NO_CONTACT, NO_DATA or SOLVE_FAILED.
+#
+# `linear` has all 64 grounds, the others the two corners; `follow` grounds as it likes.
+
+# %%
+import json
+from pathlib import Path
+
+from IPython.display import display
+
+from tomojax import _stability_report as report
+
+results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
+found = json.loads((results / "stability.json").read_text())
+limits, summary = found["rows"], found["summary"]
+display(report.chart(summary["values"], limits))
+
+# %% [markdown]
+# A red ring is what must not be: places far off that nothing warns of.
+
+# %%
+print(report.text(limits))
+
+# %%
+print(report.flagged_text(summary["flagged"]))
+
+# %% [markdown]
+# ## The numbers themselves
+#
+# Solvers of Eq. 3 in float32 beside float64; derivatives of the whole pipeline (sheet,
+# electrodes, contact, grounds' weights and λ to an image's error) beside differences; and
+# how far apart places in float32 and float64 are over all of the sweeps.
+
+# %%
+display(report.numbers_chart(summary["numbers"], limits))
+print(report.numbers_text(summary["numbers"]))

@@ -1,0 +1,93 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Which method for my scene
+#
+# From a committed run of `tomojax frontier`; run it on your own machine, with
+# `--like REC` for your own sheet and electrodes, and put its `frontier.json` here.
+#
+# Voltages are a resistor network's with a rig's errors, which no method is told. A scene's
+# place error is that of its worst contact.
+
+# %%
+import json
+from pathlib import Path
+
+from IPython.display import display
+
+from tomojax import _frontier_report as report
+
+results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
+found = json.loads((results / "frontier.json").read_text())
+rows = found["rows"]
+for name, value in found["environment"].items():
+    print(f"{name}: {value}")
+
+# %% [markdown]
+# ## Speed against accuracy
+#
+# To the left is quicker, down is nearer. The line is the front: of ours, none is both. What
+# a lab would write without this package is drawn hollow.
+
+# %%
+display(report.chart(rows))
+
+# %% [markdown]
+# ## The quickest for an accuracy
+#
+# Of each kind of scene the quickest row whose median place error is no more than so much.
+# Nothing larger than that is needed: what lies to the right of it buys accuracy alone.
+
+# %%
+for kind in report.KINDS:
+    print(report.WORDS[kind])
+    for wanted in (10, 3, 1, 0.5):
+        some = [r for r in rows if r["scene"] == kind and not r["peer"]]
+        near = [r for r in some if (r["place_median_mm"] or 1e9) <= wanted]
+        if near:
+            best = min(near, key=lambda r: r["p50_us"])
+            print(
+                f"  {wanted:4} mm: {best['method']}, {best['pattern']} "
+                f"({best['slots']} slots), {best['pixels']} pixels, {best['dtype']}: "
+                f"{best['p50_us']:.0f} µs a frame, {best['batch']} in a call"
+            )
+
+# %% [markdown]
+# ## Which rung a scene needs
+#
+# The middle column says how often a method doubts itself: contacts read off an image are
+# flagged where they are not all that it shows. `auto` takes the smallest model that
+# explains a frame.
+
+# %%
+display(report.rungs(rows))
+
+# %% [markdown]
+# A day of a robot's frames is mostly nothing: 70 % empty, 20 % one contact, 8 % two or
+# three, 2 % something large. `auto` beside always taking its largest rung:
+
+# %%
+for line in report.machine_lines([], found["day"]):
+    print(line)
+
+# %% [markdown]
+# ## What the machine could do
+#
+# Images of one-slot and eight-slot frames against the frames in a call. Dashed is the
+# bound: the longer of two times, the bytes at the rate of a copy and the multiplications
+# at the rate of a matrix product, both measured in the same run. Below some 256 frames a
+# call's dispatch is what takes the time; above, the product is.
+
+# %%
+display(report.rate_chart(found["rates"]))
+for line in report.machine_lines(found["rates"], []):
+    print(line)

@@ -1,0 +1,92 @@
+"""Gradients of the whole pipeline, solvers in float32, faults that are no sweep."""
+
+import jax
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax._stability_numbers import (
+    _centres,
+    gradient_rows,
+    pipeline,
+    random_points,
+    RANGES,
+    small,
+    solver_rows,
+    symmetric_points,
+)
+
+
+def test_gradients_are_finite_and_right():
+    for row in gradient_rows(100, 100, seed=5):
+        assert row["finite"] == row["count"] == 100
+        assert set(row["largest_difference"]) == set(RANGES)
+        assert max(row["largest_difference"].values()) < 1e-5, row
+
+
+def test_symmetric_points_are():
+    points = symmetric_points(100)
+    on_axis = (points["x"] == 0.04) | (points["y"] == 0.04)
+    on_diagonal = points["x"] == points["y"]
+    on_electrode = np.isin(points["x"], [0.01, 0.03, 0.05, 0.07])
+    assert (on_axis | on_diagonal | on_electrode).all()
+    assert (np.ptp(points["weights"], 1) == 0).all() and not points["shift"].any()
+    assert {k: v.shape for k, v in points.items()} == {
+        k: v.shape for k, v in random_points(100).items()
+    }
+
+
+def test_the_pipeline_is_a_measure_of_an_image():
+    """Of a blurred one it is larger."""
+    sensor = small(np.float64)
+    point = {k: jax.numpy.asarray(v[0]) for k, v in random_points(1).items()}
+    sharp, blurred = (
+        float(pipeline(sensor, _centres(sensor), point | {"log_lam": jax.numpy.log(lam)}))
+        for lam in (1e-6, 10.0)
+    )
+    assert 0 < sharp < blurred
+
+
+def test_solvers_in_float32():
+    """The stated tolerance of "auto": 2e-3 down to 1e-12·σ₁²; Cholesky fails as a NaN."""
+    rows = solver_rows()
+    refined = [r for r in rows if r["solver"] == "refined"]
+    assert all(r["error"] is not None and r["error"] < 3e-3 for r in refined)
+    assert max(r["error"] for r in refined if r["relative_lam"] > 1e-9) < 1e-4
+    plain = {r["relative_lam"]: r["error"] for r in rows if r["solver"] == "cholesky"}
+    assert plain[min(plain)] is None and plain[max(plain)] < 1e-5
+
+
+@pytest.fixture(scope="module")
+def batch():
+    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(64, 64))
+    model = tx.method(sensor, "source", 16)
+    return tx.Batch(model, model.choose_lambda([]))
+
+
+def frame(slots):
+    rng = np.random.default_rng(0)
+    return rng.normal(0.3, 0.1, (1, slots, 64)).astype(np.float32)
+
+
+def test_no_slots_are_an_error(batch):
+    with pytest.raises(ValueError, match="a slot at least"):
+        batch(frame(0), np.zeros((1, 0), int))
+
+
+def test_a_ground_that_is_repeated_counts_as_its_slots_do(batch):
+    v = frame(1)
+    once = batch(v, np.array([[5]]))
+    twice = batch(np.concatenate([v, v], 1), np.array([[5, 5]]))
+    np.testing.assert_allclose(twice.contact_xy, once.contact_xy, atol=1e-6)
+    np.testing.assert_allclose(twice.image, once.image, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_is_refused_where_it_is_used(batch, value):
+    v = frame(2)
+    v[0, 1, 3] = value
+    with pytest.raises(ValueError, match="voltages"):
+        batch(v, np.array([[0, 63]]), np.ones(v.shape, bool))
+    # Left out by itself where nobody says so.
+    assert np.isfinite(batch(v, np.array([[0, 63]])).residual).all()
