@@ -26,7 +26,10 @@ from tomojax._stability_numbers import gradient_rows, solver_rows
 from tomojax._stability_scenes import Bench, Scenes, Sweep
 from tomojax._step import Step
 
-SWEEPS = {**_stability_scenes.SWEEPS, **_stability_faults.SWEEPS}
+SWEEPS = {
+    name: sweep._replace(values=tuple(map(float, sweep.values)))
+    for name, sweep in (_stability_scenes.SWEEPS | _stability_faults.SWEEPS).items()
+}
 
 # What takes part; slow ones see a few of the scenes.
 METHODS = ("linear", "source", "positive", "points", "follow", "auto", "conductance")
@@ -105,8 +108,7 @@ def trial_row(
 
     With `both` in float64 too, where a method has a part in that.
     """
-    few = _FEW.get(method)
-    some = Scenes(*(a[:few] if isinstance(a, np.ndarray) else a for a in scenes))
+    some = scenes.first(_FEW.get(method))
     try:
         rows = trial.found(method, some)
     except ValueError as error:
@@ -176,7 +178,7 @@ def sweep_rows(trial: Trial, name: str, methods: tuple[str, ...]) -> list[dict[s
         scenes = sweep.make(trial.bench, value)
         for method in methods:
             if takes_part(sweep, method, scenes):
-                told = {"sweep": name, "method": method, "value": float(value)}
+                told = {"sweep": name, "method": method, "value": value}
                 rows.append(told | trial_row(trial, method, scenes))
     return rows
 

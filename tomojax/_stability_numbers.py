@@ -90,8 +90,8 @@ def random_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Anywhere in the ranges."""
     rng = np.random.default_rng(seed)
     return {
-        name: rng.uniform(*bounds, (count, _SLOTS) if name == "weights" else count)
-        for name, bounds in RANGES.items()
+        name: rng.uniform(low, high, (count, _SLOTS) if name == "weights" else (count,))
+        for name, (low, high) in RANGES.items()
     }
 
 

@@ -34,6 +34,11 @@ class Scenes(NamedTuple):
     lam: float = 1.0  # times the method's own λ
     before: Float[np.ndarray, "n M M"] | None = None  # of another contact, until now
 
+    def first(self, count: int | None) -> "Scenes":
+        """So many of them; None is all."""
+        before = None if self.before is None else self.before[:count]
+        return self._replace(volts=self.volts[:count], xy=self.xy[:count], before=before)
+
 
 class Bench:
     """A rig, `count` lone contacts on it, and what is drawn for them."""
@@ -195,7 +200,7 @@ def _tear(bench: Bench, value: float) -> Scenes:
     """A slit of so many mm, from an edge inwards across the middle of the sheet."""
     rig = Network(bench.sensor, bench.rng())
     x, y = rig.cells.T
-    width = 1.5 * float(np.min(np.diff(np.unique(x))))
+    width = 1.5 * bench.size[0] / rig.shape[0]
     rig.resist((np.abs(x - bench.size[0] / 2) < width) & (y < 1e-3 * value), 1e4)
     return bench.scenes([[bench.disc(p, None, rig=rig)] for p in bench.places], rig)
 

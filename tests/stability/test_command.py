@@ -1,0 +1,151 @@
+"""`tomojax stability`: limits from rows, what is kept, pictures, mistakes."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax import _stability, _stability_report
+from tomojax._app import run
+from tomojax._stability import limits, SWEEPS
+from tomojax._stability_scenes import Bench
+
+
+def row(value, near, far=0, undoubted=0, method="points", raised=None, **more):
+    told = {"sweep": "white", "method": method, "value": value, "raised": raised}
+    counts = {"near": near, "far": far, "far_undoubted": undoubted, "silent": 0}
+    return told | counts | {"place_p90_mm": 3.0} | more
+
+
+def test_a_limit_is_the_last_value_that_holds_from_the_first_on():
+    (found,) = limits([row(1, 1.0), row(2, 0.8), row(3, 0.7, 2), row(4, 1.0)])
+    assert found["limit"] == 2 and found["last"] == 4 and found["beyond"] == "flag"
+    assert "test_points[white]" in found["test"]
+    (found,) = limits([row(1, 0.2, 20, 1)])
+    assert found["limit"] is None and found["beyond"] == "flag"
+    (found,) = limits([row(1, 0.2, 20, 2)])
+    assert found["beyond"] == "unflagged" and found["far_undoubted"] == 2
+    assert limits([row(1, 1.0)])[0]["beyond"] == "holds"
+    assert limits([row(1, 0.5)])[0]["beyond"] == "worse"
+    raised = {"sweep": "white", "method": "points", "value": 2, "raised": "no"}
+    assert limits([row(1, 1.0), raised])[0]["beyond"] == "error"
+    fell = [row(1, 1.0, rungs=[0, 4, 0, 0]), row(2, 0.0, rungs=[0, 0, 0, 4])]
+    assert limits(fell)[0]["beyond"] == "fallback"
+
+
+def test_what_is_far_off_is_counted_over_all_sweeps():
+    rows = [row(1, 0, 10, 1), row(1, 0, 10, 3) | {"sweep": "dead"}]
+    found = _stability_report.flagged(limits(rows))
+    assert found["points"]["far"] == 20
+    assert found["points"]["flagged"] == pytest.approx(0.8)
+    assert "80 % flagged" in _stability_report.flagged_text(found)
+
+
+def test_sweeps_begin_harmless_and_draw_the_same_each_time():
+    bench = Bench(tx.Sensor.grid(4, 4, 0.02, 0.01, divisions=(32, 32)), 2, 3)
+    volts, xy = bench.lone
+    assert volts.shape == (2, 16, 16) and xy.shape == (2, 1, 2)
+    for name, sweep in SWEEPS.items():
+        assert len(set(sweep.values)) == len(sweep.values) > 3, name
+    for name in ("white", "gain", "dead", "swapped", "late", "jump"):
+        sweep = SWEEPS[name]
+        made, again = (sweep.make(bench, sweep.values[2]) for _ in range(2))
+        np.testing.assert_array_equal(made.volts, again.volts)
+        assert (made.volts != volts).any() or name == "jump"
+    dead = SWEEPS["dead"].make(bench, 4.0).volts
+    assert ((dead == 0).all((0, 1)).sum()) == 4
+    swapped = SWEEPS["swapped"].make(bench, 3.0).volts
+    assert ((swapped != volts).any((0, 1)).sum()) == 3
+    np.testing.assert_allclose(np.sort(swapped, -1), np.sort(volts, -1))
+    wrong = SWEEPS["wrong_ground"].make(bench, 1.0).volts
+    first = bench.corners[0]
+    np.testing.assert_array_equal(wrong[:, first], volts[:, first + 1])
+    late = SWEEPS["late"].make(bench, 4.0).volts
+    np.testing.assert_array_equal(late[:, first, 4:], volts[:, first, 4:])
+    second = bench.corners[1]
+    np.testing.assert_array_equal(late[:, first, :4], volts[:, second, :4])
+
+
+def test_scenes_are_what_a_sweep_says():
+    bench = Bench(tx.Sensor.grid(4, 4, 0.02, 0.01, divisions=(32, 32)), 2, 3)
+    apart = SWEEPS["apart"].make(bench, 20.0)
+    ways = np.hypot(*(apart.xy[:, 0] - apart.xy[:, 1]).T)
+    np.testing.assert_allclose(ways, 0.02, atol=1e-3)
+    assert apart.near == pytest.approx(0.02 / 3)
+    two = SWEEPS["from_electrode"].make(bench, 5.0)
+    nearest = np.sqrt(((two.xy - bench.electrodes) ** 2).sum(-1)).min(1)
+    np.testing.assert_allclose(nearest, 0.005, atol=1e-3)
+    torn, whole = (SWEEPS["tear"].make(bench, value) for value in (40.0, 0.0))
+    assert np.abs(torn.volts - whole.volts).max() > 0.05
+    # A contact that moves: the first slot where it was, later ones where it is by then.
+    still, moving = (SWEEPS["motion"].make(bench, v) for v in (1e-6, 30.0))
+    first, last = bench.corners[0], 14
+    np.testing.assert_allclose(moving.volts[:, first], still.volts[:, first], atol=3e-3)
+    assert np.abs(moving.volts[:, last] - still.volts[:, last]).max() > 0.02
+
+
+def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
+    done = []
+
+    def rows(trial, name, methods):
+        done.append(name)
+        return [row(1, 1.0) | {"sweep": name}]
+
+    monkeypatch.setattr(_stability, "sweep_rows", rows)
+    sensor = tx.Sensor.grid(dtype=np.float32)
+    first = _stability.run(sensor, tmp_path, True, ("white",))
+    both = _stability.run(sensor, tmp_path, True, ("white", "dead"))
+    assert done == ["white", "dead"] and both[:1] == first
+    with pytest.raises(ValueError, match="another seed"):
+        _stability.run(sensor, tmp_path, True, seed=1)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    values = SWEEPS["white"].values
+    made = [row(v, 1.0 if v < 0.1 else 0.0, 2 * (v > 0.2)) for v in values]
+    monkeypatch.setattr(_stability, "sweep_rows", lambda *_: made)
+    numbers = {
+        "solvers": [
+            {"solver": "qr", "relative_lam": 0.1, "error": 1e-6},
+            {"solver": "qr", "relative_lam": 0.01, "error": None},
+        ],
+        "gradients": [
+            {"points": "random", "count": 3, "finite": 3, "largest_difference": {"x": 1e-9}}
+        ],
+    }
+    monkeypatch.setattr(_stability, "numbers", lambda *_: numbers)
+    monkeypatch.setattr(_stability, "SWEEPS", {"white": SWEEPS["white"]})
+    words = ["tomojax", "stability", "--quick", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stop:
+        run()
+    assert not stop.value.code
+    said = capsys.readouterr().out
+    assert "0.03 of 0.3" in said and "2 of 2 far off are flagged" in said
+    assert "3 finite" in said and "NaN at 1 of 2" in said
+    report = json.loads((tmp_path / "stability.json").read_text())
+    assert set(report) == {"rows", "summary", "environment"}
+    expected = {"sweep", "method", "limit", "beyond", "test"}
+    assert expected <= set(report["rows"][0])
+    for name in ("stability.png", "stability_numbers.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["--only", "wind"], "--only: got 'wind', expected one of"),
+        (["--scenes", "0"], "--scenes: got 0, expected 1 to 1000"),
+        (["--seed", "-1"], "--seed: got -1"),
+        (["--like", "none.h5"], "none.h5"),
+    ],
+)
+def test_mistakes(words, message, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["tomojax", "stability", *words])
+    with pytest.raises(SystemExit) as stop:
+        run()
+    said = capsys.readouterr().err.strip().splitlines()
+    assert stop.value.code == 2 and len(said) == 1 and message in said[0]
