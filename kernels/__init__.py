@@ -25,6 +25,7 @@ from tomojax.kernels._basis import (
 )
 from tomojax.kernels._contacts import (
     Contacts as Contacts,
+    largest_variance as largest_variance,
     no_contacts as no_contacts,
     read_contacts as read_contacts,
 )

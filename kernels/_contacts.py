@@ -46,6 +46,12 @@ def no_contacts(count: int, dtype) -> Contacts:
     return Contacts(jnp.zeros((), jnp.uint8), xy, nan, nan, nan, nan, covariance)
 
 
+def largest_variance(covariance: Float[Array, "*contacts 3"]) -> Float[Array, "*contacts"]:
+    """Of a place, along the direction in which it is known least, m²; of xx, yy, xy."""
+    a, b, c = jnp.moveaxis(covariance, -1, 0)
+    return (a + b) / 2 + jnp.sqrt(((a - b) / 2) ** 2 + c**2)
+
+
 def read_contacts(
     image: Float[Array, "nx ny"],
     current: Float[Array, "nx ny"],

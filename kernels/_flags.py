@@ -10,7 +10,7 @@ class Flag(enum.IntFlag):
     BAD_VOLTAGES = 2  # NaN or infinite
     NO_DIRECTION = 4  # a contact as wide as long
     WHOLE_SHEET = 8  # every electrode in contact: nothing to adapt to
-    BAD_LAMBDA = 16  # λ not above 0, or no rule could choose one
+    BAD_LAMBDA = 16  # λ not above 0, below what float32 holds, or no rule could choose one
     BAD_GROUNDS = 32  # out of range, repeated, or no weight
     SOLVE_FAILED = 64  # a factorisation or the image is not finite
     # Of a recording's rows:
@@ -26,3 +26,4 @@ class Flag(enum.IntFlag):
     MODEL_LIMITED = 65536  # of what a place is uncertain by, noise is the lesser part
     HURRIED = 131072  # a cheaper method answered, to keep a step's deadline
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
+    PLACE_UNCERTAIN = 524288  # a place is no better known than to some 10 mm

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax import kernels
-from tomojax._calibration import Calibration
+from tomojax._calibration import Calibration, NOISE
 from tomojax._errors import (
     Errors,
     misfit_cost,
@@ -48,6 +48,10 @@ _DROP, _STEPS = 0.1, 25
 # this part of their peak on.
 _BLUR, _FROM = 0.8, 0.1
 
+# What a further region carries of what the first does, to be one that is not told of.
+# Highest voltage, in the converter's noise, that places a contact.
+_OTHERS, _FAINT = 0.1, 30.0
+
 # The start's λ, of σ₁².
 _START = 1e-4
 
@@ -71,6 +75,7 @@ class Fitted(NamedTuple):
     seen: Bool[Array, ""]  # whether no contact would not do
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]
+    highest: Float[Array, ""]  # |V|
 
 
 class Conductance(AbstractMethod):
@@ -199,6 +204,7 @@ class Conductance(AbstractMethod):
             seen(errors, frame, misfit_cost(fit.misfits)),
             jnp.sqrt((misfit**2).sum() / channels),
             rms_by_electrode(misfit, errors.used),
+            jnp.abs(voltages).max(),
         )
 
     def described(
@@ -216,14 +222,23 @@ class Conductance(AbstractMethod):
         )
         share = matmul(matmul(along, share), across.T)
         read = lambda carried: read_regions(  # noqa: E731
-            share, carried, self.cell, count, _FROM
+            share, carried, self.cell, count + 1, _FROM
         )
         contacts, flow = read(fitted.conductance), read(fitted.current)
+        # One more than are asked for says that there are others.
+        more = contacts.current[count] > _OTHERS * contacts.current[0]
         contacts = contacts._replace(conductance=contacts.current, current=flow.current)
+        some = jnp.minimum(contacts.count, count)
+        contacts = jax.tree.map(lambda a: a[:count] if a.ndim else a, contacts)
         contacts = contacts._replace(
-            count=jnp.where(fitted.seen, contacts.count, 0).astype(jnp.uint8)
+            count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
         )
-        flags = jnp.where(fitted.cost > TOLERANCE, kernels.Flag.HIGH_RESIDUAL.value, 0)
+        bits = (
+            (fitted.cost > TOLERANCE, kernels.Flag.HIGH_RESIDUAL),
+            (more, kernels.Flag.CONTACTS_UNEXPLAINED),
+            (fitted.highest < _FAINT * NOISE, kernels.Flag.PLACE_UNCERTAIN),
+        )
+        flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
         return Estimate(
             contacts, image, fitted.residual, flags, by_electrode=fitted.by_electrode
         )

@@ -42,6 +42,8 @@ DOUBT = sum(
     for flag in (
         Flag.HIGH_RESIDUAL,
         Flag.CONTACTS_UNEXPLAINED,
+        Flag.PLACE_UNCERTAIN,
+        Flag.BAD_LAMBDA,
         Flag.SOLVE_FAILED,
         Flag.NO_DATA,
         Flag.NO_CONTACT,

@@ -31,6 +31,9 @@ _RANK, _FEWER, _FROM = 256, 128, 1e-3
 # Slots that are looked at.
 _UNEXPLAINED, _SOME = 0.09, 8
 
+# λ/σ₁² below which an image in float32 is another than in float64, by 20 mm in one of ten.
+_SMALLEST = 1e-6
+
 # λ/σ₁² of `tomojax table1`.
 _RELATIVE = 1.8e-3
 
@@ -42,6 +45,7 @@ class Prepared(NamedTuple):
     rows: Float[Array, "SM r"]  # and back
     current: Float[Array, " pixels"]  # A per volt of φ, the mean over the slots
     used: Bool[Array, " SM"]
+    small: Bool[Array, ""]  # whether λ is less than numbers and basis hold
 
 
 class Linear(AbstractMethod):
@@ -100,7 +104,8 @@ class Linear(AbstractMethod):
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
         dtype = self.cell.dtype
-        fewer = _FEWER if lam >= _FROM * self.scale() else _RANK
+        scale = self.scale()
+        fewer = _FEWER if lam >= _FROM * scale else _RANK
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
         operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
@@ -110,6 +115,7 @@ class Linear(AbstractMethod):
             jnp.asarray(rows, dtype),
             jnp.asarray(current, dtype),
             jnp.asarray(good.ravel()),
+            jnp.asarray(lam < _SMALLEST * scale),
         )
 
     def image(
@@ -132,6 +138,7 @@ class Linear(AbstractMethod):
         grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
         each = rms_by_electrode(grid[1], grid[0])
         flags = self._unexplained(prepared, voltages, contacts)
+        flags = flags | jnp.where(prepared.small, kernels.Flag.BAD_LAMBDA.value, 0)
         return Estimate(contacts, image, residual, flags, by_electrode=each)
 
     def _unexplained(

@@ -26,6 +26,9 @@ _USUAL, _UNIT = 1.2, 0.2
 # Candidates along a side.
 _CANDIDATES = 20
 
+# A place that is uncertain by more, 1 σ, in electrodes' diameters: half of a pitch.
+_UNCERTAIN = 2.0
+
 # Slots of a compiled call: many for frames of few slots, where calls cost more than work;
 # few of many, as what fills a call up costs as much as what it is for.
 _CALL = 256
@@ -161,6 +164,9 @@ class Points(AbstractMethod):
         # Of all channels together: what is left of a part of them is little of the whole.
         high = found.cost > TOLERANCE
         flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
+        limit = _UNCERTAIN / _UNIT * self.sheet.unit
+        vague = (kernels.largest_variance(found.covariance) > limit**2).any()
+        flags = flags | jnp.where(vague, kernels.Flag.PLACE_UNCERTAIN.value, 0)
         each = found.by_electrode
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 

@@ -113,7 +113,7 @@ def trial_row(
         rows = trial.found(method, some)
     except ValueError as error:
         return {"scenes": len(some.volts), "raised": str(error)}
-    errors = np.array([_error(rows, k, xy) for k, xy in enumerate(some.xy)])
+    errors = np.array([_error(rows, k, xy, some.whole) for k, xy in enumerate(some.xy)])
     doubted = (rows.flags & DOUBT) > 0
     far = errors > 1e-3 * FAR
     near = errors <= some.near
@@ -151,13 +151,17 @@ def _beside_float64(rows: Rows, wide: Rows) -> dict[str, Any]:
     }
 
 
-def _error(rows: Rows, k: int, xy: np.ndarray) -> float:
+def _error(rows: Rows, k: int, xy: np.ndarray, whole: bool = False) -> float:
     """Of the worst contact to the nearest that was found, m."""
     count = int(rows.contact_count[k])
     if not count:
         return np.inf
     places = xy[np.isfinite(xy).all(1)]
-    ways = np.hypot(*np.moveaxis(rows.contact_xy[k, :count, None] - places, -1, 0))
+    found = rows.contact_xy[k, :count]
+    if whole:
+        weight = np.maximum(np.nan_to_num(rows.contact_current[k, :count]), 1e-30)
+        found = (weight[:, None] * found).sum(0, keepdims=True) / weight.sum()
+    ways = np.hypot(*np.moveaxis(found[:, None] - places, -1, 0))
     return float(np.nan_to_num(ways, nan=np.inf).min(0).max())
 
 

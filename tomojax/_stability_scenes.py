@@ -32,6 +32,7 @@ class Scenes(NamedTuple):
     told: Sensor | None = None  # the sensor that a reconstruction has; None: nominal
     near: float = NEAR
     lam: float = 1.0  # times the method's own λ
+    whole: bool = False  # one large contact: its place is the mean of what is found
     before: Float[np.ndarray, "n M M"] | None = None  # of another contact, until now
 
     def first(self, count: int | None) -> "Scenes":
@@ -131,7 +132,8 @@ def _size(bench: Bench, value: float) -> Scenes:
     """Of the same conductance per area, within reason: ever larger metal."""
     radius = value * 1e-3
     total = CONDUCTANCE * max(1.0, (radius / bench.radius) ** 2)
-    return bench.scenes([[bench.disc(p, radius, total)] for p in bench.places])
+    found = bench.scenes([[bench.disc(p, radius, total)] for p in bench.places])
+    return found._replace(whole=True)
 
 
 def _from_electrode(bench: Bench, value: float) -> Scenes:

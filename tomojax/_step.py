@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax import kernels
 from tomojax._calibration import Calibration
 from tomojax._checks import require
-from tomojax._method import judge, NOISE
+from tomojax._method import judge
 from tomojax._packing import Packed, Packing
 from tomojax._patterns import exploration
 from tomojax._policies import AbstractPolicy, Plan, Seen
@@ -19,9 +19,8 @@ from tomojax._sensor import Sensor
 from tomojax._step_methods import AbstractStepMethod
 from tomojax.kernels import Flag
 
-# A slot of whose voltages more than this part is left may show one more contact: lone ones
-# leave 5 % at most, nineteen in twenty that hide another 6 % and more.
-_DOUBTED = 0.06
+# Either says that there may be one more contact.
+_DOUBT = Flag.HIGH_RESIDUAL.value | Flag.CONTACTS_UNEXPLAINED.value
 
 
 class Slot(NamedTuple):
@@ -200,8 +199,9 @@ class Step:
         memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
         contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
         flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
-        size = jnp.sqrt(jnp.mean(voltages**2))
-        doubted = residual > _DOUBTED * size + NOISE
+        doubted = state.plan.doubted | ((bits & _DOUBT) > 0)
+        # Slots of a stretch see a hidden contact or not: what one has shown holds for all.
+        flags = flags | jnp.where(doubted & ok, Flag.HIGH_RESIDUAL.value, 0)
         found = contacts, doubted, ground.astype(jnp.int32)
         plan = self._planned(state.plan, slot, voltages, found, ok)
         output = Output(
@@ -255,8 +255,8 @@ class Step:
     ) -> Plan:
         corner = (slot.ground == self._corners) & ok
         explored = jnp.where(corner[:, None], voltages, plan.explored)
-        doubted = plan.doubted | found[1]
-        seen = Seen(explored, found[0], doubted, found[2])
+        contacts, doubted, ground = found
+        seen = Seen(explored, contacts, doubted, ground)
         at, m = plan.at + 1, self.electrode_count
         corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
 
