@@ -133,16 +133,17 @@ class Source(AbstractMethod):
     def choose_lambda(self, frames: list[Frame]) -> float:
         """The λ that leaves the residual which nominal values would leave in any case."""
         factors = np.asarray(self.factors, float)
-        if not frames:
-            return _RELATIVE * self.scale()
         # A scan may begin before its contact: those slots have nothing to say.
-        enough = max(np.abs(frame.voltages).max() for frame in frames) / 2
+        highest = [np.abs(frame.voltages).max() for frame in frames]
+        enough = max(highest, default=0.0) / 2
         slots = [
             (v[g].astype(float), factors[ground][g])
             for frame in frames
             for v, ground, g in zip(*frame)
-            if np.abs(v).max() >= enough
+            if g.any() and np.abs(v).max() >= enough
         ]
+        if not slots:
+            return _RELATIVE * self.scale()
         chosen = []
         for v, rows in slots[:: max(1, len(slots) // _SLOTS)]:
             left, s, _ = np.linalg.svd(rows, full_matrices=False)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
+from tomojax._method import Frame
 from tomojax._stability_numbers import (
     _centres,
     gradient_rows,
@@ -90,3 +91,9 @@ def test_what_is_no_number_is_refused_where_it_is_used(batch, value):
         batch(v, np.array([[0, 63]]), np.ones(v.shape, bool))
     # Left out by itself where nobody says so.
     assert np.isfinite(batch(v, np.array([[0, 63]])).residual).all()
+
+
+def test_frames_without_a_channel_leave_the_usual_lambda(batch):
+    model = batch.method
+    nothing = Frame(np.zeros((2, 64)), np.array([0, 63]), np.zeros((2, 64), bool))
+    assert model.choose_lambda([nothing]) == model.choose_lambda([])
