@@ -116,14 +116,18 @@ def same_run(path: Path, told: dict[str, Any]) -> None:
 
     **Raises:** `ValueError` where that was something else.
     """
-    if path.exists() and json.loads(path.read_text()) != told:
-        was = json.loads(path.read_text())
-        other = ", ".join(name for name in told if told[name] != was.get(name))
+    if not path.exists():
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(told) + "\n")
+        new.rename(path)
+        return
+    was = json.loads(path.read_text())
+    other = ", ".join(name for name in told if told[name] != was.get(name))
+    if other:
         raise ValueError(
             f"{path.parent}: got a run with another {other}, expected the one that was "
             "begun there, or another folder"
         )
-    path.write_text(json.dumps(told) + "\n")
 
 
 def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
