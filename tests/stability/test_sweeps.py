@@ -16,6 +16,7 @@ from tomojax._stability import (
     CONTACTS,
     FLAGGED,
     HOLDS,
+    SLOW_TESTS,
     SWEEPS,
     takes_part,
     Trial,
@@ -68,11 +69,6 @@ def test_source(name):
     check("source", name)
 
 
-@pytest.mark.parametrize("name", stated("positive"))
-def test_positive(name):
-    check("positive", name)
-
-
 @pytest.mark.parametrize("name", stated("points"))
 def test_points(name):
     check("points", name)
@@ -83,9 +79,19 @@ def test_follow(name):
     check("follow", name)
 
 
+@pytest.mark.parametrize("name", SLOW_TESTS)
+def test_conductance(name):
+    check("conductance", name)
+
+
+@pytest.mark.parametrize("name", SLOW_TESTS)
+def test_auto(name):
+    check("auto", name)
+
+
 def test_every_sweep_is_stated_and_tested():
     for name, sweep in SWEEPS.items():
         some = scenes(name, sweep.values[0])
-        for method in ("linear", "source", "positive", "points", "follow"):
+        for method in ("linear", "source", "points", "follow"):
             assert (method in STATED[name]) == takes_part(sweep, method, some), name
     assert CONTACTS == 3
