@@ -18,6 +18,9 @@ from tomojax.kernels import Flag
 # Calls that run side by side: the parts of one call are not all parallel.
 _WORKERS = 2
 
+# A frame with no more than this part of its voltages places a contact badly.
+_FEW = 0.25
+
 # Ground sets whose preparation is kept: 2 MB each for 64 slots.
 _KEPT = 128
 
@@ -172,6 +175,8 @@ class Batch:
         height = np.maximum(used.max((1, 2)), -used.min((1, 2)))
         quiet = data & (height <= self.threshold)
         rows.flags[~data] |= np.uint32(Flag.NO_DATA)
+        few = good.sum((1, 2)) <= _FEW * good[0].size if len(good) else data
+        rows.flags[few & data] |= np.uint32(Flag.PLACE_UNCERTAIN)
         rows.flags[quiet] |= np.uint32(Flag.NO_CONTACT)
         squares = (used[quiet].astype(float) ** 2).sum((1, 2))
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))

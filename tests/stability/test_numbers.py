@@ -97,3 +97,11 @@ def test_frames_without_a_channel_leave_the_usual_lambda(batch):
     model = batch.method
     nothing = Frame(np.zeros((2, 64)), np.array([0, 63]), np.zeros((2, 64), bool))
     assert model.choose_lambda([nothing]) == model.choose_lambda([])
+
+
+def test_few_channels_place_a_contact_badly(batch):
+    v = np.repeat(frame(2), 2, 0)
+    v[0, :, 17:] = np.nan
+    v[1, :, 16:] = np.nan
+    flags = batch(v, np.array([[0, 63]] * 2)).flags
+    assert (flags & tx.Flag.PLACE_UNCERTAIN > 0).tolist() == [False, True]
