@@ -215,7 +215,11 @@ def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "far": far,
                 "far_undoubted": undoubted,
                 "silent": sum(r.get("silent", 0) for r in some),
-                "dtypes_apart_mm": max(r.get("dtypes_apart_mm", 0) for r in some),
+                # None: not run in float64.
+                "dtypes_apart_mm": max(
+                    (r["dtypes_apart_mm"] for r in some if "dtypes_apart_mm" in r),
+                    default=None,
+                ),
                 "dtypes_other_count": sum(r.get("dtypes_other_count", 0) for r in some),
                 "test": _test(name, method),
             }

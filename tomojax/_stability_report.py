@@ -38,7 +38,7 @@ def flagged(limits: list[dict[str, Any]]) -> dict[str, Any]:
             "far": far,
             "flagged": 1 - undoubted / far if far else None,
             "not_a_number_unflagged": silent,
-            "dtypes_apart_mm": max(row["dtypes_apart_mm"] for row in some),
+            "dtypes_apart_mm": max(_both(some), default=None),
             "dtypes_other_count": sum(row["dtypes_other_count"] for row in some),
         }
     return found
@@ -49,12 +49,20 @@ def flagged_text(flagged: dict[str, Any]) -> str:
     lines = []
     for method, row in flagged.items():
         part = "none" if row["flagged"] is None else f"{100 * row['flagged']:.0f} %"
-        lines.append(
+        line = (
             f"{method}: of {row['far']} places over 20 mm off {part} flagged; "
-            f"{row['not_a_number_unflagged']} unflagged that are no number; float32 "
-            f"{row['dtypes_apart_mm']:.2g} mm from float64 at most"
+            f"{row['not_a_number_unflagged']} unflagged that are no number"
         )
+        if row["dtypes_apart_mm"] is not None:
+            line += f"; float32 {row['dtypes_apart_mm']:.2g} mm from float64 at most"
+        lines.append(line)
     return "\n".join(lines)
+
+
+def _both(limits: list[dict[str, Any]]) -> list[float]:
+    """Of sweeps that were run in float32 and float64 how far apart they are, mm."""
+    values = [row["dtypes_apart_mm"] for row in limits]
+    return [value for value in values if value is not None]
 
 
 def numbers_text(numbers: dict[str, Any]) -> str:
@@ -94,16 +102,17 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
         gradients.bar(at, values, 0.4, label=f"{label} points, {row['finite']} finite")
         gradients.set_xticks(np.arange(len(names)) + 0.2, names, rotation=45, ha="right")
     gradients.set(yscale="log", ylabel="derivative beside differences")
-    methods = [m for m in COLOURS if any(r["method"] == m for r in limits)]
-    for method in methods:
-        values = [r["dtypes_apart_mm"] for r in limits if r["method"] == method]
-        x = np.maximum(np.sort(values), 1e-6)
+    for method in COLOURS:
+        x = np.sort(_both([r for r in limits if r["method"] == method]))
+        if not len(x):
+            continue
         y = (np.arange(len(x)) + 1) / len(x)
         dtypes.plot(x, y, color=COLOURS[method], label=method)
     dtypes.set(xscale="log", xlabel="float32 from float64, mm, at most in a sweep")
     dtypes.set(ylabel="part of the sweeps")
     for axes in (solvers, gradients, dtypes):
-        axes.legend(fontsize=8)
+        if axes.has_data():
+            axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
     return figure
 

@@ -40,7 +40,11 @@ def test_what_is_far_off_is_counted_over_all_sweeps():
     found = _stability_report.flagged(limits(rows))
     assert found["points"]["far"] == 20
     assert found["points"]["flagged"] == pytest.approx(0.8)
-    assert "80 % flagged" in _stability_report.flagged_text(found)
+    said = _stability_report.flagged_text(found)
+    assert "80 % flagged" in said and "float64" not in said
+    both = limits([row(1, 1.0, dtypes_apart_mm=0.5), row(2, 1.0, dtypes_apart_mm=0.25)])
+    said = _stability_report.flagged_text(_stability_report.flagged(both))
+    assert "float32 0.5 mm from float64" in said
 
 
 def test_sweeps_begin_harmless_and_draw_the_same_each_time():
