@@ -57,7 +57,8 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         *(Job("linear", ("around", "all"), own, (256,), pixels) for pixels in (16, 64)),
         Job("source", every, own, batches, designed=designed),
         Job("source", few, own, (1, 256), dtype="float64"),
-        *(Job("source", few, own, (256,), pixels) for pixels in (16, 64)),
+        Job("source", ("corner", *few), own, (256, 1024), 16),
+        Job("source", few, own, (256,), 64),
         Job("positive", few, own, (1, 256)),
         # Slow ones, on some of the scenes: a conductance image takes a second.
         Job("points", ("corner", "corners", "all"), own, (64,)),

@@ -110,9 +110,16 @@ def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
 def _numpy(rows: np.ndarray, relative: float) -> Callable[[np.ndarray], np.ndarray]:
     """Eq. 3 in the form that is smaller: Jᵀ(JJᵀ + λI)⁻¹."""
     gram = rows @ rows.T
-    lam = relative * np.linalg.eigvalsh(gram)[-1]
+    lam = relative * _largest(gram)
     operator = np.linalg.solve(gram + lam * np.eye(len(gram)), rows)
     return lambda volts: volts @ operator
+
+
+def _largest(gram: np.ndarray) -> float:
+    """Its largest eigenvalue."""
+    start = np.ones(len(gram))
+    found: Any = spla.eigsh(gram, 1, v0=start, return_eigenvectors=False)
+    return float(found[0])
 
 
 def _pyeit(sensor: Sensor) -> Callable[..., Callable[[np.ndarray], np.ndarray]]:
@@ -137,7 +144,7 @@ def _pyeit(sensor: Sensor) -> Callable[..., Callable[[np.ndarray], np.ndarray]]:
     def prepare(rows: np.ndarray, relative: float) -> Callable[[np.ndarray], np.ndarray]:
         # Its sign is of a conductivity's change. Its λ multiplies √diag(JᵀJ).
         zero, diagonal = np.zeros(len(rows)), np.sqrt((rows**2).sum(0)).mean()
-        lam = relative * np.linalg.eigvalsh(rows @ rows.T)[-1] / diagonal
+        lam = relative * _largest(rows @ rows.T) / diagonal
         matrix = solver._compute_h(-rows, 0.5, lam, "kotre")
 
         def solve(volts: np.ndarray) -> np.ndarray:

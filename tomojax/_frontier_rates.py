@@ -26,6 +26,8 @@ from tomojax._source import Source
 
 _LARGE, _WIDE = 1 << 25, 2048  # numbers of a copy, a side of a product
 
+_CHECKED = 64  # images of a batch that are compared
+
 # Of 100 frames: 70 % nothing, 20 % one contact, 8 % two or three, 2 % large.
 _DAY = {"one": 20, "two": 6, "three": 2, "large": 2}
 _NOTHING = 70
@@ -44,6 +46,7 @@ def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
             for batch in job.batches:
                 volts = np.resize(trials.volts[:, grounds], (batch, *good.shape))
                 v = jnp.asarray(volts, job.dtype)
+                error = _error(model, prepared, v)
                 first, spent = repeated(
                     lambda m=model, p=prepared, v=v: jax.block_until_ready(_images(m, p, v))
                 )
@@ -67,6 +70,7 @@ def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
                     "bound": "multiplications" if work > moved else "bytes",
                     "part_of_bound": max(work, moved) / median,
                     "first_s": first,
+                    "error": error,
                     "copy_gb_per_s": copy / 1e9,
                     "product_gflop_per_s": product / 1e9,
                 }
@@ -90,6 +94,19 @@ def _images(model: Linear | Source, prepared: Any, volts: jax.Array) -> jax.Arra
     if isinstance(model, Source):
         return jax.vmap(lambda v: model.smooth_image(prepared, v))(volts)
     return jax.vmap(lambda v: model.image(prepared, v)[0])(volts)
+
+
+def _error(model: Linear | Source, prepared: Any, volts: jax.Array) -> float:
+    """Of some images beside NumPy's in float64, of the highest: before any is timed."""
+    some = np.asarray(volts[:_CHECKED], float).reshape(min(len(volts), _CHECKED), -1)
+    if isinstance(model, Source):
+        operator, basis = prepared.imaging, model.smoothed
+    else:
+        operator, basis = prepared.operator, model.basis[: prepared.operator.shape[1]]
+    exact = some @ np.asarray(operator, float) @ np.asarray(basis, float)
+    found = np.asarray(_images(model, prepared, volts), float)[: len(some)]
+    off = np.abs(found.reshape(exact.shape) - exact).max()
+    return float(off / np.abs(exact).max())
 
 
 def _sizes(model: Linear | Source, prepared: Any) -> int:

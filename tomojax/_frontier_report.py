@@ -188,6 +188,7 @@ def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Ite
             f"images, {method}, slots {slots}, {pixels} x {pixels}, threads {threads}: "
             f"{best['frames_per_s']:.3g}/s from a batch of {best['batch']}, "
             f"{100 * best['part_of_bound']:.0f} % of the bound ({best['bound']})"
+            + (f", {best['error']:.0e} from float64" if "error" in best else "")
         )
     for row in day:
         yield (
