@@ -236,7 +236,10 @@ class Conductance(AbstractMethod):
         bits = (
             (fitted.cost > TOLERANCE, kernels.Flag.HIGH_RESIDUAL),
             (more, kernels.Flag.CONTACTS_UNEXPLAINED),
-            (fitted.highest < _FAINT * NOISE, kernels.Flag.PLACE_UNCERTAIN),
+            (
+                fitted.seen & (fitted.highest < _FAINT * NOISE),
+                kernels.Flag.PLACE_UNCERTAIN,
+            ),
         )
         flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
         return Estimate(

@@ -159,6 +159,7 @@ class Source(AbstractMethod):
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
         used = good.any(1)
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
+        lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
         factors = np.asarray(self.factors, float)
         drawn = np.asarray(self.drawn_factors, float)
         drawn_lam = lam * (drawn**2).sum() / (factors**2).sum()

@@ -19,9 +19,6 @@ from tomojax._sensor import Sensor
 from tomojax._step_methods import AbstractStepMethod
 from tomojax.kernels import Flag
 
-# Either says that there may be one more contact.
-_DOUBT = Flag.HIGH_RESIDUAL.value | Flag.CONTACTS_UNEXPLAINED.value
-
 
 class Slot(NamedTuple):
     """What came of one ground condition."""
@@ -199,7 +196,7 @@ class Step:
         memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
         contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
         flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
-        doubted = state.plan.doubted | ((bits & _DOUBT) > 0)
+        doubted = state.plan.doubted | ((bits & Flag.HIGH_RESIDUAL.value) > 0)
         # Slots of a stretch see a hidden contact or not: what one has shown holds for all.
         flags = flags | jnp.where(doubted & ok, Flag.HIGH_RESIDUAL.value, 0)
         found = contacts, doubted, ground.astype(jnp.int32)
