@@ -30,8 +30,9 @@ _MODEL_ERROR, _NOISE = 0.015, 5e-4
 # average out over slots, so that no number of them lowers it.
 _STANDS_OUT = 5.0
 
-# Of an image, beside images of point sources where its contacts were read off: a lone
-# contact leaves 4 to 8 %, one of two or three that was missed, a bar, a palm 12 % and more.
+# Of an image, beside images of point sources where its contacts were read off: a simulated
+# lone contact leaves 4 to 8 %, one of two or three that was missed, a bar, a palm 12 % and
+# more.
 _UNEXPLAINED = 0.12
 
 # Length over which an image is smooth beforehand, of the electrodes' pitch; steps of the

@@ -25,7 +25,7 @@ ROUTES = ("cholesky", "qr", "refined")
 _TOGETHER = 100  # points of a compiled call
 
 # Of how many points derivatives are compared with differences; steps of those.
-_COMPARED, _STEP = 50, 1e-5
+_COMPARED, _STEP = 50, 1e-4
 
 
 def small(dtype: Any) -> Sensor:
@@ -196,7 +196,7 @@ def _against_differences(plain: Any, points: dict, gradients: dict) -> dict[str,
     n = len(some["x"])
     fill = np.resize(np.arange(n), _TOGETHER)
     for name, (low, high) in RANGES.items():
-        step = _STEP * (high - low) * 10
+        step = _STEP * (high - low)
 
         def at(k: int, name=name, step=step) -> np.ndarray:
             moved = some[name] + k * step
