@@ -16,7 +16,7 @@ class Flag(enum.IntFlag):
     # Of a recording's rows:
     DEAD_CHANNEL = 128  # a channel reads 0 while others change
     STUCK_CHANNEL = 256  # a channel repeats another value while others change
-    SATURATED = 512  # a voltage at the converter's rail, or beyond what the drive can make
+    SATURATED = 512  # voltages at the converter's rail, or beyond what the drive can make
     UNKNOWN_GROUND = 1024  # a slot whose ground is no electrode of the sensor
     GAP = 2048  # scans lost just before this row
     ALL_ZERO = 4096  # every channel reads 0

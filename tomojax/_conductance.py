@@ -52,6 +52,9 @@ _BLUR, _FROM = 0.8, 0.1
 # Highest voltage, in the converter's noise, that places a contact.
 _OTHERS, _FAINT = 0.1, 30.0
 
+# A contact on more than this, of what an electrode has of the sheet, is seen by its rim.
+_WIDE = 1.1
+
 # The start's λ, of σ₁².
 _START = 1e-4
 
@@ -216,6 +219,7 @@ class Conductance(AbstractMethod):
         """
         share = fitted.conductance * self.sheet_resistance
         share = share / (1 + share)
+        wide = share.mean() > _WIDE / self.electrode_count
         along, across = (
             gaussian(n, length)
             for n, length in zip(self.shape, _BLUR * self.diameter / self.cell)
@@ -233,13 +237,11 @@ class Conductance(AbstractMethod):
         contacts = contacts._replace(
             count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
         )
+        faint = fitted.seen & (fitted.highest < _FAINT * NOISE)
         bits = (
             (fitted.cost > TOLERANCE, kernels.Flag.HIGH_RESIDUAL),
             (more, kernels.Flag.CONTACTS_UNEXPLAINED),
-            (
-                fitted.seen & (fitted.highest < _FAINT * NOISE),
-                kernels.Flag.PLACE_UNCERTAIN,
-            ),
+            (faint | wide, kernels.Flag.PLACE_UNCERTAIN),
         )
         flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
         return Estimate(

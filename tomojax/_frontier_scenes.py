@@ -44,6 +44,7 @@ DOUBT = sum(
         Flag.CONTACTS_UNEXPLAINED,
         Flag.PLACE_UNCERTAIN,
         Flag.BAD_LAMBDA,
+        Flag.SATURATED,
         Flag.SOLVE_FAILED,
         Flag.NO_DATA,
         Flag.NO_CONTACT,

@@ -35,6 +35,9 @@ METHODS = {
 # What noise and offsets of a converter leave in any case, V rms.
 NOISE = 1e-3
 
+# So many channels of a slot, or one in so many, do not share the highest value by chance.
+_SHARED = 8
+
 
 class Rung(IntEnum):
     """Which model a row is of."""
@@ -191,8 +194,22 @@ def judge(
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, kernels.Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, kernels.Flag.HIGH_RESIDUAL.value, 0)
+    flags = flags | jnp.where(cut_off(voltages), kernels.Flag.SATURATED.value, 0)
     flags = flags | jnp.where(contacts.count == 0, kernels.Flag.NO_CONTACT.value, 0)
     return contacts, flags
+
+
+def cut_off(voltages: Float[Array, "*slots M"]) -> Bool[Array, ""]:
+    """Whether many channels of a slot share the highest value: a range that ended there.
+
+    Of a converter whose rails nobody told. An eighth of the channels do not read the same
+    by chance, if they read more than a few of its steps.
+    """
+    size = jnp.abs(voltages)
+    highest = size.max(-1, keepdims=True)
+    shared = (size == highest).sum(-1)
+    many = max(_SHARED, voltages.shape[-1] // _SHARED)
+    return ((shared > many) & (highest[..., 0] > 10 * NOISE)).any()
 
 
 def method(

@@ -60,6 +60,7 @@ class Plan(NamedTuple):
     exploring: Bool[Array, ""]  # whether these are the corners
     explored: Float[Array, "2 M"]
     doubted: Bool[Array, ""]  # as in `Seen`
+    held: Int[Array, ""]  # slots that an earlier doubt still counts in
 
 
 class AbstractPolicy(eqx.Module):

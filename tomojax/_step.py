@@ -148,7 +148,7 @@ class Step:
         corners = whole.at[:2].set(self._corners)
         two = jnp.zeros((2, m), self.dtype)
         no = jnp.array(False)
-        plan = Plan(none, corners, none + 2, none, jnp.array(True), two, no)
+        plan = Plan(none, corners, none + 2, none, jnp.array(True), two, no, none)
         cheaper = () if self._cheaper is None else self._cheaper.first()
         last = Slot(volts, none, none, jnp.array(False))
         return Remembered(self._method.first(), cheaper, plan, last, whole > 0)
@@ -196,11 +196,16 @@ class Step:
         memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
         contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
         flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
-        doubted = state.plan.doubted | ((bits & Flag.HIGH_RESIDUAL.value) > 0)
-        # Slots of a stretch see a hidden contact or not: what one has shown holds for all.
-        flags = flags | jnp.where(doubted & ok, Flag.HIGH_RESIDUAL.value, 0)
+        high = (bits & Flag.HIGH_RESIDUAL.value) > 0
+        # Slots of a stretch see a hidden contact or not: what one has shown holds for all,
+        # and for longer where no contact can be added that would explain it.
+        doubted = state.plan.doubted | high
+        left = jnp.maximum(state.plan.held - ok.astype(jnp.int32), 0)
+        held = jnp.where(high, self.electrode_count // 2, left)
+        full = (contacts.count == len(contacts.radius)) & (held > 0)
+        flags = flags | jnp.where((doubted | full) & ok, Flag.HIGH_RESIDUAL.value, 0)
         found = contacts, doubted, ground.astype(jnp.int32)
-        plan = self._planned(state.plan, slot, voltages, found, ok)
+        plan = self._planned(state.plan, slot, voltages, found, ok)._replace(held=held)
         output = Output(
             contacts,
             jnp.where(ok, residual, jnp.nan),
@@ -276,7 +281,8 @@ class Step:
         over = at >= plan.length
         grounds, length, exploring = lax.cond(over, anew, same)
         at = jnp.where(over, 0, at)
-        return Plan(plan.policy, grounds, length, at, exploring, explored, doubted & ~over)
+        still = doubted & ~over
+        return Plan(plan.policy, grounds, length, at, exploring, explored, still, plan.held)
 
     def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
         remembered = self._packing.unpack(state)

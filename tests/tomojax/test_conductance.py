@@ -71,6 +71,11 @@ def test_places_and_regions(scenes, rows):
     assert rows.contact_count[k] == 0 and rows.flags[k] == Flag.NO_CONTACT
 
 
+def test_what_is_wide_is_seen_by_its_rim_alone(scenes, rows):
+    vague = (rows.flags & tx.Flag.PLACE_UNCERTAIN) > 0
+    assert [name for name, on in zip(scenes, vague) if on] == ["hand", "short"]
+
+
 def test_a_rim_has_a_hole(scenes, rows):
     image = rows.image[list(scenes).index("rim")]
     x = (np.arange(32) + 0.5) * 0.005

@@ -105,6 +105,18 @@ def test_frames_without_data_or_contact(method, volts):
     assert (rows.image[7] == 0).all() and rows.contact_count[[4, 7]].tolist() == [0, 0]
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_range_that_ends_too_low_is_flagged(method, volts, kind):
+    volts = volts[:4].astype(kind)
+    cut = np.minimum(volts, np.sort(volts, -1)[..., -10:-9])
+    under = np.tile(GROUNDS, (4, 1))
+    assert (batch(method)(cut, under).flags & tx.Flag.SATURATED).all()
+    # A few at the end of the range may be.
+    top = np.sort(volts, -1)[..., -8:-7]
+    for whole in (volts, np.minimum(volts, top)):
+        assert not (batch(method)(whole, under).flags & tx.Flag.SATURATED).any()
+
+
 def test_wrong_model_is_flagged(method, rng):
     v = rng.uniform(0, 4, (3, 3, 64)).astype(np.float32)
     rows = batch(method)(v, np.tile(GROUNDS, (3, 1)))

@@ -27,6 +27,7 @@ def scenes(rig):
         "one": [(one, 1e-4)],
         "there": [(other, 1e-4)],
         "two": [(one, 1e-4), (other, 6e-5)],
+        "faint": [(one, 1e-4), (other, 8e-6)],
     }
     exact = {name: rig.scene(*some)[0] for name, some in contacts.items()}
     return {name: rig.measure(v).astype(np.float32) for name, v in exact.items()}
@@ -175,6 +176,17 @@ def test_readings_are_corrected(sensor, scenes):
     _, right = plain.replay(plain.state, volts, grounds)
     _, outs = step.replay(step.state, volts * gain + zero, grounds)
     np.testing.assert_allclose(outs.contacts.xy, right.contacts.xy, atol=2e-5)
+
+
+def test_one_contact_more_than_may_be_is_doubted_in_every_slot(sensor, scenes):
+    """Slots that do not show it follow slots that do."""
+    step = tx.make_step(sensor, "follow", "around", contacts=1)
+    _, outs = run(step, step.state, scenes["faint"], 40)
+    high = [int(out.flags) & Flag.HIGH_RESIDUAL > 0 for out in outs]
+    share = [float(out.residual) / np.sqrt(np.mean(scenes["faint"] ** 2)) for out in outs]
+    assert all(high[2:]) and min(share[2:]) < 0.03 < 0.08 < max(share[2:])
+    _, outs = run(step, step.state, scenes["one"], 40)
+    assert not any(int(out.flags) for out in outs)
 
 
 def test_replay_is_the_same_and_a_state_can_be_saved(step, scenes):
