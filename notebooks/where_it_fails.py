@@ -46,7 +46,9 @@ print(report.flagged_text(summary["flagged"]))
 #
 # Solvers of Eq. 3 in float32 beside float64; derivatives of the whole pipeline (sheet,
 # electrodes, contact, grounds' weights and λ to an image's error) beside differences; and
-# how far apart places in float32 and float64 are over all of the sweeps.
+# how far apart places in float32 and float64 are over all of the sweeps. Below, what Eq. 3
+# makes of a contact resistance ρ that is told wrongly, and where optimisers end that start
+# at bad λ.
 
 # %%
 display(report.numbers_chart(summary["numbers"], limits))

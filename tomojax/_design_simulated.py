@@ -32,6 +32,9 @@ _LAST = 64
 # Decades of λ on both sides that are tried at first, and steps from the best of them.
 _DECADES, _STEPS = 3, 12
 
+# How often a search is gone on with; the least λ, of what is rounded off the slots' sum.
+_SCANS, _LEAST = 4, 1e-3
+
 # Of λ/σ₁², where the search for λ begins.
 _FIRST = 1e-5
 
@@ -122,6 +125,14 @@ class ImageError(AbstractObjective):
         return 1 - alike / ((images**2).sum(1) + jnp.finfo(images.dtype).tiny)
 
 
+def _in_reach(objective: ImageError) -> ImageError:
+    """With a λ that a way leads from: beyond these images are rounding, or 0."""
+    total = jnp.trace(objective.grams.sum(0))
+    low = _LEAST * jnp.finfo(objective.dtype).eps * total
+    log_lam = jnp.clip(objective.log_lam, jnp.log(low), jnp.log(total))
+    return replace(objective, log_lam=log_lam)
+
+
 class Tuned(NamedTuple):
     """An objective with its best λ and length, and how many it took."""
 
@@ -133,8 +144,10 @@ class Tuned(NamedTuple):
 def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
     """The λ (and length) of least mean error.
 
-    The best λ of a few, a decade apart, about the one that it has; from there BFGS.
+    The best λ of a few, a decade apart, about the one that it has (and on, while the best
+    is the last of them); from there BFGS.
     """
+    objective = _in_reach(objective)
 
     def value(parameters: tuple, rest: tuple) -> tuple[Array, Array]:
         log_lam, log_length = parameters
@@ -143,14 +156,22 @@ def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
         return now.value(weights), jnp.zeros(())
 
     apart = jnp.arange(-_DECADES, _DECADES + 1, dtype=objective.dtype)
-    lams = objective.log_lam + float(np.log(10)) * apart
-    length, rest = objective.log_length, (objective, weights)
-    coarse = jax.jit(lambda r: jax.lax.map(lambda lam: value((lam, length), r)[0], lams))
+    middle, length = objective.log_lam, objective.log_length
+    rest = objective, weights
+    coarse = jax.jit(
+        lambda r, some: jax.lax.map(lambda lam: value((lam, length), r)[0], some)
+    )
+    scans, best = 0, -1
+    while scans < _SCANS and best in (-1, 0, len(apart) - 1):
+        lams = middle + float(np.log(10)) * apart
+        # What is no number is no minimum.
+        best = int(jnp.argmin(jnp.nan_to_num(coarse(rest, lams), nan=jnp.inf)))
+        middle, scans = lams[best], scans + 1
     solver = optimistix.BFGS(rtol=1e-3, atol=1e-3)
     found = optimistix.minimise(
         value,
         solver,
-        (lams[jnp.argmin(coarse(rest))], length),
+        (middle, length),
         rest,
         has_aux=True,
         max_steps=_STEPS,
@@ -158,7 +179,7 @@ def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
     )
     log_lam, log_length = found.value
     best = replace(objective, log_lam=log_lam, log_length=log_length)
-    solves = len(apart) + 2 * int(found.stats["num_steps"])
+    solves = scans * len(apart) + 2 * int(found.stats["num_steps"])
     return Tuned(best, best.value(weights), solves)
 
 
@@ -184,6 +205,7 @@ def descend_sets(
     Sets come from `subset_marginals`' distribution, gradients by SIMPLE (`drawn_weights`),
     steps by Adam (Kingma and Ba, ICLR 2015). Ends with the best of some last ones.
     """
+    objective = _in_reach(objective)
     logits = jnp.zeros(objective.slots, objective.log_lam.dtype)
 
     def value(parameters: tuple[Array, Array], keys: Array) -> Array:

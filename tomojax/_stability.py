@@ -24,6 +24,7 @@ from tomojax._method import AbstractMethod, method as make_method
 from tomojax._sensor import Sensor
 from tomojax._stability_numbers import gradient_rows, solver_rows
 from tomojax._stability_scenes import Bench, Scenes, Sweep
+from tomojax._stability_starts import resistance_rows, start_rows, STARTS
 from tomojax._step import Step
 
 SWEEPS = {
@@ -277,12 +278,15 @@ def run(
 
 
 def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
-    """Of solvers and gradients; kept in `folder` as the rows are."""
+    """Of solvers, gradients, ρ and optimisers' starts; kept in `folder` as the rows are."""
 
     def made() -> dict[str, Any]:
+        starts = STARTS[::3] if quick else STARTS
+        found = {"starts": start_rows(starts), "resistances": resistance_rows(np.float32)}
         with jax.enable_x64(True):
+            found["resistances"] += resistance_rows(np.float64)
             points = (1000, 100) if quick else (10_000, 100)
-            return {"solvers": solver_rows(), "gradients": gradient_rows(*points)}
+            return found | {"solvers": solver_rows(), "gradients": gradient_rows(*points)}
 
     return _kept(folder / "stability-numbers.json", made)
 

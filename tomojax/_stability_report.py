@@ -82,15 +82,33 @@ def numbers_text(numbers: dict[str, Any]) -> str:
             f"gradients at {row['count']} {row['points']} points: {row['finite']} finite, "
             f"{largest:.1e} from differences at most"
         )
+    for kind in dict.fromkeys(row["dtype"] for row in numbers["resistances"]):
+        mine = [row for row in numbers["resistances"] if row["dtype"] == kind]
+        errors = [r["place_median_mm"] for r in mine if r["place_median_mm"] is not None]
+        silent = sum(row["silent"] for row in mine)
+        lines.append(
+            f"Eq. 3 with J(ρ) in {kind}, ρ from 0 to infinity: places {min(errors):.1f} to "
+            f"{max(errors):.1f} mm off, {silent} unflagged that are no number, "
+            f"{sum(row['raised'] is not None for row in mine)} a ValueError"
+        )
+    for name in dict.fromkeys(row["optimiser"] for row in numbers["starts"]):
+        mine = [row["excess"] for row in numbers["starts"] if row["optimiser"] == name]
+        worst = max(float("inf") if excess is None else excess for excess in mine)
+        lines.append(
+            f"{name} from {len(mine)} λ, bad ones too: ends {100 * worst:.1f} % above the "
+            "best at most"
+        )
     return "\n".join(lines)
 
 
 def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
-    """Solvers along λ, gradients beside differences, float32 beside float64."""
+    """Solvers, gradients, float32 beside float64, told ρ, optimisers' starts."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 4.5), layout="constrained")
-    solvers, gradients, dtypes = figure.subplots(1, 3)
+    figure = Figure(figsize=(15, 8.5), layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    solvers, gradients, dtypes, resistances, starts, rest = panels
+    rest.set_axis_off()
     for name in dict.fromkeys(row["solver"] for row in numbers["solvers"]):
         mine = [row for row in numbers["solvers"] if row["solver"] == name]
         x = [row["relative_lam"] for row in mine]
@@ -110,11 +128,26 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
         dtypes.plot(x, y, color=COLOURS[method], label=method)
     dtypes.set(xscale="log", xlabel="float32 from float64, mm, at most in a sweep")
     dtypes.set(ylabel="part of the sweeps")
-    for axes in (solvers, gradients, dtypes):
+    _along(resistances, numbers["resistances"], "dtype", "resistance", "place_median_mm")
+    resistances.set(xlabel="ρ that J(ρ) is told / sheet resistance")
+    resistances.set(ylabel="place error, mm (median; the contacts' ρ is 1)", yscale="log")
+    resistances.set_xscale("symlog", linthresh=1e-3)
+    _along(starts, numbers["starts"], "optimiser", "start", "excess")
+    starts.set(xscale="log", xlabel="λ/σ₁² of the start", ylim=(-0.05, 1))
+    starts.set(ylabel="end above the best end (no point: NaN)")
+    for axes in panels[:5]:
         if axes.has_data():
             axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
     return figure
+
+
+def _along(axes: Any, rows: list[dict[str, Any]], line: str, x: str, y: str) -> None:
+    """A line for each value of one key; what there is no number of leaves a gap."""
+    for name in dict.fromkeys(row[line] for row in rows):
+        mine = [row for row in rows if row[line] == name and row[x] is not None]
+        values = [np.nan if row[y] is None else row[y] for row in mine]
+        axes.plot([row[x] for row in mine], values, "-o", ms=4, label=name)
 
 
 def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:

@@ -118,6 +118,16 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         "gradients": [
             {"points": "random", "count": 3, "finite": 3, "largest_difference": {"x": 1e-9}}
         ],
+        "resistances": [
+            {"dtype": "float32", "resistance": 1.0, "place_median_mm": 2.5, "silent": 0}
+            | {"raised": None},
+            {"dtype": "float32", "resistance": None, "place_median_mm": None, "silent": 0}
+            | {"raised": "no"},
+        ],
+        "starts": [
+            {"optimiser": "tune", "start": 1e-3, "excess": 0.25},
+            {"optimiser": "tune", "start": 1.0, "excess": None},
+        ],
     }
     monkeypatch.setattr(_stability, "numbers", lambda *_: numbers)
     monkeypatch.setattr(_stability, "SWEEPS", {"white": SWEEPS["white"]})
@@ -129,6 +139,8 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "0.03 of 0.3" in said and "2 of 2 far off are flagged" in said
     assert "3 finite" in said and "NaN at 1 of 2" in said
+    assert "places 2.5 to 2.5 mm off" in said and "1 a ValueError" in said
+    assert "tune from 2 λ, bad ones too: ends inf %" in said
     report = json.loads((tmp_path / "stability.json").read_text())
     assert set(report) == {"rows", "summary", "environment"}
     expected = {"sweep", "method", "limit", "beyond", "test"}

@@ -16,6 +16,7 @@ from tomojax._stability_numbers import (
     solver_rows,
     symmetric_points,
 )
+from tomojax._stability_starts import resistance_rows, start_rows
 
 
 def test_gradients_are_finite_and_right():
@@ -56,6 +57,25 @@ def test_solvers_in_float32():
     assert max(r["error"] for r in refined if r["relative_lam"] > 1e-9) < 1e-4
     plain = {r["relative_lam"]: r["error"] for r in rows if r["solver"] == "cholesky"}
     assert plain[min(plain)] is None and plain[max(plain)] < 1e-5
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_whatever_contact_resistance_is_told(kind):
+    """J(0) is of metal; far too much of it does no harm. Infinity is an error."""
+    rows = resistance_rows(kind, seed=7)
+    assert rows[-1]["resistance"] is None and "contact_resistance" in rows[-1]["raised"]
+    assert not any(row["silent"] for row in rows)
+    away = {row["resistance"]: row["place_median_mm"] for row in rows[:-1]}
+    assert all(away[rho] < 5 for rho in away if rho >= 1) and away[0.0] > 8
+
+
+def test_optimisers_from_bad_starts():
+    """Both ended elsewhere, or as NaN, from the first and the last of these once."""
+    rows = start_rows((1e-14, 1e-5, 1e7), seed=3)
+    excess = {(row["optimiser"], row["start"]): row["excess"] for row in rows}
+    assert len(excess) == 6 and None not in excess.values()
+    assert all(v < 1e-3 for (name, _), v in excess.items() if name == "tune")
+    assert all(v < 0.1 for v in excess.values())
 
 
 @pytest.fixture(scope="module")
