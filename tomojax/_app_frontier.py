@@ -3,36 +3,16 @@
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
 
+from tomojax._app_study import begin, named, study_options
 from tomojax._environment import environment
 
 
 @click.command()
 @click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("tomojax-frontier"),
-    show_default=True,
-    help="Folder for pictures and rows; run again, it goes on where it was.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write rows and a summary here. [default: frontier.json in the folder]",
-)
-@click.option("--scenes", type=int, help="Of each kind. [default: 20; quick: 6]")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option(
-    "--like",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="A recording of the rig: its sheet and electrodes.",
-)
+@study_options("frontier", "rows and a summary", "Of each kind. [default: 20; quick: 6]")
 def frontier(
     quick: bool,
     out: Path,
@@ -47,23 +27,12 @@ def frontier(
     """
     from tomojax import _frontier, _frontier_report
     from tomojax._frontier_scenes import KINDS
-    from tomojax._recording import open_recording
-    from tomojax._sensor import Sensor
 
     _peers_there()
-    if scenes is not None and not 2 <= scenes <= 1000:
-        raise ValueError(f"--scenes: got {scenes}, expected 2 to 1000")
-    if seed < 0:
-        raise ValueError(f"--seed: got {seed}, expected 0 or more")
-    if json_path:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-    sensor = Sensor.grid(divisions=(64, 64), dtype=np.float32)
-    if like is not None:
-        with open_recording(like) as recording:
-            sensor = recording.rig.sensor()
+    sensor = begin(json_path, scenes, 2, seed, like)
     steps = len(_frontier.jobs(quick)) + 1
     with click.progressbar(
-        length=steps, label="frontier", file=sys.stderr, item_show_func=_named
+        length=steps, label="frontier", file=sys.stderr, item_show_func=named
     ) as bar:
         rows = _frontier.run(
             sensor,
@@ -96,10 +65,6 @@ def frontier(
     if rates:
         _frontier_report.rate_chart(rates).savefig(out / "frontier_rates.png", dpi=110)
         print(f"picture: {out / 'frontier_rates.png'}")
-
-
-def _named(job: Any) -> str | None:
-    return job
 
 
 def _peers_there() -> None:

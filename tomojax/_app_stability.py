@@ -3,36 +3,18 @@
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
 
+from tomojax._app_study import begin, named, study_options
 from tomojax._environment import environment
 
 
 @click.command()
 @click.option("--quick", is_flag=True, help="Four methods, few scenes; some minutes.")
 @click.option("--only", multiple=True, help="This sweep alone; may be given again.")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("tomojax-stability"),
-    show_default=True,
-    help="Folder for the picture and rows; run again, it goes on where it was.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write limits and a summary here. [default: stability.json in the folder]",
-)
-@click.option("--scenes", type=int, help="At each value. [default: 10; quick: 4]")
-@click.option("--seed", type=int, default=0, show_default=True)
-@click.option(
-    "--like",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="A recording of the rig: its sheet and electrodes.",
+@study_options(
+    "stability", "limits and a summary", "At each value. [default: 10; quick: 4]"
 )
 def stability(
     quick: bool,
@@ -48,28 +30,17 @@ def stability(
     On scenes whose voltages another model made: a resistor network with a rig's errors.
     """
     from tomojax import _stability, _stability_report
-    from tomojax._recording import open_recording
-    from tomojax._sensor import Sensor
 
     names = _stability.SWEEPS
     for name in only:
         if name not in names:
             raise ValueError(f"--only: got {name!r}, expected one of {', '.join(names)}")
-    if scenes is not None and not 1 <= scenes <= 1000:
-        raise ValueError(f"--scenes: got {scenes}, expected 1 to 1000")
-    if seed < 0:
-        raise ValueError(f"--seed: got {seed}, expected 0 or more")
-    if json_path:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-    sensor = Sensor.grid(divisions=(64, 64), dtype=np.float32)
-    if like is not None:
-        with open_recording(like) as recording:
-            sensor = recording.rig.sensor()
+    sensor = begin(json_path, scenes, 1, seed, like)
     with click.progressbar(
         length=len(only) or len(names) + 1,
         label="stability",
         file=sys.stderr,
-        item_show_func=_named,
+        item_show_func=named,
     ) as bar:
         rows = _stability.run(
             sensor,
@@ -100,7 +71,3 @@ def stability(
         picture = out / "stability_numbers.png"
         _stability_report.numbers_chart(numbers, limits).savefig(picture, dpi=100)
         print(f"picture: {picture}")
-
-
-def _named(sweep: Any) -> str | None:
-    return sweep
