@@ -282,11 +282,16 @@ def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
 
     def made() -> dict[str, Any]:
         starts = STARTS[::3] if quick else STARTS
-        found = {"starts": start_rows(starts), "resistances": resistance_rows(np.float32)}
+        points = (1000, 100) if quick else (10_000, 100)
+        # All with float64 enabled: what float32 traced before is not to be met again.
         with jax.enable_x64(True):
-            found["resistances"] += resistance_rows(np.float64)
-            points = (1000, 100) if quick else (10_000, 100)
-            return found | {"solvers": solver_rows(), "gradients": gradient_rows(*points)}
+            told = [resistance_rows(kind) for kind in (np.float32, np.float64)]
+            return {
+                "solvers": solver_rows(),
+                "gradients": gradient_rows(*points),
+                "resistances": sum(told, []),
+                "starts": start_rows(starts),
+            }
 
     return _kept(folder / "stability-numbers.json", made)
 
