@@ -128,10 +128,10 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
         dtypes.plot(x, y, color=COLOURS[method], label=method)
     dtypes.set(xscale="log", xlabel="float32 from float64, mm, at most in a sweep")
     dtypes.set(ylabel="part of the sweeps")
-    _along(resistances, numbers["resistances"], "dtype", "resistance", "place_median_mm")
+    told = numbers["resistances"]
+    _along(resistances, told, "dtype", "resistance", "place_median_mm", named=True)
     resistances.set(xlabel="ρ that J(ρ) is told / sheet resistance")
     resistances.set(ylabel="place error, mm (median; the contacts' ρ is 1)", yscale="log")
-    resistances.set_xscale("symlog", linthresh=1e-3)
     _along(starts, numbers["starts"], "optimiser", "start", "excess")
     starts.set(xscale="log", xlabel="λ/σ₁² of the start", ylim=(-0.05, 1))
     starts.set(ylabel="end above the best end (no point: NaN)")
@@ -142,12 +142,18 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
     return figure
 
 
-def _along(axes: Any, rows: list[dict[str, Any]], line: str, x: str, y: str) -> None:
-    """A line for each value of one key; what there is no number of leaves a gap."""
+def _along(
+    axes: Any, rows: list[dict[str, Any]], line: str, x: str, y: str, named: bool = False
+) -> None:
+    """A line for each value of one key; what there is no number of leaves a gap.
+
+    `named`: the values of x one after another, whatever they are.
+    """
     for name in dict.fromkeys(row[line] for row in rows):
         mine = [row for row in rows if row[line] == name and row[x] is not None]
         values = [np.nan if row[y] is None else row[y] for row in mine]
-        axes.plot([row[x] for row in mine], values, "-o", ms=4, label=name)
+        at = [f"{row[x]:g}" for row in mine] if named else [row[x] for row in mine]
+        axes.plot(at, values, "-o", ms=4, label=name)
 
 
 def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
