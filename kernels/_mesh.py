@@ -47,7 +47,9 @@ def triangles(shape: Shape) -> np.ndarray:
 
     lower = half(((1, 0), (0, 0), (1, 1)), ((0, 0), (1, 0), (0, 1)))
     upper = half(((0, 1), (1, 1), (0, 0)), ((1, 1), (0, 1), (1, 0)))
-    return np.stack([lower, upper], 2).reshape(-1, 3)
+    # The same integers with and without `jax.enable_x64`: an array that is kept is a constant
+    # that JAX may have converted already.
+    return np.stack([lower, upper], 2).reshape(-1, 3).astype(np.int32)
 
 
 @lru_cache

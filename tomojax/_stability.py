@@ -283,7 +283,6 @@ def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
     def made() -> dict[str, Any]:
         starts = STARTS[::3] if quick else STARTS
         points = (1000, 100) if quick else (10_000, 100)
-        # All with float64 enabled: what float32 traced before is not to be met again.
         with jax.enable_x64(True):
             told = [resistance_rows(kind) for kind in (np.float32, np.float64)]
             return {
