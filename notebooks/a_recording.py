@@ -53,7 +53,7 @@ with (
 with tx.open_recording(folder / "long.h5") as recording:
     print(recording.scans, "scans of", recording.slots, "slots;", recording.rig.notes)
     by_scan = tx.reconstruct_recording(recording, folder / "scans.h5")
-    settings = tx.Settings(rate="slot", images=False)
+    settings = tx.results.Settings(rate="slot", images=False)
     by_slot = tx.reconstruct_recording(recording, folder / "slots.h5", settings)
 
 with h5py.File(by_scan) as file:
@@ -64,9 +64,9 @@ with h5py.File(by_scan) as file:
 # ## Contacts over time, and what was wrong with the input
 
 # %%
-from tomojax import _results_plots
+from tomojax.results import plots
 
-figure = _results_plots.timeline(by_scan)
+figure = plots.timeline(by_scan)
 figure.set_size_inches(12, 7)
 picture = BytesIO()
 figure.savefig(picture, dpi=80)

@@ -27,7 +27,7 @@ from matplotlib import pyplot as plt
 
 import tomojax as tx
 from tomojax.hardware import open_source, Ring, run
-from tomojax.hardware._virtual_rig import draw_eight, VirtualRig
+from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
 
 folder = Path(tempfile.mkdtemp())
 sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))

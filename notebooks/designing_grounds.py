@@ -34,15 +34,15 @@ xy = 1e3 * np.asarray(sensor.electrode_xy)
 # How well `points` can tell a contact's place (Cramér and Rao), the mean over 48 contacts.
 
 # %%
-places = tx.design_places(sensor, count=48)
-objective = tx.design_objective(sensor, places, "points", "place")
-found = tx.design(objective, 8)
+places = tx.design.design_places(sensor, count=48)
+objective = tx.design.design_objective(sensor, places, "points", "place")
+found = tx.design.design(objective, 8)
 print("grounds", found.grounds)
 print(f"{1e3 * found.value:.4f} mm, no set of eight is below {1e3 * found.bound:.4f}")
 print(f"greedy {1e3 * found.greedy:.4f}, heaviest of the relaxed {1e3 * found.rounded:.4f}")
 
-explored = tx.exploratory_voltages(sensor, places)
-for row in tx.patterns_beside(sensor, objective, explored):
+explored = tx.design.exploratory_voltages(sensor, places)
+for row in tx.design.patterns_beside(sensor, objective, explored):
     mark = "knows the contact" if row["adaptive"] else ""
     print(f"{row['name']:10s} {row['slots']:3d} slots {1e3 * row['value']:.4f} mm {mark}")
 
@@ -50,12 +50,13 @@ for row in tx.patterns_beside(sensor, objective, explored):
 # ## A set for each place
 #
 # What knows where the contact is, as *Around* does after two slots, does better with a
-# table by place. `tx.save_policy` writes it; `tomojax live --policy` and `tx.make_step`
+# table by place. `tx.step.save_policy` writes it; `tomojax live --policy` and
+# `tx.make_step`
 # look it up. (Without `criterion` a table for `points` is for the error on simulated rigs,
 # which counts errors that slots share, but has no bound.)
 
 # %%
-table = tx.design_policy(sensor, 8, criterion="place")
+table = tx.design.design_policy(sensor, 8, criterion="place")
 step = tx.make_step(
     sensor, "follow", "mine", tables={"mine": table.policy}, contacts=1, grid=16
 )
@@ -66,7 +67,9 @@ fine = [(np.arange(32) + 0.5) / 32 * 0.16] * 2
 grid = np.stack(np.meshgrid(*fine, indexing="ij"), -1).reshape(-1, 2)
 chosen = np.zeros(64)
 chosen[found.grounds] = 1
-one_for_all = np.asarray(tx.design_objective(sensor, grid)(jax.numpy.asarray(chosen)))
+one_for_all = np.asarray(
+    tx.design.design_objective(sensor, grid)(jax.numpy.asarray(chosen))
+)
 print(f"one set for all {1e3 * np.median(one_for_all):.4f} mm, in the median of the sheet")
 print(f"a set for each place {1e3 * np.median(table.value):.4f} mm")
 for axes, values, title in (
@@ -94,9 +97,13 @@ plt.show()
 # over which an image is smooth by gradients through the solve.
 
 # %%
-scenes = tx.simulate_scenes(sensor, tx.design_places(sensor, count=16), rigs=2)
-images = tx.ImageError.of(tx.method(sensor, "linear", 32), scenes, 0.008, smooth=True)
-tuned = tx.tune(images, jax.numpy.asarray(chosen))
+scenes = tx.design.simulate_scenes(
+    sensor, tx.design.design_places(sensor, count=16), rigs=2
+)
+images = tx.design.ImageError.of(
+    tx.method(sensor, "linear", 32), scenes, 0.008, smooth=True
+)
+tuned = tx.design.tune(images, jax.numpy.asarray(chosen))
 length = float(jax.numpy.exp(tuned.objective.log_length))
 print(f"λ {tuned.objective.lam:.3g}, smooth over {length:.2f} pixels")
 print(f"error {float(tuned.value):.3f} after {tuned.solves} solves")
@@ -109,7 +116,7 @@ print(f"error {float(tuned.value):.3f} after {tuned.solves} solves")
 
 # %%
 nine = tx.Sensor.grid(3, 3, pitch=0.04, margin=0.02, divisions=(24, 24))
-moved = tx.design_electrodes(nine, grid=12, starts=1)
+moved = tx.design.design_electrodes(nine, grid=12, starts=1)
 print(
     f"worst spread {1e3 * moved.spread_before.max():.1f} mm on the uniform grid, ", end=""
 )

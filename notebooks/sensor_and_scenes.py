@@ -25,10 +25,10 @@ from matplotlib import pyplot as plt
 jax.config.update("jax_enable_x64", True)
 
 import tomojax as tx
-from tomojax import _plots
+from tomojax.studies import plots
 
 sensor = tx.Sensor.grid()
-table = tx.resistances(sensor)
+table = tx.sensor.resistances(sensor)
 print({name: part.shape for name, part in table._asdict().items()})
 
 # %% [markdown]
@@ -40,10 +40,10 @@ print({name: part.shape for name, part in table._asdict().items()})
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")
-_plots.sheet(axes[0], sensor, table.elements[27], "Ω")
+plots.sheet(axes[0], sensor, table.elements[27], "Ω")
 for axis, rho in zip(axes[1:], (0.0, 2e5)):
     j = tx.jacobian(sensor, [0], rho)
-    _plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω", vmin=0)
+    plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω", vmin=0)
 
 # %% [markdown]
 # ## Recorded scenes
@@ -70,7 +70,7 @@ def true_conductance(sensor, contacts):
             shape = tx.Bar(at, c["length"], c["width"], c["angle"], per_area)
         else:
             shape = tx.Ring(at, c["r0"], c["r1"], per_area)
-        one = np.asarray(tx.contact_conductance(sensor, shape))
+        one = np.asarray(tx.sensor.contact_conductance(sensor, shape))
         g += one * c["total_conductance"] / one.sum()
     return g
 

@@ -30,7 +30,8 @@ from matplotlib import pyplot as plt
 jax.config.update("jax_enable_x64", True)
 
 import tomojax as tx
-from tomojax import _plots, _table1, _table1_plots, _table1_report
+from tomojax.studies.plots import sheet
+from tomojax.studies.table1 import plots, report, run
 
 # %% [markdown]
 # ## Table I, Fig. 3 (images) and Fig. 4 (weighted score)
@@ -39,14 +40,14 @@ from tomojax import _plots, _table1, _table1_plots, _table1_report
 # does not say where its lines lie relative to the contact.
 
 # %%
-study = _table1.run()
-print(_table1_report.text(study))
-summary = _table1_report.summary(study)
+study = run()
+print(report.text(study))
+summary = report.summary(study)
 assert summary["width_rank_correlation"] >= 0.90
 assert summary["width_ratio_rms_relative_error"] <= 0.08
 
 # %%
-for draw in (_table1_plots.table, _table1_plots.images, _table1_plots.dependence):
+for draw in (plots.table, plots.images, plots.dependence):
     picture = BytesIO()
     draw(study).savefig(picture, dpi=80)
     display(Image(picture.getvalue()))
@@ -63,7 +64,7 @@ while not (folder / "pyproject.toml").exists() and folder != folder.parent:
     folder = folder.parent
 data = folder.parent / "shared" / "data"
 sensor = tx.Sensor.grid(divisions=(40, 40))
-reduced = tx.reduce_jacobian(tx.jacobian(sensor))
+reduced = tx.paper.reduce_jacobian(tx.jacobian(sensor))
 SCENES = {"weight_off_centre": "single", "two_weights_60mm": "double", "cup_rim": "areal"}
 NAMES = ("all", "around", "cop_line", "v_line")
 
@@ -81,13 +82,13 @@ def figure_7(volts, scenes, lam):
         scene = scenes[name]
         frame = jnp.asarray(volts[slice(*scene["scans"])].mean(0))
         for axes, pattern in zip(row, NAMES):
-            grounds = tx.pattern(sensor, pattern, frame[tx.exploration(sensor)])
+            grounds = tx.pattern(sensor, pattern, frame[tx.paper.exploration(sensor)])
             result = tx.reconstruct(reduced, frame[grounds], grounds, lam=lam)
             image = np.asarray(result.image)
-            _plots.sheet(axes, sensor, image / image.max(), "", vmin=0)
+            sheet(axes, sensor, image / image.max(), "", vmin=0)
             for contact in scene["contacts"]:
                 outline(axes, contact)
-            width = 1e3 * float(tx.figures_of_merit(sensor, image, image).half_width)
+            width = 1e3 * float(tx.paper.figures_of_merit(sensor, image, image).half_width)
             axes.set_title(f"{title}, {pattern}: λ {float(result.lam):.2g}, {width:.0f} mm")
     plt.show()
 

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from IPython.display import display
 
-from tomojax import _stability_report as report
+from tomojax.studies.stability import report
 
 results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
 found = json.loads((results / "stability.json").read_text())

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from IPython.display import display
 
-from tomojax import _frontier_report as report
+from tomojax.studies.frontier import report
 
 results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
 found = json.loads((results / "frontier.json").read_text())

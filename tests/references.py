@@ -8,13 +8,13 @@ import skfem
 from skfem.helpers import dot, grad
 
 import tomojax as tx
-from tomojax.kernels import _mesh
+from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
 
 
 def skfem_stiffness(sheet, shape, size):
     """Sparse P1 stiffness of a sheet (S per square and element)."""
-    nodes = np.asarray(_mesh.nodes(shape, size), float)
-    mesh = skfem.MeshTri(nodes.T.copy(), _mesh.triangles(shape).T.copy(), sort_t=False)
+    nodes = np.asarray(mesh_nodes(shape, size), float)
+    mesh = skfem.MeshTri(nodes.T.copy(), triangles(shape).T.copy(), sort_t=False)
     basis = skfem.Basis(mesh, skfem.ElementTriP1())
     per_point = np.broadcast_to(np.asarray(sheet)[:, None], basis.dx.shape)
 
@@ -53,7 +53,7 @@ def skfem_table(fem, shape):
 
 def element_functionals(shape):
     """b_k as the rows of a dense (K, nodes) matrix."""
-    vertices = _mesh.triangles(shape)
+    vertices = triangles(shape)
     rows = np.zeros((len(vertices), vertices.max() + 1))
     rows[np.arange(len(vertices))[:, None], vertices] = 1 / 3
     return rows
@@ -75,7 +75,7 @@ def network_voltages(
     each electrode, dipoles d. K u + contact + P i + D d = 0; v = Pᵀu − δ i;
     Dᵀu = δ_d d; and i + c(V0 − v) is γ v, or v/z at `ground` and 0 elsewhere.
     """
-    from tomojax._forward import sheet_on_mesh
+    from tomojax.sensor import sheet_on_mesh
 
     fem, shape = sheet_on_mesh(sensor), sensor.divisions
     k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()

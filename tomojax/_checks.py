@@ -11,16 +11,12 @@ import numpy as np
 from jax.core import Tracer
 
 from tomojax._custom_types import Numbers
+from tomojax._require import require as require
 
 
 def known(*values: Any) -> bool:
     """Whether the values are numbers now, not placeholders of a trace."""
     return not any(isinstance(v, Tracer) for v in values)
-
-
-def require(condition: Any, name: str, got: Any, expected: str) -> None:
-    if not condition:
-        raise ValueError(f"{name}: got {got}, expected {expected}")
 
 
 def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:

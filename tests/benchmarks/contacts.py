@@ -67,7 +67,7 @@ def scene(kind: str, rig: Rig, rng: np.random.Generator):
 
 def grounds_of(sensor: tx.Sensor, name: str, volts: np.ndarray) -> np.ndarray:
     """Electrodes grounded; those around a contact follow two corner slots."""
-    corners = np.asarray(tx.exploration(sensor))
+    corners = np.asarray(tx.paper.exploration(sensor))
     if name == "all":
         return np.arange(len(volts))
     if name.startswith("corner"):
@@ -78,7 +78,7 @@ def grounds_of(sensor: tx.Sensor, name: str, volts: np.ndarray) -> np.ndarray:
     return np.concatenate([corners, near]) if name == "ten" else near
 
 
-def errors(rows: tx.Rows, k: int, truth: list) -> tuple[bool, float]:
+def errors(rows: tx.methods.Rows, k: int, truth: list) -> tuple[bool, float]:
     """Whether the count is right, and the farthest contact from its truth, mm."""
     count, places = int(rows.contact_count[k]), np.array([p for p, _ in truth])
     if count != len(truth):
@@ -91,7 +91,7 @@ def errors(rows: tx.Rows, k: int, truth: list) -> tuple[bool, float]:
 
 
 def measured(
-    kind: str, name: str, rows: tx.Rows, scenes: list, slots: int, s: float
+    kind: str, name: str, rows: tx.methods.Rows, scenes: list, slots: int, s: float
 ) -> dict:
     """A row of the table."""
     right, error = np.array([errors(rows, k, t) for k, (_, t, _) in enumerate(scenes)]).T
@@ -136,7 +136,7 @@ def run(sensor: tx.Sensor, models: dict, kind: str, count: int, seed: int) -> li
             grounds = np.array([grounds_of(sensor, name, v) for v, _, _ in scenes])
             volts = np.stack([v[g] for (v, _, _), g in zip(scenes, grounds)])
             # Of the paper's method λ is one for all patterns.
-            frames = [tx.Frame(v, g, v > -9) for v, g in zip(volts[:8], grounds)]
+            frames = [tx.methods.Frame(v, g, v > -9) for v, g in zip(volts[:8], grounds)]
             lam = models[method].choose_lambda(frames)
             batch = tx.Batch(models[method], lam, images=kind == "one")
             batch(volts, grounds)  # compiles, also what few frames ask for
@@ -151,7 +151,7 @@ def run(sensor: tx.Sensor, models: dict, kind: str, count: int, seed: int) -> li
 
 
 def separations(
-    sensor: tx.Sensor, points: tx.AbstractMethod, count: int, seed: int
+    sensor: tx.Sensor, points: tx.methods.AbstractMethod, count: int, seed: int
 ) -> list[dict]:
     """Which part of pairs is told as two, both within 3 mm."""
     batch = tx.Batch(points, 1.0, images=False)

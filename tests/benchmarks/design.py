@@ -32,11 +32,11 @@ RIGS, LENGTH, HOLD = tuple(range(81, 93)), 48, 16
 
 
 def gap(sensor) -> list[dict]:
-    places, rows = tx.design_places(sensor, count=64), []
+    places, rows = tx.design.design_places(sensor, count=64), []
     for method, criterion in KINDS:
-        objective = tx.design_objective(sensor, places, method, criterion)
+        objective = tx.design.design_objective(sensor, places, method, criterion)
         begin = time.perf_counter()
-        found = tx.design(objective, 8)
+        found = tx.design.design(objective, 8)
         rows.append(
             {
                 "kind": "gap",
@@ -57,14 +57,14 @@ def gap(sensor) -> list[dict]:
 
 
 def places(sensor) -> list[dict]:
-    from tomojax._design_policy import designs_by_place
+    from tomojax.design import designs_by_place
 
     parts = (np.arange(32) + 0.5) / 32 * 0.16
     grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
     rows = []
     for method in ("points", "linear"):
         criterion = "place" if method == "points" else "a"
-        objective = tx.design_objective(sensor, grid, method, criterion)
+        objective = tx.design.design_objective(sensor, grid, method, criterion)
         begin = time.perf_counter()
         sets, bound = jax.block_until_ready(designs_by_place(objective, 8))
         spent = time.perf_counter() - begin
@@ -90,13 +90,13 @@ def places(sensor) -> list[dict]:
 
 def lambdas(sensor) -> list[dict]:
     fine = replace(sensor, divisions=(64, 64))
-    scenes = tx.simulate_scenes(fine, tx.design_places(fine, count=48))
+    scenes = tx.design.simulate_scenes(fine, tx.design.design_places(fine, count=48))
     linear, rows = tx.method(fine, "linear", 32), []
     grounds = np.array([11, 13, 20, 27, 33, 36, 44, 52])
     w = jnp.zeros(64).at[grounds].set(1)
     for smooth in (False, True):
-        objective = tx.ImageError.of(linear, scenes, 0.008, smooth=smooth)
-        found = tx.tune(objective, w)
+        objective = tx.design.ImageError.of(linear, scenes, 0.008, smooth=smooth)
+        found = tx.design.tune(objective, w)
         lams = objective.log_lam + np.log(10) * jnp.linspace(-3, 4, 29)
         lengths = jnp.log(jnp.linspace(0.3, 4, 12)) if smooth else jnp.zeros(1)
 
@@ -123,10 +123,10 @@ def lambdas(sensor) -> list[dict]:
 def loop(sensor) -> list[dict]:
     from rig import Rig
 
-    table = tx.design_policy(sensor, 8).policy
+    table = tx.design.design_policy(sensor, 8).policy
     single = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
     size = jnp.asarray(single.size)
-    own = {"designed": tx.Lookup(table.table, table.idle, size)}
+    own = {"designed": tx.step.Lookup(table.table, table.idle, size)}
     step = tx.make_step(single, "follow", POLICIES, tables=own, contacts=1)
     errors = {name: [] for name in POLICIES}
     spent = {name: [] for name in POLICIES}

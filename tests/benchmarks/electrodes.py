@@ -29,7 +29,7 @@ jax.config.update("jax_enable_x64", True)
 from rig import Rig, SIDE  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax import kernels  # noqa: E402
+from tomojax.kernels.images import half_width, image_place  # noqa: E402
 
 GRID, WIDTH, REGIONS = 32, 0.008, 5
 CONTACTS = {"linear": (0.002, 1.0), "source": (0.006, 1e-4)}  # radius, m; S
@@ -47,8 +47,10 @@ def spreads(sensors: dict, count: int = 29, grid: int = 36) -> dict[str, np.ndar
     x = np.linspace(0.0105, SIDE - 0.0105, count)
     places = jnp.asarray(np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2))
     first = next(iter(sensors.values()))
-    lam = 1e-5 * float(tx.image_scale(first, grid=grid))
-    found = jax.jit(lambda xy: tx.image_spread(first, places, xy, lam=lam, grid=grid))
+    lam = 1e-5 * float(tx.design.image_scale(first, grid=grid))
+    found = jax.jit(
+        lambda xy: tx.design.image_spread(first, places, xy, lam=lam, grid=grid)
+    )
     return {
         name: np.asarray(found(sensor.electrode_xy)).reshape(count, count)
         for name, sensor in sensors.items()
@@ -57,7 +59,7 @@ def spreads(sensors: dict, count: int = 29, grid: int = 36) -> dict[str, np.ndar
 
 def scenes(
     sensor: tx.Sensor, kind: str, at: np.ndarray, variation: float, seed: int
-) -> tx.Scenes:
+) -> tx.design.Scenes:
     radius, conductance = CONTACTS[kind]
     nominal, volts = np.asarray(sensor.electrode_xy), []
     for k, place in enumerate(at):
@@ -65,13 +67,13 @@ def scenes(
             rng = np.random.default_rng(seed + k)
             rig = Rig(rng, variation=variation, nominal=nominal)
         volts.append(rig.measure(rig.scene((rig.disc(place, radius), conductance))[0]))
-    return tx.Scenes(jnp.asarray(at), jnp.asarray(np.stack(volts)))
+    return tx.design.Scenes(jnp.asarray(at), jnp.asarray(np.stack(volts)))
 
 
 def widths(sensor: tx.Sensor, kind: str, variation: float, side: int) -> dict:
     """Half-value widths, mm, (side, side) over the sheet, and errors of place."""
     method = tx.method(sensor, kind, GRID)
-    places = np.asarray(tx.design_places(sensor, [0.008, 0.008, 0.152, 0.152], 40))
+    places = np.asarray(tx.design.design_places(sensor, [0.008, 0.008, 0.152, 0.152], 40))
     train = scenes(sensor, kind, places, variation, 100)
     rng = np.random.default_rng(11)
     x = np.linspace(0.01, SIDE - 0.01, side)
@@ -79,16 +81,16 @@ def widths(sensor: tx.Sensor, kind: str, variation: float, side: int) -> dict:
     at = at + rng.uniform(-0.002, 0.002, at.shape)
     tested = scenes(sensor, kind, at, variation, 500)
     ones, log_lams = jnp.ones(sensor.electrode_count), np.log(LAMS * method.scale())
-    objective = tx.ImageError.of(method, train, WIDTH)
+    objective = tx.design.ImageError.of(method, train, WIDTH)
     tried = [replace(objective, log_lam=jnp.asarray(v)) for v in log_lams]
     errors = [float(one.value(ones)) for one in tried]
     best = int(np.argmin(errors))
     now = replace(
-        tx.ImageError.of(method, tested, WIDTH), log_lam=jnp.asarray(log_lams[best])
+        tx.design.ImageError.of(method, tested, WIDTH), log_lam=jnp.asarray(log_lams[best])
     )
     images = now.images(ones).reshape(-1, GRID, GRID)
-    width = jax.vmap(lambda i: kernels.half_width(i, method.cell))(images)
-    found = jax.vmap(lambda i: kernels.image_place(i, method.cell))(images)
+    width = jax.vmap(lambda i: half_width(i, method.cell))(images)
+    found = jax.vmap(lambda i: image_place(i, method.cell))(images)
     off = np.linalg.norm(np.asarray(found) - at, axis=1)
     shaped = {"width": np.asarray(width), "place": off}
     return {
@@ -113,7 +115,7 @@ def study(side: int) -> tuple[list[dict], dict]:
     for n in (4, 8):
         start = time.perf_counter()
         grid = uniform(n)
-        made = tx.design_electrodes(grid)
+        made = tx.design.design_electrodes(grid)
         seconds = time.perf_counter() - start
         sensors = {
             "uniform": grid,

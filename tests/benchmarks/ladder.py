@@ -25,7 +25,7 @@ from benchmarks.contacts import errors, grounds_of  # noqa: E402
 from benchmarks.physics import environment  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax._track_results import track_results  # noqa: E402
+from tomojax.results.track_file import track_results  # noqa: E402
 
 MODELS = ("linear", "source", "positive", "points", "conductance", "auto")
 SLOTS = ("corners", "ten", "all")
@@ -35,7 +35,7 @@ def load(folder: Path):
     """Name: volts (64, 64), truth (centre, S) of each contact, of the static scenes."""
     truth = json.loads((folder / "truth.json").read_text())["static_all"]["scenes"]
     with tx.open_recording(folder / "static_all.h5") as recording:
-        calibration = tx.tare(recording)
+        calibration = tx.calibration.tare(recording)
         chunk = recording.read(0, recording.scans)
         sensor = recording.rig.sensor()
     volts = calibration.voltages(chunk.voltages).astype(np.float32)
@@ -59,7 +59,7 @@ def static(sensor, scenes: dict) -> tuple[list[dict], dict]:
             for scene, (volts, truth) in scenes.items():
                 grounds = grounds_of(sensor, slots, volts)
                 v, g = volts[grounds][None], grounds[None]
-                lam = model.choose_lambda([tx.Frame(v[0], g[0], np.isfinite(v[0]))])
+                lam = model.choose_lambda([tx.methods.Frame(v[0], g[0], np.isfinite(v[0]))])
                 batch = tx.Batch(model, lam)
                 batch(v, g)  # compiles
                 spent = []
@@ -86,7 +86,7 @@ def static(sensor, scenes: dict) -> tuple[list[dict], dict]:
                     "conductance_ratio": float(np.nansum(found) / total) if told else None,
                     "residual_mV": 1e3 * float(rows.residual[0]),
                     "unexplained": bool(rows.flags[0] & tx.Flag.HIGH_RESIDUAL.value),
-                    "rung": tx.Rung(int(rows.rung[0])).name.lower(),
+                    "rung": tx.methods.Rung(int(rows.rung[0])).name.lower(),
                     "ms": 1e3 * float(np.median(spent)),
                 }
                 print(json.dumps(row), flush=True)
@@ -107,13 +107,15 @@ def drops(folder: Path, scratch: str) -> tuple[list[dict], dict]:
             out, tracked = (Path(scratch) / name for name in ("rows.h5", "tracks.h5"))
             with tx.open_recording(path) as recording:
                 slots, rig = recording.slots, recording.rig
-                settings = tx.Settings("points", rate="slot", images=False, contacts=2)
+                settings = tx.results.Settings(
+                    "points", rate="slot", images=False, contacts=2
+                )
                 tx.reconstruct_recording(recording, out, settings, overwrite=True)
                 with h5py.File(out) as file:
                     mine = np.nan_to_num(file["contact_conductance"][:, 0])
                 _, touches = track_results(out, tracked, overwrite=True)
                 followed = follow(recording)
-                settings = tx.Settings("linear", images=False, contacts=1)
+                settings = tx.results.Settings("linear", images=False, contacts=1)
                 tx.reconstruct_recording(recording, out, settings, overwrite=True)
                 with h5py.File(out) as file:
                     theirs = np.nan_to_num(file["contact_current"][:, 0]).repeat(slots)
@@ -138,7 +140,7 @@ def drops(folder: Path, scratch: str) -> tuple[list[dict], dict]:
     return table, curves
 
 
-def follow(recording: tx.Recording) -> np.ndarray:
+def follow(recording: tx.recordings.Recording) -> np.ndarray:
     """The conductance by `follow`, each slot with what was known before it, S."""
     scans = recording.read(0, recording.scans)
     step = tx.make_step(recording.rig.sensor(), "follow", "all", contacts=1)

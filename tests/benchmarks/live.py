@@ -27,7 +27,7 @@ def scene(path: Path):
     import numpy as np
     from rig import Rig
 
-    from tomojax.hardware._virtual_rig import write_scene
+    from tomojax.hardware.sources.virtual_rig import write_scene
 
     rig = Rig(np.random.default_rng(8))
     t = np.linspace(0, 2 * np.pi, 100, endpoint=False)
@@ -48,8 +48,8 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
 
     import tomojax as tx
     from tomojax.hardware import open_source, real_time, Ring, run
-    from tomojax.hardware._recorder import attributes, Recorder
-    from tomojax.hardware._virtual_rig import VirtualRig
+    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.hardware.sources.virtual_rig import VirtualRig
 
     with real_time() as settings:
         places = scene(folder / "scene.npz")
@@ -61,9 +61,11 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
             VirtualRig(folder / "scene.npz", rate=rate) as rig,
             open_source(rig.where) as source,
         ):
-            told = attributes(tx.Rig.of(sensor, rate), source.scale, source.offset)
+            told = attributes(
+                tx.recordings.Rig.of(sensor, rate), source.scale, source.offset
+            )
             recorder = Recorder(ring, folder / "live.h5", told)
-            words = [sys.executable, "-m", "tomojax.hardware._view", str(ring.path)]
+            words = [sys.executable, "-m", "tomojax.hardware.loop.view", str(ring.path)]
             view = subprocess.Popen(words, stdout=subprocess.DEVNULL)
             begin = time.perf_counter()
             until = lambda: time.perf_counter() - begin > seconds  # noqa: E731

@@ -55,7 +55,7 @@ def jacobian_beside_pyeit(quick: bool) -> dict:
     from pyeit.mesh import PyEITMesh
 
     import tomojax as tx
-    from tomojax.kernels import _mesh
+    from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
 
     shape = (40, 40)
     runs = {}
@@ -64,10 +64,10 @@ def jacobian_beside_pyeit(quick: bool) -> dict:
         runs[f"tomojax {np.dtype(dtype).name}"] = lambda s=sensor: jax.block_until_ready(
             tx.jacobian(s)
         )
-    nodes = np.asarray(_mesh.nodes(shape, sensor.size), float)
+    nodes = np.asarray(mesh_nodes(shape, sensor.size), float)
     places = np.asarray(sensor.electrode_xy)
     at = ((nodes[:, None] - places) ** 2).sum(-1).argmin(0)
-    vertices = references.counterclockwise(nodes, _mesh.triangles(shape))
+    vertices = references.counterclockwise(nodes, triangles(shape))
     mesh = PyEITMesh(node=nodes, element=vertices, perm=1e-4, el_pos=at)
     pairs = np.array([[(g + 1) % 64, g] for g in range(64)])
     reads = np.array([[[e, g] for e in range(64)] for g in range(64)])
@@ -83,19 +83,17 @@ def voltages_beside_skfem(quick: bool) -> dict:
     import references
 
     import tomojax as tx
-    from tomojax import kernels
-    from tomojax._forward import sheet_on_mesh
+    from tomojax.kernels.sheet import fem_contact, ground_voltages, site_conductance
+    from tomojax.sensor import sheet_on_mesh
 
     sensor = tx.Sensor.grid(divisions=(40, 40))
     fem = sheet_on_mesh(sensor)
-    g = tx.contact_conductance(sensor, tx.Disc([0.0934, 0.0671], 0.008, 2.0))
+    g = tx.sensor.contact_conductance(sensor, tx.Disc([0.0934, 0.0671], 0.008, 2.0))
     # The peer has no contact on an electrode's metal: none in this scene.
-    sites = kernels.site_conductance(fem._replace(metal=0 * fem.metal), g, (40, 40))
+    sites = site_conductance(fem._replace(metal=0 * fem.metal), g, (40, 40))
     nodes = np.asarray(sites[: len(fem.feeds)])
     drive = (jnp.arange(64), sensor.ground_resistance, sensor.drive_voltage)
-    solve = jax.jit(
-        lambda s: kernels.ground_voltages(kernels.fem_contact(fem, s, (40, 40)), *drive)
-    )
+    solve = jax.jit(lambda s: ground_voltages(fem_contact(fem, s, (40, 40)), *drive))
     from_sensor = jax.jit(lambda s, g: tx.voltages(s, g))
     arrays = [np.asarray(a, float) for a in (fem.sheet, fem.feeds, fem.series)]
     k = references.skfem_stiffness(arrays[0], (40, 40), fem.size)
@@ -127,7 +125,7 @@ def peak_kb() -> int:
 def table_of(route: str, n: int, dtype: str, repeats: int) -> dict:
     """One size in this process: run apart, so that the peak memory is its own."""
     import tomojax as tx
-    from tomojax import _forward
+    from tomojax.sensor import _forward
 
     diameter = max(0.005, 1.001 * 0.16 / n)
     make = lambda: tx.Sensor.grid(  # noqa: E731

@@ -21,8 +21,16 @@ sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 from benchmarks.physics import environment, quartiles, seconds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax import kernels  # noqa: E402
-from tomojax.kernels._mesh import centroids  # noqa: E402
+from tomojax.kernels.inverse import (  # noqa: E402
+    choose_lambda,
+    lambda_grid,
+    lambda_scores,
+    LambdaRule,
+    solve_reduced,
+    Spectrum,
+    tikhonov,
+)
+from tomojax.kernels.sheet import centroids  # noqa: E402
 
 EIGHT = np.array([18, 19, 20, 26, 28, 34, 35, 36])
 DECADES = (-2, -4, -6, -8, -10)
@@ -35,14 +43,14 @@ def solvers(jac: np.ndarray, quick: bool) -> list[dict]:
     image = np.exp(-((place - [0.094, 0.067]) ** 2).sum(1) / (2 * 0.01**2))
     noise = np.random.default_rng(0)
     found = []
-    run = jax.jit(kernels.tikhonov, static_argnames="route")
+    run = jax.jit(tikhonov, static_argnames="route")
     for name, grounds in (("8", EIGHT), ("64", np.arange(64))):
         if quick and name == "64":
             continue
         rows = jac[grounds].reshape(-1, k).astype(np.float32)
         wide = rows.astype(np.float64)
         w, q = np.linalg.eigh(wide.T @ wide)
-        reduced = tx.reduce_jacobian(jnp.asarray(jac[grounds], np.float32), 256)
+        reduced = tx.paper.reduce_jacobian(jnp.asarray(jac[grounds], np.float32), 256)
         for data in ("smooth", "random"):
             v = wide @ image if data == "smooth" else noise.standard_normal(len(rows))
             v = v.astype(np.float32)
@@ -54,7 +62,7 @@ def solvers(jac: np.ndarray, quick: bool) -> list[dict]:
                     phi = run(rows, v, lam, route=route)
                     row[route] = relative(phi, exact)
                 slots = jnp.arange(len(grounds))
-                c = kernels.solve_reduced(reduced, slots, v.reshape(-1, 64), lam)
+                c = solve_reduced(reduced, slots, v.reshape(-1, 64), lam)
                 row["blocks, r = 256"] = relative(c @ reduced.basis, exact)
                 found.append(row)
                 print(
@@ -76,12 +84,12 @@ def change_beside_pyeit(jac: np.ndarray, quick: bool) -> dict:
     from pyeit.eit.protocol import PyEITProtocol
     from pyeit.mesh import PyEITMesh
 
-    from tomojax.kernels import _mesh
+    from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
 
     sensor = tx.Sensor.grid(divisions=(40, 40))
-    nodes = np.asarray(_mesh.nodes((40, 40), sensor.size), float)
+    nodes = np.asarray(mesh_nodes((40, 40), sensor.size), float)
     at = ((nodes[:, None] - np.asarray(sensor.electrode_xy)) ** 2).sum(-1).argmin(0)
-    vertices = references.counterclockwise(nodes, _mesh.triangles((40, 40)))
+    vertices = references.counterclockwise(nodes, triangles((40, 40)))
     mesh = PyEITMesh(node=nodes, element=vertices, perm=1e-4, el_pos=at)
     rng = np.random.default_rng(0)
     volts = jac[:, :, 1500]
@@ -109,13 +117,13 @@ def change_beside_pyeit(jac: np.ndarray, quick: bool) -> dict:
         return tx.reconstruct(m, v[jnp.asarray(g)], g, lam=lam).image
 
     whole, single = (jnp.asarray(jac, d) for d in (np.float64, np.float32))
-    r192 = tx.reduce_jacobian(whole, 192)
+    r192 = tx.paper.reduce_jacobian(whole, 192)
     for name, model, call in (
-        ("compiled, r = 128", tx.reduce_jacobian(whole, 128), compiled),
+        ("compiled, r = 128", tx.paper.reduce_jacobian(whole, 128), compiled),
         ("compiled, r = 192", r192, compiled),
-        ("compiled, r = 256", tx.reduce_jacobian(whole), compiled),
+        ("compiled, r = 256", tx.paper.reduce_jacobian(whole), compiled),
         ("host checks too, r = 192", r192, eager),
-        ("compiled, float32, r = 192", tx.reduce_jacobian(single, 192), compiled),
+        ("compiled, float32, r = 192", tx.paper.reduce_jacobian(single, 192), compiled),
         ("compiled, all columns", whole, compiled),
         ("compiled, float32, all columns", single, compiled),
     ):
@@ -151,7 +159,7 @@ def ratios(times: dict) -> dict:
 def many_sets(jac: np.ndarray, quick: bool) -> dict:
     """10 000 random sets of eight and 20 λ on one frame: one trace, one compiled call."""
     count, rank = 1000 if quick else 10_000, 128
-    reduced = tx.reduce_jacobian(jnp.asarray(jac), rank)
+    reduced = tx.paper.reduce_jacobian(jnp.asarray(jac), rank)
     rng = np.random.default_rng(0)
     sets = jnp.asarray(np.stack([rng.choice(64, 8, replace=False) for _ in range(count)]))
     lams = jnp.asarray(3.4e6 * np.logspace(-6, -1, 20))
@@ -165,7 +173,7 @@ def many_sets(jac: np.ndarray, quick: bool) -> dict:
 
         def one(grounds):
             def at(lam):
-                c = kernels.solve_reduced(reduced, grounds, volts[grounds], lam)
+                c = solve_reduced(reduced, grounds, volts[grounds], lam)
                 return jnp.linalg.norm(c), jnp.isfinite(c).all()
 
             return jax.lax.map(at, lams)
@@ -203,14 +211,14 @@ def rules(quick: bool) -> list[dict]:
     coarse, fine = tx.Sensor.grid(divisions=(40, 40)), tx.Sensor.grid(divisions=(64, 64))
     places = [np.asarray(centroids(s.divisions, s.size)) for s in (coarse, fine)]
     rng = np.random.default_rng(0)
-    names = get_args(kernels.LambdaRule)
+    names = get_args(LambdaRule)
     trials, per_set = (6, 3) if quick else (30, 6)
     errors: dict[tuple, dict[str, list]] = {}
 
     rule_of = jax.jit(
-        lambda s, v, noise, name: kernels.choose_lambda(
-            kernels.lambda_grid(s),
-            kernels.lambda_scores(s, v, kernels.lambda_grid(s), name, noise),
+        lambda s, v, noise, name: choose_lambda(
+            lambda_grid(s),
+            lambda_scores(s, v, lambda_grid(s), name, noise),
         ),
         static_argnames="name",
     )
@@ -218,7 +226,7 @@ def rules(quick: bool) -> list[dict]:
         grounds = rng.choice(64, 8, replace=False)
         j, j_fine = (np.asarray(tx.jacobian(s, grounds)) for s in (coarse, fine))
         u, sigma, vt = np.linalg.svd(j.reshape(512, -1), full_matrices=False)
-        spectrum = kernels.Spectrum(jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(sigma))
+        spectrum = Spectrum(jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(sigma))
         lams = sigma[0] ** 2 * np.logspace(-11, 1, 97)
         for level in (1e-3, 5e-3, 2e-2):
             for kind in ("white", "gain", "common mode"):

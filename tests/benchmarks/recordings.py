@@ -46,7 +46,7 @@ def base_codes() -> np.ndarray:
         scene = [tx.Disc(place, 0.006 + 0.002 * np.sin(7 * turn), conductance)]
         if k % 500 >= 450:  # a tenth of it two
             scene.append(tx.Disc(0.16 - place, 0.006, 1.0))
-        volts[k] = solve(tx.contact_conductance(sensor, tx.Scene(*scene)))
+        volts[k] = solve(tx.sensor.contact_conductance(sensor, tx.Scene(*scene)))
     return np.round(volts / recordings.ATTRIBUTES["scale"]).astype(np.int16)
 
 
@@ -69,7 +69,7 @@ def synthetic(path: Path, scans: int, base: np.ndarray) -> None:
 
 
 def command(*arguments) -> subprocess.Popen:
-    line = "import sys; from tomojax._cli import main; sys.argv[0] = 'tomojax'; main()"
+    line = "import sys; from tomojax.cli import main; sys.argv[0] = 'tomojax'; main()"
     return subprocess.Popen(
         [sys.executable, "-c", line, "reconstruct", *map(str, arguments)],
         env={**os.environ, "PYTHONPATH": str(HERE.parents[1])},
@@ -179,15 +179,13 @@ def beside_pyeit(quick: bool) -> dict:
     from pyeit.eit.protocol import PyEITProtocol
     from pyeit.mesh import PyEITMesh
 
-    from tomojax import kernels
-    from tomojax._linear import Linear
-    from tomojax._source import Source
-    from tomojax.kernels import _mesh
+    from tomojax.kernels.sheet import nodes as mesh_nodes, slot_map, triangles
+    from tomojax.methods import Linear, Source
 
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=np.float32)
-    nodes = np.asarray(_mesh.nodes((40, 40), sensor.size), float)
+    nodes = np.asarray(mesh_nodes((40, 40), sensor.size), float)
     at = ((nodes[:, None] - np.asarray(sensor.electrode_xy)) ** 2).sum(-1).argmin(0)
-    vertices = references.counterclockwise(nodes, _mesh.triangles((40, 40)))
+    vertices = references.counterclockwise(nodes, triangles((40, 40)))
     mesh = PyEITMesh(node=nodes, element=vertices, perm=1e-4, el_pos=at)
     pairs = np.array([[(g + 1) % 64, g] for g in range(64)])
     reads = np.array([[[e, g] for e in range(64)] for g in range(64)])
@@ -223,9 +221,9 @@ def beside_pyeit(quick: bool) -> dict:
     best = min(tried, key=lambda lamb: float(np.median(tried[lamb])))
     found |= {"pyEIT": tried[best], "pyEIT λ": best}
     # `source` on the same elements, and whole: with contacts, residual and checks.
-    maps = np.asarray(kernels.slot_map(tx.resistances(sensor), jnp.asarray(grounds), 4.0))
+    maps = np.asarray(slot_map(tx.sensor.resistances(sensor), jnp.asarray(grounds), 4.0))
     of_elements = Source.from_maps(maps.astype(float), (40, 80), linear.cell)
-    recorded = [tx.Frame(v, grounds, good) for v in volts]
+    recorded = [tx.methods.Frame(v, grounds, good) for v in volts]
     ready = of_elements.prepare(grounds, good, of_elements.choose_lambda(recorded))
     current = jax.jit(jax.vmap(lambda v: of_elements.image(ready, v)))
     source = tx.method(sensor, "source", 40)

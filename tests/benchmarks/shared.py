@@ -26,9 +26,9 @@ jax.config.update("jax_enable_x64", True)
 from rig import Rig  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax import _design_shared as shared  # noqa: E402
-from tomojax.kernels._blocktri import matmul  # noqa: E402
-from tomojax.kernels._one_slot import slot_weights, solve_small, weighed  # noqa: E402
+from tomojax import design as shared  # noqa: E402
+from tomojax.kernels.algebra import matmul  # noqa: E402
+from tomojax.kernels.contacts import slot_weights, solve_small, weighed  # noqa: E402
 
 SLOTS, APART = (2, 8), (0.006, 0.008, 0.01, 0.0125, 0.015, 0.02, 0.025, 0.03)  # m
 RADIUS, CONDUCTANCE, ROUNDS, BESIDE = 0.006, 1e-4, 25, 0.003
@@ -87,7 +87,7 @@ def study(count: int) -> list[dict]:
     most, sets, rows = float(shared.closed(sensor)), {}, []
     for slots in SLOTS:
         start = time.perf_counter()
-        made = tx.design_shared(sensor, train, slots)
+        made = tx.design.design_shared(sensor, train, slots)
         single = np.zeros((slots, 64))
         single[np.arange(slots), made.grounds] = most
         sets[f"{slots} single"] = single

@@ -31,8 +31,8 @@ jax.config.update("jax_enable_x64", True)
 from rig import Rig  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax import kernels  # noqa: E402
-from tomojax._design_policy import designs_by_place  # noqa: E402
+from tomojax.design import designs_by_place  # noqa: E402
+from tomojax.kernels.images import half_width, image_place, two_point_dip  # noqa: E402
 
 COUNTS = (1, 2, 4, 6, 8, 12, 16, 28)
 BY_PLACE, ONE_FOR_ALL, SHAPE = (1, 2, 4, 6, 8), (2, 4, 8, 16), (24, 24)
@@ -71,16 +71,18 @@ class Sets:
     def __init__(self, sensor: tx.Sensor):
         self.sensor = sensor
         self.points = tx.method(tx.Sensor.grid(divisions=(32, 32)), "points", GRID)
-        self.corners = np.asarray(tx.exploration(sensor))
-        information = tx.design_objective(
-            sensor, tx.design_places(sensor, count=64), "linear", grid=GRID
+        self.corners = np.asarray(tx.paper.exploration(sensor))
+        information = tx.design.design_objective(
+            sensor, tx.design.design_places(sensor, count=64), "linear", grid=GRID
         )
-        self.one_for_all = {n: tx.design(information, n).grounds for n in ONE_FOR_ALL}
+        self.one_for_all = {
+            n: tx.design.design(information, n).grounds for n in ONE_FOR_ALL
+        }
         jax.clear_caches()
         size = np.asarray(sensor.size)
         parts = [(np.arange(n) + 0.5) / n * s for n, s in zip(SHAPE, size)]
         places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
-        objective = tx.design_objective(sensor, places, "linear", "rigs", grid=GRID)
+        objective = tx.design.design_objective(sensor, places, "linear", "rigs", grid=GRID)
         away = np.linalg.norm(np.asarray(sensor.electrode_xy) - places[:, None], axis=-1)
         self.tables = {}
         for n in BY_PLACE:
@@ -90,12 +92,12 @@ class Sets:
             print(f"designed: {n} slots", flush=True)
             jax.clear_caches()
 
-    def found(self, volts: np.ndarray) -> tx.Rows:
+    def found(self, volts: np.ndarray) -> tx.methods.Rows:
         batch = tx.Batch(self.points, 1.0, contacts=2, images=False)
         grounds = np.tile(self.corners, (len(volts), 1))
         return batch(volts[:, self.corners], grounds)
 
-    def of(self, name: str, volts: np.ndarray, rows: tx.Rows) -> np.ndarray:
+    def of(self, name: str, volts: np.ndarray, rows: tx.methods.Rows) -> np.ndarray:
         kind, _, n = name.partition(" ")
         weights = np.zeros((len(volts), 64))
         if kind == "designed":
@@ -111,7 +113,7 @@ class Sets:
                 turn = [g for slot in zip(*each) for g in slot]
                 w[list(dict.fromkeys(turn))[: int(n)]] = 1
         elif kind in ("around", "cop_line", "point"):
-            scan = tx.AdaptiveScan(self.sensor, kind)
+            scan = tx.paper.AdaptiveScan(self.sensor, kind)
             sets = jax.jit(jax.vmap(lambda v: scan(v)[0]))(volts[:, self.corners])
             np.put_along_axis(weights, np.asarray(sets), 1, 1)
         elif kind.startswith("random"):
@@ -122,13 +124,13 @@ class Sets:
         return weights
 
 
-def images(objective: tx.ImageError, weights: np.ndarray, lam: float) -> jax.Array:
+def images(objective: tx.design.ImageError, weights: np.ndarray, lam: float) -> jax.Array:
     now = replace(objective, log_lam=jnp.log(lam))
     return _images(now, jnp.asarray(weights))
 
 
 @jax.jit
-def _images(objective: tx.ImageError, weights: jax.Array) -> jax.Array:
+def _images(objective: tx.design.ImageError, weights: jax.Array) -> jax.Array:
     each = lambda x: objective.images_of(x[0], x[1][None])[0]  # noqa: E731
     return jax.lax.map(each, (weights, objective.rights))
 
@@ -139,28 +141,28 @@ def study(count: int) -> list[dict]:
     rng = np.random.default_rng(4)
     radii = RADIUS * np.sqrt(2) ** rng.uniform(-1, 1, 192)
     region = [0.015, 0.015, 0.145, 0.145]
-    single = tx.design_places(fine, region, 192)
+    single = tx.design.design_places(fine, region, 192)
     angle = rng.uniform(0, np.pi, 96)
     along = 0.015 * np.stack([np.cos(angle), np.sin(angle)], 1)
-    middle = np.asarray(tx.design_places(fine, [0.04, 0.04, 0.12, 0.12], 96))
+    middle = np.asarray(tx.design.design_places(fine, [0.04, 0.04, 0.12, 0.12], 96))
     pairs = np.stack([middle + along, middle - along], 1)
     train = {
-        "train": tx.simulate_scenes(fine, single, radius=radii, rigs=8, seed=3),
-        "pairs": tx.simulate_scenes(fine, pairs, rigs=8, seed=4),
+        "train": tx.design.simulate_scenes(fine, single, radius=radii, rigs=8, seed=3),
+        "pairs": tx.design.simulate_scenes(fine, pairs, rigs=8, seed=4),
     }
     sets, data = Sets(fine), scenes(count)
     data |= {k: (np.asarray(v.places), np.asarray(v.voltages)) for k, v in train.items()}
     places = {k: at.reshape(len(at), -1, 2) for k, (at, _) in data.items()}
     volts = {k: v for k, (_, v) in data.items()}
     objective = {
-        k: tx.ImageError.of(
-            linear, tx.Scenes(jnp.asarray(places[k]), jnp.asarray(v)), WIDTH
+        k: tx.design.ImageError.of(
+            linear, tx.design.Scenes(jnp.asarray(places[k]), jnp.asarray(v)), WIDTH
         )
         for k, v in volts.items()
     }
     rows_of = {k: sets.found(v) for k, v in volts.items()}
     names = [
-        *tx.PATTERNS,
+        *tx.paper.PATTERNS,
         *(f"designed {n}" for n in ONE_FOR_ALL),
         *(f"by_place {n}" for n in BY_PLACE),
     ]
@@ -183,9 +185,9 @@ def figures(objective, weights, places, linear) -> dict:
 
     def singles(k: str, lam: float) -> dict:
         found = square(k, lam)
-        place = jax.vmap(lambda i: kernels.image_place(i, cell))(found)
+        place = jax.vmap(lambda i: image_place(i, cell))(found)
         off = 1e3 * np.linalg.norm(np.asarray(place) - places[k][:, 0], axis=1)
-        width = 1e3 * np.asarray(jax.vmap(lambda i: kernels.half_width(i, cell))(found))
+        width = 1e3 * np.asarray(jax.vmap(lambda i: half_width(i, cell))(found))
         flat, targets = found.reshape(len(found), -1), objective[k].targets
         alike = (flat * targets).sum(1) ** 2 / (flat**2).sum(1)
         return {
@@ -198,7 +200,7 @@ def figures(objective, weights, places, linear) -> dict:
         }
 
     def apart(k: str, lam: float) -> float:
-        each = jax.vmap(lambda i, p: kernels.two_point_dip(i, cell, p[0], p[1]))
+        each = jax.vmap(lambda i, p: two_point_dip(i, cell, p[0], p[1]))
         dips = each(square(k, lam), jnp.asarray(places[k]))
         return float((np.asarray(dips) > RAYLEIGH).mean())
 
@@ -261,7 +263,7 @@ def draw(rows: list[dict], path: Path) -> None:
             x = [0.1 * r["slots"] for r in some]
             axes.semilogx(x, [figure_of(r, key) for r in some], style, label=label)
         for r in rows:
-            if r["set"] in tx.PATTERNS:
+            if r["set"] in tx.paper.PATTERNS:
                 mark = "^" if r["set"] in ("around", "cop_line", "point") else "o"
                 axes.semilogx(0.1 * r["slots"], figure_of(r, key), mark, color="0.4")
                 axes.annotate(r["set"], (0.1 * r["slots"], figure_of(r, key)), size=7)

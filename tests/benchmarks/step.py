@@ -151,13 +151,13 @@ def moving() -> list[dict]:
     far = np.hypot(*np.diff(path, axis=0).T)
     print(f"positions {1e3 * far.mean():.2f} mm apart", flush=True)
     volts = np.stack([rig.scene((rig.disc(p, 0.006), 1e-4))[0] for p in path])
-    corners = np.asarray(tx.exploration(sensor))
+    corners = np.asarray(tx.paper.exploration(sensor))
     exploring = rig.measure(volts[0])[corners]
     preset = np.asarray(tx.pattern(sensor, "around", exploring))
     import jax.numpy as jnp
 
     ground = jnp.asarray(preset)
-    same = tx.Lookup(ground[None, None], ground, sensor.size)
+    same = tx.step.Lookup(ground[None, None], ground, sensor.size)
     step = tx.make_step(sensor, "follow", POLICIES, tables={"preset": same})
     table = []
     for policy in POLICIES:

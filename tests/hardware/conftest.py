@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rig import Rig
 
-from tomojax.hardware._virtual_rig import write_scene
+from tomojax.hardware.sources.virtual_rig import write_scene
 
 PLACES = np.array([[0.05, 0.07], [0.055, 0.073], [0.112, 0.098], [0.108, 0.1]])
 

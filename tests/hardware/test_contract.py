@@ -9,8 +9,8 @@ from nidaqmx import utils
 
 import tomojax as tx
 from tomojax.hardware import open_source, ReplaySource
-from tomojax.hardware._ni import NiSource
-from tomojax.hardware._virtual_rig import VirtualRig
+from tomojax.hardware.sources.ni import NiSource
+from tomojax.hardware.sources.virtual_rig import VirtualRig
 
 SOURCES = ("replay", "serial", "udp", "ni")
 
@@ -20,7 +20,9 @@ def recorded():
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
     rng = np.random.default_rng(0)
     volts = rng.uniform(0, 4, (300, 3, 64))
-    return tx.ArrayRecording(tx.Rig.of(sensor, rails=(-5.0, 5.0)), volts, [0, 63, 8])
+    return tx.recordings.ArrayRecording(
+        tx.recordings.Rig.of(sensor, rails=(-5.0, 5.0)), volts, [0, 63, 8]
+    )
 
 
 @pytest.fixture(params=SOURCES)

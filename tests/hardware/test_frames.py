@@ -8,8 +8,8 @@ import pytest
 from cobs import cobs
 
 from tomojax import hardware
-from tomojax.hardware import _frames as frames
-from tomojax.hardware._serial import Frames
+from tomojax.hardware import sources as frames
+from tomojax.hardware.sources.serial import Frames
 
 PAGE = Path(hardware.__file__).with_name("PROTOCOL.md")
 CODES = np.array([0, -1, 1000, -32768], "i2")

@@ -10,7 +10,7 @@ import pytest
 import tomojax as tx
 from tomojax import Flag
 from tomojax.hardware import open_source, Ring, run
-from tomojax.hardware._virtual_rig import VirtualRig
+from tomojax.hardware.sources.virtual_rig import VirtualRig
 
 # Slots a second: what a machine that is busy with other tests keeps up with.
 RATE = 500
@@ -90,7 +90,7 @@ def test_a_rig_switched_off_and_on(scene, tmp_path):
 
 
 def command(*words, cwd, timeout=120):
-    code = "from tomojax._cli import main; main()"
+    code = "from tomojax.cli import main; main()"
     line = [sys.executable, "-c", code, *map(str, words)]
     return subprocess.run(line, cwd=cwd, capture_output=True, text=True, timeout=timeout)
 

@@ -6,7 +6,8 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from tomojax.hardware import _frames as frames, _wire, UdpSource
+from tomojax.hardware import sources as frames, UdpSource
+from tomojax.hardware.sources import _wire
 
 M = 64
 

@@ -6,7 +6,7 @@ from ni import Device
 from nidaqmx import utils
 
 from tomojax.hardware import open_source
-from tomojax.hardware._ni import NiSource, word_of
+from tomojax.hardware.sources.ni import NiSource, word_of
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 
 import tomojax as tx
 from tomojax.hardware import Got, Ring
-from tomojax.hardware._recorder import attributes, Recorder
+from tomojax.hardware.loop.recorder import attributes, Recorder
 
 RATE, M = 10_000, 64
 NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
@@ -20,7 +20,7 @@ NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 @pytest.fixture
 def told():
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
-    return attributes(tx.Rig.of(sensor, float(RATE)), 5 / 32768, 0.0)
+    return attributes(tx.recordings.Rig.of(sensor, float(RATE)), 5 / 32768, 0.0)
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from tomojax.hardware import _frames as frames
-from tomojax.hardware._wire import Link, WireSource
+from tomojax.hardware import sources as frames
+from tomojax.hardware.sources import Link, WireSource
 
 M = 8
 

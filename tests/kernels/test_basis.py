@@ -5,19 +5,20 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import kernels
+from tomojax.kernels.inverse import slot_basis, slot_factors
+from tomojax.kernels.sheet import slot_map
 
 
 @pytest.mark.parametrize("route", ["fem", "series"])
 @pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-12), (np.float32, 2e-5)])
 def test_slot_maps_are_their_factors(route, dtype, tolerance) -> None:
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=dtype)
-    table = tx.resistances(sensor, route)
-    t = kernels.slot_map(table, jnp.array([0, 27, 63]), sensor.ground_resistance)
-    basis = kernels.slot_basis(table)
+    table = tx.sensor.resistances(sensor, route)
+    t = slot_map(table, jnp.array([0, 27, 63]), sensor.ground_resistance)
+    basis = slot_basis(table)
     assert basis.shape == (64, 3200) and basis.dtype == dtype
     np.testing.assert_allclose(basis @ basis.T, np.eye(64), atol=10 * tolerance)
-    a = kernels.slot_factors(t, basis)
+    a = slot_factors(t, basis)
     scale = float(jnp.abs(t).max())
     np.testing.assert_allclose(a @ basis, t, atol=tolerance * scale, rtol=0)
     # The Gram matrices that later work adds up are those of the maps themselves.

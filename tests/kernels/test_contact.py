@@ -9,8 +9,24 @@ import pytest
 import references
 
 import tomojax as tx
-from tomojax import kernels
-from tomojax._forward import sheet_on_mesh
+from tomojax.kernels.sheet import (
+    contact_jacobian,
+    ContactReduction,
+    fem_contact,
+    fem_site_resistances,
+    ground_currents,
+    ground_voltages,
+    loop_resistance,
+    reduce_contact,
+    Resistances,
+    shared_ground_voltages,
+    shared_slot_map,
+    site_conductance,
+    slot_map,
+    voltage_drop,
+    voltage_sensitivity,
+)
+from tomojax.sensor import sheet_on_mesh
 
 SHAPE = (16, 10)
 NODES, ELECTRODES = 17 * 11, 8
@@ -33,19 +49,19 @@ def sensor(request, small_sensor, rng) -> tx.Sensor:
 
 
 # Op by op the scans would compile anew for every case.
-reduce_mesh = jax.jit(kernels.fem_contact, static_argnums=2)
-site_resistances = jax.jit(kernels.fem_site_resistances, static_argnums=2)
+reduce_mesh = jax.jit(fem_contact, static_argnums=2)
+site_resistances = jax.jit(fem_site_resistances, static_argnums=2)
 
 
-def mesh_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
+def mesh_reduction(sensor: tx.Sensor, g) -> ContactReduction:
     return reduce_mesh(sheet_on_mesh(sensor), jnp.asarray(g), SHAPE)
 
 
-def dense_reduction(sensor: tx.Sensor, g) -> kernels.ContactReduction:
+def dense_reduction(sensor: tx.Sensor, g) -> ContactReduction:
     sites = jnp.flatnonzero(jnp.asarray(g))
     ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
-    ee = tx.resistances(sensor).electrodes
-    return kernels.reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
+    ee = tx.sensor.resistances(sensor).electrodes
+    return reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
 
 
 @pytest.mark.parametrize("z", [0.0, 4.0])
@@ -59,9 +75,9 @@ def test_all_grounds_by_both_routes(sensor, z, rng) -> None:
         (mesh_reduction(sensor, g), slice(None)),
         (dense_reduction(sensor, g), chosen),
     ):
-        volts = kernels.ground_voltages(contact, *drive)
-        drop = kernels.voltage_drop(contact, *drive)
-        current = kernels.ground_currents(contact, *drive)
+        volts = ground_voltages(contact, *drive)
+        drop = voltage_drop(contact, *drive)
+        current = ground_currents(contact, *drive)
         for ground in range(ELECTRODES):
             want, u = references.network_voltages(sensor, g, ground=ground)
             scale = TOLERANCE * np.abs(want).max()
@@ -75,8 +91,8 @@ def test_voltages_of_a_scene_are_those_of_its_sites(sensor) -> None:
     scene = tx.Scene(
         tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0)
     )
-    g = tx.contact_conductance(sensor, scene)
-    sites = kernels.site_conductance(sheet_on_mesh(sensor), g, SHAPE)
+    g = tx.sensor.contact_conductance(sensor, scene)
+    sites = site_conductance(sheet_on_mesh(sensor), g, SHAPE)
     np.testing.assert_allclose(sites.sum(), g.sum(), rtol=1e-12)
     assert float(sites.min()) >= 0 and float(sites[NODES:].max()) > 0
     got = tx.voltages(sensor, scene)
@@ -94,26 +110,26 @@ def test_several_and_partial_grounds(sensor, rng) -> None:
     gamma[3, [0, 2, 7]] = 1e-4, 1e-2, 10.0
     contact = mesh_reduction(sensor, g)
     drive = sensor.drive_voltage
-    got = kernels.shared_ground_voltages(contact, jnp.asarray(gamma), drive)
+    got = shared_ground_voltages(contact, jnp.asarray(gamma), drive)
     for row, want_of in zip(np.asarray(got), gamma):
         want, _ = references.network_voltages(sensor, g, to_ground=want_of)
         np.testing.assert_allclose(row, want, atol=TOLERANCE * want.max(), rtol=0)
     z = sensor.ground_resistance
-    one = kernels.ground_voltages(contact, jnp.array([3]), z, drive)
+    one = ground_voltages(contact, jnp.array([3]), z, drive)
     np.testing.assert_allclose(got[2], one[0], atol=1e-11)
 
 
 def test_slot_map_is_exact_in_the_current(sensor, rng) -> None:
     """V^l = T^l s for any current image, one ground or several, whatever fed it."""
     s = 1e-6 * rng.standard_normal(sensor.element_count)
-    table = tx.resistances(sensor)
-    t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    table = tx.sensor.resistances(sensor)
+    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, _ = references.network_voltages(sensor, injected=s, ground=ground)
         got = t[ground] @ s
         np.testing.assert_allclose(got, want, atol=TOLERANCE * np.abs(want).max(), rtol=0)
     gamma = 10 ** rng.uniform(-7, -1, (3, ELECTRODES))
-    shared, _ = kernels.shared_slot_map(table, jnp.asarray(gamma))
+    shared, _ = shared_slot_map(table, jnp.asarray(gamma))
     for row, t_row in zip(gamma, shared):
         want, _ = references.network_voltages(sensor, injected=s, to_ground=row)
         got = t_row @ s
@@ -125,8 +141,8 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     g = patchy(rng)
     sites = jnp.flatnonzero(jnp.asarray(g))
     ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
-    table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
-    t = kernels.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    table = Resistances(tx.sensor.resistances(sensor).electrodes, ec, jnp.diag(cc))
+    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, u = references.network_voltages(sensor, g, ground=ground)
         got = t[ground] @ (g * (4.5 - u))[np.asarray(sites)]
@@ -169,9 +185,7 @@ def test_weak_and_strong_contacts_lose_no_digits(
     g[rng.choice(len(g), 30)] = total / 30
     drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
     for reduction in (mesh_reduction, dense_reduction):
-        got = np.asarray(
-            kernels.ground_voltages(reduction(sensor, g.astype(dtype)), *drive)
-        )
+        got = np.asarray(ground_voltages(reduction(sensor, g.astype(dtype)), *drive))
         assert got.dtype == dtype
         for ground in range(ELECTRODES):
             want, _ = references.network_voltages(exact, g, ground=ground)
@@ -188,24 +202,24 @@ def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     g = jnp.asarray(patchy(rng))
     z, v0 = sensor.ground_resistance, sensor.drive_voltage
     grounds = jnp.array([0, 3, 6])
-    volts = lambda g: kernels.ground_voltages(mesh_reduction(sensor, g), grounds, z, v0)  # noqa: E731
-    want = kernels.voltage_sensitivity(mesh_reduction(sensor, g), grounds, z, v0)
+    volts = lambda g: ground_voltages(mesh_reduction(sensor, g), grounds, z, v0)  # noqa: E731
+    want = voltage_sensitivity(mesh_reduction(sensor, g), grounds, z, v0)
     scale = float(jnp.abs(want).max())
     np.testing.assert_allclose(jax.jacfwd(volts)(g), want, atol=1e-10 * scale)
     np.testing.assert_allclose(jax.jacrev(volts)(g), want, atol=1e-10 * scale)
     nothing = mesh_reduction(sensor, 0 * g)
-    at_rest = kernels.voltage_sensitivity(nothing, grounds, z, v0)
+    at_rest = voltage_sensitivity(nothing, grounds, z, v0)
     everywhere = jnp.arange(len(g))
     ec, cc = site_resistances(sheet_on_mesh(sensor), everywhere, SHAPE)
-    table = kernels.Resistances(tx.resistances(sensor).electrodes, ec, jnp.diag(cc))
-    t = kernels.slot_map(table, grounds, z)
+    table = Resistances(tx.sensor.resistances(sensor).electrodes, ec, jnp.diag(cc))
+    t = slot_map(table, grounds, z)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))
 
 
 def test_no_contact_reads_nothing(small_sensor) -> None:
     nothing = tx.voltages(small_sensor, tx.Scene())
     np.testing.assert_array_equal(nothing, 0)
-    floating = kernels.shared_ground_voltages(
+    floating = shared_ground_voltages(
         mesh_reduction(small_sensor, jnp.zeros(NODES + ELECTRODES)),
         jnp.zeros((1, 8)),
         small_sensor.drive_voltage,
@@ -218,7 +232,7 @@ def test_element_on_the_grounded_electrode_is_finite(dtype) -> None:
     """0/0 at ρ = z = 0: the ground wins, the element's column is 0, gradients too."""
     ee = jnp.asarray([[3.0, -1.0], [-1.0, 2.0]], dtype) * 1e3
     # Element 0 is electrode 0 itself; element 1 lies elsewhere.
-    table = kernels.Resistances(
+    table = Resistances(
         ee,
         jnp.stack([ee[:, 0], jnp.asarray([500.0, 200.0], dtype)], 1),
         jnp.asarray([3e3, 4e3], dtype),
@@ -226,8 +240,8 @@ def test_element_on_the_grounded_electrode_is_finite(dtype) -> None:
     grounds = jnp.array([0, 1])
 
     def j(rho, z):
-        loop = kernels.loop_resistance(table, grounds, z)
-        return kernels.contact_jacobian(kernels.slot_map(table, grounds, z), loop, rho)
+        loop = loop_resistance(table, grounds, z)
+        return contact_jacobian(slot_map(table, grounds, z), loop, rho)
 
     zero = jnp.asarray(0.0, dtype)
     got = j(zero, zero)

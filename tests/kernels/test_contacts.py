@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tomojax import kernels
+from tomojax.kernels.images import read_contacts
 
 CELL = np.array([0.005, 0.004])
 SHAPE = (32, 40)
@@ -23,7 +23,7 @@ def blob(x, y, width=0.012, height=1.0, long=1.0, angle=0.0):
 
 @partial(jax.jit, static_argnames=("count", "level", "at_peak"))
 def _read(image, cell, **options):
-    return kernels.read_contacts(image, image, cell, **options)
+    return read_contacts(image, image, cell, **options)
 
 
 def read(image, count=4, dtype=np.float64, **options):

@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tomojax import kernels
-from tomojax.kernels import point_sources, unexplained
+from tomojax.kernels.images import no_contacts, point_sources, unexplained
 
 SHAPE, CELL = (6, 8), np.array([0.01, 0.02])
 
@@ -20,7 +19,7 @@ def test_of_its_own_point_sources_nothing_is_left(dtype, rng):
     seen = np.array([[2.0, 0.7], [0.1, 3.0]]) @ columns.T
 
     def left(xy, count, seen=seen):
-        none = kernels.no_contacts(len(xy), dtype)
+        none = no_contacts(len(xy), dtype)
         contacts = none._replace(
             xy=jnp.asarray(xy, dtype), count=jnp.asarray(count, jnp.uint8)
         )

@@ -29,7 +29,7 @@ def scene() -> tx.Scene:
 
 def outputs(sensor: tx.Sensor, g, rho):
     """Everything that issue 2 builds, in one vector per output."""
-    table = tx.resistances(sensor)
+    table = tx.sensor.resistances(sensor)
     j = tx.jacobian(sensor, [0, 27], rho)
     gamma = jnp.zeros((1, 64)).at[0, jnp.array([0, 63])].set(0.25)
     return {
@@ -79,7 +79,7 @@ def cases(sensor, g, rng):
 
 def jit_cases(rng):
     sensor = tx.Sensor.grid(divisions=SENSOR_DIVISIONS, electrode_shunt=0.9)
-    g = tx.contact_conductance(sensor, scene())
+    g = tx.sensor.contact_conductance(sensor, scene())
     return {c[0]: c[1:] for c in cases(sensor, g, rng)}
 
 

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import kernels
-from tomojax.kernels._mesh import centroids
+from tomojax.kernels.inverse import (
+    choose_lambda,
+    lambda_grid,
+    lambda_scores,
+    Spectrum,
+    spectrum,
+)
+from tomojax.kernels.sheet import centroids
 
 
 def dense_scores(rows, v, lam, rule, noise):
@@ -49,8 +55,8 @@ def dense_scores(rows, v, lam, rule, noise):
 def test_scores_are_their_definitions(rng, columns, rule) -> None:
     rows, v = rng.standard_normal((3, 5, columns)), rng.standard_normal((3, 5))
     grid = np.array([1e-2, 0.3, 20.0])
-    s = kernels.spectrum(jnp.asarray(rows))
-    scores = jax.jit(kernels.lambda_scores, static_argnums=3)(
+    s = spectrum(jnp.asarray(rows))
+    scores = jax.jit(lambda_scores, static_argnums=3)(
         s, jnp.asarray(v), jnp.asarray(grid), rule, jnp.asarray(0.7)
     )
     exact = np.array([dense_scores(rows, v, lam, rule, 0.7) for lam in grid])
@@ -59,18 +65,18 @@ def test_scores_are_their_definitions(rng, columns, rule) -> None:
 
 def test_variances_are_found(rng) -> None:
     """Drawn from the model itself: each variance within a factor of 2 of its own."""
-    from tomojax.kernels import _variance
+    from tomojax.kernels.inverse import variance_components
 
     rows = rng.standard_normal((12, 30, 40))
     image = 2.0 * rng.standard_normal(40)
     exact = rows @ image
-    spectrum = kernels.spectrum(jnp.asarray(rows))
+    s = spectrum(jnp.asarray(rows))
     for white, common, gain in ((0.1, 3.0, 0.03), (1.0, 0.5, 0.04), (0.1, 2.0, 0.02)):
         v = exact * (1 + gain * rng.standard_normal(30))
         v += common * rng.standard_normal((12, 1)) + white * rng.standard_normal(v.shape)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_variance, "_STEPS", 300)
-            found = _variance.variance_components(*spectrum, jnp.asarray(v))
+            patch.setattr("tomojax.kernels.inverse._variance._STEPS", 300)
+            found = variance_components(*s, jnp.asarray(v))
         wanted = np.array([2.0, white, common, gain]) ** 2
         ratio = np.asarray(found) / wanted
         assert (ratio > 0.3).all() and (ratio < 3).all(), ratio
@@ -78,19 +84,19 @@ def test_variances_are_found(rng) -> None:
 
 def test_likelihood_never_falls(rng) -> None:
     """MM's own promise, by NumPy's likelihood of the components' covariance."""
-    from tomojax.kernels import _variance
+    from tomojax.kernels.inverse import variance_components
 
     rows = rng.standard_normal((3, 5, 40))
     v = rng.standard_normal((3, 5))
-    s = kernels.spectrum(jnp.asarray(rows))
+    s = spectrum(jnp.asarray(rows))
     a, y = rows.reshape(15, -1), v.ravel()
     slot = np.kron(np.eye(3), np.ones((5, 5)))
     gain = np.kron(np.ones((3, 3)), np.eye(5)) * np.outer(y, y)
     values = []
     for steps in (1, 2, 4, 8):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_variance, "_STEPS", steps)
-            t = _variance.variance_components(*s, jnp.asarray(v))
+            patch.setattr("tomojax.kernels.inverse._variance._STEPS", steps)
+            t = variance_components(*s, jnp.asarray(v))
         c = t.image * a @ a.T + t.white * np.eye(15) + t.common * slot + t.gain * gain
         values.append(-np.linalg.slogdet(c)[1] - y @ np.linalg.solve(c, y))
     assert (np.diff(values) >= -1e-9).all(), values
@@ -101,11 +107,11 @@ def test_l_curve_is_greatest_curvature() -> None:
     sigma = np.array([10.0, 1.0, 1e-3])
     rows = jnp.asarray(np.diag(sigma)[None])
     v = jnp.array([[10.0, 1.0, 0.05]])
-    s = kernels.spectrum(rows)
-    grid = kernels.lambda_grid(s, 20)
+    s = spectrum(rows)
+    grid = lambda_grid(s, 20)
     none = jnp.asarray(1.0)
-    scores = kernels.lambda_scores(s, v, grid, "l_curve", none)
-    chosen = float(kernels.choose_lambda(grid, scores))
+    scores = lambda_scores(s, v, grid, "l_curve", none)
+    chosen = float(choose_lambda(grid, scores))
     t = np.linspace(-9, 3, 200001)
     lam = 10.0 ** t[:, None]
     x = np.log(np.sum((lam / (sigma**2 + lam) * np.asarray(v)) ** 2, 1)) / 2
@@ -119,25 +125,25 @@ def test_l_curve_is_greatest_curvature() -> None:
 def test_one_lambda_for_a_recording(rng) -> None:
     rows = jnp.asarray(rng.standard_normal((2, 4, 20)))
     frames = jnp.asarray(rng.standard_normal((5, 2, 4)))
-    s = kernels.spectrum(rows)
-    grid = kernels.lambda_grid(s)
+    s = spectrum(rows)
+    grid = lambda_grid(s)
     one = jnp.asarray(1.0)
-    scores = jnp.stack([kernels.lambda_scores(s, f, grid, "gcv", one) for f in frames])
-    assert kernels.choose_lambda(grid, scores) == grid[jnp.argmin(scores.sum(0))]
-    assert kernels.choose_lambda(grid, scores[0]) == grid[jnp.argmin(scores[0])]
+    scores = jnp.stack([lambda_scores(s, f, grid, "gcv", one) for f in frames])
+    assert choose_lambda(grid, scores) == grid[jnp.argmin(scores.sum(0))]
+    assert choose_lambda(grid, scores[0]) == grid[jnp.argmin(scores[0])]
     spoilt = scores.at[0, 3].set(jnp.nan)
-    assert jnp.isfinite(kernels.choose_lambda(grid, spoilt))
-    assert jnp.isnan(kernels.choose_lambda(grid, scores * jnp.nan))
+    assert jnp.isfinite(choose_lambda(grid, spoilt))
+    assert jnp.isnan(choose_lambda(grid, scores * jnp.nan))
 
 
 def test_batched_choice_does_not_hang(rng) -> None:
     """Batched factorisations side by side did, in jaxlib 0.10.2 on two cores."""
     j = jnp.asarray(rng.standard_normal((4, 16, 60)))
     frames = jnp.asarray(rng.standard_normal((3, 4, 16)))
-    s = kernels.spectrum(j)
-    grid = kernels.lambda_grid(s)
+    s = spectrum(j)
+    grid = lambda_grid(s)
     one = jnp.asarray(1.0)
-    score = lambda f: kernels.lambda_scores(s, f, grid, "cautious", one)  # noqa: E731
+    score = lambda f: lambda_scores(s, f, grid, "cautious", one)  # noqa: E731
     batched = jax.jit(jax.vmap(score))(frames)
     # At 1e-11·σ₁² the blocks' condition is 1e11.
     np.testing.assert_allclose(batched[1], score(frames[1]), rtol=1e-4)
@@ -157,14 +163,12 @@ def test_default_under_three_kinds_of_noise(rng, kind) -> None:
     excess = []
     u, singular, vt = np.linalg.svd(j.reshape(512, -1), full_matrices=False)
     lams = singular[0] ** 2 * np.logspace(-11, 1, 49)
-    spectrum = kernels.Spectrum(jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(singular))
-    grid, one = kernels.lambda_grid(spectrum), jnp.asarray(1.0)
+    spectrum = Spectrum(jnp.asarray(u.reshape(8, 64, -1)), jnp.asarray(singular))
+    grid, one = lambda_grid(spectrum), jnp.asarray(1.0)
 
     @jax.jit
     def choose(s, v):
-        return kernels.choose_lambda(
-            grid, kernels.lambda_scores(s, v, grid, "cautious", one)
-        )
+        return choose_lambda(grid, lambda_scores(s, v, grid, "cautious", one))
 
     for _ in range(8):
         discs = [(rng.uniform(0.02, 0.14, 2), rng.uniform(0.006, 0.015)) for _ in range(2)]

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from pyeit.quality import merit as pyeit_merit
 
-from tomojax import kernels
-from tomojax.kernels._merit import pixel_places
+from tomojax.kernels.images import (
+    greit_figures,
+    half_area_radius,
+    half_width,
+    image_error,
+    image_place,
+    pixel_places,
+    two_point_dip,
+)
 
 CELL = jnp.array([0.002, 0.0025])
 
@@ -24,40 +31,38 @@ def test_of_a_gaussian(at) -> None:
     sigma = 0.02
     image = 3 * gaussian(at, sigma)
     half = sigma * np.sqrt(2 * np.log(2))
-    assert abs(kernels.half_width(image, CELL) - half) < 1e-4
-    assert abs(kernels.half_area_radius(image, CELL) - half) < 2e-4
-    np.testing.assert_allclose(kernels.image_place(image, CELL), at, atol=2e-5)
+    assert abs(half_width(image, CELL) - half) < 1e-4
+    assert abs(half_area_radius(image, CELL) - half) < 2e-4
+    np.testing.assert_allclose(image_place(image, CELL), at, atol=2e-5)
 
 
 def test_half_width_stops_at_the_edge() -> None:
     """σ = 20 mm, 5 mm from one side: that direction has 5 mm and no more."""
     image = gaussian((0.005, 0.08125), 0.02)
     half = 0.02 * np.sqrt(2 * np.log(2))
-    assert abs(kernels.half_width(image, CELL) - (3 * half + 0.005) / 4) < 5e-4
-    flat = kernels.half_width(jnp.ones((8, 4)), jnp.ones(2))
+    assert abs(half_width(image, CELL) - (3 * half + 0.005) / 4) < 5e-4
+    flat = half_width(jnp.ones((8, 4)), jnp.ones(2))
     assert flat == (8 + 4) / 4
 
 
 def test_half_width_is_differentiable() -> None:
-    f = lambda s: kernels.half_width(gaussian((0.081, 0.08125), s), CELL)  # noqa: E731
+    f = lambda s: half_width(gaussian((0.081, 0.08125), s), CELL)  # noqa: E731
     slope = jax.grad(f)(0.02)
     np.testing.assert_allclose(slope, np.sqrt(2 * np.log(2)), rtol=0.02)
     np.testing.assert_allclose(slope, (f(0.02 + 1e-7) - f(0.02 - 1e-7)) / 2e-7, rtol=1e-6)
-    place = jax.jacobian(lambda x: kernels.image_place(gaussian((x, 0.08), 0.02), CELL)[0])
+    place = jax.jacobian(lambda x: image_place(gaussian((x, 0.08), 0.02), CELL)[0])
     np.testing.assert_allclose(place(0.081), 1, rtol=0.02)
 
 
 def test_image_error() -> None:
     truth = gaussian((0.06, 0.06), 0.01)
-    assert kernels.image_error(5 * truth, truth) < 1e-7
-    assert kernels.image_error(-truth, truth) == 1
+    assert image_error(5 * truth, truth) < 1e-7
+    assert image_error(-truth, truth) == 1
     far = gaussian((0.14, 0.14), 0.004)
-    assert kernels.image_error(far, truth) > 0.999
+    assert image_error(far, truth) > 0.999
     # Half of two equal, separate blobs: cos² = 1/2.
     other = gaussian((0.13, 0.13), 0.01)
-    np.testing.assert_allclose(
-        kernels.image_error(truth, truth + other), np.sqrt(0.5), rtol=1e-3
-    )
+    np.testing.assert_allclose(image_error(truth, truth + other), np.sqrt(0.5), rtol=1e-3)
 
 
 @pytest.mark.parametrize("apart, dip", [(1e-9, 0.0), (0.04, 0.2707), (0.12, 1.0)])
@@ -67,7 +72,7 @@ def test_two_point_dip(apart, dip) -> None:
     image = gaussian(one, 0.01) + gaussian(other, 0.01)
     if apart == 0.04:  # the exact peaks and valley
         dip = 1 - 2 * np.exp(-2.0) / (1 + np.exp(-8.0))
-    found = kernels.two_point_dip(image, CELL, one, other)
+    found = two_point_dip(image, CELL, one, other)
     np.testing.assert_allclose(found, dip, atol=0.01)
 
 
@@ -85,7 +90,7 @@ def test_greit_figures_are_pyeits(rng, kind, sign) -> None:
         "noise": lambda: blob + 0.1 * jnp.asarray(rng.standard_normal(shape)),
     }[kind]()
     target = (gaussian((18.0, 20.0), 4.0, shape, cell) > 0.5).astype(float)
-    mine = kernels.greit_figures(sign * image, target, cell)
+    mine = greit_figures(sign * image, target, cell)
     theirs = pyeit_merit.calc_greit_figures_of_merit(
         np.asarray(target), np.asarray(sign * image)
     )
@@ -106,7 +111,7 @@ def test_greit_figures_are_pyeits(rng, kind, sign) -> None:
 
 def test_batched(rng) -> None:
     images = jnp.stack([gaussian((0.05, 0.07), 0.01), gaussian((0.1, 0.07), 0.02)])
-    many = jax.vmap(lambda i: kernels.greit_figures(i, images[0], CELL))(images)
-    one = kernels.greit_figures(images[1], images[0], CELL)
+    many = jax.vmap(lambda i: greit_figures(i, images[0], CELL))(images)
+    one = greit_figures(images[1], images[0], CELL)
     for a, b in zip(many, one):
         np.testing.assert_allclose(a[1], b, rtol=1e-12)

@@ -7,10 +7,17 @@ import pytest
 from scipy import optimize
 
 import tomojax as tx
-from tomojax import kernels
-from tomojax._field import make_field
-from tomojax.kernels._least_squares import least_squares, solve_positive
-from tomojax.kernels._whiten import unwhitened, whiten, whitened_columns
+from tomojax.kernels.algebra import least_squares, solve_positive
+from tomojax.kernels.contacts import (
+    field_and_slope,
+    field_at,
+    unwhitened,
+    whiten,
+    whitened_columns,
+)
+from tomojax.kernels.images import points_image
+from tomojax.kernels.sheet import rectangle_fields, rectangle_green
+from tomojax.sensor import make_field
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +33,7 @@ def test_table_is_the_mean_over_a_disc(paper_sensor, field):
     diameter, xy = paper_sensor.electrode_diameter, paper_sensor.electrode_xy
     metal = jnp.asarray(1.0)
     exact = jax.jit(
-        lambda at: kernels.rectangle_fields(xy, at, diameter / 2, paper_sensor.size, metal)
+        lambda at: rectangle_fields(xy, at, diameter / 2, paper_sensor.size, metal)
     )
     k = np.arange(4000) + 0.5
     spiral = np.stack([np.cos(k * 2.399963), np.sin(k * 2.399963)], 1)
@@ -35,7 +42,7 @@ def test_table_is_the_mean_over_a_disc(paper_sensor, field):
             at = np.array(place) + radius * np.sqrt(k / 4000)[:, None] * spiral
             # What is beyond an edge is mirrored.
             want = 1e4 * np.asarray(exact(jnp.asarray(np.abs(at)))[1]).mean(1)
-            got = kernels.field_at(field, jnp.array(place), jnp.asarray(radius))
+            got = field_at(field, jnp.array(place), jnp.asarray(radius))
             # Under an electrode itself the radii are too few: 4 % of its own potential.
             np.testing.assert_allclose(got, want, atol=0.04 * np.abs(want).max())
             away = np.hypot(*(np.asarray(xy) - place).T) > radius + diameter
@@ -47,13 +54,12 @@ def test_table_is_the_mean_over_a_disc(paper_sensor, field):
 def test_slope_of_the_table(field, rng):
     radius = jnp.asarray(0.006)
     for place in rng.uniform(0.01, 0.15, (5, 2)):
-        _, slope = kernels.field_and_slope(field, jnp.asarray(place), radius)
+        _, slope = field_and_slope(field, jnp.asarray(place), radius)
         for axis in range(2):
             step = np.zeros(2)
             step[axis] = 1e-6
             one, other = (
-                kernels.field_at(field, jnp.asarray(place + s * step), radius)
-                for s in (1, -1)
+                field_at(field, jnp.asarray(place + s * step), radius) for s in (1, -1)
             )
             want = (one - other) / 2e-6
             np.testing.assert_allclose(slope[:, axis], want, rtol=1e-4, atol=1)
@@ -64,7 +70,7 @@ def test_slope_of_the_closed_form_where_places_meet(paper_sensor):
     at = paper_sensor.electrode_xy[10].astype(np.float32)
     size, radius = paper_sensor.size.astype(np.float32), jnp.float32(0.0025)
     for off in (0.0, 1e-9, 1e-7):
-        slope = jax.jacfwd(kernels.rectangle_green)(at + np.float32(off), at, radius, size)
+        slope = jax.jacfwd(rectangle_green)(at + np.float32(off), at, radius, size)
         assert np.isfinite(slope).all() and np.abs(slope).max() < 1e3
 
 
@@ -134,11 +140,9 @@ def test_image_holds_the_current():
     extent = jnp.array([[0.03, 0.02], [0.0, 0.0], [0.0, 0.0]])
     ring = jnp.array([0.0, 0.0, 0.02])
     radius = jnp.array([0.005, 0.0001, 0.004])
-    image = kernels.points_image(place, extent, ring, radius, current, cell, (32, 32))
+    image = points_image(place, extent, ring, radius, current, cell, (32, 32))
     np.testing.assert_allclose(image.sum() * cell.prod(), current.sum())
-    only = kernels.points_image(
-        place, extent, ring, radius, current.at[:2].set(0), cell, (32, 32)
-    )
+    only = points_image(place, extent, ring, radius, current.at[:2].set(0), cell, (32, 32))
     assert only[20, 20] < 0.01 * only.max()  # the hole
 
 

@@ -7,14 +7,20 @@ from pyeit.eit.fem import EITForward
 from pyeit.eit.protocol import PyEITProtocol
 from pyeit.mesh import PyEITMesh
 
-from tomojax import kernels
-from tomojax.kernels import _mesh
+from tomojax.kernels.sheet import (
+    fem_resistances,
+    FemSheet,
+    nodes as mesh_nodes,
+    Resistances,
+    slot_map,
+    triangles,
+)
 
 
 def test_slot_voltages_of_a_point_contact(rng) -> None:
     shape, size = (24, 20), jnp.array([0.12, 0.10])
-    nodes = np.asarray(_mesh.nodes(shape, size))
-    vertices = references.counterclockwise(nodes, _mesh.triangles(shape))
+    nodes = np.asarray(mesh_nodes(shape, size))
+    vertices = references.counterclockwise(nodes, triangles(shape))
     sheet = 1e-4 * np.exp(0.5 * rng.standard_normal(len(vertices)))
     chosen = rng.choice(np.arange(1, len(nodes) - 1), 17, replace=False)
     contact = 16  # the last of the chosen nodes; the others are electrodes
@@ -28,12 +34,12 @@ def test_slot_voltages_of_a_point_contact(rng) -> None:
 
     feeds = jnp.zeros((len(nodes), 17)).at[chosen, np.arange(17)].set(1.0)
     none = jnp.zeros((len(nodes), 0))
-    point = kernels.FemSheet(
+    point = FemSheet(
         jnp.asarray(sheet), size, feeds, jnp.zeros(17), none, none[0], 0 * feeds
     )
-    ee, _, _ = kernels.fem_resistances(point, shape)
-    table = kernels.Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
-    t = kernels.slot_map(table, jnp.arange(m), jnp.array(0.0))
+    ee, _, _ = fem_resistances(point, shape)
+    table = Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
+    t = slot_map(table, jnp.arange(m), jnp.array(0.0))
     got = np.asarray(t[:, :, 0])  # volts for one ampere
     off_ground = ~np.eye(m, dtype=bool)
     np.testing.assert_allclose(got[off_ground], want[off_ground], rtol=1e-10)

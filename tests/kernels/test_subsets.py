@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tomojax.kernels import _subsets as subsets
+from tomojax.kernels import algebra as subsets
 
 
 def marginals(logits, n):

@@ -9,9 +9,8 @@ import pytest
 import references
 
 import tomojax as tx
-from tomojax import kernels
-from tomojax._forward import sheet_on_mesh
-from tomojax.kernels import _mesh
+from tomojax.kernels.sheet import centroids, rectangle_green
+from tomojax.sensor import sheet_on_mesh
 
 
 def relative(got, want) -> float:
@@ -33,7 +32,7 @@ def test_fem_table_is_skfem(divisions, uneven, shunt, dtype, tolerance, rng) -> 
         divisions=divisions,
         dtype=dtype,
     )
-    table = tx.resistances(sensor)
+    table = tx.sensor.resistances(sensor)
     assert all(part.dtype == dtype for part in table)
     exact = jax.tree.map(lambda leaf: leaf.astype(np.float64), sensor)
     for got, want in zip(table, references.skfem_table(sheet_on_mesh(exact), divisions)):
@@ -51,10 +50,10 @@ def test_series_is_the_textbook_double_series() -> None:
     wave = lambda x: np.cos(m * np.pi * x[0] / a) * np.cos(n * np.pi * x[1] / b)  # noqa: E731
     want = (weight * wave(one) * wave(other) / square).sum() / (a * b)
     size = jnp.array([a, b])
-    got = kernels.rectangle_green(jnp.array(one), jnp.array(other), jnp.array(0.0), size)
+    got = rectangle_green(jnp.array(one), jnp.array(other), jnp.array(0.0), size)
     # The truncated double series itself is good to about 1/1500².
     assert abs(float(got) - want) < 1e-6
-    turned = kernels.rectangle_green(
+    turned = rectangle_green(
         jnp.array(one[::-1]), jnp.array(other[::-1]), jnp.array(0.0), size[::-1]
     )
     np.testing.assert_allclose(turned, got, rtol=1e-13)
@@ -66,7 +65,7 @@ def test_long_strip_has_the_resistance_of_a_wire() -> None:
     xy = np.array([[0.05, 0.01], [0.35, 0.01], [0.15, 0.01], [0.25, 0.01]])
     strip = tx.Sensor([0.4, width], xy, 0.004, rho, divisions=(200, 10))
     for route in ("fem", "series"):
-        r = np.asarray(tx.resistances(strip, route).electrodes)
+        r = np.asarray(tx.sensor.resistances(strip, route).electrodes)
         drop = (r[0] - r[1])[2] - (r[0] - r[1])[3]  # 1 A from 0 to 1, read between 2 and 3
         np.testing.assert_allclose(drop, rho * 0.1 / width, rtol=1e-6)
 
@@ -80,7 +79,10 @@ def test_mesh_converges_in_second_order_to_the_series() -> None:
         sensor = tx.Sensor.grid(
             4, 4, 0.04, 0.02, electrode_diameter=0.016, divisions=(n, n)
         )
-        table, exact = tx.resistances(sensor), tx.resistances(sensor, "series")
+        table, exact = (
+            tx.sensor.resistances(sensor),
+            tx.sensor.resistances(sensor, "series"),
+        )
         ee = np.asarray(table.electrodes - exact.electrodes)
         errors.append(np.sqrt((ee[~np.eye(16, dtype=bool)] ** 2).mean()))
     order = -np.polyfit(np.log(divisions), np.log(errors), 1)[0]
@@ -95,9 +97,9 @@ def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
     own = {}
     for n in (64, 256):
         sensor = tx.Sensor(base.size, xy, divisions=(n, n))
-        table = tx.resistances(sensor)
+        table = tx.sensor.resistances(sensor)
         own[n] = np.diag(table.electrodes)
-        exact = np.diag(tx.resistances(sensor, "series").electrodes)
+        exact = np.diag(tx.sensor.resistances(sensor, "series").electrodes)
         np.testing.assert_allclose(own[n], exact, rtol=1e-2)
     np.testing.assert_allclose(own[64], own[256], rtol=1e-2)
 
@@ -105,8 +107,8 @@ def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
 @pytest.mark.parametrize("shunt", [None, 1.0])
 def test_routes_agree_away_from_electrodes(paper_sensor, shunt) -> None:
     sensor = dataclasses.replace(paper_sensor, electrode_shunt=shunt)
-    fem, series = (tx.resistances(sensor, r) for r in ("fem", "series"))
-    elements = np.asarray(_mesh.centroids(sensor.divisions, sensor.size))
+    fem, series = (tx.sensor.resistances(sensor, r) for r in ("fem", "series"))
+    elements = np.asarray(centroids(sensor.divisions, sensor.size))
     places = np.asarray(sensor.electrode_xy)
     apart = np.linalg.norm(elements[:, None] - places[None], axis=-1).min(1)
     difference = np.abs(np.asarray(fem.elements - series.elements))[:, apart > 0.006]
@@ -127,7 +129,9 @@ def test_floating_discs_lower_the_effective_resistance() -> None:
     strip = tx.Sensor([0.48, 0.08], xy * 0.02 + 0.01, 0.005, divisions=(192, 32))
     drops = []
     for shunt in (None, 1.0):
-        r = tx.resistances(dataclasses.replace(strip, electrode_shunt=shunt)).electrodes
+        r = tx.sensor.resistances(
+            dataclasses.replace(strip, electrode_shunt=shunt)
+        ).electrodes
         potential = (r[:4] - r[-4:]).mean(0).reshape(24, 4).mean(1)
         drops.append(float(potential[6] - potential[17]))
     fraction = np.pi * 0.0025**2 / 0.02**2
@@ -140,7 +144,7 @@ def test_floating_discs_lower_the_effective_resistance() -> None:
 def test_float32_table_at_a_fine_mesh() -> None:
     """Errors of float32 grow with the mesh; at 160 × 160 they stay below 1e-4."""
     fine = [
-        tx.resistances(tx.Sensor.grid(divisions=(160, 160), dtype=d))
+        tx.sensor.resistances(tx.Sensor.grid(divisions=(160, 160), dtype=d))
         for d in (np.float32, np.float64)
     ]
     for single, double in zip(*fine):
@@ -154,7 +158,7 @@ def test_table_under_vmap() -> None:
         changed = tx.Sensor(
             sensor.size, sensor.electrode_xy, sheet_resistance=rho, divisions=(16, 16)
         )
-        return tx.resistances(changed)
+        return tx.sensor.resistances(changed)
 
     many = jax.vmap(table)(jnp.array([5e3, 1e4]))
     for part in many:

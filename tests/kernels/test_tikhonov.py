@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import kernels
+from tomojax.kernels.inverse import solve_reduced, tikhonov
 
 ROUTES = ["cholesky", "qr", "refined"]
 
@@ -31,10 +31,10 @@ def test_is_the_formula(rng, route, shape, dtype, tolerance) -> None:
     v, w = rng.standard_normal(shape[0]).astype(dtype), rng.random(shape[0]).astype(dtype)
     w[0] = 0
     lam = dtype(0.03)
-    phi = kernels.tikhonov(*map(jnp.asarray, (rows, v, lam, w)), route)
+    phi = tikhonov(*map(jnp.asarray, (rows, v, lam, w)), route)
     assert phi.dtype == dtype
     assert relative(phi, dense(rows, v, float(lam), w)) <= tolerance
-    plain = kernels.tikhonov(*map(jnp.asarray, (rows, v, lam)), route=route)
+    plain = tikhonov(*map(jnp.asarray, (rows, v, lam)), route=route)
     assert relative(plain, dense(rows, v, float(lam))) <= tolerance
 
 
@@ -59,11 +59,11 @@ def test_float32_where_it_is_hard(small_sensor, rng, wide, data, decade) -> None
     rows, v = jnp.asarray(rows), jnp.asarray(v)
     # Of LU on the normal system: 1e-16/1e-10.
     exact = tikhonov_by_svd(rows, v, float(lam))
-    default = kernels.tikhonov(rows, v, jnp.asarray(lam))
+    default = tikhonov(rows, v, jnp.asarray(lam))
     assert default.dtype == np.float32
     assert relative(default, exact) <= 1e-4
     if decade == -10 and wide:
-        cholesky = kernels.tikhonov(rows, v, jnp.asarray(lam), route="cholesky")
+        cholesky = tikhonov(rows, v, jnp.asarray(lam), route="cholesky")
         assert not relative(cholesky, exact) <= 1e-2, "else the default need not refine"
 
 
@@ -90,7 +90,7 @@ def test_derivatives(rng, route, shape, argument) -> None:
 
     def f(x):
         v = {**values, argument: x}
-        phi = kernels.tikhonov(v["rows"], v["voltages"], v["lam"], v["weights"], route)
+        phi = tikhonov(v["rows"], v["voltages"], v["lam"], v["weights"], route)
         return probe @ phi
 
     x, step = values[argument], 1e-5
@@ -112,7 +112,7 @@ def test_derivatives(rng, route, shape, argument) -> None:
 def test_second_derivative(rng) -> None:
     rows = jnp.asarray(rng.standard_normal((5, 9)))
     v = jnp.asarray(rng.standard_normal(5))
-    f = lambda lam: jnp.sum(kernels.tikhonov(rows, v, lam) ** 3)  # noqa: E731
+    f = lambda lam: jnp.sum(tikhonov(rows, v, lam) ** 3)  # noqa: E731
     slope = jax.jit(jax.grad(f))
     second = jax.jit(jax.grad(jax.grad(f)))(0.3)
     np.testing.assert_allclose(
@@ -125,12 +125,12 @@ def test_second_derivative(rng) -> None:
 def test_no_image_for_a_bad_lambda(rng, route, lam) -> None:
     for shape in ((4, 9), (9, 4)):
         rows = jnp.asarray(rng.standard_normal(shape))
-        phi = kernels.tikhonov(rows, jnp.ones(shape[0]), jnp.asarray(lam), route=route)
+        phi = tikhonov(rows, jnp.ones(shape[0]), jnp.asarray(lam), route=route)
         assert np.isnan(phi).all()
 
 
 def test_two_floats_hold_twice_the_digits(rng) -> None:
-    from tomojax.kernels import _twofloat as two
+    from tomojax.kernels import algebra as two
 
     a = rng.standard_normal((30, 700)).astype(np.float32)
     x = rng.standard_normal(700)
@@ -148,17 +148,17 @@ def test_two_floats_hold_twice_the_digits(rng) -> None:
 def test_reduced_slots_are_the_full_solve(small_sensor, rng) -> None:
     """With as many rows in the basis as J has rank, blocks give the image itself."""
     j = tx.jacobian(small_sensor)  # 64 rows
-    reduced = tx.reduce_jacobian(j, 64)
+    reduced = tx.paper.reduce_jacobian(j, 64)
     np.testing.assert_allclose(reduced.factors @ reduced.basis, j, atol=1e-11)
     grounds, v = jnp.array([1, 4, 6]), jnp.asarray(rng.standard_normal((3, 8)))
     w, lam = jnp.array([1.0, 0.0, 2.5]), jnp.asarray(2.0)
-    c = jax.jit(kernels.solve_reduced)(reduced, grounds, v, lam, w)
+    c = jax.jit(solve_reduced)(reduced, grounds, v, lam, w)
     rows = np.asarray(j[grounds]).reshape(24, -1)
     exact = dense(rows, np.ravel(v), 2.0, np.repeat(w, 8))
     assert relative(c @ reduced.basis, exact) <= 1e-9
 
     def total(w, lam):
-        return jnp.sum(kernels.solve_reduced(reduced, grounds, v, lam, w) ** 2)
+        return jnp.sum(solve_reduced(reduced, grounds, v, lam, w) ** 2)
 
     slope = jax.jit(jax.grad(total, (0, 1)))(w, lam)
     run = jax.jit(total)
@@ -170,14 +170,14 @@ def test_reduced_slots_are_the_full_solve(small_sensor, rng) -> None:
     np.testing.assert_allclose(
         slope[0][0], (run(w + e, lam) - run(w - e, lam)) / (2 * h), rtol=1e-6
     )
-    assert np.isnan(kernels.solve_reduced(reduced, grounds, v, -lam, w)).all()
+    assert np.isnan(solve_reduced(reduced, grounds, v, -lam, w)).all()
 
 
 def test_a_smaller_basis_is_near_the_best(small_sensor) -> None:
     j = np.asarray(tx.jacobian(small_sensor))
     singular = np.linalg.svd(j.reshape(64, -1), compute_uv=False)
     for rank in (10, 30):
-        reduced = tx.reduce_jacobian(j, rank)
+        reduced = tx.paper.reduce_jacobian(j, rank)
         left = np.linalg.norm(j - np.asarray(reduced.factors @ reduced.basis))
         best = np.sqrt((singular[rank:] ** 2).sum())
         assert best * (1 - 1e-9) <= left <= 1.1 * best

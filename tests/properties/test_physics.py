@@ -9,9 +9,17 @@ import pytest
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import tomojax as tx
-from tomojax import kernels
-from tomojax._forward import sheet_on_mesh
-from tomojax.kernels import _mesh
+from tomojax.kernels.sheet import (
+    centroids,
+    fem_contact,
+    fem_site_resistances,
+    ground_currents,
+    site_conductance,
+    slot_map,
+    triangles,
+    voltage_drop,
+)
+from tomojax.sensor import sheet_on_mesh
 
 # One mesh shape per electrode count: a new one compiles anew, a new value does not.
 GRIDS = {(2, 3): (24, 40), (4, 4): (40, 40), (3, 2): (40, 24)}
@@ -39,7 +47,7 @@ def sensors(draw) -> tx.Sensor:
 
 
 @st.composite
-def scenes(draw, sensor: tx.Sensor) -> tx.AbstractShape:
+def scenes(draw, sensor: tx.Sensor) -> tx.sensor.AbstractShape:
     """Contacts of any size, place and strength: one value traces for all."""
     number = lambda low, high: draw(st.floats(low, high))  # noqa: E731
     w, h = np.asarray(sensor.size)
@@ -54,9 +62,9 @@ def scenes(draw, sensor: tx.Sensor) -> tx.AbstractShape:
     )
 
 
-site_resistances = jax.jit(kernels.fem_site_resistances, static_argnums=2)
+site_resistances = jax.jit(fem_site_resistances, static_argnums=2)
 
-reduction = jax.jit(kernels.fem_contact, static_argnums=2)
+reduction = jax.jit(fem_contact, static_argnums=2)
 
 property_test = settings(
     max_examples=25, deadline=None, suppress_health_check=list(HealthCheck)
@@ -68,8 +76,8 @@ property_test = settings(
 def test_reciprocity(data) -> None:
     """Feeding an electrode and reading an element is the converse."""
     sensor = data.draw(sensors())
-    table = tx.resistances(sensor)
-    vertices = _mesh.triangles(sensor.divisions)[40]
+    table = tx.sensor.resistances(sensor)
+    vertices = triangles(sensor.divisions)[40]
     at_vertices, among = site_resistances(
         sheet_on_mesh(sensor), jnp.asarray(vertices), sensor.divisions
     )
@@ -87,16 +95,16 @@ def test_reciprocity(data) -> None:
 def test_currents_balance_and_voltages_are_bounded(data) -> None:
     sensor = data.draw(sensors())
     scene = data.draw(scenes(sensor))
-    g = tx.contact_conductance(sensor, scene)
+    g = tx.sensor.contact_conductance(sensor, scene)
     volts = tx.voltages(sensor, scene)
     assert float(volts.min()) >= -1e-6 and float(volts.max()) <= 4.5 + 1e-6
     fem = sheet_on_mesh(sensor)
-    sites = kernels.site_conductance(fem, g, sensor.divisions)
+    sites = site_conductance(fem, g, sensor.divisions)
     contact = reduction(fem, sites, sensor.divisions)
     grounds = jnp.arange(sensor.electrode_count)
     drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
-    into = (sites * kernels.voltage_drop(contact, *drive)).sum(1)
-    out = kernels.ground_currents(contact, *drive)
+    into = (sites * voltage_drop(contact, *drive)).sum(1)
+    out = ground_currents(contact, *drive)
     np.testing.assert_allclose(into, out, rtol=1e-6)
     grounded = volts[grounds, grounds]
     np.testing.assert_allclose(grounded, sensor.ground_resistance * out, atol=1e-8)
@@ -107,12 +115,12 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
 def test_jacobian_tends_to_the_slot_map(data) -> None:
     sensor = data.draw(sensors())
     rho = 1e12
-    t = kernels.slot_map(tx.resistances(sensor), jnp.arange(3), sensor.ground_resistance)
+    t = slot_map(tx.sensor.resistances(sensor), jnp.arange(3), sensor.ground_resistance)
     j = rho * tx.jacobian(sensor, [0, 1, 2], rho)
     # What is left is loop/ρ, below 1e5/1e12.
     np.testing.assert_allclose(j, t, rtol=2e-7, atol=1e-7)
     # A potential imposed on one element: none exceeds it, but on an electrode's own feed.
-    elements = _mesh.centroids(sensor.divisions, sensor.size)
+    elements = centroids(sensor.divisions, sensor.size)
     apart = jnp.linalg.norm(elements[:, None] - sensor.electrode_xy[None], axis=-1)
     clear = np.asarray(apart.min(1) > 2 * sensor.electrode_diameter)
     imposed = np.asarray(tx.jacobian(sensor))[:, :, clear]
@@ -124,10 +132,10 @@ def test_jacobian_tends_to_the_slot_map(data) -> None:
 def test_rank_of_the_slot_maps(data) -> None:
     """All grounds together have rank M; one slot M − 1, or M through a ground path."""
     sensor = data.draw(sensors())
-    table = tx.resistances(sensor)
+    table = tx.sensor.resistances(sensor)
     m = sensor.electrode_count
     for z, one in ((0.0, m - 1), (4.0, m)):
-        t = np.asarray(kernels.slot_map(table, jnp.arange(m), jnp.asarray(z)))
+        t = np.asarray(slot_map(table, jnp.arange(m), jnp.asarray(z)))
         tolerance = 1e-8 * np.linalg.norm(t[0], 2)
         assert np.linalg.matrix_rank(t.reshape(m * m, -1), tolerance) == m
         # z·Σs alone is the last direction: small beside 10 kΩ, but not rounding.
@@ -138,9 +146,9 @@ def test_rank_of_the_slot_maps(data) -> None:
 def test_symmetries_of_the_square(route) -> None:
     """Quarter turns and mirrors permute the table and leave it the same."""
     sensor = tx.Sensor.grid(4, 4, 0.04, 0.02, divisions=(40, 40))
-    table = tx.resistances(sensor, route)
+    table = tx.sensor.resistances(sensor, route)
     xy = np.asarray(sensor.electrode_xy)
-    elements = np.asarray(_mesh.centroids(sensor.divisions, sensor.size))
+    elements = np.asarray(centroids(sensor.divisions, sensor.size))
 
     def permutation(places: np.ndarray, image: np.ndarray) -> np.ndarray:
         order = np.lexsort(np.round(places * 1e6).T)

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import _stability, _stability_report
-from tomojax._app import run
-from tomojax._stability import limits, SWEEPS
-from tomojax._stability_scenes import Bench
+from tomojax.cli.app import run as run_command
+from tomojax.studies.stability import Bench, limits, report, run, SWEEPS
 
 
 def row(value, near, far=0, undoubted=0, method="points", raised=None, **more):
@@ -37,13 +35,13 @@ def test_a_limit_is_the_last_value_that_holds_from_the_first_on():
 
 def test_what_is_far_off_is_counted_over_all_sweeps():
     rows = [row(1, 0, 10, 1), row(1, 0, 10, 3) | {"sweep": "dead"}]
-    found = _stability_report.flagged(limits(rows))
+    found = report.flagged(limits(rows))
     assert found["points"]["far"] == 20
     assert found["points"]["flagged"] == pytest.approx(0.8)
-    said = _stability_report.flagged_text(found)
+    said = report.flagged_text(found)
     assert "80 % flagged" in said and "float64" not in said
     both = limits([row(1, 1.0, dtypes_apart_mm=0.5), row(2, 1.0, dtypes_apart_mm=0.25)])
-    said = _stability_report.flagged_text(_stability_report.flagged(both))
+    said = report.flagged_text(report.flagged(both))
     assert "float32 0.5 mm from float64" in said
 
 
@@ -97,19 +95,19 @@ def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
         done.append(name)
         return [row(1, 1.0) | {"sweep": name}]
 
-    monkeypatch.setattr(_stability, "sweep_rows", rows)
+    monkeypatch.setattr("tomojax.studies.stability._study.sweep_rows", rows)
     sensor = tx.Sensor.grid(dtype=np.float32)
-    first = _stability.run(sensor, tmp_path, True, ("white",))
-    both = _stability.run(sensor, tmp_path, True, ("white", "dead"))
+    first = run(sensor, tmp_path, True, ("white",))
+    both = run(sensor, tmp_path, True, ("white", "dead"))
     assert done == ["white", "dead"] and both[:1] == first
     with pytest.raises(ValueError, match="another seed"):
-        _stability.run(sensor, tmp_path, True, seed=1)
+        run(sensor, tmp_path, True, seed=1)
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):
     values = SWEEPS["white"].values
     made = [row(v, 1.0 if v < 0.1 else 0.0, 2 * (v > 0.2)) for v in values]
-    monkeypatch.setattr(_stability, "sweep_rows", lambda *_: made)
+    monkeypatch.setattr("tomojax.studies.stability._study.sweep_rows", lambda *_: made)
     numbers = {
         "solvers": [
             {"solver": "qr", "relative_lam": 0.1, "error": 1e-6},
@@ -129,12 +127,12 @@ def test_the_command(tmp_path, monkeypatch, capsys):
             {"optimiser": "tune", "start": 1.0, "excess": None},
         ],
     }
-    monkeypatch.setattr(_stability, "numbers", lambda *_: numbers)
-    monkeypatch.setattr(_stability, "SWEEPS", {"white": SWEEPS["white"]})
+    monkeypatch.setattr("tomojax.studies.stability.numbers", lambda *_: numbers)
+    monkeypatch.setattr("tomojax.studies.stability.SWEEPS", {"white": SWEEPS["white"]})
     words = ["tomojax", "stability", "--quick", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as stop:
-        run()
+        run_command()
     assert not stop.value.code
     said = capsys.readouterr().out
     assert "0.03 of 0.3" in said and "2 of 2 far off are flagged" in said
@@ -162,6 +160,6 @@ def test_mistakes(words, message, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["tomojax", "stability", *words])
     with pytest.raises(SystemExit) as stop:
-        run()
+        run_command()
     said = capsys.readouterr().err.strip().splitlines()
     assert stop.value.code == 2 and len(said) == 1 and message in said[0]

@@ -5,18 +5,19 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax._method import Frame
-from tomojax._stability_numbers import (
+from tomojax.methods import Frame
+from tomojax.studies.stability import (
     _centres,
     gradient_rows,
     pipeline,
     random_points,
     RANGES,
+    resistance_rows,
     small,
     solver_rows,
+    start_rows,
     symmetric_points,
 )
-from tomojax._stability_starts import resistance_rows, start_rows
 
 
 def test_gradients_are_finite_and_right():

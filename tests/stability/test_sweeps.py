@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax._stability import (
+from tomojax.studies.stability import (
+    Bench,
     CONTACTS,
     FLAGGED,
     HOLDS,
@@ -22,7 +23,6 @@ from tomojax._stability import (
     Trial,
     trial_row,
 )
-from tomojax._stability_scenes import Bench
 
 STATED = json.loads((Path(__file__).parent / "stated.json").read_text())
 SCENES, SEED = 5, 2026

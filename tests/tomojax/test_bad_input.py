@@ -73,12 +73,12 @@ def test_grid(name, arguments) -> None:
         ("angle", lambda: tx.Bar([0, 0], 1.0, 1.0, np.inf, 1.0)),
         ("width", lambda: tx.Bar([0, 0], 1.0, 0.0, 0.0, 1.0)),
         ("outer − inner", lambda: tx.Ring([0, 0], 2.0, 1.0, 1.0)),
-        ("vertices", lambda: tx.Polygon([[0, 0], [1, 1]], 1.0)),
-        ("conductance", lambda: tx.Mask([1.0, 2.0])),
+        ("vertices", lambda: tx.sensor.Polygon([[0, 0], [1, 1]], 1.0)),
+        ("conductance", lambda: tx.sensor.Mask([1.0, 2.0])),
         ("shapes", lambda: tx.Scene([tx.Disc([0, 0], 1.0, 1.0)])),
-        ("steps between times", lambda: tx.Moving(tx.Scene(), [0, 0], [[0, 0]] * 2)),
-        ("offsets", lambda: tx.Moving(tx.Scene(), [0, 1], [[0, 0]] * 3)),
-        ("factors", lambda: tx.Moving(tx.Scene(), [0, 1], [[0, 0]] * 2, [1, -1])),
+        ("steps between times", lambda: tx.sensor.Moving(tx.Scene(), [0, 0], [[0, 0]] * 2)),
+        ("offsets", lambda: tx.sensor.Moving(tx.Scene(), [0, 1], [[0, 0]] * 3)),
+        ("factors", lambda: tx.sensor.Moving(tx.Scene(), [0, 1], [[0, 0]] * 2, [1, -1])),
         ("bits", lambda: tx.Converter(bits=0)),
         ("noise", lambda: tx.Converter(noise=-1.0)),
         ("full_scale", lambda: tx.Converter(full_scale=0.0)),
@@ -149,7 +149,7 @@ def test_jacobian(small_sensor, name, arguments) -> None:
 def test_series_needs_an_even_sheet(small_sensor) -> None:
     uneven = dataclasses.replace(small_sensor, sheet_resistance=np.full(320, 1e4))
     with pytest.raises(ValueError, match="sheet_resistance"):
-        tx.resistances(uneven, "series")
+        tx.sensor.resistances(uneven, "series")
 
 
 def test_traced_values_are_not_checked(small_sensor) -> None:

@@ -7,7 +7,7 @@ import pytest
 from rig import Rig
 
 import tomojax as tx
-from tomojax._calibrate_recording import read_places
+from tomojax.calibration import read_places
 
 CORNERS = [0, 63]
 
@@ -37,11 +37,13 @@ def sensor():
 def calibration(rig, presses):
     """Zeros from silence; the rest from 30 of the places, each with 16 grounds."""
     silence = np.stack([rig.measure(np.zeros((2, 64))) for _ in range(40)])
-    before = tx.tare(tx.ArrayRecording(tx.Rig.of(sensor()), silence, CORNERS))
+    before = tx.calibration.tare(
+        tx.recordings.ArrayRecording(tx.recordings.Rig.of(sensor()), silence, CORNERS)
+    )
     volts, places = presses
     grounds = np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
     volts = np.take_along_axis(volts[:30], grounds[..., None], 1)
-    return tx.calibrate(sensor(), volts, grounds, places[:30], before)
+    return tx.calibration.calibrate(sensor(), volts, grounds, places[:30], before)
 
 
 def test_what_is_left_is_at_most_half(presses, calibration):
@@ -100,13 +102,15 @@ def recording(touch=0.0, scans=40):
     zero = 3e-4 * rng.normal(size=64)
     volts = zero + 3e-4 * rng.normal(size=(scans, 2, 64))
     volts[scans // 2 :] += touch * rng.uniform(0, 1, (1, 2, 64))
-    return tx.ArrayRecording(tx.Rig.of(sensor()), volts, CORNERS), zero
+    return tx.recordings.ArrayRecording(
+        tx.recordings.Rig.of(sensor()), volts, CORNERS
+    ), zero
 
 
 def test_zeros_are_those_of_contact_free_slots():
     for touch in (0.0, 0.003, 1.0):
         rec, zero = recording(touch)
-        found = tx.tare(rec)
+        found = tx.calibration.tare(rec)
         assert np.abs(np.asarray(found.offset) - zero).max() < 2.5e-4
         assert 2.8e-4 < found.noise < 4e-4
 
@@ -114,10 +118,10 @@ def test_zeros_are_those_of_contact_free_slots():
 def test_a_touch_throughout_is_no_zero():
     rng = np.random.default_rng(4)
     volts = 3e-4 * rng.normal(size=(40, 2, 64)) + 0.003 * rng.uniform(0, 1, (1, 2, 64))
-    rec = tx.ArrayRecording(tx.Rig.of(sensor()), volts, CORNERS)
-    assert tx.tare(rec) == tx.Calibration()
+    rec = tx.recordings.ArrayRecording(tx.recordings.Rig.of(sensor()), volts, CORNERS)
+    assert tx.calibration.tare(rec) == tx.Calibration()
     few, _ = recording(scans=4)
-    assert tx.tare(few) == tx.Calibration()
+    assert tx.calibration.tare(few) == tx.Calibration()
 
 
 @pytest.mark.parametrize(
@@ -138,7 +142,7 @@ def test_bad_input(name, change):
         places=np.full((3, 2), 0.08),
     )
     with pytest.raises(ValueError, match=f"^{name}: got"):
-        tx.calibrate(sensor(), **good | change)
+        tx.calibration.calibrate(sensor(), **good | change)
 
 
 def test_places_from_files(tmp_path):

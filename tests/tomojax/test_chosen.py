@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax._chosen import Chosen
-from tomojax._chunks import read_chunk
-from tomojax._recording import ArrayRecording, Rig
+from tomojax.recordings import ArrayRecording, read_chunk, Rig
+from tomojax.results import Chosen
 
 PLACES = np.array([[0.022, 0.031], [0.058, 0.047], [0.041, 0.066]])
 
@@ -35,7 +34,7 @@ def table(sensor, tmp_path_factory):
     grounds = jnp.asarray([[[0, 1, 2], [4, 5, 6]], [[8, 9, 10], [12, 13, 14]]], jnp.int32)
     lam = jnp.asarray([[1e-5, 1e-4], [1e-3, 1e-2]])
     path = tmp_path_factory.mktemp("table") / "table.npz"
-    tx.save_policy(tx.Lookup(grounds, grounds[0, 0], sensor.size, lam), path)
+    tx.step.save_policy(tx.step.Lookup(grounds, grounds[0, 0], sensor.size, lam), path)
     return path
 
 
@@ -57,7 +56,7 @@ def test_lambda_of_another_method_is_its_own(recording, table):
 
 
 def test_results_are_those_of_these_slots(recording, table, tmp_path):
-    settings = tx.Settings(method="linear", grid=16, tare=False, policy=str(table))
+    settings = tx.results.Settings(method="linear", grid=16, tare=False, policy=str(table))
     out = tx.reconstruct_recording(recording, tmp_path / "o.h5", settings)
     method = tx.method(recording.rig.sensor(), "linear", 16)
     scans = recording.read(0, 4)
@@ -97,7 +96,7 @@ def test_a_recording_that_lacks_grounds(sensor, recording, table, tmp_path):
         ValueError, match="grounds that the recording lacks: 12, 13, 14, 15"
     ):
         Chosen(table, few, 2, "linear")
-    slots = tx.Settings(policy=str(table), rate="slot")
+    slots = tx.results.Settings(policy=str(table), rate="slot")
     with pytest.raises(ValueError, match="policy: got a row per slot"):
         tx.reconstruct_recording(recording, tmp_path / "o.h5", slots)
 
@@ -108,11 +107,11 @@ def test_a_file_with_wrong_lambdas(sensor, table, tmp_path):
     content["lam"] = -content["lam"]
     np.savez(tmp_path / "bad.npz", **content)
     with pytest.raises(ValueError, match="lam: got no λ for each place"):
-        tx.load_policy(tmp_path / "bad.npz", sensor)
+        tx.step.load_policy(tmp_path / "bad.npz", sensor)
 
 
 def test_designs_for_images_have_a_lambda(sensor):
-    found = tx.design_policy(sensor, 3, "linear", shape=(3, 3), grid=16)
+    found = tx.design.design_policy(sensor, 3, "linear", shape=(3, 3), grid=16)
     assert found.policy.lam is not None
     lam = np.asarray(found.policy.lam)
     assert lam.shape == (3, 3) and (lam > 1e-8).all() and (lam < 1e-1).all()

@@ -11,11 +11,11 @@ import pytest
 import recordings
 from click.testing import CliRunner
 
-from tomojax import _app
+from tomojax.cli import app
 
 
 def test_demo_prints_and_draws(tmp_path) -> None:
-    result = CliRunner().invoke(_app.app, ["demo", "--out", str(tmp_path / "pictures")])
+    result = CliRunner().invoke(app.app, ["demo", "--out", str(tmp_path / "pictures")])
     assert result.exit_code == 0, result.output
     assert "64 electrodes" in result.output and "contacts  rows" in result.output
     for name in ("contacts.png", "contacts.gif", "results.h5"):
@@ -30,7 +30,7 @@ def test_demo_prints_and_draws(tmp_path) -> None:
     "arguments, word", [(["paint"], "paint"), (["demo", "--out"], "--out")]
 )
 def test_mistakes_are_one_line_and_status_2(arguments, word) -> None:
-    code = "from tomojax._cli import main; main()"
+    code = "from tomojax.cli import main; main()"
     run = subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True
     )
@@ -42,19 +42,19 @@ def test_output_folder_that_is_a_file(tmp_path, monkeypatch, capsys) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(sys, "argv", ["tomojax", "demo", "--out", str(tmp_path / "file")])
     with pytest.raises(SystemExit) as stop:
-        _app.run()
+        app.run()
     assert stop.value.code == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_missing_extra_is_named(monkeypatch, capsys) -> None:
-    from tomojax import _cli
+    from tomojax import cli
 
     monkeypatch.setitem(sys.modules, "click", None)
-    monkeypatch.delitem(sys.modules, "tomojax._app", raising=False)
-    monkeypatch.delattr("tomojax._app", raising=False)
+    monkeypatch.delitem(sys.modules, "tomojax.cli.app", raising=False)
+    monkeypatch.delattr("tomojax.cli.app", raising=False)
     with pytest.raises(SystemExit) as stop:
-        _cli.main()
+        cli.main()
     assert stop.value.code == 2
     assert "tomojax[app]" in capsys.readouterr().err
 
@@ -66,7 +66,7 @@ def recording_path(tmp_path_factory):
 
 
 def invoke(*arguments):
-    return CliRunner().invoke(_app.app, [*map(str, arguments)])
+    return CliRunner().invoke(app.app, [*map(str, arguments)])
 
 
 def test_reconstruct_and_info(recording_path, tmp_path) -> None:
@@ -94,7 +94,7 @@ def line_of(monkeypatch, capsys, *arguments) -> str:
     """What a command that fails prints: exactly one line, and status 2."""
     monkeypatch.setattr(sys, "argv", ["tomojax", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
-        _app.run()
+        app.run()
     assert stop.value.code == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1, lines

@@ -6,7 +6,8 @@ import pytest
 from rig import NOMINAL, Rig
 
 import tomojax as tx
-from tomojax import Flag, Rung
+from tomojax import Flag
+from tomojax.methods import Rung
 
 TEN = np.array([0, 63, 7, 56, 18, 21, 42, 45, 27, 36])
 # Ten fingertips or so, at least 25 mm apart.

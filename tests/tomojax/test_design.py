@@ -13,10 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 import tomojax as tx
-from tomojax._app import app, run
-from tomojax._design_objectives import ImageVariance
-from tomojax._design_search import exchange, relax
-from tomojax._method import method as make_method
+from tomojax.cli.app import app, run
+from tomojax.design import exchange, ImageVariance, relax
+from tomojax.methods import method as make_method
 
 KINDS = [
     ("points", "place"),
@@ -38,12 +37,12 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def objectives(sensor):
-    places = tx.design_places(sensor, count=12)
+    places = tx.design.design_places(sensor, count=12)
     made = {}
 
     def one(method, criterion):
         if (method, criterion) not in made:
-            found = tx.design_objective(sensor, places, method, criterion, grid=16)
+            found = tx.design.design_objective(sensor, places, method, criterion, grid=16)
             made[method, criterion] = found
         return made[method, criterion]
 
@@ -87,7 +86,7 @@ def test_all_sets_of_three_are_above_the_bound_and_the_best_is_found(objectives,
     np.put_along_axis(weights, sets, 1, 1)
     values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(objective, jnp.asarray(weights))
     best = float(values.min())
-    found = tx.design(objective, 3)
+    found = tx.design.design(objective, 3)
     assert found.bound <= best * (1 + 1e-9)
     assert found.value <= 1.01 * best
     chosen = np.zeros(16)
@@ -110,10 +109,10 @@ def test_relaxed_weights(objectives):
 
 def test_all_slots_and_one(objectives):
     objective = objectives("points", "place")
-    whole = tx.design(objective, 16)
+    whole = tx.design.design(objective, 16)
     assert sorted(whole.grounds) == list(range(16))
     assert whole.value == pytest.approx(whole.bound, rel=1e-6)
-    single = tx.design(objective, 1)
+    single = tx.design.design(objective, 1)
     values = [float(objective.value(row)) for row in jnp.eye(16)]
     assert single.grounds.tolist() == [int(np.argmin(values))]
 
@@ -128,28 +127,28 @@ def test_few_swaps_by_slope(objectives):
 
 def test_noise_that_is_stated(sensor):
     """A channel that is all noise is none; a common mode changes what is best."""
-    places = tx.design_places(sensor, count=6)
-    plain = tx.design_objective(sensor, places, noise=1e-3)
-    same = tx.design_objective(sensor, places, noise=1e-6 * np.eye(16))
+    places = tx.design.design_places(sensor, count=6)
+    plain = tx.design.design_objective(sensor, places, noise=1e-3)
+    same = tx.design.design_objective(sensor, places, noise=1e-6 * np.eye(16))
     np.testing.assert_allclose(same.information, plain.information, rtol=1e-9)
     deaf = np.full(16, 1e-3)
     deaf[5] = 1e3
-    less = tx.design_objective(sensor, places, noise=deaf)
+    less = tx.design.design_objective(sensor, places, noise=deaf)
     w = jnp.full(16, 0.5)
     assert (less(w) > plain(w)).all()
     common = 1e-6 * np.eye(16) + 1e-2 * np.ones((16, 16))
-    shifted = tx.design_objective(sensor, places, noise=common)
+    shifted = tx.design.design_objective(sensor, places, noise=common)
     assert (shifted(w) > plain(w)).all()
 
 
 def test_single_precision(sensor):
-    places = tx.design_places(sensor, count=8)
+    places = tx.design.design_places(sensor, count=8)
     words = {"divisions": (16, 16), "electrode_diameter": 0.005}
     single = tx.Sensor.grid(4, 4, dtype=np.float32, **words)
     for method in ("points", "linear"):
-        wide = tx.design_objective(sensor, places, method, grid=16)
-        narrow = tx.design_objective(single, np.asarray(places), method, grid=16)
-        a, b = tx.design(wide, 4), tx.design(narrow, 4)
+        wide = tx.design.design_objective(sensor, places, method, grid=16)
+        narrow = tx.design.design_objective(single, np.asarray(places), method, grid=16)
+        a, b = tx.design.design(wide, 4), tx.design.design(narrow, 4)
         chosen = jnp.zeros(16).at[jnp.asarray(b.grounds)].set(1)
         assert float(wide.value(chosen)) <= 1.01 * a.value
         assert b.value == pytest.approx(a.value, rel=0.02)
@@ -157,11 +156,13 @@ def test_single_precision(sensor):
 
 def test_patterns_beside(sensor, objectives):
     objective = objectives("points", "place")
-    places = tx.design_places(sensor, count=12)
-    explored = tx.exploratory_voltages(sensor, places)
+    places = tx.design.design_places(sensor, count=12)
+    explored = tx.design.exploratory_voltages(sensor, places)
     assert explored.shape == (12, 2, 16)
-    rows = {row["name"]: row for row in tx.patterns_beside(sensor, objective, explored)}
-    assert list(rows) == list(tx.PATTERNS)
+    rows = {
+        row["name"]: row for row in tx.design.patterns_beside(sensor, objective, explored)
+    }
+    assert list(rows) == list(tx.paper.PATTERNS)
     every = float(objective.value(jnp.ones(16)))
     assert rows["all"]["value"] == pytest.approx(every)
     assert all(row["value"] >= every * (1 - 1e-9) for row in rows.values())
@@ -169,11 +170,11 @@ def test_patterns_beside(sensor, objectives):
 
 @pytest.fixture(scope="module")
 def simulated(sensor):
-    places = tx.design_places(sensor, count=8)
-    scenes = tx.simulate_scenes(sensor, places, rigs=2)
+    places = tx.design.design_places(sensor, count=8)
+    scenes = tx.design.simulate_scenes(sensor, places, rigs=2)
     linear = make_method(sensor, "linear", 16)
     return {
-        smooth: tx.ImageError.of(linear, scenes, 0.008, smooth=smooth)
+        smooth: tx.design.ImageError.of(linear, scenes, 0.008, smooth=smooth)
         for smooth in (False, True)
     }
 
@@ -198,7 +199,7 @@ def test_slopes_of_simulated_errors(simulated, rng, smooth):
 def test_lambda_and_length_by_gradient_against_a_grid(simulated):
     objective = simulated[True]
     w = jnp.zeros(16).at[jnp.array([1, 6, 8, 11])].set(1)
-    found = tx.tune(objective, w)
+    found = tx.design.tune(objective, w)
     lams = objective.log_lam + jnp.log(10.0) * jnp.linspace(-3, 4, 22)
     lengths = jnp.log(jnp.linspace(0.4, 4, 15))
 
@@ -213,7 +214,7 @@ def test_lambda_and_length_by_gradient_against_a_grid(simulated):
 
 def test_sets_by_gradients_through_draws(simulated):
     objective = simulated[False]
-    found = tx.descend_sets(objective, 4, steps=60)
+    found = tx.design.descend_sets(objective, 4, steps=60)
     assert found.weights.sum() == 4
     rng = np.random.default_rng(0)
     others = []
@@ -225,21 +226,21 @@ def test_sets_by_gradients_through_draws(simulated):
 
 
 def test_policy_by_place(sensor, tmp_path):
-    found = tx.design_policy(sensor, 3, shape=(6, 6), criterion="place")
+    found = tx.design.design_policy(sensor, 3, shape=(6, 6), criterion="place")
     assert found.policy.table.shape == (6, 6, 3)
     assert (found.value >= found.bound * (1 - 1e-9)).all()
     assert np.median(found.value / found.bound) < 1.03
     for row in np.asarray(found.policy.table).reshape(-1, 3):
         assert len(set(row.tolist())) == 3
     path = tmp_path / "table.npz"
-    tx.save_policy(found.policy, path)
-    again = tx.load_policy(path, sensor)
+    tx.step.save_policy(found.policy, path)
+    again = tx.step.load_policy(path, sensor)
     np.testing.assert_array_equal(again.table, found.policy.table)
     step = tx.make_step(
         sensor, "follow", "mine", tables={"mine": again}, contacts=1, grid=16
     )
     place = np.array([0.05, 0.033])
-    g = tx.contact_conductance(sensor, tx.Disc(place, 0.006, 1.0))
+    g = tx.sensor.contact_conductance(sensor, tx.Disc(place, 0.006, 1.0))
     volts = np.asarray(tx.voltages(sensor, g))
     state, ground, asked = step.state, 0, []
     for _ in range(12):
@@ -255,14 +256,14 @@ def test_a_policy_of_another_sensor(sensor, tmp_path):
     other = tx.Sensor.grid(5, 5, divisions=(20, 20))
     path = tmp_path / "table.npz"
     table = jnp.full((2, 2, 3), 20, jnp.int32)
-    tx.save_policy(tx.Lookup(table, table[0, 0], other.size), path)
+    tx.step.save_policy(tx.step.Lookup(table, table[0, 0], other.size), path)
     with pytest.raises(ValueError, match="table: got 20 to 20, expected 0 to 15"):
-        tx.load_policy(path, sensor)
+        tx.step.load_policy(path, sensor)
     path.write_bytes(b"not a table")
     with pytest.raises(ValueError, match="no table of grounds"):
-        tx.load_policy(path, sensor)
+        tx.step.load_policy(path, sensor)
     with pytest.raises(ValueError, match="no such file"):
-        tx.load_policy(tmp_path / "none.npz", sensor)
+        tx.step.load_policy(tmp_path / "none.npz", sensor)
 
 
 @pytest.mark.parametrize(
@@ -276,7 +277,7 @@ def test_a_policy_of_another_sensor(sensor, tmp_path):
 )
 def test_bad_regions(sensor, words, message):
     with pytest.raises(ValueError, match=message):
-        tx.design_places(sensor, **words)
+        tx.design.design_places(sensor, **words)
 
 
 @pytest.mark.parametrize(
@@ -299,20 +300,20 @@ def test_bad_regions(sensor, words, message):
 )
 def test_bad_objectives(sensor, words, message):
     with pytest.raises(ValueError, match=message):
-        tx.design_objective(sensor, **{"places": [[0.03, 0.03]], **words})
+        tx.design.design_objective(sensor, **{"places": [[0.03, 0.03]], **words})
 
 
 @pytest.mark.parametrize("slots", [0, 17])
 def test_bad_numbers_of_slots(sensor, objectives, slots):
     with pytest.raises(ValueError, match=r"slots: got .*, expected a whole number"):
-        tx.design(objectives("points", "place"), slots)
+        tx.design.design(objectives("points", "place"), slots)
     with pytest.raises(ValueError, match="slots: got"):
-        tx.design_policy(sensor, slots)
+        tx.design.design_policy(sensor, slots)
 
 
 def test_a_table_of_what_has_one_figure_for_all(sensor):
     with pytest.raises(ValueError, match="criterion: got 'd' of an image"):
-        tx.design_policy(sensor, 3, "linear", criterion="d")
+        tx.design.design_policy(sensor, 3, "linear", criterion="d")
 
 
 def test_the_command(tmp_path, monkeypatch):
@@ -329,12 +330,12 @@ def test_the_command(tmp_path, monkeypatch):
     assert len(summary["grounds"]) == 8 and summary["bound"] <= summary["objective"] * (
         1 + 1e-9
     )
-    assert [row["name"] for row in rows] == list(tx.PATTERNS)
+    assert [row["name"] for row in rows] == list(tx.paper.PATTERNS)
     for row in rows:
         assert row["designed"] <= row["value"] * 1.02
         assert row["name"] in result.output
     assert Path("out/design.png").stat().st_size > 10_000
-    table = tx.load_policy("out/p.npz", tx.Sensor.grid())
+    table = tx.step.load_policy("out/p.npz", tx.Sensor.grid())
     assert table.table.shape == (32, 32, 8)
 
 

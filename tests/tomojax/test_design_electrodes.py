@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax._design_electrodes import image_scale
+from tomojax.design import image_scale
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def test_slopes_in_electrodes_places(sensor, rng, start):
     lam = 1e-4 * image_scale(sensor, 8)
 
     def value(xy):
-        return tx.image_spread(sensor, places, xy, lam=lam, grid=8).sum()
+        return tx.design.image_spread(sensor, places, xy, lam=lam, grid=8).sum()
 
     xy = sensor.electrode_xy
     if start == "random":
@@ -39,7 +39,9 @@ def test_spread_is_backus_and_gilberts(sensor):
     places = jnp.asarray([[0.05, 0.06], [0.08, 0.03]])
     scale = image_scale(sensor, 12)
     each = [
-        tx.image_spread(sensor, places, sensor.electrode_xy, lam=lam * scale, grid=12)
+        tx.design.image_spread(
+            sensor, places, sensor.electrode_xy, lam=lam * scale, grid=12
+        )
         for lam in (1e-2, 1e-4, 1e-6)
     ]
     assert (each[1] < 0.8 * each[0]).all() and (each[2] < 1.05 * each[1]).all()
@@ -47,7 +49,7 @@ def test_spread_is_backus_and_gilberts(sensor):
 
 
 def test_the_worst_gets_better(sensor):
-    found = tx.design_electrodes(sensor, grid=10, starts=1)
+    found = tx.design.design_electrodes(sensor, grid=10, starts=1)
     assert found.spread.max() < 0.97 * found.spread_before.max()
     size, diameter = np.asarray(sensor.size), float(sensor.electrode_diameter)
     xy = found.electrode_xy
@@ -58,7 +60,7 @@ def test_the_worst_gets_better(sensor):
     parts = [np.linspace(s / 16, s * 15 / 16, 24) for s in size]
     places = jnp.asarray(np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2))
     lam = 1e-5 * image_scale(sensor, 10)
-    again = tx.image_spread(sensor, places, jnp.asarray(xy), lam=lam, grid=10)
+    again = tx.design.image_spread(sensor, places, jnp.asarray(xy), lam=lam, grid=10)
     np.testing.assert_allclose(found.spread, again, rtol=1e-6)
 
 
@@ -73,10 +75,10 @@ def test_the_worst_gets_better(sensor):
 )
 def test_bad_input(sensor, words, message):
     with pytest.raises(ValueError, match=message):
-        tx.design_electrodes(sensor, grid=6, **words)
+        tx.design.design_electrodes(sensor, grid=6, **words)
 
 
 def test_an_uneven_sheet():
     sensor = tx.Sensor.grid(3, 3, divisions=(16, 16), sheet_resistance=np.full(512, 1e4))
     with pytest.raises(ValueError, match="a sheet with a value per element"):
-        tx.design_electrodes(sensor, grid=6)
+        tx.design.design_electrodes(sensor, grid=6)

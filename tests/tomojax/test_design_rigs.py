@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import _design_rigs as rigs
-from tomojax._design_contacts import contact_columns
-from tomojax._design_policy import designs_by_place
-from tomojax._design_scores import score
-from tomojax._points import Points
+from tomojax.design import contact_columns, designs_by_place, score
+from tomojax.design.objectives import _rigs as rigs
+from tomojax.methods import Points
 
 sys.path.append(str(Path(__file__).parents[1]))
 from rig import Rig  # noqa: E402
@@ -27,8 +25,8 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def images(sensor):
-    places = tx.design_places(sensor, count=4)
-    return tx.design_objective(sensor, places, "linear", "rigs", grid=16)
+    places = tx.design.design_places(sensor, count=4)
+    return tx.design.design_objective(sensor, places, "linear", "rigs", grid=16)
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -48,7 +46,9 @@ def test_scenes_of_metal_are_a_network_s():
     sensor = tx.Sensor.grid(divisions=(32, 32))
     rig = Rig(np.random.default_rng(0), 0, 0, 0, 0)
     places = np.array([[0.0602, 0.0798], [0.0398, 0.1202]])  # between electrodes
-    found = np.asarray(tx.simulate_scenes(sensor, places, radius=0.003, rigs=1).voltages)
+    found = np.asarray(
+        tx.design.simulate_scenes(sensor, places, radius=0.003, rigs=1).voltages
+    )
     for volts, place in zip(found, places):
         inside = rig.disc(place, 0.003)
         exact = rig.scene((inside, 1.0))[0]
@@ -62,17 +62,17 @@ def test_metal_on_the_grounded_electrode():
     ground, other = 18, 27
     exact = rig.scene((rig.disc(place, 0.002), 1.0))[0]
     wide = tx.Sensor.grid(divisions=(32, 32))
-    got = np.asarray(tx.simulate_scenes(wide, [place], rigs=1).voltages[0])
+    got = np.asarray(tx.design.simulate_scenes(wide, [place], rigs=1).voltages[0])
     assert np.abs(got[ground] - exact[ground]).max() < 0.05
     assert np.ptp(got[ground]) < 0.01 and np.ptp(got[other]) > 1
 
 
 def test_a_radius_for_each_scene(sensor):
     places = np.array([[0.03, 0.04]] * 2)
-    small, large = tx.simulate_scenes(
+    small, large = tx.design.simulate_scenes(
         sensor, places, radius=[0.001, 0.003], rigs=1
     ).voltages
-    same, _ = tx.simulate_scenes(sensor, places, radius=0.001, rigs=1).voltages
+    same, _ = tx.design.simulate_scenes(sensor, places, radius=0.001, rigs=1).voltages
     assert np.abs(small - large).max() > 0.1
     assert np.abs(small - same).max() < 0.01  # noise
 
@@ -91,7 +91,9 @@ def test_a_radius_for_each_scene(sensor):
 )
 def test_bad_scenes(sensor, words, message):
     with pytest.raises(ValueError, match=message):
-        tx.simulate_scenes(sensor, **{"places": [[0.03, 0.04]] * 2, "rigs": 1, **words})
+        tx.design.simulate_scenes(
+            sensor, **{"places": [[0.03, 0.04]] * 2, "rigs": 1, **words}
+        )
 
 
 def test_a_move_of_the_contact_is_its_score(sensor):
@@ -111,12 +113,12 @@ def test_a_move_of_the_contact_is_its_score(sensor):
 
 
 def test_errors_on_rigs(sensor):
-    places = tx.design_places(sensor, count=6)
-    objective = tx.design_objective(sensor, places, criterion="rigs")
+    places = tx.design.design_places(sensor, count=6)
+    objective = tx.design.design_objective(sensor, places, criterion="rigs")
     ones = jnp.ones(16)
     figures = np.asarray(objective(ones))
     assert (figures > 1e-6).all() and (figures < 2e-3).all()
-    found = tx.design(objective, 3)
+    found = tx.design.design(objective, 3)
     assert np.isnan(found.bound) and found.value <= found.greedy * (1 + 1e-9)
     quiet = replace(objective, scores=objective.scores / 2)  # pyright: ignore
     np.testing.assert_allclose(quiet(ones), figures / 2, rtol=1e-9)
@@ -155,8 +157,8 @@ def test_images_by_place(sensor, images):
 
 
 def test_what_rigs_are_not_for(sensor):
-    places = tx.design_places(sensor, count=2)
+    places = tx.design.design_places(sensor, count=2)
     with pytest.raises(ValueError, match="criterion: got 'rigs' of 'source'"):
-        tx.design_objective(sensor, places, "source", "rigs")
+        tx.design.design_objective(sensor, places, "source", "rigs")
     with pytest.raises(ValueError, match="noise: got a value for criterion 'rigs'"):
-        tx.design_objective(sensor, places, criterion="rigs", noise=1e-3)
+        tx.design.design_objective(sensor, places, criterion="rigs", noise=1e-3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import _design_shared as shared
-from tomojax._design_contacts import contact_columns
-from tomojax.kernels._one_slot import in_slot, tangents
+from tomojax import design as shared
+from tomojax.design import contact_columns
+from tomojax.kernels.contacts import in_slot, tangents
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_slopes_in_conductances(sensor, pairs, rng, start):
 
 
 def test_switches_come_out(sensor):
-    found = tx.design_shared(sensor, PAIRS, 2, steps=10)
+    found = tx.design.design_shared(sensor, PAIRS, 2, steps=10)
     most = float(shared.closed(sensor))
     assert set(np.unique(found.to_ground)) == {0.0, most}
     assert (found.to_ground > 0).any(1).all()
@@ -93,4 +93,4 @@ def test_switches_come_out(sensor):
 )
 def test_bad_pairs(sensor, places):
     with pytest.raises(ValueError, match="places"):
-        tx.design_shared(sensor, places)
+        tx.design.design_shared(sensor, places)

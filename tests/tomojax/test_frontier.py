@@ -8,20 +8,29 @@ import pytest
 import references
 
 import tomojax as tx
-from tomojax import _frontier, _frontier_rates, _frontier_report
-from tomojax._app import run
-from tomojax._frontier_job import Job, method_rows
-from tomojax._frontier_peers import paper_jacobian, peer_rows
-from tomojax._frontier_scenes import (
+from tomojax.cli.app import run
+from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
+from tomojax.studies.frontier import (
+    beside_peers,
+    DAY,
+    day_rows,
+    Job,
     KINDS,
     load_trials,
     make_trials,
+    mark_front,
+    measured,
+    method_rows,
+    paper_jacobian,
+    peer_rows,
+    rate_rows,
+    report,
+    run as run_study,
     save_trials,
     score,
     Trials,
 )
-from tomojax._network import Network
-from tomojax.kernels import _mesh
+from tomojax.studies.network import Network
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +79,7 @@ def rows_of(places, image=None):
     nan = np.where(np.isfinite(xy[..., 0]), 1.0, np.nan)
     flags = np.where(np.array(count) == 0, tx.Flag.NO_CONTACT.value, 0)
     covariance = np.full((n, most, 3), np.nan)
-    return tx.Rows(
+    return tx.methods.Rows(
         *(np.array(count), xy, nan, nan, nan, 2e-4 * nan, covariance),
         *(np.zeros(n), flags, np.zeros(n, int), image, None),
     )
@@ -141,16 +150,16 @@ def test_front_and_peers():
         row("pyEIT", 1.0, 0.1, peer=True),
         row("source", 5.0, 20.0, "two"),
     ]
-    _frontier.mark_front(rows)
+    mark_front(rows)
     assert [r["on_front"] for r in rows] == [True, False, True, False, False, False, True]
-    far, near = _frontier.beside_peers(rows)
+    far, near = beside_peers(rows)
     assert far["times_as_fast"] == 12 and far["nearest"]["place_median_mm"] == 1.2
     assert near["times_as_fast"] is None and near["nearest"] is None
-    text = _frontier_report.text(rows)
+    text = report.text(rows)
     assert "accuracy of 1 of the peers' 2 rows, 12.0 times" in text and "0.20" in text
-    for draw in (_frontier_report.chart, _frontier_report.rungs):
+    for draw in (report.chart, report.rungs):
         assert draw(rows).axes
-    assert _frontier_report.summary(rows)["peers"][0]["place_mm"] == 4.0
+    assert report.summary(rows)["peers"][0]["place_mm"] == 4.0
 
 
 def test_one_job(kept):
@@ -171,7 +180,7 @@ def test_peers_have_the_paper_s_jacobian(kept):
     sensor, trials = load_trials(kept, "float64")
     jac, loops = paper_jacobian(sensor)
     shape, ground, element = (40, 40), 9, 1234
-    nodes = np.asarray(_mesh.nodes(shape, sensor.size))
+    nodes = np.asarray(mesh_nodes(shape, sensor.size))
     at = ((nodes[:, None] - np.asarray(sensor.electrode_xy)) ** 2).sum(-1).argmin(0)
     n = len(nodes)
     system, right = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
@@ -180,7 +189,7 @@ def test_peers_have_the_paper_s_jacobian(kept):
     ).todense()
     system[at[ground], at[ground]] += 1 / 4.0  # through the ground path
     # The current that holds the element's mean at 1 V is the last unknown.
-    corners = _mesh.triangles(shape)[element]
+    corners = triangles(shape)[element]
     system[corners, n], system[n, corners], right[n] = -1 / 3, 1 / 3, 1.0
     u = np.linalg.solve(system, right)
     np.testing.assert_allclose(jac[ground, :, element], u[at], atol=1e-7)
@@ -193,9 +202,10 @@ def test_peers_have_the_paper_s_jacobian(kept):
 def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
     sensor = tx.Sensor.grid(dtype=np.float32)
     jobs = [Job("linear", ("all",)), Job("source", ("all",)), Job("points", ("all",))]
-    monkeypatch.setattr(_frontier, "jobs", lambda *_: jobs)
+    monkeypatch.setattr("tomojax.studies.frontier._study.jobs", lambda *_: jobs)
     monkeypatch.setattr(
-        _frontier, "make_trials", lambda *_: load_trials(kept, "float32")[1]
+        "tomojax.studies.frontier._study.make_trials",
+        lambda *_: load_trials(kept, "float32")[1],
     )
     asked = []
 
@@ -205,44 +215,47 @@ def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
         asked.append(job.method)
         return [row(job.method, 1.0, 1.0)]
 
-    monkeypatch.setattr(_frontier, "_measured", measured)
+    monkeypatch.setattr("tomojax.studies.frontier._study.measured", measured)
     with pytest.raises(KeyboardInterrupt):
-        _frontier.run(sensor, tmp_path, True)
+        run_study(sensor, tmp_path, True)
     path = tmp_path / "frontier-rows.jsonl"
     with path.open("a") as file:
         file.write('{"job": "cut o')  # as a crash leaves it
     asked.append("again")
-    rows = _frontier.run(sensor, tmp_path, True)
+    rows = run_study(sensor, tmp_path, True)
     assert asked == ["linear", "source", "again", "points"] and len(rows) == 3
     assert all(json.loads(line) for line in path.read_text().splitlines())
     with pytest.raises(ValueError, match="another seed.*or another folder"):
-        _frontier.run(sensor, tmp_path, True, seed=5)
+        run_study(sensor, tmp_path, True, seed=5)
     other = tx.Sensor.grid(dtype=np.float32, sheet_resistance=5e3)
     with pytest.raises(ValueError, match="another sensor"):
-        _frontier.run(other, tmp_path, True)
+        run_study(other, tmp_path, True)
 
 
 def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
     sensor, tried = tx.Sensor.grid(dtype=np.float32), []
-    monkeypatch.setattr(_frontier, "jobs", lambda *_: [Job("linear", ("all",))])
     monkeypatch.setattr(
-        _frontier, "make_trials", lambda *_: load_trials(kept, "float32")[1]
+        "tomojax.studies.frontier._study.jobs", lambda *_: [Job("linear", ("all",))]
+    )
+    monkeypatch.setattr(
+        "tomojax.studies.frontier._study.make_trials",
+        lambda *_: load_trials(kept, "float32")[1],
     )
 
     def measured(path, job):
         tried.append(job.method)
         return [{"failed": "killed"} if len(tried) == 1 else row("linear", 1.0, 1.0)]
 
-    monkeypatch.setattr(_frontier, "_measured", measured)
-    assert _frontier.run(sensor, tmp_path, True)[0]["failed"] == "killed"
+    monkeypatch.setattr("tomojax.studies.frontier._study.measured", measured)
+    assert run_study(sensor, tmp_path, True)[0]["failed"] == "killed"
     for _ in range(2):
-        assert _frontier.run(sensor, tmp_path, True)[0]["method"] == "linear"
+        assert run_study(sensor, tmp_path, True)[0]["method"] == "linear"
     assert len(tried) == 2
 
 
 def test_a_job_that_fails_says_so(kept):
     bad = Job("linear", ("no_such_pattern",))
-    (said,) = _frontier._measured(kept, bad)
+    (said,) = measured(kept, bad)
     assert "no_such_pattern" in said["failed"] and said["scene"] is None
 
 
@@ -274,9 +287,11 @@ def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
 
 def test_rates_stay_below_the_machine_s(kept, monkeypatch):
     sensor, trials = load_trials(kept, "float32")
-    monkeypatch.setattr(_frontier_rates, "machine", lambda dtype: (1e15, 1e18))
+    monkeypatch.setattr(
+        "tomojax.studies.frontier._rates.machine", lambda dtype: (1e15, 1e18)
+    )
     job = Job("rates", ("corner",), batches=(1, 4), pixels=16)
-    rates = list(_frontier_rates.rate_rows(job, sensor, trials))
+    rates = list(rate_rows(job, sensor, trials))
     assert [(r["method"], r["batch"]) for r in rates] == [
         *(("linear", 1), ("linear", 4), ("source", 1), ("source", 4))
     ]
@@ -286,19 +301,19 @@ def test_rates_stay_below_the_machine_s(kept, monkeypatch):
     expected = max(flops / 1e18, 4 * numbers / 1e15)
     assert one["bound_frames_per_s"] == pytest.approx(1 / expected)
     assert one["bound"] == "bytes"
-    assert _frontier_report.rate_chart(rates).axes
-    lines = list(_frontier_report.machine_lines(rates, []))
+    assert report.rate_chart(rates).axes
+    lines = list(report.machine_lines(rates, []))
     assert len(lines) == 2 and "256" not in lines[0] and "16 x 16" in lines[0]
 
 
 def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
     sensor, trials = load_trials(kept, "float32")
     made = tx.method(sensor, "source", 16)
-    monkeypatch.setattr(_frontier_rates, "make_method", lambda *_: made)
+    monkeypatch.setattr("tomojax.studies.frontier._rates.make_method", lambda *_: made)
     job = Job("day", ("corners",))
-    auto, largest = _frontier_rates.day_rows(job, sensor, trials)
+    auto, largest = day_rows(job, sensor, trials)
     assert auto["kinds"] == largest["kinds"] and auto["frames"] == 100
     assert auto["contacts_where_nothing_is"] == 0
-    assert {k: v["scenes"] for k, v in auto["kinds"].items()} == _frontier_rates._DAY
-    (line,) = _frontier_report.machine_lines([], [auto])
+    assert {k: v["scenes"] for k, v in auto["kinds"].items()} == DAY
+    (line,) = report.machine_lines([], [auto])
     assert "a day of frames, auto" in line

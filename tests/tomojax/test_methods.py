@@ -7,7 +7,7 @@ from rig import Rig
 
 import tomojax as tx
 from tomojax import Flag
-from tomojax._method import Frame
+from tomojax.methods import Frame
 
 GROUNDS = np.array([0, 63, 27])
 
@@ -53,7 +53,7 @@ def test_source_has_the_current_and_conserves_it(sensor, volts):
     method = tx.method(sensor, "source", 32)
     rows = batch(method)(volts, np.tile(GROUNDS, (20, 1)))
     fine = tx.Sensor.grid(divisions=(80, 80))
-    g = tx.contact_conductance(fine, tx.Disc([0.094, 0.067], 0.006, 0.05))
+    g = tx.sensor.contact_conductance(fine, tx.Disc([0.094, 0.067], 0.006, 0.05))
     # One contact: its current is V0 − u through g, from the ground path's own drop.
     into_ground = np.asarray(tx.voltages(fine, g, GROUNDS))[np.arange(3), GROUNDS] / 4.0
     np.testing.assert_allclose(rows.contact_current[:, 0], into_ground.mean(), rtol=0.05)
@@ -136,7 +136,7 @@ def test_grounds_that_change_from_frame_to_frame(sensor, volts, rng):
 
 def test_more_ground_sets_than_are_kept(sensor, monkeypatch):
     """Each frame its own grounds: prepared, forgotten, prepared again."""
-    from tomojax import _batch
+    from tomojax.methods import _batch
 
     monkeypatch.setattr(_batch, "_KEPT", 2)
     method = tx.method(sensor, "source", 16)
@@ -153,7 +153,7 @@ def test_lambda_of_a_recording(sensor, volts):
     """The residual is what nominal values leave: within a factor of two."""
     method = tx.method(sensor, "source", 24)
     good = np.ones(volts.shape[1:], bool)
-    frames = [tx.Frame(v, GROUNDS, good) for v in volts[:4]]
+    frames = [tx.methods.Frame(v, GROUNDS, good) for v in volts[:4]]
     rows = tx.Batch(method, method.choose_lambda(frames))(volts, np.tile(GROUNDS, (20, 1)))
     part = rows.residual / np.sqrt((volts**2).mean((1, 2)))
     assert ((part > 0.007) & (part < 0.03)).all()
@@ -161,7 +161,7 @@ def test_lambda_of_a_recording(sensor, volts):
 
 def test_a_plain_jacobian_of_elements(volts):
     """`Linear` takes any J: the image of the elements themselves."""
-    from tomojax._linear import Linear
+    from tomojax.methods import Linear
 
     sensor = tx.Sensor.grid(divisions=(32, 32), dtype=np.float32)
     maps = tx.jacobian(sensor)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax import kernels
+from tomojax.kernels.flags import Flag
 
 
 def explored(sensor, *contacts):
     scene = tx.Scene(*contacts)
-    return tx.voltages(sensor, scene, tx.exploration(sensor))
+    return tx.voltages(sensor, scene, tx.paper.exploration(sensor))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_fixed_patterns_of_the_paper(paper_sensor) -> None:
     one, other = (tx.pattern(paper_sensor, "random_8", seed=s) for s in (0, 1))
     assert (one != other).any()
     assert (one == tx.pattern(paper_sensor, "random_8", seed=0)).all()
-    assert tx.exploration(paper_sensor).tolist() == [0, 63]
+    assert tx.paper.exploration(paper_sensor).tolist() == [0, 63]
 
 
 def test_adaptive_patterns(paper_sensor, weight) -> None:
@@ -53,7 +53,7 @@ def test_adaptive_patterns(paper_sensor, weight) -> None:
 @pytest.mark.parametrize("angle", [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4, 2.75])
 def test_cop_line_lies_along_a_bar(paper_sensor, angle) -> None:
     bar = tx.Bar([0.087, 0.074], 0.06, 0.01, angle, 1.0)
-    scan = tx.AdaptiveScan(paper_sensor, "cop_line")
+    scan = tx.paper.AdaptiveScan(paper_sensor, "cop_line")
     grounds, region = scan(explored(paper_sensor, bar))
     assert region.direction_class == round(angle / (np.pi / 8)) % 8
     xy = np.asarray(paper_sensor.electrode_xy)
@@ -74,13 +74,13 @@ def test_recorded_scenes(shared_data) -> None:
         volts = file["v"][:] * file.attrs["scale"] + file.attrs["offset"]
     scenes = json.loads((shared_data / "truth.json").read_text())["static_all"]["scenes"]
     sensor = tx.Sensor.grid()
-    scan = eqx.filter_jit(tx.AdaptiveScan(sensor, "cop_line"))
+    scan = eqx.filter_jit(tx.paper.AdaptiveScan(sensor, "cop_line"))
     xy = np.asarray(sensor.electrode_xy)
     seen = []
     for scene in scenes:
         for number in range(*scene["scans"]):
-            region = scan(jnp.asarray(volts[number][tx.exploration(sensor)]))[1]
-            nothing = bool(region.flags & kernels.Flag.NO_CONTACT)
+            region = scan(jnp.asarray(volts[number][tx.paper.exploration(sensor)]))[1]
+            nothing = bool(region.flags & Flag.NO_CONTACT)
             assert nothing == (not scene["contacts"])
             if len(scene["contacts"]) == 1:
                 true = scene["contacts"][0]
@@ -97,8 +97,8 @@ def test_recorded_scenes(shared_data) -> None:
 def test_around_each_contact(paper_sensor) -> None:
     places = [[0.04, 0.04], [0.12, 0.05], [0.085, 0.12]]
     volts = explored(paper_sensor, *[tx.Disc(p, 0.007, 1.0) for p in places])
-    grounds, regions = tx.AdaptiveScan(paper_sensor, "around").around_each(volts, 4)
-    absent = (regions.flags & kernels.Flag.NO_CONTACT) > 0
+    grounds, regions = tx.paper.AdaptiveScan(paper_sensor, "around").around_each(volts, 4)
+    absent = (regions.flags & Flag.NO_CONTACT) > 0
     assert absent.tolist() == [False] * 3 + [True]
     middles = np.asarray(regions.low + regions.high)[:3] / 2
     away = np.linalg.norm(middles[:, None] - np.array(places), axis=-1)
@@ -119,7 +119,7 @@ def circle(count: int) -> tx.Sensor:
 def test_any_array(make) -> None:
     sensor = make()
     volts = explored(sensor, tx.Disc([0.06, 0.05], 0.004, 1.0))
-    for name in (*tx.PATTERNS, "around_each"):
+    for name in (*tx.paper.PATTERNS, "around_each"):
         if name == "random_16" and sensor.electrode_count < 16:
             with pytest.raises(ValueError, match="name"):
                 tx.pattern(sensor, name)
@@ -136,10 +136,10 @@ def test_any_array(make) -> None:
 @pytest.mark.parametrize("name", ["around", "cop_line", "point"])
 def test_scenes_without_a_region(paper_sensor, name) -> None:
     """Nothing, one electrode, the edge, the whole sheet, NaN: defined and flagged."""
-    scan = tx.AdaptiveScan(paper_sensor, name)
+    scan = tx.paper.AdaptiveScan(paper_sensor, name)
     run = eqx.filter_jit(scan)
-    flag = kernels.Flag
-    whole = tx.Mask(np.full((32, 32), 50.0))
+    flag = Flag
+    whole = tx.sensor.Mask(np.full((32, 32), 50.0))
     cases = {
         "nothing": (jnp.zeros((2, 64)), flag.NO_CONTACT),
         "noise": (1e-3 * jax.random.normal(jax.random.key(0), (2, 64)), flag.NO_CONTACT),
@@ -163,7 +163,7 @@ def test_scenes_without_a_region(paper_sensor, name) -> None:
 
 
 def test_one_trace_for_all_voltages(paper_sensor, weight) -> None:
-    scan = tx.AdaptiveScan(paper_sensor, "around")
+    scan = tx.paper.AdaptiveScan(paper_sensor, "around")
     run = eqx.filter_jit(eqx.debug.assert_max_traces(lambda v: scan(v)[0], max_traces=1))
     batch = jnp.stack([weight, weight[:, ::-1], 0 * weight])
     singles = jnp.stack([run(v) for v in batch])

@@ -8,7 +8,7 @@ import pytest
 from jaxtyping import TypeCheckError
 
 import tomojax as tx
-from tomojax import kernels
+from tomojax.kernels.inverse import solve_reduced
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def problem():
     scene = tx.Disc([0.0934, 0.0671], 0.006, 1.0)
     key = jax.random.key(0)
     volts = tx.voltages(tx.Sensor.grid(), scene, converter=tx.Converter(), key=key)
-    return sensor, j, volts, tx.contact_conductance(sensor, scene)
+    return sensor, j, volts, tx.sensor.contact_conductance(sensor, scene)
 
 
 def formula(j, v, lam, w=1.0):
@@ -46,14 +46,14 @@ def test_default_lambda_on_exact_voltages(problem) -> None:
     """Not J's own voltages: the image is then nearly as good as any λ makes it, and where
     no ground is under the contact its place is right to a third of a pitch."""
     sensor, j, volts, truth = problem
-    around = tx.pattern(sensor, "around", volts[tx.exploration(sensor)])
+    around = tx.pattern(sensor, "around", volts[tx.paper.exploration(sensor)])
     for grounds in (GROUNDS, np.asarray(around)):
         r = tx.reconstruct(j, volts[grounds], grounds)
-        figures = tx.figures_of_merit(sensor, r.image, truth)
-        reduced = tx.reduce_jacobian(j, 512)
+        figures = tx.paper.figures_of_merit(sensor, r.image, truth)
+        reduced = tx.paper.reduce_jacobian(j, 512)
         frames = jnp.broadcast_to(volts[grounds], (11, *volts[grounds].shape))
         others = tx.reconstruct(reduced, frames, grounds, lam=10.0 ** np.arange(-5.0, 6.0))
-        errors = tx.figures_of_merit(sensor, others.image, truth).image_error
+        errors = tx.paper.figures_of_merit(sensor, others.image, truth).image_error
         assert figures.image_error <= 1.15 * errors.min()
     assert np.linalg.norm(figures.place - np.array([0.0934, 0.0671])) < 0.0067
 
@@ -63,7 +63,7 @@ def test_reduced(problem, dtype) -> None:
     """256 of 2048 columns: the image to 1e-3 at a usual λ, in either dtype."""
     _, j, volts, _ = problem
     j, volts = j.astype(dtype), volts.astype(dtype)
-    reduced = tx.reduce_jacobian(j)
+    reduced = tx.paper.reduce_jacobian(j)
     full = tx.reconstruct(j, volts[GROUNDS], GROUNDS, lam=2000.0).image
     small = tx.reconstruct(reduced, volts[GROUNDS], GROUNDS, lam=2000.0)
     assert small.image.dtype == dtype
@@ -90,7 +90,7 @@ def test_batch_and_one_lambda_for_it(problem) -> None:
 @pytest.mark.parametrize("reduced", [False, True])
 def test_weights_leave_out(problem, reduced) -> None:
     _, j, volts, _ = problem
-    model = tx.reduce_jacobian(j) if reduced else j
+    model = tx.paper.reduce_jacobian(j) if reduced else j
     v = volts[GROUNDS]
     fewer = tx.reconstruct(model, v[1:], GROUNDS[1:], lam=100.0)
     zero = tx.reconstruct(model, v, GROUNDS, lam=100.0, weights=[0, 1, 1, 1, 1, 1])
@@ -108,12 +108,12 @@ def test_weights_leave_out(problem, reduced) -> None:
 def test_one_trace_for_all_sets_and_lambdas(problem) -> None:
     """10 000 random sets and 20 values of λ are one trace; here a few of each."""
     _, j, volts, _ = problem
-    reduced = tx.reduce_jacobian(j, 64)
+    reduced = tx.paper.reduce_jacobian(j, 64)
 
     @eqx.filter_jit
     @eqx.debug.assert_max_traces(max_traces=1)
     def image(grounds, lam):
-        c = kernels.solve_reduced(reduced, grounds, volts[grounds], lam)
+        c = solve_reduced(reduced, grounds, volts[grounds], lam)
         return c @ reduced.basis
 
     rng = np.random.default_rng(0)
@@ -188,13 +188,13 @@ def test_bad_input(problem, name, change) -> None:
 @pytest.mark.parametrize("rank", [0, 5000, 2.5, "all"])
 def test_bad_rank(problem, rank) -> None:
     with pytest.raises((ValueError, TypeCheckError), match="rank"):
-        tx.reduce_jacobian(problem[1], rank)
+        tx.paper.reduce_jacobian(problem[1], rank)
 
 
 def test_figures_of_merit_check_shapes(problem) -> None:
     sensor, _, _, truth = problem
     images = jnp.stack([truth, 2 * truth])
-    many = tx.figures_of_merit(sensor, images, truth)
+    many = tx.paper.figures_of_merit(sensor, images, truth)
     assert many.half_width.shape == (2,) and many.place.shape == (2, 2)
     np.testing.assert_allclose(many.image_error, 0, atol=1e-7)
     for image, true, name in [
@@ -204,4 +204,4 @@ def test_figures_of_merit_check_shapes(problem) -> None:
         (images, images[:1], "truth"),
     ]:
         with pytest.raises(ValueError, match=name):
-            tx.figures_of_merit(sensor, image, true)
+            tx.paper.figures_of_merit(sensor, image, true)

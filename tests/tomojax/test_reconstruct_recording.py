@@ -16,10 +16,10 @@ import recordings
 
 import tomojax as tx
 from tomojax import Flag
-from tomojax._results import partial_path
+from tomojax.results import partial_path
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = tx.Settings(chunk=25, grid=16)
+SETTINGS = tx.results.Settings(chunk=25, grid=16)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_what_is_in_the_file(whole, recording_path):
 
 
 def test_a_row_per_slot(recording_path, tmp_path):
-    settings = tx.Settings(rate="slot", images=False, grid=16)
+    settings = tx.results.Settings(rate="slot", images=False, grid=16)
     with h5py.File(run(recording_path, tmp_path / "o.h5", settings)) as file:
         assert "image" not in file and len(file["t"]) == 600
         np.testing.assert_allclose(np.diff(file["t"][:]), 1e-4, rtol=1e-6)
@@ -76,7 +76,7 @@ def test_a_row_per_slot(recording_path, tmp_path):
 
 def test_chunks_do_not_show(recording_path, whole, tmp_path):
     """Nothing but the size of compiled calls changes with the chunk."""
-    other = run(recording_path, tmp_path / "o.h5", tx.Settings(chunk=300, grid=16))
+    other = run(recording_path, tmp_path / "o.h5", tx.results.Settings(chunk=300, grid=16))
     with h5py.File(whole) as a, h5py.File(other) as b:
         for name in a:
             np.testing.assert_allclose(a[name], b[name], rtol=1e-4, atol=1e-6)
@@ -97,7 +97,7 @@ def test_interrupted_and_resumed(recording_path, whole, tmp_path):
     with pytest.raises(ValueError, match="work begun there, expected --resume"):
         run(recording_path, out)
     with pytest.raises(ValueError, match="grid: begun with 16, now 24"):
-        run(recording_path, out, tx.Settings(chunk=25, grid=24), resume=True)
+        run(recording_path, out, tx.results.Settings(chunk=25, grid=24), resume=True)
     seen = []
     run(recording_path, out, resume=True, progress=lambda done, total: seen.append(done))
     assert seen[0] in (4, 5) and seen[-1] == 12
@@ -109,7 +109,7 @@ def test_interrupted_and_resumed(recording_path, whole, tmp_path):
 
 
 def command(path, out, *more):
-    line = "import sys; from tomojax._cli import main; sys.argv[0] = 'tomojax'; main()"
+    line = "import sys; from tomojax.cli import main; sys.argv[0] = 'tomojax'; main()"
     arguments = ["reconstruct", path, "-o", out, "--chunk", "25", "--grid", "16", *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
@@ -234,7 +234,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 with tx.open_recording({str(recording_path)!r}) as recording:
     try:
-        tx.reconstruct_recording(recording, "o.h5", tx.Settings(grid=16))
+        tx.reconstruct_recording(recording, "o.h5", tx.results.Settings(grid=16))
     except ValueError as error:
         print(error)
 """
@@ -256,7 +256,7 @@ with tx.open_recording({str(recording_path)!r}) as recording:
 )
 def test_bad_settings(recording_path, tmp_path, options, words):
     with pytest.raises(ValueError, match=words):
-        run(recording_path, tmp_path / "o.h5", tx.Settings(**options))
+        run(recording_path, tmp_path / "o.h5", tx.results.Settings(**options))
     assert not list(tmp_path.iterdir())
 
 

@@ -23,7 +23,7 @@ def rows_of(tmp_path_factory):
         if key not in known:
             with tx.open_recording(path) as recording:
                 out = folder / f"{len(known)}.h5"
-                tx.reconstruct_recording(recording, out, tx.Settings(**settings))
+                tx.reconstruct_recording(recording, out, tx.results.Settings(**settings))
             with h5py.File(out) as file:
                 known[key] = {name: data[()] for name, data in file.items()}
         return known[key]
@@ -99,7 +99,7 @@ def test_points_count_every_scene(shared_data):
     truth = json.loads((shared_data / "truth.json").read_text())["static_all"]["scenes"]
     firsts = [scene["scans"][0] for scene in truth]
     with tx.open_recording(shared_data / "static_all.h5") as recording:
-        zeros = tx.tare(recording)
+        zeros = tx.calibration.tare(recording)
         chunk = recording.read(0, recording.scans)
         method = tx.method(recording.rig.sensor(), "points", 32)
     volts = zeros.voltages(chunk.voltages[firsts]).astype(np.float32)

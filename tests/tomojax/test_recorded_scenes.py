@@ -23,7 +23,7 @@ def true_conductance(sensor: tx.Sensor, contact: dict) -> jnp.ndarray:
         ),
         "ring": lambda: tx.Ring(at, contact["r0"], contact["r1"], per_area),
     }[contact["kind"]]()
-    g = tx.contact_conductance(sensor, shape)
+    g = tx.sensor.contact_conductance(sensor, shape)
     return g * (contact["total_conductance"] / g.sum())
 
 

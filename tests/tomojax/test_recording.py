@@ -137,11 +137,11 @@ def test_files_that_are_no_recording(tmp_path, rng):
 
 
 def test_arrays_are_a_recording(rng):
-    rig = tx.Rig.of(tx.Sensor.grid())
+    rig = tx.recordings.Rig.of(tx.Sensor.grid())
     v = rng.normal(0, 3e-4, (7, 2, 64))
-    recording = tx.ArrayRecording(rig, v, [0, 63])
+    recording = tx.recordings.ArrayRecording(rig, v, [0, 63])
     assert recording.read(2, 4).grounds.tolist() == [[0, 63]] * 2
     with pytest.raises(ValueError, match="grounds: got shape"):
-        tx.ArrayRecording(rig, v, [0, 63, 5])
+        tx.recordings.ArrayRecording(rig, v, [0, 63, 5])
     with pytest.raises(ValueError, match="voltages: got shape"):
-        tx.ArrayRecording(rig, v[0], [0, 63])
+        tx.recordings.ArrayRecording(rig, v[0], [0, 63])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.kernels import _mesh
+from tomojax.kernels.sheet import centroids
 
 SHAPES = {
     "disc": (tx.Disc([0.08, 0.07], 0.011, 2.0), np.pi * 0.011**2, (0.08, 0.07)),
@@ -22,12 +22,12 @@ SHAPES = {
         (0.08, 0.08),
     ),
     "polygon": (
-        tx.Polygon([[0.05, 0.05], [0.1, 0.05], [0.1, 0.1], [0.075, 0.07]], 2.0),
+        tx.sensor.Polygon([[0.05, 0.05], [0.1, 0.05], [0.1, 0.1], [0.075, 0.07]], 2.0),
         0.001125,
         None,
     ),
     "mask": (
-        tx.Mask(np.pad(np.full((2, 3), 2.0), ((4, 10), (6, 7)))),
+        tx.sensor.Mask(np.pad(np.full((2, 3), 2.0), ((4, 10), (6, 7)))),
         6e-4,
         (0.05, 0.075),
     ),
@@ -38,36 +38,36 @@ SHAPES = {
 def test_total_conductance_and_place(name) -> None:
     shape, area, center = SHAPES[name]
     sensor = tx.Sensor.grid(divisions=(64, 64))
-    g = np.asarray(tx.contact_conductance(sensor, shape))
+    g = np.asarray(tx.sensor.contact_conductance(sensor, shape))
     np.testing.assert_allclose(g.sum(), 2.0 * area, rtol=0.02)
     if center is not None:
-        xy = np.asarray(_mesh.centroids(sensor.divisions, sensor.size))
+        xy = np.asarray(centroids(sensor.divisions, sensor.size))
         np.testing.assert_allclose(g @ xy / g.sum(), center, atol=2e-4)
 
 
 def test_polygon_either_way_round_and_bar_as_polygon() -> None:
     sensor = tx.Sensor.grid()
     corners = np.array([[0.05, 0.06], [0.09, 0.06], [0.09, 0.07], [0.05, 0.07]])
-    bar = tx.contact_conductance(sensor, tx.Bar([0.07, 0.065], 0.04, 0.01, 0.0, 1.0))
+    bar = tx.sensor.contact_conductance(sensor, tx.Bar([0.07, 0.065], 0.04, 0.01, 0.0, 1.0))
     for vertices in (corners, corners[::-1]):
-        g = tx.contact_conductance(sensor, tx.Polygon(vertices, 1.0))
+        g = tx.sensor.contact_conductance(sensor, tx.sensor.Polygon(vertices, 1.0))
         np.testing.assert_allclose(g, bar, atol=1e-18)
 
 
 def test_scene_adds_conductances_and_falls_off_the_edge() -> None:
     sensor = tx.Sensor.grid()
     one, other = tx.Disc([0.05, 0.05], 0.01, 1.0), tx.Disc([0.055, 0.05], 0.01, 3.0)
-    sum_ = sum(tx.contact_conductance(sensor, s) for s in (one, other))
-    both = tx.contact_conductance(sensor, tx.Scene(one, tx.Scene(other)))
+    sum_ = sum(tx.sensor.contact_conductance(sensor, s) for s in (one, other))
+    both = tx.sensor.contact_conductance(sensor, tx.Scene(one, tx.Scene(other)))
     np.testing.assert_allclose(both, sum_, rtol=1e-12)
-    half = tx.contact_conductance(sensor, tx.Disc([0.0, 0.08], 0.02, 1.0))
+    half = tx.sensor.contact_conductance(sensor, tx.Disc([0.0, 0.08], 0.02, 1.0))
     np.testing.assert_allclose(half.sum(), np.pi * 0.02**2 / 2, rtol=0.03)
 
 
 def test_moving_scene_is_the_shape_at_each_time() -> None:
     sensor = tx.Sensor.grid(4, 4, divisions=(20, 20))
     disc = tx.Disc([0.03, 0.04], 0.008, 1.0)
-    moving = tx.Moving(disc, [0.0, 1.0], [[0, 0], [0.02, -0.01]], [1.0, 3.0])
+    moving = tx.sensor.Moving(disc, [0.0, 1.0], [[0, 0], [0.02, -0.01]], [1.0, 3.0])
     times, grounds = [0.0, 0.5, 1.0, 2.0], [0, 15, 3, 3]
     got = tx.voltages(sensor, moving, grounds, times=times)
     for row, ground, x, y, c in zip(
@@ -123,7 +123,7 @@ def test_float32_in_float32_out() -> None:
 
 
 def test_no_retracing_for_new_values(small_sensor) -> None:
-    from tomojax import _forward
+    from tomojax.sensor import _forward
 
     traces = 0
 

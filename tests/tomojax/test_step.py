@@ -7,7 +7,8 @@ import pytest
 from rig import Rig
 
 import tomojax as tx
-from tomojax import Flag, kernels
+from tomojax import Flag
+from tomojax.kernels.contacts import field_at
 
 POLICIES = ("around_contacts", "information", "around", "cop_line", "all", "edge")
 PLACE, OTHER = np.array([0.052, 0.071]), np.array([0.118, 0.103])
@@ -145,7 +146,7 @@ def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
 
 @pytest.mark.parametrize("method", ["follow", "source", "linear"])
 def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, method):
-    step = tx.make_step(sensor, method, tx.POLICIES, contacts=1, grid=24)
+    step = tx.make_step(sensor, method, tx.step.POLICIES, contacts=1, grid=24)
     nan, volts, state, ground = np.float32(np.nan), scenes["one"], step.state, 0
     wrong = [
         (np.full(64, nan), 3, 0),
@@ -237,7 +238,7 @@ def test_hurried_slots_are_answered_by_the_cheaper_method(sensor, scenes):
 
 
 def test_policies_ground_what_they_say(step, sensor, scenes):
-    corners = np.asarray(tx.exploration(sensor))
+    corners = np.asarray(tx.paper.exploration(sensor))
     volts = scenes["one"]
     state = step.switch(step.state, "around")
     _, outs = run(step, state, volts, 24)
@@ -260,7 +261,7 @@ def test_a_table_of_ones_own(sensor, scenes):
     """Four ground conditions by the half of the sheet."""
     table = np.zeros((2, 1, 4), int)
     table[0], table[1] = [0, 1, 2, 3], [60, 61, 62, 63]
-    lookup = tx.Lookup(
+    lookup = tx.step.Lookup(
         jnp.asarray(table), jnp.array([0, 63, 0, 63]), jnp.asarray(sensor.size)
     )
     step = tx.make_step(sensor, "follow", "mine", tables={"mine": lookup})
@@ -273,21 +274,21 @@ def test_a_table_of_ones_own(sensor, scenes):
 def test_unrolled_elimination(rng):
     a = rng.normal(size=(3, 7, 7))
     a, b = a @ a.transpose(0, 2, 1) + np.eye(7), rng.normal(size=(3, 7, 2))
-    from tomojax.kernels._one_slot import solve_small
+    from tomojax.kernels.contacts import solve_small
 
     got = solve_small(jnp.asarray(a), jnp.asarray(b))
     np.testing.assert_allclose(got, np.linalg.solve(a, b), rtol=1e-9, atol=1e-9)
 
 
 def test_tangents_are_the_field_and_its_slopes(step, sensor):
-    from tomojax.kernels._one_slot import radius_of, tangents
+    from tomojax.kernels.contacts import radius_of, tangents
 
     sheet = tx.method(tx.Sensor.grid(divisions=(32, 32)), "points").sheet
     place, size = jnp.array([0.0431, 0.1187]), jnp.array(0.4)
 
     def at(p):
         moved = place + p[:2] * sheet.unit
-        return kernels.field_at(sheet.field, moved, radius_of(sheet, size + p[2]))
+        return field_at(sheet.field, moved, radius_of(sheet, size + p[2]))
 
     got = tangents(sheet, place, size)
     zero = jnp.zeros(3)

@@ -19,7 +19,7 @@ KEYS = {
 
 
 def table1(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-c", "from tomojax._cli import main; main()", "table1"]
+    command = [sys.executable, "-c", "from tomojax.cli import main; main()", "table1"]
     return subprocess.run([*command, *arguments], capture_output=True, text=True)
 
 

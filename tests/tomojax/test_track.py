@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax._app import run
-from tomojax._batch import Rows
-from tomojax.kernels._kalman import filter_levels, smooth_levels
+from tomojax.cli.app import run
+from tomojax.kernels.algebra import filter_levels, smooth_levels
+from tomojax.methods import Rows
 
 SPREAD = np.array([[9e-8, 3e-8], [3e-8, 4e-8]])
 PLACE = np.array([0.08, 0.06])
@@ -101,7 +101,7 @@ def test_which_is_which(crossing):
     assert set(np.unique(found.contact_track)) == {0, 1, 2}
     assert (found.contact_count[50:52] == 1).all()  # there all along
     assert found.contact_count[350] == 1
-    touches = tx.touches(found, np.arange(400) * 1e-4)
+    touches = tx.results.touches(found, np.arange(400) * 1e-4)
     assert [(round(1e4 * t.start), round(1e4 * t.end)) for t in touches] == [
         (0, 399),
         (100, 299),
@@ -116,7 +116,7 @@ def test_no_contact_at_all():
     none = rows_of(np.full((5, 2, 2), np.nan), np.full((5, 2), np.nan))
     found = tx.track(none, 4.5, 10e3)
     assert not found.contact_count.any() and np.isnan(found.contact_xy).all()
-    assert tx.touches(found, np.arange(5.0)) == []
+    assert tx.results.touches(found, np.arange(5.0)) == []
 
 
 def test_bad_arguments(crossing):

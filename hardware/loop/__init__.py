@@ -1,0 +1,9 @@
+"""The live loop, and the recorder and the views that run beside it.
+
+The room carries slots from a source into a step, and grounds back. It knows nothing of how
+either works.
+"""
+
+from tomojax.hardware.loop._live import run as run
+from tomojax.hardware.loop._real_time import real_time as real_time
+from tomojax.hardware.loop._ring import Ring as Ring

@@ -1,0 +1,127 @@
+"""Slots, and what was said of them, in memory that processes share: one writes, many read.
+
+The writer never waits. A reader that is slower than the ring is long loses the oldest
+slots and is told how many: whoever is late loses, and nobody else is kept waiting.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.hardware.sources import Counters
+
+# Of the image that goes along, pixels of a side; and latencies, by µs, as a histogram.
+SIDE, LONGEST = 32, 20_000
+
+# What a source counts, and slots that were recorded but not worked on: newer ones waited.
+_NAMES = (*Counters().as_dict(), "skipped")
+
+_HEAD = np.dtype(
+    [
+        ("rows", "i8"),  # written so far
+        ("recorded", "i8"),  # of them in a file that is flushed, or told lost there
+        ("number", "i8"),  # of the slot after those
+        ("dropped", "i8"),  # of them that no recorder was in time for
+        ("done", "i8"),  # whether the writer has ended
+        ("counters", "i8", len(_NAMES)),
+        ("latency", "i8", LONGEST),
+        ("image", "f4", (SIDE, SIDE)),
+    ]
+)
+
+
+def _row(electrodes: int, contacts: int) -> np.dtype:
+    return np.dtype(
+        [
+            ("number", "i8"),
+            ("lost", "i8"),
+            ("time", "f8"),  # of the rig's clock, s
+            ("latency", "f4"),  # last byte to ground command, s; NaN where not worked on
+            ("ground", "i2"),
+            ("next", "i2"),
+            ("flags", "u4"),
+            ("count", "u1"),
+            ("xy", "f4", (contacts, 2)),
+            ("conductance", "f4", (contacts,)),
+            ("codes", "<i2", (electrodes,)),
+        ]
+    )
+
+
+class Ring:
+    """`Ring.create` makes one, `Ring(path)` opens it in another process.
+
+    `head` has numbers beside the rows, each an array that can be written into.
+    """
+
+    def __init__(self, path: Path | str, writable: bool = True):
+        self.path = Path(path)
+        m, contacts, length = np.fromfile(self.path, "i8", 3).tolist()
+        mode = "r+" if writable else "r"
+        head = np.memmap(self.path, _HEAD, mode, 64, 1)
+        self.head = {name: head[name][0, ...] for name in _HEAD.names or ()}
+        start = 64 + _HEAD.itemsize
+        self.rows = np.memmap(self.path, _row(m, contacts), mode, start, length)
+        self.electrodes, self.contacts, self.length = m, contacts, length
+        # Fields by themselves: writing into one costs a tenth of writing a row.
+        self._fields = {name: self.rows[name] for name in self.rows.dtype.names or ()}
+
+    @classmethod
+    def create(
+        cls, electrodes: int, contacts: int = 2, length: int = 1 << 16, folder: Any = None
+    ) -> "Ring":
+        """Of `length` slots, in memory where the system has a folder for that."""
+        require(length >= 2, "length", length, "2 or more slots")
+        shared = Path("/dev/shm")
+        place = folder or (shared if shared.is_dir() else None)
+        number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
+        size = 64 + _HEAD.itemsize + length * _row(electrodes, contacts).itemsize
+        with os.fdopen(number, "wb") as file:
+            file.write(np.array([electrodes, contacts, length], "i8").tobytes())
+            file.truncate(size)
+        return cls(name)
+
+    def put(self, got: Any, codes: np.ndarray, said: dict[str, Any]) -> None:
+        """One slot more: a `Got`, its codes, and the other fields by name."""
+        written = int(self.head["rows"])
+        k = written % self.length
+        fields = self._fields
+        fields["number"][k], fields["lost"][k] = got.number, got.lost
+        fields["time"][k], fields["ground"][k] = got.time, got.ground
+        fields["codes"][k] = codes
+        for name, value in said.items():
+            fields[name][k] = value
+        self.head["rows"][...] = written + 1
+
+    def since(self, row: int, most: int = 1 << 14) -> tuple[np.ndarray, int, int]:
+        """Rows from the `row`th on: a copy, the row after them, and how many are gone."""
+        end = int(self.head["rows"])
+        # One that is written into just now is no row any more.
+        first = max(row, end - self.length + 1)
+        stop = min(end, first + most)
+        found = self.rows[np.arange(first, stop) % self.length]
+        still = max(0, int(self.head["rows"]) - self.length + 1 - first)
+        gone = first - row + min(still, stop - first)
+        return found[still:], stop, gone
+
+    def count(self, **numbers: int) -> None:
+        for name, value in numbers.items():
+            self.head["counters"][_NAMES.index(name)] = value
+
+    def counted(self) -> dict[str, int]:
+        return dict(zip(_NAMES, self.head["counters"].tolist()))
+
+    def latency(self, *parts: float) -> list[float]:
+        """Quantiles of all latencies so far, s; NaN before the first."""
+        total = np.cumsum(self.head["latency"])
+        if not total[-1]:
+            return [float("nan")] * len(parts)
+        return [1e-6 * float(np.searchsorted(total, p * total[-1])) for p in parts]
+
+    def remove(self) -> None:
+        """Takes the file away; those who have it open keep it until they end."""
+        self.path.unlink(missing_ok=True)

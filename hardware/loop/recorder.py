@@ -1,0 +1,205 @@
+"""The recorder: a process of its own that writes a ring's slots into recordings.
+
+Made to be killed at any time: HDF5 in SWMR mode, flushed several times a second, and what
+is flushed is noted in the ring, so that the next one goes on from there in a new file.
+"""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# (h5py does not say whether a name is a group or a dataset)
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._ring import Ring
+from tomojax.recordings import Rig, SCHEMA, VERSION
+
+# Between flushes, and until a recorder that died is started again, s.
+_EVERY, _AGAIN = 0.25, 1.0
+
+# Rows in a chunk; and at most at once, so that a late recorder flushes as it goes.
+_CHUNK, _MOST = 2048, 1 << 14
+
+
+def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
+    """Of a recording, version 1."""
+    names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
+    return {
+        "schema": SCHEMA,
+        "schema_version": VERSION,
+        **{name: getattr(rig, name) for name in names},
+        "electrode_diameter": rig.electrode_diameter,
+        "size": list(rig.size),
+        "scale": scale,
+        "offset": offset,
+        # The rig does not tell these.
+        "settle_delay": float("nan"),
+        "convert_period": float("nan"),
+        "units": "V",
+        "notes": rig.notes,
+        "electrode_xy": np.asarray(rig.electrode_xy, float).tolist(),
+    }
+
+
+class File:
+    """One recording in the making: a scan is one slot."""
+
+    def __init__(self, path: Path, told: dict[str, Any], electrodes: int):
+        # It gets its name with its first rows: no file of that name is without.
+        self.path, self._new = path, path.with_name(path.name + ".new")
+        self.rows = self._lost = 0
+        self._file = h5py.File(self._new, "w", libver="latest")
+        names = dict(told)
+        self._file["electrode_xy"] = np.asarray(names.pop("electrode_xy"), float)
+        self._file.attrs.update(names)
+        make, m = self._file.create_dataset, electrodes
+        packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        v = make(
+            "v", (0, 1, m), "i2", maxshape=(None, 1, m), chunks=(_CHUNK, 1, m), **packed
+        )
+        ground = make("ground", (0, 1), "u1", maxshape=(None, 1), chunks=(_CHUNK, 1))
+        # Written last: a row whose time reads as this is not whole, and readers leave it.
+        t0 = make("t0", (0,), "f8", maxshape=(None,), chunks=(_CHUNK,), fillvalue=np.nan)
+        self._gaps = make("gaps", (0, 2), "i8", maxshape=(None, 2), chunks=(256, 2))
+        self._fields = {"codes": v, "ground": ground, "time": t0}
+        self._file.swmr_mode = True
+
+    def append(self, rows: np.ndarray, lost: np.ndarray) -> None:
+        """Rows of a ring, each with as many `lost` before it; on the disk afterwards."""
+        before = np.flatnonzero(lost)
+        if len(before):
+            gone = lost[before]
+            numbers = self.rows + before + self._lost + np.cumsum(gone) - gone
+            self._grow(self._gaps, np.stack([numbers, gone], 1))
+            self._lost += int(gone.sum())
+        n = len(rows)
+        shapes = {"codes": (n, 1, -1), "ground": (n, 1), "time": (n,)}
+        for name, dataset in self._fields.items():
+            self._grow(dataset, rows[name].reshape(shapes[name]))
+        if not self.rows:
+            self._new.rename(self.path)
+        self.rows += n
+
+    @staticmethod
+    def _grow(dataset: h5py.Dataset, new: np.ndarray) -> None:
+        start = dataset.shape[0]
+        dataset.resize(start + len(new), 0)
+        dataset[start:] = new
+        dataset.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def free_path(path: Path) -> Path:
+    """`path`, or the first of path-1, path-2, … that there is not."""
+    number, found = 0, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found
+
+
+def write(ring: Ring, path: Path, told: dict[str, Any], file_seconds: float) -> None:
+    """Until the ring's writer is done and all of it is on the disk."""
+    file, began = None, 0.0
+    while True:
+        done, row = bool(ring.head["done"]), int(ring.head["recorded"])
+        rows, row, gone = ring.since(row, _MOST)
+        ring.head["dropped"] += gone
+        if len(rows):
+            now = time.monotonic()
+            if file is None or now - began > file_seconds:
+                if file is not None:
+                    file.close()
+                file, began = File(free_path(path), told, ring.electrodes), now
+            numbers = rows["number"]
+            file.append(rows, np.diff(numbers, prepend=ring.head["number"] - 1) - 1)
+            ring.head["number"][...] = numbers[-1] + 1
+        ring.head["recorded"][...] = row
+        if len(rows) < _MOST:
+            if done:
+                break
+            time.sleep(_EVERY)
+    if file is not None:
+        file.close()
+
+
+class Recorder:
+    """Starts the process, and another where it dies; `look` now and then, then `close`."""
+
+    def __init__(
+        self, ring: Ring, path: Path, told: dict[str, Any], file_seconds: float = 3600.0
+    ):
+        self.path, self.deaths, self._died = path, 0, 0.0
+        self._ring = ring
+        words = [str(ring.path), str(path), json.dumps(told), str(file_seconds)]
+        self._command = [sys.executable, "-m", "tomojax.hardware.loop.recorder", *words]
+        self.process = self._started()
+
+    def _started(self) -> subprocess.Popen:
+        return subprocess.Popen(self._command, start_new_session=True)
+
+    def look(self) -> None:
+        """Starts a new one, a second after the last died."""
+        if self.process.poll() is None:
+            return
+        now = time.monotonic()
+        if not self._died:
+            self.deaths, self._died = self.deaths + 1, now
+        if now - self._died > _AGAIN:
+            self._died = 0.0
+            self.process = self._started()
+
+    def stop(self) -> None:
+        """At once, whatever it does."""
+        self.process.kill()
+        self.process.wait()
+
+    def close(self, timeout: float = 60.0) -> None:
+        """After the ring is done: until all is on the disk.
+
+        **Raises:** `OSError` where that cannot be: the disk is full.
+        """
+        end = time.monotonic() + timeout
+        while self.process.poll() != 0:
+            self.look()
+            if time.monotonic() > end:
+                self.stop()
+                left = int(self._ring.head["rows"]) - int(self._ring.head["recorded"])
+                raise OSError(f"{self.path}: {left} slots could not be written")
+            time.sleep(0.02)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("ring", "path", "told", "file_seconds"):
+        parser.add_argument(name)
+    given = parser.parse_args()
+    # Ctrl-C is the live loop's: it tells when all is there. And a file that grows beyond
+    # a limit is an error to be met, not a death.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGXFSZ"):
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    beside()
+    ring, path = Ring(given.ring), Path(given.path)
+    try:
+        write(ring, path, json.loads(given.told), float(given.file_seconds))
+    except (OSError, RuntimeError) as error:  # h5py raises either
+        reason = str(error).partition(" (")[0]
+        print(f"tomojax: recorder: {reason}; a new file is tried", file=sys.stderr)
+        # Without HDF5's own end, which would write again.
+        os._exit(3)
+
+
+if __name__ == "__main__":
+    main()

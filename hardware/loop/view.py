@@ -1,0 +1,99 @@
+"""What is live, in a terminal: a process of its own that reads the ring.
+
+On a terminal a picture that is drawn again and again; elsewhere a line each second.
+"""
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._ring import Ring
+from tomojax.kernels.flags import Flag
+
+_EVERY = 0.1  # s
+_HOME, _CLEAR, _REST = "\x1b[H", "\x1b[2J", "\x1b[K"
+
+
+def blocks(image: np.ndarray) -> list[str]:
+    """An image as lines of half blocks in grey, x to the right and y upwards."""
+    top = max(float(np.nanmax(image, initial=0)), 1e-30)
+    shade = np.nan_to_num(np.clip(image / top, 0, 1))
+    grey = (232 + np.rint(23 * shade)).astype(int).T[::-1]
+    return [
+        "".join(f"\x1b[38;5;{a};48;5;{b}m▀" for a, b in zip(upper, lower)) + "\x1b[0m"
+        for upper, lower in zip(grey[::2], grey[1::2])
+    ]
+
+
+def lines(ring: Ring, last: np.ndarray | None, rate: float) -> list[str]:
+    """What is said in words."""
+    p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
+    counted = {name: n for name, n in ring.counted().items() if n}
+    slots = counted.pop("slots", 0)
+    rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
+    behind = int(ring.head["rows"] - ring.head["recorded"])
+    recorded = f"{int(ring.head['recorded'])} recorded, {behind} to come"
+    dropped = int(ring.head["dropped"])
+    found = [
+        f"{rate:.0f} slots/s; {slots} slots, {rest}",
+        f"last byte to ground command, 50, 99, 99.9 %: {p50:.0f}, {p99:.0f}, {p999:.0f} µs",
+        (f"{recorded}, {dropped} NOT" if dropped else recorded)
+        if ring.head["recorded"]
+        else "not recorded",
+    ]
+    if last is None:
+        return [*found, "no slot yet"]
+    flags = ", ".join(str(f.name).lower() for f in Flag if f & int(last["flags"]))
+    flags = flags or "no flags"
+    found.append(f"{last['time']:.3f} s, ground {last['ground']}, {flags}")
+    for xy, g in zip(last["xy"][: last["count"]], last["conductance"]):
+        x, y = 1e3 * xy
+        found.append(f"contact at {x:6.2f}, {y:6.2f} mm, {1e6 * g:9.2f} µS")
+    return found
+
+
+def watch(ring: Ring, terminal: bool) -> None:
+    """Until the ring is done."""
+    period = _EVERY if terminal else 1.0
+    before, rows = time.monotonic(), int(ring.head["rows"])
+    if terminal:
+        print(_CLEAR, end="")
+    done = False
+    while not done:
+        done = bool(ring.head["done"])
+        time.sleep(0 if done else period)
+        now, count = time.monotonic(), int(ring.head["rows"])
+        rate, before, rows = (count - rows) / (now - before), now, count
+        worked = ring.rows["latency"][(count - 1) % ring.length] if count else np.nan
+        back = 0
+        while count and np.isnan(worked) and back < min(count, 100) - 1:
+            back += 1  # the last that was worked on
+            worked = ring.rows["latency"][(count - 1 - back) % ring.length]
+        last = ring.rows[(count - 1 - back) % ring.length].copy() if count else None
+        told = lines(ring, last, rate)
+        if terminal:
+            shown = blocks(ring.head["image"]) + told
+            text = "\n".join(line + _REST for line in shown)
+            print(_HOME + text + "\n\x1b[J", end="", flush=True)
+        else:
+            print("; ".join(told), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ring", type=Path)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
+    beside()
+    try:
+        watch(Ring(parser.parse_args().ring, writable=False), sys.stdout.isatty())
+    except BrokenPipeError:
+        pass
+
+
+if __name__ == "__main__":
+    main()

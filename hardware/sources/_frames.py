@@ -1,0 +1,109 @@
+"""The rig's messages as bytes: see PROTOCOL.md, which firmware is written from.
+
+Every message ends in a CRC-32 of what is before it and has a length that its kind gives:
+nothing is allocated, or read, by what a message claims. On a serial line each is coded by
+COBS and ended by a zero byte; over UDP each is a datagram.
+"""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tomojax._require import require
+
+VERSION = 1
+SLOT, DESCRIPTION, START, STOP, GROUNDS = 0x01, 0x02, 0x10, 0x11, 0x12
+
+_HEAD = struct.Struct("<BBHIQ")  # kind, ground, 0, sequence, µs
+_DESCRIPTION = struct.Struct("<BBHIIddd")
+_CRC = struct.Struct("<I")
+
+
+class Slot(NamedTuple):
+    """One slot as it came."""
+
+    ground: int
+    sequence: int  # of all slots since the rig was switched on, modulo 2³²
+    microseconds: int  # of the rig's clock, at the slot's end
+    codes: np.ndarray  # (M,) int16, a view of the message
+
+
+class Description(NamedTuple):
+    """What a rig says of itself, before its first slot."""
+
+    electrodes: int
+    session: int  # another one each time that it is switched on
+    sequence: int  # of its next slot
+    rate: float  # slots a second
+    scale: float  # V = scale·code + offset
+    offset: float
+
+
+def slot_size(electrodes: int) -> int:
+    """Bytes of a slot's message."""
+    return _HEAD.size + 2 * electrodes + _CRC.size
+
+
+def sealed(body: bytes) -> bytes:
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def pack_slot(ground: int, sequence: int, microseconds: int, codes: np.ndarray) -> bytes:
+    head = _HEAD.pack(SLOT, ground, 0, sequence & 0xFFFFFFFF, microseconds)
+    return sealed(head + codes.astype("<i2").tobytes())
+
+
+def pack_description(told: Description) -> bytes:
+    m, session, sequence = told.electrodes, told.session, told.sequence & 0xFFFFFFFF
+    numbers = told.rate, told.scale, told.offset
+    return sealed(_DESCRIPTION.pack(DESCRIPTION, VERSION, m, session, sequence, *numbers))
+
+
+def pack_command(kind: int, grounds: Sequence[int] = ()) -> bytes:
+    """START, STOP, or GROUNDS: the ground conditions to go through again and again."""
+    count = len(grounds) if kind == GROUNDS else VERSION
+    return sealed(bytes((kind, count, 0, 0, *grounds)))
+
+
+def _sound(message: bytes) -> bool:
+    return _CRC.unpack_from(message, len(message) - 4)[0] == zlib.crc32(message[:-4])
+
+
+def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
+    """A rig's message, or None for what is none, for a rig of so many `electrodes`."""
+    if len(message) == slot_size(electrodes):
+        kind, ground, zero, sequence, time = _HEAD.unpack_from(message)
+        fits = kind == SLOT and ground < electrodes and not zero
+        if not (fits and _sound(message)):
+            return None
+        codes = np.frombuffer(message, "<i2", electrodes, _HEAD.size)
+        return Slot(ground, sequence, time, codes)
+    if len(message) == _DESCRIPTION.size + 4:
+        kind, version, *rest = _DESCRIPTION.unpack_from(message)
+        fits = kind == DESCRIPTION and version == VERSION
+        return Description(*rest) if fits and _sound(message) else None
+    return None
+
+
+def unpack_command(message: bytes, electrodes: int) -> tuple[int, tuple[int, ...]] | None:
+    """A command and its grounds, or None for what is none."""
+    if len(message) < 8 or len(message) > 8 + electrodes:
+        return None
+    kind, count, zero, nought = message[:4]
+    grounds = tuple(message[4:-4])
+    if kind == GROUNDS:
+        fits = count == len(grounds) >= 1 and max(grounds) < electrodes
+    else:
+        fits = kind in (START, STOP) and count == VERSION and not grounds
+    return (kind, grounds) if fits and not (zero or nought) and _sound(message) else None
+
+
+def check_grounds(grounds: Sequence[int], electrodes: int) -> tuple[int, ...]:
+    """As a tuple. **Raises:** `ValueError` unless 1 to M electrode numbers."""
+    wanted = tuple(int(g) for g in grounds)
+    fits = 1 <= len(wanted) <= electrodes and all(0 <= g < electrodes for g in wanted)
+    require(fits, "grounds", wanted, f"1 to {electrodes} of 0 to {electrodes - 1}")
+    return wanted

@@ -1,0 +1,45 @@
+"""Sources by their names."""
+
+from pathlib import Path
+from typing import Any
+
+from tomojax.hardware.sources._source import SlotSource
+from tomojax.recordings import open_recording
+
+
+def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
+    """What `where` names: serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES or a recording.
+
+    **Arguments:** `options` are those of the source: `baud`; `bind`, the address of this
+    machine to listen at (by default reached from this machine alone); `speed`, of a
+    recording; `rate`, `settle` and `convert` of `NiSource`.
+    **Raises:** `ValueError` for other names and options.
+    """
+    try:
+        if where.startswith("serial:"):
+            from tomojax.hardware.sources.serial import SerialSource
+
+            port = where.removeprefix("serial:")
+            if port.startswith("/") and not Path(port).exists():
+                raise ValueError(f"source: {port}: no such port")
+            return SerialSource(port, electrodes=electrodes, **options)
+        if where.startswith("ni:"):
+            from tomojax.hardware.sources.ni import NiSource
+
+            inputs, comma, lines = where.removeprefix("ni:").partition(",")
+            if not comma:
+                raise ValueError(f"source: got {where!r}, expected ni:INPUTS,LINES")
+            return NiSource(inputs, lines, electrodes=electrodes, **options)
+        if where.startswith("udp://"):
+            from tomojax.hardware.sources._udp import UdpSource
+
+            host, colon, port = where.removeprefix("udp://").rpartition(":")
+            if not colon or not port.isdigit():
+                raise ValueError(f"source: got {where!r}, expected udp://HOST:PORT")
+            return UdpSource(host, int(port), electrodes=electrodes, **options)
+        from tomojax.hardware.sources._replay import ReplaySource
+
+        return ReplaySource(open_recording(where), **options)
+    except TypeError as error:
+        reason = str(error).rpartition(" ")[2]
+        raise ValueError(f"source: {where} has no option {reason}") from None

@@ -1,0 +1,283 @@
+"""A virtual rig: a process that measures scenes made beforehand, at slot rate.
+
+    python -m tomojax.hardware.sources.virtual SCENE.npz --link pty|udp [faults]
+
+SCENE.npz has `voltages` (K, M, M): of K moments, under each ground, V; and `dwell`, how
+long each moment lasts, s. Speaks the protocol of PROTOCOL.md on a pseudo-terminal or over
+UDP; prints one line of JSON that says where. It is a rig in all but the sheet: what it
+cannot send in time is lost, and its slot numbers go on.
+"""
+
+import argparse
+import ctypes
+import json
+import os
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax.hardware.sources import _frames as frames
+
+# Waits longer than this are slept, s; the rest is spun, as sleeping wakes late.
+_SPIN = 3e-5
+
+
+def wake_in_time() -> None:
+    """Linux wakes a sleeper 50 µs late at will: not this process."""
+    try:
+        ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK, 1 ns
+    except (AttributeError, OSError):
+        pass
+
+
+class Pty:
+    """The rig's end of a pseudo-terminal; the other has a name that stays."""
+
+    def __init__(self, name: Path):
+        import tty
+
+        from cobs import cobs
+
+        from tomojax.hardware.sources.serial import Frames
+
+        self._raw, self._cobs, self._frames = tty.setraw, cobs, Frames
+        self.name, self._unsent = name, b""
+        self.open()
+
+    def open(self) -> None:
+        self._master, self._slave = os.openpty()
+        self._raw(self._slave)
+        os.set_blocking(self._master, False)
+        self._decode = self._frames(80)
+        self.name.unlink(missing_ok=True)
+        self.name.symlink_to(os.ttyname(self._slave))
+
+    @property
+    def where(self) -> str:
+        return f"serial:{self.name}"
+
+    def commands(self) -> list[bytes]:
+        try:
+            return self._decode(os.read(self._master, 4096))
+        except OSError:
+            return []
+
+    def send(self, message: bytes, raw: bool = False) -> bool:
+        """Whether there was room for it."""
+        try:
+            if self._unsent:
+                self._unsent = self._unsent[os.write(self._master, self._unsent) :]
+            if self._unsent:
+                return False
+            coded = message if raw else self._cobs.encode(message) + b"\0"
+            self._unsent = coded[os.write(self._master, coded) :]
+        except OSError:
+            return False
+        return True
+
+    def close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+
+
+class Udp:
+    """The rig's socket; it answers whoever asked it to start."""
+
+    def __init__(self, port: int):
+        self.port = port
+        self.open()
+
+    def open(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._socket.bind(("127.0.0.1", self.port))
+        self._socket.setblocking(False)
+        self.port = self._socket.getsockname()[1]
+        self._host: Any = None
+
+    @property
+    def where(self) -> str:
+        return f"udp://127.0.0.1:{self.port}"
+
+    def commands(self) -> list[bytes]:
+        found = []
+        try:
+            while True:
+                message, self._host = self._socket.recvfrom(512)
+                found.append(message)
+        except OSError:
+            return found
+
+    def send(self, message: bytes, raw: bool = False) -> bool:
+        try:
+            return self._host is not None and bool(self._socket.sendto(message, self._host))
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Firmware:
+    """State and faults; `run` until the time is up."""
+
+    def __init__(self, link: Pty | Udp, options: argparse.Namespace):
+        scene = np.load(options.scene)
+        self._link, self._options = link, options
+        self._rng = np.random.default_rng(options.seed)
+        full = 32000 / max(5.0, float(np.abs(scene["voltages"]).max()))
+        self._scale = 1 / full
+        self._codes = (scene["voltages"] * full).astype(np.float32)
+        self._dwell = float(scene["dwell"])
+        self.electrodes = self._codes.shape[-1]
+        size = (4096, self.electrodes)
+        # Noise is drawn beforehand too: a slot has 100 µs.
+        noise = self._rng.normal(0, options.noise * full, size)
+        self._noise = noise.astype(np.float32)
+        self._grounds: tuple[int, ...] = (0,)
+        self._turn = self.sequence = 0
+        self._running, self._held = False, b""
+        self._switch_on()
+
+    def _switch_on(self) -> None:
+        self._session = int(self._rng.integers(1, 2**32))
+
+    def run(self) -> None:
+        o = self._options
+        period, start = 1 / o.rate, time.perf_counter()
+        due = start
+        events = {"stall": o.stall, "disconnect": o.disconnect, "restart": o.restart}
+        while (spent := time.perf_counter() - start) < o.seconds:
+            for name, at in list(events.items()):
+                if at is not None and spent >= at:
+                    del events[name]
+                    getattr(self, f"_{name}")()
+            self._obey()
+            due += period
+            if o.jitter and self._rng.random() < 0.01:
+                time.sleep(self._rng.uniform(0, o.jitter))
+            left = due - time.perf_counter()
+            if left < -0.01:  # it stalled: as much is lost
+                gone = int(-left / period)
+                self.sequence += gone
+                due += gone * period
+            if left > _SPIN:
+                time.sleep(left - _SPIN)
+            while time.perf_counter() < due:
+                pass
+            self._slot(due - start)
+
+    def _obey(self) -> None:
+        for message in self._link.commands():
+            told = frames.unpack_command(message, self.electrodes)
+            if told is None:
+                continue
+            kind, grounds = told
+            if kind == frames.GROUNDS:
+                self._grounds, self._turn = grounds, 0
+            self._running = kind != frames.STOP and (self._running or kind == frames.START)
+            if kind == frames.START:
+                o = self._options
+                m, session = self.electrodes, self._session
+                numbers = self.sequence, o.rate, self._scale, 0.0
+                self._link.send(
+                    frames.pack_description(frames.Description(m, session, *numbers))
+                )
+
+    def _slot(self, when: float) -> None:
+        o, rng, sequence = self._options, self._rng, self.sequence
+        self.sequence += 1
+        ground = self._grounds[self._turn % len(self._grounds)]
+        self._turn += 1
+        if not self._running:
+            return
+        if o.contrary and rng.random() < o.contrary:
+            ground = int(rng.integers(self.electrodes))
+        moment = int(when / self._dwell) % len(self._codes)
+        codes = self._codes[moment, ground] + self._noise[sequence % 4096]
+        if o.dead:
+            codes[o.dead] = 32767
+        clock = int(1e6 * when * (1 + 1e-6 * o.drift))
+        message = frames.pack_slot(ground, sequence, clock, np.rint(codes))
+        if o.loss and rng.random() < o.loss:
+            return
+        if o.corrupt and rng.random() < o.corrupt:
+            broken = bytearray(message)
+            for k in rng.integers(0, len(broken), 4):
+                broken[k] ^= int(rng.integers(1, 256))
+            message = bytes(broken)
+        if o.reorder and rng.random() < o.reorder and not self._held:
+            self._held = message
+            return
+        self._link.send(message)
+        if self._held:
+            self._link.send(self._held)
+            self._held = b""
+
+    def _stall(self) -> None:
+        time.sleep(self._options.away)
+
+    def _disconnect(self) -> None:
+        self._link.close()
+        time.sleep(self._options.away)
+        self._link.open()
+        self._running = False
+
+    def _restart(self) -> None:
+        self._disconnect()
+        self.sequence = 0
+        self._switch_on()
+
+
+def options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("scene", type=Path)
+    add("--link", choices=("pty", "udp"), default="pty")
+    add("--name", type=Path, help="of the pseudo-terminal")
+    add("--port", type=int, default=0, help="of UDP; 0: any")
+    add("--rate", type=float, default=10e3, help="slots a second")
+    add("--seconds", type=float, default=float("inf"))
+    add("--noise", type=float, default=3e-4, help="V rms")
+    add("--seed", type=int, default=0)
+    add("--loss", type=float, default=0.0, help="part of the slots")
+    add("--corrupt", type=float, default=0.0, help="part of the slots")
+    add("--reorder", type=float, default=0.0, help="part of the slots")
+    add("--contrary", type=float, default=0.0, help="part with a ground not asked for")
+    add("--jitter", type=float, default=0.0, help="s, at most, of a hundredth of the slots")
+    add("--drift", type=float, default=0.0, help="of its clock, parts per million")
+    add("--dead", type=int, nargs="*", default=[], help="channels at the rail")
+    add("--stall", type=float, help="s from the start")
+    add("--disconnect", type=float, help="s from the start")
+    add("--restart", type=float, help="s from the start: switched off and on")
+    add("--away", type=float, default=0.5, help="s that those last")
+    return parser
+
+
+def main() -> None:
+    chosen = options().parse_args()
+    if chosen.link == "pty":
+        name = chosen.name or chosen.scene.with_suffix(".tty")
+        link: Pty | Udp = Pty(name)
+    else:
+        link = Udp(chosen.port)
+    rig = Firmware(link, chosen)
+    try:
+        print(json.dumps({"where": link.where, "electrodes": rig.electrodes}), flush=True)
+        wake_in_time()
+        rig.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        link.close()
+        if isinstance(link, Pty):
+            link.name.unlink(missing_ok=True)
+        print(json.dumps({"slots": rig.sequence}), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

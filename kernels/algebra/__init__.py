@@ -1,0 +1,45 @@
+"""Solves, filters and searches of arrays, compiled.
+
+The room has no physics: a matrix here may be of anything. It imports no other room.
+"""
+
+from tomojax.kernels.algebra._blocktri import (
+    BlockTri as BlockTri,
+    factor as factor,
+    inverse_band as inverse_band,
+    matmul as matmul,
+    solve as solve,
+)
+from tomojax.kernels.algebra._kalman import (
+    filter_levels as filter_levels,
+    Levels as Levels,
+    smooth_levels as smooth_levels,
+)
+from tomojax.kernels.algebra._least_squares import (
+    least_squares as least_squares,
+    LeastSquares as LeastSquares,
+    solve_positive as solve_positive,
+)
+from tomojax.kernels.algebra._positive import (
+    gaussian as gaussian,
+    near_positive as near_positive,
+    positive_least_squares as positive_least_squares,
+    PositiveFit as PositiveFit,
+    smooth_prior as smooth_prior,
+    SmoothPrior as SmoothPrior,
+)
+from tomojax.kernels.algebra._subsets import (
+    draw_subset as draw_subset,
+    drawn_weights as drawn_weights,
+    heaviest as heaviest,
+    least_weights as least_weights,
+    project_weights as project_weights,
+    subset_marginals as subset_marginals,
+)
+from tomojax.kernels.algebra._twofloat import (
+    add as add,
+    matvec as matvec,
+    multiply as multiply,
+    negative as negative,
+    widen as widen,
+)

@@ -1,0 +1,192 @@
+"""A few contacts followed from slot to slot: one linear least squares for each slot.
+
+What is known of places and sizes is a mean and a covariance; a slot is taken with its
+slopes at the mean, its currents are what fits best. What appears or jumps is found in the
+slot that shows it, see `_search`.
+Fixed sizes and few, small operations: each costs a microsecond or so, whatever its size.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts._one_slot import (
+    in_slot,
+    Noise,
+    product,
+    radius_of,
+    regular,
+    slot_weights,
+    solve_small,
+    tangents,
+    weighed,
+    Weights,
+)
+from tomojax.kernels.contacts._points import (
+    green_of,
+    LEAST_DROP,
+    polarisability,
+    Sheet,
+)
+from tomojax.kernels.contacts._search import (
+    Candidates,
+    FIRST,
+    first_covariance,
+    Followed,
+    OFTEN,
+    search,
+)
+
+# By how much a place (units of the fit, 1 mm for electrodes of 5 mm) and a size move in a
+# slot: 1 σ.
+_DRIFT = (0.05, 0.05, 0.02)
+
+# χ² of a slot's own place beside what was known, of three values: beyond, it is news.
+_NEWS = 40.0
+
+# A contact's current is at least this part of the strongest's; sizes are no further than
+# this from usual.
+_WEAKEST, _LARGEST = 0.05, 3.0
+
+
+def follow(
+    sheet: Sheet,
+    candidates: Candidates,
+    known: Followed,
+    voltages: Float[Array, " M"],
+    used: Bool[Array, " M"],
+    ground: Int[Array, ""],
+    elapsed: Float[Array, ""],
+    noise: Noise,
+) -> tuple[Followed, Float[Array, " M"]]:
+    """One slot later, and what the voltages are beside the contacts', V.
+
+    **Arguments:** `voltages` 0 where not `used`; `elapsed` slots since the last one.
+    """
+    dtype = voltages.dtype
+    weights = slot_weights(noise, voltages, used)
+    # One by one, as in `product`.
+    each = range(len(known.size))
+    raw = jnp.stack([tangents(sheet, known.place[c], known.size[c]) for c in each])
+    there = known.there[:, None, None]
+    own = jnp.where(there, in_slot(sheet, raw, ground), 0)
+    lean = _lean(sheet, known, raw, ground)
+    own = own.at[:, 0].add((lean[..., None] * own[:, 1:3]).sum(1))
+    seen = search(sheet, candidates, known, own[:, 0], weights, voltages, ground)
+    new, there = seen.new, seen.there
+    raw = jnp.where(new[:, None, None], candidates.tangent[seen.chosen], raw)
+    columns = jnp.where(new[:, None, None], in_slot(sheet, raw, ground), own)
+    columns = jnp.where(there[:, None, None], columns, 0)
+    place = jnp.where(new[:, None], candidates.place[seen.chosen], known.place)
+    size = jnp.where(new, 0, known.size)
+    drift = elapsed * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
+    wide = first_covariance(dtype)
+    covariance = jnp.where(new[:, None, None], wide, known.covariance + drift)
+    moved, covariance, current = _update(columns, covariance, weights, voltages)
+    place = place + moved[:, :2] * sheet.unit
+    # Off the very edge, where a contact's own potential is infinite.
+    edge = 0.1 * sheet.unit
+    place = jnp.clip(place, edge, sheet.field.size - edge)
+    # What the move makes of the fit, to first order.
+    shift = (moved[..., None] * columns[:, 1:]).sum(1)
+    rest = voltages - matmul(current, columns[:, 0] + shift)
+    forward = current * jnp.sign(sheet.drive_voltage)
+    strongest = jnp.where(there, forward, 0).max()
+    hardly = (forward < _WEAKEST * strongest) | seen.dark
+    weak = jnp.where(there & hardly, known.weak + 1, 0)
+    now = known._replace(
+        there=there & (weak < OFTEN),
+        place=place,
+        size=jnp.clip(size + moved[:, 2], -_LARGEST, _LARGEST),
+        covariance=covariance,
+        current=current,
+        weak=weak,
+        rival=seen.rival,
+        seen=seen.seen,
+    )
+    at_ground = jax.lax.dynamic_index_in_dim(raw[:, 0], ground, 1, keepdims=False)
+    conductance = _conductance(sheet, now, at_ground, ground)
+    return now._replace(conductance=conductance), jnp.where(used, rest, 0)
+
+
+def _update(
+    columns: Float[Array, "C 4 M"],
+    covariance: Float[Array, "C 3 3"],
+    weights: Weights,
+    voltages: Float[Array, " M"],
+) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
+    """By how much each moves, what is known then, and currents."""
+    count = len(columns)
+    base = columns[:, 0]
+    tangent = columns[:, 1:].reshape(3 * count, -1)
+    all_columns = jnp.concatenate([base, tangent, voltages[None]])
+    gram = product(all_columns, weighed(weights, all_columns).T)
+    c, last = count, 4 * count
+    inner = regular(gram[:c, :c])
+    both = solve_small(inner, jnp.concatenate([gram[:c, c:last], gram[:c, last:]], 1))
+    current = both[:, -1]
+    share, own = both[:, :-1], jnp.repeat(current, 3)
+    normal = gram[c:last, c:last] - product(gram[c:last, :c], share)
+    normal = own[:, None] * normal * own
+    right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
+    unit = jnp.eye(3, dtype=base.dtype)
+    blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    # News: what this slot says alone is not what was known. Then that counts little.
+    wide = first_covariance(base.dtype)
+    innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
+    gain = right.reshape(count, 3)
+    both = jnp.concatenate([innovation.transpose(0, 2, 1), covariance])
+    inverses = solve_small(both, jnp.broadcast_to(unit, both.shape))
+    tested = (inverses[:count] * gain[:, None]).sum(-1)
+    unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
+    news = (unlikely > _NEWS)[:, None, None]
+    wide = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
+    inverse = jnp.where(news, wide, inverses[count:])
+    same = np.eye(count, dtype=base.dtype)[:, None, :, None]
+    weight = same * inverse[:, :, None]
+    found = solve_small(
+        normal + weight.reshape(3 * c, 3 * c),
+        jnp.concatenate([right[:, None], jnp.eye(3 * c, dtype=base.dtype)], 1),
+    )
+    moved, spread = found[:, 0].reshape(count, 3), found[:, 1:]
+    spread = spread.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    longest = jnp.asarray([*FIRST[:2], 1.0], base.dtype)
+    return (
+        jnp.clip(moved, -longest, longest),
+        (spread + spread.transpose(0, 2, 1)) / 2,
+        current - matmul(share, own * found[:, 0]),
+    )
+
+
+def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
+    """How far a contact's current is from its centre, in units: see `_points`."""
+    radius = radius_of(sheet, known.size)
+    moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
+    total = known.current.sum()
+    share = jnp.where(
+        known.current != 0, total / jnp.where(known.current != 0, known.current, 1), 0
+    )
+    towards = jax.lax.dynamic_index_in_dim(raw[:, 1:3], ground, 2, keepdims=False)
+    shift = moment[:, None] * share[:, None] * towards / sheet.unit**2
+    longest = 0.6 * radius[:, None] / sheet.unit
+    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
+    return shift * jnp.minimum(1, longest / length)
+
+
+def _conductance(
+    sheet: Sheet, now: Followed, at_ground: Float[Array, " C"], ground: Int[Array, ""]
+) -> Float[Array, " C"]:
+    """I/(V0 − u), S: see `_points.drops`."""
+    radius = radius_of(sheet, now.size)
+    own_ground = jnp.diagonal(sheet.field.electrodes) + sheet.ground_resistance
+    among = jax.vmap(green_of(sheet, now.place, radius))(now.place)
+    current = jnp.where(now.there, now.current, 0)
+    total = current.sum()
+    u = matmul(among, current) - (current * at_ground).sum()
+    u = u + total * (own_ground[ground] - at_ground)
+    drive = sheet.drive_voltage
+    forward = jnp.sign(drive)
+    drop = jnp.maximum(forward * (drive - u), LEAST_DROP * jnp.abs(drive))
+    return forward * current / drop

@@ -1,0 +1,136 @@
+"""One slot's voltages: what errors they have, and what a contact makes of them.
+
+For code that takes one slot at a time: few, small operations.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts._field import cubic, Field, lagrange, mirrored
+from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
+
+
+class Noise(NamedTuple):
+    """What errors a slot's voltages have: as in `Errors`, its longest waves alone."""
+
+    converter: Float[Array, ""]  # V
+    own: Float[Array, ""]  # a channel's, as a part of its voltage
+    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
+    smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
+    offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
+
+
+class Weights(NamedTuple):
+    """W' = W − CᵀF, the inverse covariance of a slot's errors."""
+
+    each: Float[Array, " M"]  # W
+    common: Float[Array, "q M"]
+    filtered: Float[Array, "q M"]
+
+
+def radius_of(sheet: Sheet, size: Array) -> Array:
+    """A contact's radius, m, of what is told of its size."""
+    return jnp.minimum(sheet.size * jnp.exp(SIZE_WIDTH * size), sheet.field.radii[-1])
+
+
+def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array, "4 M"]:
+    """R(x, a), Ω, and its derivatives by place (per unit) and size."""
+    field: Field = sheet.field
+    nx, ny, sizes, count = field.values.shape
+    cells = jnp.array([nx - 1, ny - 1], place.dtype)
+    at = place / field.size * cells
+    low = jnp.clip(jnp.floor(at), 0, cells - 1)
+    steps = jnp.arange(-1, 3)
+    i = mirrored(low[0].astype(int) + steps, nx - 1)
+    j = mirrored(low[1].astype(int) + steps, ny - 1)
+    nearby = field.values[i[:, None], j[None]].reshape(16 * sizes, count)
+    nodes = field.radii**2
+
+    def weights(moved: Float[Array, "3"]) -> Float[Array, " weights"]:
+        part = at - low + moved[:2] * (sheet.unit / field.size * cells)
+        along = cubic(part)
+        radius = sheet.size * jnp.exp(SIZE_WIDTH * (size + moved[2]))
+        by_size = lagrange(nodes, jnp.minimum(radius, field.radii[-1]) ** 2)
+        flat = (along[0][:, None] * along[1]).ravel()
+        return (flat[:, None] * by_size).ravel()
+
+    none = jnp.zeros(3, place.dtype)
+    all_weights = jnp.concatenate([weights(none)[None], jax.jacfwd(weights)(none).T])
+    return product(all_weights, nearby)
+
+
+def slot_weights(
+    noise: Noise, voltages: Float[Array, " M"], used: Bool[Array, " M"]
+) -> Weights:
+    """The inverse covariance of a slot's errors; those in common by Woodbury's formula."""
+    own = (noise.own * voltages) ** 2 + matmul(noise.bend, voltages) ** 2
+    variance = noise.converter**2 + own
+    w = jnp.where(used, 1 / variance, 0)
+    size = jnp.abs(voltages)
+    flat = jnp.broadcast_to(noise.offset * size.mean(), (1, len(size)))
+    common = jnp.concatenate([flat, noise.smooth * size])
+    scaled = common * w
+    inner = product(common, scaled.T) + jnp.eye(len(common), dtype=w.dtype)
+    return Weights(w, scaled, solve_small(inner, scaled))
+
+
+def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
+    shares = product(x, weights.common.T)
+    return x * weights.each - product(shares, weights.filtered)
+
+
+def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
+    """R_ll + z − R_il: what voltages per ampere are beside R_i(x) − R_l(x)."""
+    ee = sheet.field.electrodes
+    z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[ground]
+    return ee[ground, ground] + z - ee[ground]
+
+
+def in_slot(
+    sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
+) -> Float[Array, "C 4 M"]:
+    """Voltages per ampere with that ground, and how a move changes them."""
+    relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
+    return relative.at[:, 0].add(from_ground(sheet, ground))
+
+
+def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
+    """a·b, a column or a row at a time.
+
+    For a whole product XLA calls a library; of these it makes one function together with
+    what is around them, where it is let to (see `Step`).
+    """
+    if b.shape[1] <= a.shape[0]:
+        return jnp.stack([matmul(a, b[:, j]) for j in range(b.shape[1])], 1)
+    return jnp.stack([matmul(a[i], b) for i in range(a.shape[0])])
+
+
+def inverse_of(values: Array) -> Array:
+    return jnp.where(values > 0, 1 / jnp.where(values > 0, values, 1), 0)
+
+
+def regular(normal: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """With a diagonal that nothing makes singular."""
+    eps = 16 * jnp.finfo(normal.dtype).eps
+    diagonal = jnp.diagonal(normal)
+    more = eps * diagonal.sum() + jnp.where(diagonal > 0, 0, 1)
+    return normal + jnp.diag(more)
+
+
+def solve_small(
+    matrix: Float[Array, "*batch n n"], right: Float[Array, "*batch n k"]
+) -> Float[Array, "*batch n k"]:
+    """A⁻¹B of a few unknowns, unrolled: a loop's turn costs more than the work."""
+    n = matrix.shape[-1]
+    both = jnp.concatenate([matrix, right], -1)
+    for k in range(n):
+        row = both[..., k : k + 1, :] / both[..., k : k + 1, k : k + 1]
+        both = jnp.where(
+            (np.arange(n) == k)[:, None], row, both - both[..., k : k + 1] * row
+        )
+    return both[..., n:]

@@ -1,0 +1,193 @@
+"""Contacts that appear, in one slot: a table of candidates is looked through.
+
+Fixed sizes and few, small operations: each costs a microsecond or so, whatever its size.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts._one_slot import (
+    from_ground,
+    inverse_of,
+    product,
+    regular,
+    solve_small,
+    weighed,
+    Weights,
+)
+from tomojax.kernels.contacts._points import Sheet
+
+# What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
+# a size: 1 σ.
+FIRST = (6.0, 6.0, 1.0)
+
+# What a contact must explain: χ² at least, and this part of what the others leave; and a
+# further one nearer than this to where it was seen before (units), in so many slots.
+_SEEN, _SHARE, _NEAR, OFTEN = 40.0, 0.5, 12.0, 3
+
+# One contact alone takes the others' place where it leaves less than this part of what
+# they do, and explains this part at least.
+_ELSEWHERE, _EXPLAINED = 0.5, 0.1
+
+
+class Candidates(NamedTuple):
+    """Usual contacts at K places: potentials of electrodes, squared, and tangents there."""
+
+    place: Float[Array, "K 2"]  # m
+    potential: Float[Array, "K M"]  # Ω
+    square: Float[Array, "K M"]
+    tangent: Float[Array, "K 4 M"]  # see `tangents`
+
+
+class Followed(NamedTuple):
+    """What is known of C contacts."""
+
+    there: Bool[Array, " C"]
+    place: Float[Array, "C 2"]  # m
+    size: Float[Array, " C"]  # ln(radius/usual), in units of what is known beforehand
+    covariance: Float[Array, "C 3 3"]  # of both, in units of the fit
+    current: Float[Array, " C"]  # in the last slot, A
+    conductance: Float[Array, " C"]  # S
+    weak: Int[Array, " C"]  # slots in a row that hardly show it
+    rival: Float[Array, "2"]  # where one more was seen last, m
+    seen: Int[Array, ""]  # slots in a row that showed it there
+
+
+def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
+    """No contact yet of up to `count`, on a sheet of `size`."""
+    dtype = size.dtype
+    zero, whole = jnp.zeros(count, dtype), jnp.zeros(count, jnp.int32)
+    return Followed(
+        zero > 1,
+        jnp.broadcast_to(size / 2, (count, 2)),
+        zero,
+        jnp.broadcast_to(first_covariance(dtype), (count, 3, 3)),
+        zero,
+        zero,
+        whole,
+        jnp.zeros(2, dtype),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def first_covariance(dtype) -> Float[Array, "3 3"]:
+    return jnp.diag(jnp.asarray(FIRST, dtype) ** 2)
+
+
+class Search(NamedTuple):
+    """Contacts that appear."""
+
+    new: Bool[Array, " C"]
+    there: Bool[Array, " C"]
+    chosen: Int[Array, ""]  # the candidate that a new one is at
+    rival: Float[Array, "2"]
+    seen: Int[Array, ""]
+    dark: Bool[Array, ""]  # nothing stands out of the noise
+
+
+def search(
+    sheet: Sheet,
+    candidates: Candidates,
+    known: Followed,
+    columns: Float[Array, "C M"],
+    weights: Weights,
+    voltages: Float[Array, " M"],
+    ground: Int[Array, ""],
+) -> Search:
+    """Whether one contact alone explains the slot better, or one more is asked for."""
+    # To look for contacts a common offset will do.
+    scale = 1 / (1 + matmul(weights.common[0] ** 2, inverse_of(weights.each)))
+    plain = Weights(weights.each, weights.common[:1], weights.common[:1] * scale)
+    beside = weighed(plain, columns)
+    normal = regular(product(columns, beside.T))
+    fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
+    rest = voltages - matmul(fit, columns)
+    weighed_both = weighed(plain, jnp.stack([rest, voltages]))
+    left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
+    none = jnp.zeros_like(known.seen)
+    nothing = Search(~known.there & False, known.there, none, known.rival, none, none > 0)
+
+    def look() -> Search:
+        offset = from_ground(sheet, ground)
+        along = weighed_both, beside, normal
+        gains = _gains(candidates, offset, ground, plain, scale, *along)
+        return _chosen(sheet, candidates, known, *gains, left, alone)
+
+    # What errors alone leave, χ² about the number of channels, has nothing to be found in.
+    channels = (weights.each > 0).astype(left.dtype).sum()
+    asked = (left > _SEEN + channels) | ~known.there.any()
+    found = jax.lax.cond(asked, look, lambda: nothing)
+    return found._replace(dark=alone < _SEEN)
+
+
+def _chosen(
+    sheet: Sheet,
+    candidates: Candidates,
+    known: Followed,
+    gains: Float[Array, " K"],
+    gains_alone: Float[Array, " K"],
+    left: Float[Array, ""],
+    alone: Float[Array, ""],
+) -> Search:
+    k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
+    # Everything is elsewhere.
+    jumped = (left > _SEEN) & (alone - gains_alone[k_alone] < _ELSEWHERE * left)
+    lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
+    anew = (jumped | ~known.there.any()) & lone
+    # One more, in several slots.
+    more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~anew & ~known.there.all()
+    again = ((candidates.place[k] - known.rival) ** 2).sum() < (_NEAR * sheet.unit) ** 2
+    seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
+    born = seen >= OFTEN
+    # In the first that is free.
+    slot = jnp.arange(len(known.there)) == jnp.where(anew, 0, jnp.argmin(known.there))
+    new = slot & (anew | born)
+    return Search(
+        new,
+        jnp.where(anew, slot, known.there | new),
+        jnp.where(anew, k_alone, k).astype(jnp.int32),
+        candidates.place[k],
+        jnp.where(born | anew, 0, seen),
+        anew & False,
+    )
+
+
+def _gains(
+    candidates: Candidates,
+    offset: Float[Array, " M"],
+    ground: Int[Array, ""],
+    plain: Weights,
+    scale: Float[Array, ""],
+    weighed_both: Float[Array, "2 M"],
+    beside: Float[Array, "C M"],
+    normal: Float[Array, "C C"],
+) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+    """What each candidate explains of the rest beside the contacts, and of all alone.
+
+    Its column is R_i − R_l + f_i, so that every product with it is one with R.
+    """
+    w = plain.each
+    more = jnp.stack([w, w * offset])
+    vectors = jnp.concatenate([weighed_both, beside, plain.common, more])
+    products = product(candidates.potential, vectors.T)  # (K, C + 5)
+    at_ground = jnp.take(candidates.potential, ground, 1)
+    constant = matmul(vectors, offset)
+    along = products - at_ground[:, None] * vectors.sum(1) + constant
+    count = len(beside)
+    by_rest, by_all = along[:, 0], along[:, 1]
+    shares, common = along[:, 2 : 2 + count], along[:, 2 + count]
+    # Σw(R + f − R_l)², less what the offset takes off.
+    total, cross = products[:, -2], products[:, -1]
+    own = matmul(candidates.square, w) + 2 * (cross - at_ground * total)
+    own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
+    own = own - scale * common**2
+    own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
+    inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))
+    left = own - (product(shares, inverse) * shares).sum(1)
+    near = left < 1e-3 * own
+    gains = jnp.maximum(by_rest, 0) ** 2 / jnp.where(near, 1, left)
+    return jnp.where(near, 0, gains), jnp.maximum(by_all, 0) ** 2 / own

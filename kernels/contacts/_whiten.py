@@ -1,0 +1,88 @@
+"""Voltages freed of what their errors have in common, and currents that fit them."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tomojax.kernels.algebra import solve_positive
+
+# Waves along x and y that a sheet's variation is told in: at most so many together.
+_WAVES = 4
+
+
+class Frame(NamedTuple):
+    """What S slots measured, whitened: errors are independent and of size 1. W = M + q."""
+
+    grounds: Int[Array, " S"]
+    whitened: Float[Array, "S W"]
+    scale: Float[Array, "S M"]  # 1/V; 0 where not used
+    common: Float[Array, "S q M"]  # what one σ of each common error makes, times scale
+    filter: Float[Array, "S q M"]  # finds them
+
+
+def smooth_modes(
+    places: Float[Array, "n 2"], size: Float[Array, "2"]
+) -> tuple[Float[Array, "q n"], Float[np.ndarray, " q"]]:
+    """cos(πix/a)·cos(πjy/b) at places, of mean square 1, and 1/(i² + j²)."""
+    pairs = [(i, j) for i in range(_WAVES + 1) for j in range(_WAVES + 1 - i) if i + j]
+    waves = np.array(pairs)
+    angles = jnp.asarray(np.pi * waves, places.dtype)[:, None] * (places / size)
+    height = np.sqrt(2.0 ** (waves > 0).sum(1))[:, None]
+    modes = jnp.asarray(height, places.dtype) * jnp.prod(jnp.cos(angles), -1)
+    return modes, 1 / (waves**2).sum(1)
+
+
+def whiten(
+    voltages: Float[Array, "S M"],
+    grounds: Int[Array, " S"],
+    own: Float[Array, "S M"],
+    common: Float[Array, "S q M"],
+) -> Frame:
+    """Errors of each channel's own, of size `own` (V; 0 where not used), and common ones.
+
+    Of each of these `common` is what one standard deviation makes, V. Together they have
+    the covariance C = diag(own²) + BᵀB, and |whitened|² = VᵀC⁻¹V: the last q values are
+    the common errors that are most likely, in standard deviations, and the first M what
+    is left then. It costs 2q/M of what a matrix for each slot would.
+    """
+    scale = jnp.where(own > 0, 1 / jnp.where(own > 0, own, 1), 0)
+    common = common * scale[:, None]
+    normal = jnp.einsum("sqm,spm->sqp", common, common, precision="highest")
+    normal = normal + jnp.eye(common.shape[1], dtype=common.dtype)
+    found = solve_positive(normal, common)
+    frame = Frame(grounds, voltages, scale, common, found)
+    return frame._replace(whitened=whitened_columns(frame, voltages))
+
+
+def whitened_columns(frame: Frame, columns: Float[Array, "*C S M"]) -> Array:
+    """Columns as the frame's voltages are."""
+    scaled = columns * frame.scale
+    found = jnp.einsum("sqm,...sm->...sq", frame.filter, scaled, precision="highest")
+    shared = jnp.einsum("sqm,...sq->...sm", frame.common, found, precision="highest")
+    return jnp.concatenate([scaled - shared, found], -1)
+
+
+def unwhitened(frame: Frame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
+    """From slopes of something by whitened voltages to those by voltages: the transpose."""
+    count = frame.scale.shape[1]
+    rest, found = slope[:, :count], slope[:, count:]
+    back = jnp.einsum("sqm,smp->sqp", frame.common, rest, precision="highest")
+    back = jnp.einsum("sqm,sqp->smp", frame.filter, found - back, precision="highest")
+    return (rest + back) * frame.scale[..., None]
+
+
+def currents(
+    frame: Frame, columns: Float[Array, "C S N"], ridge: Array | float = 0.0
+) -> tuple[Float[Array, "S C"], Float[Array, "S N"]]:
+    """Each slot's currents, and what is left: least squares, all whitened."""
+    normal = jnp.einsum("csm,dsm->scd", columns, columns, precision="highest")
+    right = jnp.einsum("csm,sm->sc", columns, frame.whitened, precision="highest")
+    trace = jnp.trace(normal, axis1=1, axis2=2)
+    tiny = 16 * jnp.finfo(normal.dtype).eps * trace + jnp.finfo(normal.dtype).tiny
+    diagonal = tiny[:, None] + jnp.broadcast_to(ridge, right.shape)
+    normal = normal + diagonal[..., None] * jnp.eye(len(columns), dtype=normal.dtype)
+    found = solve_positive(normal, right[..., None])[..., 0]
+    rest = frame.whitened - jnp.einsum("csm,sc->sm", columns, found, precision="highest")
+    return found, rest

@@ -1,0 +1,31 @@
+"""What an image shows: contacts read off it, and figures of merit; and contacts drawn.
+
+The room takes pixels. It knows nothing of grounds, nor of the method that made an image.
+"""
+
+from tomojax.kernels.images._contacts import (
+    Contacts as Contacts,
+    largest_variance as largest_variance,
+    no_contacts as no_contacts,
+    read_contacts as read_contacts,
+    strongest_first as strongest_first,
+)
+from tomojax.kernels.images._drawing import (
+    points_as_contacts as points_as_contacts,
+    points_image as points_image,
+)
+from tomojax.kernels.images._explained import (
+    point_sources as point_sources,
+    unexplained as unexplained,
+)
+from tomojax.kernels.images._merit import (
+    greit_figures as greit_figures,
+    GreitFigures as GreitFigures,
+    half_area_radius as half_area_radius,
+    half_width as half_width,
+    image_error as image_error,
+    image_place as image_place,
+    pixel_places as pixel_places,
+    two_point_dip as two_point_dip,
+)
+from tomojax.kernels.images._regions import read_regions as read_regions

@@ -1,0 +1,68 @@
+"""Fitted contacts as rows of results and as an image."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tomojax.kernels.images._contacts import Contacts, strongest_first
+
+
+def points_as_contacts(
+    count: Int[Array, ""],
+    place: Float[Array, "C 2"],
+    extent: Float[Array, "C 2"],
+    ring: Float[Array, " C"],
+    radius: Float[Array, " C"],
+    current: Float[Array, " C"],
+    conductance: Float[Array, " C"],
+    covariance: Float[Array, "C 3"],
+) -> Contacts:
+    """The first `count` as contacts, strongest first.
+
+    The radius is that of the disc with the contact's second moments: |e|²/3 along a bar
+    and a²/4 across, R²/2 of a ring.
+    """
+    there = jnp.arange(len(radius)) < count
+    reach = (extent**2).sum(-1)
+    long = reach > radius**2
+    angle = jnp.arctan2(extent[:, 1], extent[:, 0]) % np.pi
+    whole = jnp.sqrt(radius**2 + 2 / 3 * reach + 2 * ring**2)
+    angle = jnp.where(long, angle, jnp.nan)
+    none = jnp.zeros((), jnp.uint8)
+    found = Contacts(none, place, whole, angle, current, conductance, covariance)
+    return strongest_first(found, there)
+
+
+def points_image(
+    place: Float[Array, "C 2"],
+    extent: Float[Array, "C 2"],
+    ring: Float[Array, " C"],
+    radius: Float[Array, " C"],
+    current: Float[Array, " C"],
+    cell: Float[Array, "2"],
+    shape: tuple[int, int],
+) -> Float[Array, "nx ny"]:
+    """Current density, A/m²: a Gaussian with each contact's second moments, all inside.
+
+    Or a rim with a Gaussian's profile. No narrower than a pixel, so that its sum is the
+    current wherever it lies.
+    """
+    x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * side for n, side in zip(shape, cell))
+    across = jnp.maximum(radius**2 / 4, jnp.max(cell) ** 2)[:, None, None]
+
+    def one(
+        place: Array, extent: Array, ring: Array, across: Array, current: Array
+    ) -> Array:
+        a, b, c = (
+            across + extent[0] ** 2 / 3,
+            across + extent[1] ** 2 / 3,
+            extent[0] * extent[1] / 3,
+        )
+        u, v = (x - place[0])[:, None], (y - place[1])[None]
+        form = (b * u**2 - 2 * c * u * v + a * v**2) / (a * b - c**2)
+        rim = (jnp.sqrt(u**2 + v**2) - ring) ** 2 / across
+        density = jnp.exp(-jnp.where(ring > 0, rim, form) / 2)
+        return current * density / (density.sum() * cell.prod())
+
+    return jax.vmap(one)(place, extent, ring, across, current).sum(0)

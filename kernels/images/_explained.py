@@ -1,0 +1,49 @@
+"""How much of what an image shows the contacts that were read off it explain."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts import regular, solve_small
+from tomojax.kernels.images._contacts import Contacts
+
+
+def point_sources(
+    basis: Float[Array, "r pixels"],
+    contacts: Contacts,
+    shape: tuple[int, int],
+    cell: Float[Array, "2"],
+) -> Float[Array, "C r"]:
+    """The columns of `basis` where contacts are, between pixels linear; 0 for none."""
+    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape))(contacts.xy)
+    there = jnp.arange(len(columns)) < contacts.count.astype(int)
+    return jnp.where(there[:, None], columns, 0)
+
+
+def unexplained(
+    columns: Float[Array, "S C q"], seen: Float[Array, "S q"]
+) -> Float[Array, ""]:
+    """√(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): what is seen, beside the contacts' columns.
+
+    Each of S slots has a of its own. 1 where no column is other than 0.
+    """
+
+    def one(p: Float[Array, "C q"], d: Float[Array, " q"]) -> Float[Array, ""]:
+        fit = solve_small(regular(matmul(p, p.T)), matmul(p, d)[:, None])[:, 0]
+        return ((d - matmul(fit, p)) ** 2).sum()
+
+    rest = jax.vmap(one)(columns, seen).sum()
+    return jnp.sqrt(rest / jnp.maximum((seen**2).sum(), jnp.finfo(seen.dtype).tiny))
+
+
+def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
+    """The column at a place in pixels; the nearest at the edge."""
+    last = jnp.asarray(shape, pixel.dtype) - 1
+    pixel = jnp.clip(jnp.nan_to_num(pixel), 0, last)
+    low = jnp.minimum(jnp.floor(pixel), last - 1)
+    (u, v), (i, j) = pixel - low, low.astype(int)
+    corner = i * shape[1] + j
+    a, b = basis[:, corner], basis[:, corner + 1]
+    c, d = basis[:, corner + shape[1]], basis[:, corner + shape[1] + 1]
+    return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)

@@ -1,0 +1,24 @@
+"""The paper's Eq. 3: Tikhonov solves, bases of a Jacobian's rows, rules for λ.
+
+The room takes any Jacobian. It knows nothing of where a Jacobian comes from, nor of what an
+image shows.
+"""
+
+from tomojax.kernels.inverse._basis import (
+    reduce_slots as reduce_slots,
+    ReducedSlots as ReducedSlots,
+    row_basis as row_basis,
+    slot_basis as slot_basis,
+    slot_factors as slot_factors,
+    solve_reduced as solve_reduced,
+)
+from tomojax.kernels.inverse._lambda import (
+    choose_lambda as choose_lambda,
+    lambda_grid as lambda_grid,
+    lambda_scores as lambda_scores,
+    LambdaRule as LambdaRule,
+    Spectrum as Spectrum,
+    spectrum as spectrum,
+)
+from tomojax.kernels.inverse._tikhonov import SolveRoute as SolveRoute, tikhonov as tikhonov
+from tomojax.kernels.inverse._variance import variance_components as variance_components

@@ -1,0 +1,180 @@
+"""How much to regularise: λ from the data, by criteria over a logarithmic grid.
+
+All are arithmetic on one thin singular value decomposition A = U diag(σ) Vᵀ of the
+selected rows, which serves every λ and every frame. β = Uᵀv, f = λ/(σ² + λ); the
+residual is r = (I − H)v with I − H = U f Uᵀ + (I − UUᵀ).
+"""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import sequential_vmap
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.inverse._variance import estimated_risk, variance_components
+
+LambdaRule = Literal[
+    "cautious",
+    "cross_validation",
+    "estimated_risk",
+    "discrepancy",
+    "gcv",
+    "robust_gcv",
+    "l_curve",
+    "marginal_likelihood",
+]
+
+# Robust GCV: weight of GCV itself beside the variance it leaves out (Lukas, Inverse
+# Problems 22, 2006, suggests 0.1 to 0.3).
+_ROBUST_GCV = 0.1
+
+# Too small a λ costs decades of error, too large a one at most the image: of the λ whose
+# estimated errors are this close, the largest (as the one-standard-error rule does).
+_ALIKE = 1.1
+
+
+class Spectrum(NamedTuple):
+    """Thin SVD of S·M selected rows."""
+
+    left: Float[Array, "S M p"]  # U
+    singular: Float[Array, " p"]  # σ, largest first
+
+
+def spectrum(rows: Float[Array, "S M K"]) -> Spectrum:
+    """U and σ of the selected slots' rows (of J_s, or of their reduced factors)."""
+    slots, electrodes, columns = rows.shape
+    u, s, _ = jnp.linalg.svd(rows.reshape(-1, columns), full_matrices=False)
+    return Spectrum(u.reshape(slots, electrodes, -1), s)
+
+
+def lambda_grid(s: Spectrum, per_decade: int = 4) -> Float[Array, " G"]:
+    """λ/σ₁² from 10 down to where the dtype holds nothing: 1e-11, or 1e-7 in float32."""
+    lowest = -11 if s.singular.dtype == jnp.float64 else -7
+    exponents = jnp.linspace(lowest, 1, per_decade * (1 - lowest) + 1)
+    return s.singular[0] ** 2 * 10.0 ** exponents.astype(s.singular.dtype)
+
+
+def lambda_scores(
+    s: Spectrum,
+    voltages: Float[Array, "S M"],
+    grid: Float[Array, " G"],
+    rule: LambdaRule,
+    noise: Float[Array, ""],
+) -> Float[Array, "G c"]:
+    """What the rule minimises over λ, for one frame, in c columns (1 if not said).
+
+    - "cautious", c = 3: the two next; `choose_lambda` takes the largest of their λ. Each
+      is blind to some noise and then undersmooths by decades; none oversmooths by much.
+    - "cross_validation", c = 2: squared errors of predicting each electrode's voltages in
+      all slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
+      electrode and common-mode noise in a slot: what is left out has to be left out
+      whole, or noise predicts itself.
+    - "estimated_risk": the image's expected error under the variances of image, white
+      noise, common mode and gain error that explain the voltages best; of λ within a
+      tenth of the least error the largest.
+    - "discrepancy": |log ‖r‖²/(n·noise²)|, the residual beside known noise (V rms).
+    - "gcv": ‖r‖²/tr(I − H)² (Golub, Heath, Wahba, Technometrics 21, 1979).
+    - "robust_gcv": the same times γ + (1 − γ)·tr(H²)/n.
+    - "l_curve": −curvature of (log ‖r‖, log ‖φ‖) (Hansen, SIAM Review 34, 1992).
+    - "marginal_likelihood": −log p(v|λ) with v ~ N(0, s²(I + AAᵀ/λ)), s² profiled out.
+    """
+    u = s.left.reshape(-1, s.left.shape[-1])
+    v = voltages.reshape(-1)
+    beta = matmul(u.T, v)
+    n, p = u.shape
+    # What no image explains; nothing where the rows are independent and p = n.
+    beyond = v - matmul(u, beta) if p < n else jnp.zeros_like(v)
+    outside = jnp.sum(beyond**2)
+
+    def score(lam: Array) -> Array:
+        f = lam / (s.singular**2 + lam)
+        residual = jnp.sum((f * beta) ** 2) + outside
+        if rule in ("cautious", "cross_validation"):
+            left_over = (matmul(u, f * beta) + beyond).reshape(voltages.shape)
+            return _left_out_errors(s.left, f, left_over)
+        if rule == "discrepancy":
+            return jnp.abs(jnp.log(residual / (n * noise**2)))[None]
+        if rule == "marginal_likelihood":
+            fit = jnp.sum(f * beta**2) + outside
+            return (n * jnp.log(fit) - jnp.sum(jnp.log(f)))[None]
+        gcv = residual / (jnp.sum(f) + (n - p)) ** 2
+        robust = _ROBUST_GCV + (1 - _ROBUST_GCV) * jnp.sum((1 - f) ** 2) / n
+        return (gcv if rule == "gcv" else gcv * robust)[None]
+
+    if rule == "l_curve":
+        return _l_curve(s.singular, beta, outside, grid)[:, None]
+    if rule in ("cautious", "estimated_risk"):
+        variances = variance_components(*s, voltages)
+        risk = estimated_risk(*s, voltages, variances, grid)[:, None]
+        risk = jnp.maximum(risk, _ALIKE * risk.min())
+        if rule == "estimated_risk":
+            return risk
+        return jnp.concatenate([lax.map(score, _after(risk, grid)), risk], 1)
+    return lax.map(score, grid)
+
+
+def choose_lambda(
+    grid: Float[Array, " G"], scores: Float[Array, "*frames G c"]
+) -> Float[Array, ""]:
+    """The λ of lowest score, summed over frames; of several columns the largest such λ.
+
+    A score that is not finite (where a factorisation fails at the smallest λ, or in
+    float32 for one column) does not count; NaN if none is.
+    """
+    total = scores.reshape(-1, *scores.shape[-2:]).sum(0)
+    usable = jnp.isfinite(total)
+    # From the largest λ down: of equal scores the smoother image.
+    falling = jnp.where(usable, total, jnp.inf)[::-1]
+    best = grid[::-1][jnp.argmin(falling, axis=0)]
+    largest = jnp.where(usable.any(0), best, -jnp.inf).max()
+    return jnp.where(usable.any(), largest, jnp.nan)
+
+
+def _after(earlier: Array, value: Array) -> Array:
+    """`value`, but not before `earlier` is there.
+
+    Factorisations that do not depend on each other run side by side on XLA's CPU pool,
+    and each may hold a thread while it waits for another: with jaxlib 0.10.2 on two cores
+    that hangs for good. An optimization_barrier does not order them; a dependence does.
+    """
+    return value + 0 * jnp.nan_to_num(earlier.ravel()[0])
+
+
+# Block by block (batched calls are no faster here), also when a caller batches frames:
+# see `_after`.
+@sequential_vmap
+def _left_out_errors(
+    left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
+) -> Float[Array, "2"]:
+    """Σ‖e_b‖² over electrodes b, and over slots b, with e_b = (I − H)_bb⁻¹ r_b.
+
+    e_b is the error of predicting block b from the fit to all else, exactly.
+    """
+
+    def squared_error(block_and_residual: tuple[Array, Array]) -> Array:
+        block, r = block_and_residual
+        # (I − H)_bb = I − U_b (1 − f) U_bᵀ
+        rest = jnp.eye(len(r), dtype=f.dtype) - matmul(block * (1 - f), block.T)
+        return jnp.sum(cho_solve((jnp.linalg.cholesky(rest), True), r) ** 2)
+
+    by_electrode = lax.map(squared_error, (jnp.swapaxes(left, 0, 1), residual.T))
+    by_slot = lax.map(squared_error, (left, _after(by_electrode, residual)))
+    return jnp.stack([by_electrode.sum(), by_slot.sum()])
+
+
+def _l_curve(singular, beta, outside, grid) -> Float[Array, " G"]:
+    lam = grid[:, None]
+    residual = jnp.sum((lam / (singular**2 + lam) * beta) ** 2, 1) + outside
+    size = jnp.sum((singular / (singular**2 + lam) * beta) ** 2, 1)
+    x, y = jnp.log(residual) / 2, jnp.log(size) / 2
+
+    def slope(a: Array) -> Array:
+        return jnp.asarray(jnp.gradient(a))
+
+    dx, dy = slope(x), slope(y)
+    curvature = dx * slope(dy) - dy * slope(dx)
+    tiny = jnp.finfo(x.dtype).tiny
+    return -curvature / jnp.maximum(dx**2 + dy**2, tiny) ** 1.5

@@ -1,0 +1,17 @@
+"""The paper's adaptive scan: grounds that depend on what two corner slots show.
+
+The room takes voltages and places of electrodes, and gives numbers of electrodes. It knows
+nothing of how voltages become images.
+"""
+
+from tomojax.kernels.scan._adaptive import (
+    around as around,
+    contact_region as contact_region,
+    contact_regions as contact_regions,
+    cop_line as cop_line,
+    electrode_currents as electrode_currents,
+    nearest_electrodes as nearest_electrodes,
+    pitch as pitch,
+    point as point,
+    Region as Region,
+)

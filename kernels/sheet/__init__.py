@@ -1,0 +1,43 @@
+"""The sheet's physics: mesh, electrodes, tables of resistances, slots, exact contacts.
+
+The room turns a sheet into resistances and resistances into voltages. It knows nothing of
+images, of noise or of how contacts are found.
+"""
+
+from tomojax.kernels.sheet._fem import (
+    fem_contact as fem_contact,
+    fem_resistances as fem_resistances,
+    fem_sheet as fem_sheet,
+    fem_site_resistances as fem_site_resistances,
+    FemSheet as FemSheet,
+    site_conductance as site_conductance,
+)
+from tomojax.kernels.sheet._mesh import (
+    cell_sides as cell_sides,
+    centroids as centroids,
+    element_area as element_area,
+    nodes as nodes,
+    subpoints as subpoints,
+    triangles as triangles,
+)
+from tomojax.kernels.sheet._rectangle import (
+    rectangle_fields as rectangle_fields,
+    rectangle_green as rectangle_green,
+    rectangle_resistances as rectangle_resistances,
+)
+from tomojax.kernels.sheet._reduction import (
+    ContactReduction as ContactReduction,
+    ground_currents as ground_currents,
+    ground_voltages as ground_voltages,
+    reduce_contact as reduce_contact,
+    shared_ground_voltages as shared_ground_voltages,
+    voltage_drop as voltage_drop,
+    voltage_sensitivity as voltage_sensitivity,
+)
+from tomojax.kernels.sheet._slots import (
+    contact_jacobian as contact_jacobian,
+    loop_resistance as loop_resistance,
+    shared_slot_map as shared_slot_map,
+    slot_map as slot_map,
+)
+from tomojax.kernels.sheet._table import Resistances as Resistances

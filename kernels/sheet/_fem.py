@@ -1,0 +1,247 @@
+"""Resistances and loaded fields of any sheet by P1 finite elements.
+
+One factorisation, three right-hand sides per electrode (its feed and two dipoles) and
+the band of the inverse.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.lax.linalg import triangular_solve
+from jaxtyping import Array, Float, Int
+
+from tomojax.kernels.algebra import factor, inverse_band, matmul, solve
+from tomojax.kernels.sheet import _stiffness
+from tomojax.kernels.sheet._electrodes import (
+    dipole_weights,
+    feed_weights,
+    feed_width,
+    metal_shares,
+    series_resistances,
+)
+from tomojax.kernels.sheet._mesh import Shape, triangles
+from tomojax.kernels.sheet._reduction import ContactReduction, touch_electrodes
+from tomojax.kernels.sheet._table import centred, Resistances
+
+
+class FemSheet(NamedTuple):
+    """A sheet on its mesh: what the factorisation is made of."""
+
+    sheet: Float[Array, " K"]  # conductance, S per square
+    size: Float[Array, "2"]  # m
+    feeds: Float[Array, "nodes M"]  # shares of each electrode's current per node
+    series: Float[Array, " M"]  # Ω, see `series_resistances`
+    dipoles: Float[Array, "nodes D"]  # 1/m, D = 2M, or 0 for electrodes without extent
+    dipole_series: Float[Array, " D"]  # Ω/m²
+    metal: Float[Array, "nodes M"]  # share of a node's contact that is on an electrode
+
+
+def fem_sheet(
+    sheet: Float[Array, " K"],
+    places: Float[Array, "M 2"],
+    radius: Float[Array, ""],
+    shape: Shape,
+    size: Float[Array, "2"],
+    shunt: Float[Array, ""] | None = None,
+) -> FemSheet:
+    """Electrodes put on the mesh of a sheet of conductance `sheet` (S per square).
+
+    `shunt`: dipole of a floating electrode, as a part of an equipotential disc's; None
+    leaves the dipoles out and with them two thirds of the right-hand sides.
+    """
+    width = feed_width(radius, shape, size)
+    series, dipole_series = series_resistances(sheet, places, radius, shape, size, shunt)
+    feeds = feed_weights(places, width, shape, size)
+    return FemSheet(
+        sheet,
+        size,
+        feeds,
+        series,
+        feeds[:, :0] if shunt is None else dipole_weights(places, width, shape, size),
+        dipole_series,
+        metal_shares(places, width, shape, size),
+    )
+
+
+def _pinned_solver(fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape):
+    """(factor, rhs ↦ A⁻¹·rhs with the last node at 0 V), and the solve's own rule.
+
+    From A x = b: dx = A⁻¹(db − dA x). The derivative runs through the operator and
+    one more solve with the same factor, never through the factorisation.
+    """
+    matrix = _stiffness.assemble(fem.sheet, contact, shape, fem.size)
+    from_pin = _from_pin(fem, contact, shape)
+    pin = matrix.diagonal[-1, -1, -1]
+    row_sums = (contact + from_pin).at[-1].set(pin)
+    chol = factor(matrix, row_sums)
+
+    def operator(x: Array) -> Array:
+        currents = _stiffness.apply(fem.sheet, contact, shape, fem.size, x.at[-1].set(0))
+        return currents.at[-1].set(pin * x[-1])
+
+    def pinned_solve(rhs: Float[Array, "nodes m"]) -> Float[Array, "nodes m"]:
+        return jax.lax.custom_linear_solve(
+            operator,
+            rhs.at[-1].set(0),
+            solve=lambda _, b: solve(jax.lax.stop_gradient(chol), b),
+            symmetric=True,
+        )
+
+    return chol, pinned_solve
+
+
+def _from_pin(
+    fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape
+) -> Float[Array, " nodes"]:
+    """Currents (A) into the other nodes with the pinned one at 1 V."""
+    at_pin = jnp.zeros_like(fem.feeds[:, :1]).at[-1].set(1)
+    return -_stiffness.apply(fem.sheet, contact, shape, fem.size, at_pin)[:, 0]
+
+
+class _Ports(NamedTuple):
+    """Fields of electrodes and dipoles, and the dipoles' answer to any field."""
+
+    q: Float[Array, "M M"]  # feeds among each other, dipoles answered
+    feed_dipole: Float[Array, "M D"]
+    dipole: Float[Array, "D D"]  # Cholesky factor of the dipoles' own resistances
+
+    def answer(self, at_dipoles: Float[Array, "D n"]) -> Float[Array, "D n"]:
+        """L⁻¹·(field at the dipoles): products of two of these are what shunts take."""
+        if not len(self.dipole):
+            return at_dipoles
+        return triangular_solve(self.dipole, at_dipoles, left_side=True, lower=True)
+
+
+def _ports(fem: FemSheet, fields: Float[Array, "nodes ports"]) -> _Ports:
+    """Q = P'ᵀA⁻¹P' with dipoles eliminated: Q_pp − Q_pd (Q_dd + δ_d)⁻¹ Q_dp."""
+    m = fem.feeds.shape[1]
+    q = matmul(fem.feeds.T, fields[:, :m])
+    feed_dipole = matmul(fem.feeds.T, fields[:, m:])
+    dd = matmul(fem.dipoles.T, fields[:, m:])
+    dd = (dd + dd.T) / 2 + jnp.diag(fem.dipole_series)
+    chol = jnp.linalg.cholesky(dd) if len(dd) else dd
+    raw = _Ports(q, feed_dipole, chol)
+    shunted = raw.answer(feed_dipole.T)
+    q = (q + q.T) / 2 + jnp.diag(fem.series) - matmul(shunted.T, shunted)
+    return raw._replace(q=q)
+
+
+def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
+    """R_ee, R_ek and R_kk (Ω) of a sheet on its mesh, centred.
+
+    **Arguments:** `fem`: the sheet and its electrodes; `shape` (nx, ny): cells.
+    **Returns:** `Resistances` with M electrodes and K = 2·nx·ny elements.
+    """
+    chol, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
+    fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles], 1))
+    ports = _ports(fem, fields)
+    at_elements = _stiffness.at_elements(fields, shape).T
+    m = fem.feeds.shape[1]
+    shunt, element_shunt = (ports.answer(f) for f in (ports.feed_dipole.T, at_elements[m:]))
+    ek = at_elements[:m] - matmul(shunt.T, element_shunt)
+    kk = _own_resistance(chol, shape) - (element_shunt**2).sum(0)
+    return centred(Resistances(ports.q, ek, kk))
+
+
+def _own_resistance(chol, shape: Shape) -> Float[Array, " K"]:
+    """R_kk = b_kᵀ R b_k from the band of the inverse; the pinned node counts zero."""
+    band = inverse_band(chol)
+    diagonal = band.diagonal.at[-1, -1, -1].set(0)
+    b = diagonal.shape[-1]
+    vertices = triangles(shape)
+    own = jnp.zeros(len(vertices), diagonal.dtype)
+    for one, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        pair = vertices[:, [one, other]]
+        high, low = pair.max(1), pair.min(1)
+        same = high // b == low // b
+        within = diagonal[high // b, high % b, low % b]
+        between = band.lower[low // b - (low // b == len(diagonal) - 1), high % b, low % b]
+        value = jnp.where(same, within, between)
+        own = own + value * (1 if one == other else 2)
+    return own / 9
+
+
+def fem_site_resistances(
+    fem: FemSheet, sites: Int[Array, " c"], shape: Shape
+) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
+    """R_ec and R_cc' (Ω) of chosen sites, centred like the table.
+
+    A site is a node, or electrode e as N + e: all that `fem_contact` can touch. With
+    them `reduce_contact` gives what `fem_contact` does without another factorisation.
+    """
+    _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
+    n, m = fem.feeds.shape
+    dipoles = fem.dipoles.shape[1]
+    is_node = sites < n
+    load = jnp.where(is_node, 0, fem.feeds[:, jnp.clip(sites - n, 0)])
+    load = load.at[sites, jnp.arange(sites.size)].add(
+        is_node.astype(load.dtype), mode="drop"
+    )
+    everything = jnp.concatenate([fem.feeds, fem.dipoles, load], 1)
+    fields = pinned_solve(everything)
+    ports = _ports(fem, fields[:, : m + dipoles])
+    shunt = ports.answer(ports.feed_dipole.T)
+    site_shunt = ports.answer(matmul(fem.dipoles.T, fields[:, m + dipoles :]))
+    same = jnp.arange(n, n + m)[:, None] == sites
+    ec = matmul(fem.feeds.T, fields[:, m + dipoles :]) - matmul(shunt.T, site_shunt)
+    ec = ec + jnp.where(same, fem.series[:, None], 0)
+    own = jnp.where(is_node, 0, fem.series[jnp.clip(sites - n, 0)])
+    cc = matmul(load.T, fields[:, m + dipoles :]) - matmul(site_shunt.T, site_shunt)
+    cc = (cc + cc.T) / 2 + jnp.where(sites[:, None] == sites, own, 0)
+    row, column, mean = ports.q.mean(0), ec.mean(0), ports.q.mean()
+    return (
+        ec - row[:, None] - column[None, :] + mean,
+        cc - column[:, None] - column[None, :] + mean,
+    )
+
+
+def site_conductance(
+    fem: FemSheet, contact: Float[Array, " K"], shape: Shape
+) -> Float[Array, " sites"]:
+    """Conductances (S) on nodes and electrodes from conductances on elements.
+
+    A third of each element's to each of its vertices, and of a node's what `metal`
+    says to the electrodes.
+    """
+    at_nodes = _stiffness.spread(contact, shape)
+    direct = matmul(at_nodes, fem.metal)
+    return jnp.concatenate([at_nodes * (1 - fem.metal.sum(1)), direct])
+
+
+def fem_contact(
+    fem: FemSheet, contact: Float[Array, " sites"], shape: Shape
+) -> ContactReduction:
+    """Reduction of a sheet in contact to its electrodes, from one factorisation.
+
+    **Arguments:** `contact` g: S per site, see `site_conductance`.
+    **Returns:** `ContactReduction`; voltages under any grounds follow from it.
+
+    The sheet is pinned at one node (not at an electrode, so that every ground is
+    treated alike). Right-hand sides: electrodes and their dipoles; the object at 1 V;
+    the pinned node at 1 V. The last two add up to one everywhere and each is used where
+    it is the small one, so that neither weak nor strong contacts lose digits.
+    """
+    n, m = fem.feeds.shape
+    at_nodes, direct = contact[:n], contact[n:]
+    _, pinned_solve = _pinned_solver(fem, at_nodes, shape)
+    ends = jnp.stack([at_nodes, _from_pin(fem, at_nodes, shape)], 1)
+    fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles, ends], 1))
+    own = m + fem.dipoles.shape[1]
+    ports = _ports(fem, fields[:, :own])
+    lift, shortfall = fields[:, own], fields[:, own + 1].at[-1].set(1)
+    # Dipoles carry no net current, so that the lift's field is minus the shortfall's.
+    answered = ports.answer(matmul(fem.dipoles.T, shortfall[:, None]))
+    shunt = ports.answer(ports.feed_dipole.T)
+    node_shunt = ports.answer(fields[:, m:own].T).T
+    moved = matmul(shunt.T, answered)[:, 0]
+    through = jnp.vdot(at_nodes, shortfall, precision="highest")
+    on_sheet = ContactReduction(
+        conductance=through + (answered**2).sum(),
+        lift=matmul(fem.feeds.T, lift) + moved,
+        shortfall=matmul(fem.feeds.T, shortfall) - moved,
+        resistance=ports.q,
+        field=fields[:, :m] - matmul(node_shunt, shunt),
+        gap=shortfall - matmul(node_shunt, answered)[:, 0],
+    )
+    return touch_electrodes(on_sheet, direct)

@@ -1,0 +1,96 @@
+"""Stiffness of a sheet in contact, P1 elements, as a matrix and as an operator.
+
+A = Σ_k σ_k·∫∇φ∇φᵀ + diag(g): the sheet's conductance σ (S per square) and a contact of
+conductance g (S per node) to an object at 0 V. Contacts sit on the nodes, not on the
+elements' means: the matrix then has no positive entry off its diagonal, which is what
+keeps every potential between the object's and ground. The last node is pinned to 0 V; it
+is a corner of the sheet, and which potential is pinned drops out of what is measured.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import BlockTri
+from tomojax.kernels.sheet._mesh import block_shape, cell_sides, Shape, triangles
+
+
+def _reference_stiffness(
+    shape: Shape, size: Float[Array, "2"]
+) -> Float[Array, "elements 3 3"]:
+    """Stiffness of each element at 1 S per square.
+
+    In a right triangle with legs p (to vertex 1) and q (to vertex 2) the hypotenuse
+    carries nothing and the legs are conductances q/2p and p/2q. The first vertex is
+    the right angle and the first leg lies along x, see `triangles`.
+    """
+    dx, dy = cell_sides(shape, size)
+    along_x, along_y = dy / (2 * dx), dx / (2 * dy)
+    edge_x = np.array([[1, -1, 0], [-1, 1, 0], [0, 0, 0]])
+    edge_y = np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 1]])
+    one = along_x * edge_x.astype(size.dtype) + along_y * edge_y.astype(size.dtype)
+    return jnp.broadcast_to(one, (2 * shape[0] * shape[1], 3, 3))
+
+
+def assemble(
+    sheet: Float[Array, " elements"],
+    contact: Float[Array, " nodes"],
+    shape: Shape,
+    size: Float[Array, "2"],
+) -> BlockTri:
+    """A as a block-tridiagonal matrix, the last node's row and column cleared.
+
+    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per node;
+    `shape` cells of the mesh; `size` of the sheet, m.
+    **Returns:** blocks (n, b, b) and (n − 1, b, b); the pinned node keeps a diagonal
+    entry alone, the mean of `sheet`, so that the scale of the matrix stays even.
+    """
+    n, b = block_shape(shape)
+    local = sheet[:, None, None] * _reference_stiffness(shape, size)
+    vertices = triangles(shape)
+    pinned = n * b - 1
+    row, column = (
+        np.broadcast_to(v, (len(vertices), 3, 3)).ravel()
+        for v in (vertices[:, :, None], vertices[:, None, :])
+    )
+    free = (row != pinned) & (column != pinned)
+    entries = local.ravel()
+
+    def blocks(keep: np.ndarray, count: int) -> Array:
+        at = np.flatnonzero(keep & free)
+        zero = jnp.zeros((count, b, b), local.dtype)
+        return zero.at[column[at] // b, row[at] % b, column[at] % b].add(entries[at])
+
+    lower = blocks(row // b == column // b + 1, n - 1)
+    diagonal = blocks(row // b == column // b, n)
+    diagonal = diagonal + contact.reshape(n, b)[:, :, None] * jnp.eye(b, dtype=sheet.dtype)
+    return BlockTri(diagonal.at[-1, -1, -1].set(sheet.mean()), lower)
+
+
+def apply(
+    sheet: Float[Array, " elements"],
+    contact: Float[Array, " nodes"],
+    shape: Shape,
+    size: Float[Array, "2"],
+    potential: Float[Array, "nodes m"],
+) -> Float[Array, "nodes m"]:
+    """A·u element by element, nothing pinned: the currents (A) that u asks for."""
+    local = sheet[:, None, None] * _reference_stiffness(shape, size)
+    vertices = triangles(shape)
+    currents = jnp.einsum("kij,kjm->kim", local, potential[vertices], precision="highest")
+    return (contact[:, None] * potential).at[vertices].add(currents)
+
+
+def spread(values: Float[Array, " elements"], shape: Shape) -> Float[Array, " nodes"]:
+    """Σ_k values_k b_k: currents per element as currents per node."""
+    n, b = block_shape(shape)
+    vertices = triangles(shape)
+    shares = jnp.broadcast_to(values[:, None] / 3, vertices.shape)
+    return jnp.zeros(n * b, values.dtype).at[vertices].add(shares)
+
+
+def at_elements(
+    potential: Float[Array, "nodes m"], shape: Shape
+) -> Float[Array, "elements m"]:
+    """b_kᵀu: potentials of nodes as means over each element's vertices."""
+    return potential[triangles(shape)].mean(1)

@@ -1,0 +1,35 @@
+"""Checks without JAX: a `ValueError` names the argument, what came, what was expected."""
+
+from typing import Any
+
+import numpy as np
+
+
+def require(condition: Any, name: str, got: Any, expected: str) -> None:
+    if not condition:
+        raise ValueError(f"{name}: got {got}, expected {expected}")
+
+
+def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:
+    """**Raises:** `ValueError` for discs that overlap or leave the sheet."""
+    xy, size, diameter = (
+        np.asarray(a, np.float64) for a in (electrode_xy, size, electrode_diameter)
+    )
+    slack = 1e-5 * diameter  # an electrode may touch the edge to rounding
+    low, high = (xy - diameter / 2).min(1), (xy + diameter / 2 - size).max(1)
+    outside = np.flatnonzero((low < -slack) | (high > slack))
+    require(
+        not outside.size,
+        "electrode_xy",
+        f"electrodes {outside[:5].tolist()} beyond the sheet's edge",
+        f"discs of {diameter:g} m inside {size.tolist()} m",
+    )
+    apart = np.sqrt(((xy[:, None] - xy[None]) ** 2).sum(-1))
+    apart[np.diag_indices_from(apart)] = np.inf
+    one, other = np.unravel_index(apart.argmin(), apart.shape)
+    require(
+        apart.min() > diameter - slack,
+        "electrode_xy",
+        f"electrodes {one} and {other} {apart.min():.3g} m apart",
+        f"more than their diameter, {diameter:g} m",
+    )

@@ -1,0 +1,131 @@
+"""A rig's calibration from its recordings: contact-free slots, contacts at known places."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax._require import require
+from tomojax.calibration._calibrate import calibrate
+from tomojax.recordings import read_chunk, Recording
+from tomojax.sensor import Calibration
+
+# Slots looked at for zeros, in how many stretches; the least there must be; V that none of
+# them exceeds. Means of a ground's slots beside those of all, in σ²: more is a contact.
+_SLOTS, _STRETCHES, _LEAST, _QUIET, _SAME = 8192, 16, 16, 0.005, 2.0
+
+# Slots that a calibration is made of: more tell little that is new.
+# V that a contact exceeds to be of use, and the fewest such slots.
+_MOST, _TOUCHED, _FEWEST = 2048, 0.05, 64
+
+# Beside the noise that is seen: what is left of zeros, and of 16 bits.
+_MORE = 1.1
+
+
+def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
+    """Zeros of the channels and their noise, from the recording's contact-free slots.
+
+    Those with all voltages below 5 mV and a mean that is the lowest, to the noise. Zeros
+    do not depend on the ground: where these slots' means do, something touches. With
+    fewer than 16 slots, or with a touch, the calibration (nominal by default) as it is.
+    """
+    calibration = calibration or Calibration()
+    v, grounds = _quiet_slots(recording, calibration)
+    if len(v) < _LEAST:
+        return calibration
+    # Of one slot and the next: what changes slowly does not count.
+    noise = 1.4826 * np.median(np.abs(np.diff(v, axis=0))) / np.sqrt(2)
+    means = v.mean(1)
+    same = means <= np.quantile(means, 0.1) + 5 * noise / np.sqrt(v.shape[1])
+    v, grounds = v[same], grounds[same]
+    if len(v) < _LEAST:
+        return calibration
+    zero = v.mean(0)
+    count = np.bincount(grounds)
+    some = np.flatnonzero(count >= 2)
+    apart = [count[g] * ((v[grounds == g].mean(0) - zero) ** 2).mean() for g in some]
+    noise = float(v.std(0).mean())
+    if len(some) > 1 and np.median(apart) > _SAME * noise**2:
+        return calibration
+    offset = zero * np.asarray(calibration.gain) + np.asarray(calibration.offset)
+    resolution = 1e-5
+    return replace(
+        calibration,
+        offset=tuple(float(z) for z in offset),
+        noise=float(np.hypot(_MORE * noise, resolution)),
+    )
+
+
+def _quiet_slots(
+    recording: Recording, calibration: Calibration
+) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
+    each = max(1, _SLOTS // _STRETCHES // recording.slots)
+    starts = np.linspace(0, max(0, recording.scans - each), _STRETCHES).astype(int)
+    found, under = [], []
+    for start in np.unique(starts).tolist():
+        stop = min(start + each, recording.scans)
+        _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
+        v = calibration.voltages(v[:, 0].astype(float))
+        quiet = good.all((1, 2)) & (np.abs(v).max(1) < _QUIET)
+        found.append(v[quiet])
+        under.append(grounds[quiet, 0])
+    return np.concatenate(found), np.concatenate(under).astype(int)
+
+
+def calibrate_recording(
+    recording: Recording, places: Float[np.ndarray, "n 2"], most: int = _MOST
+) -> Calibration:
+    """`calibrate` on a recording of one contact, at `places` (m) in each slot or scan.
+
+    Zeros are taken from contact-free slots first, where there are. Slots with faults,
+    without a contact or without a place (NaN) are left out; of the others up to `most`,
+    spread evenly.
+
+    **Raises:** `ValueError` for places that are neither one per slot nor one per scan, or
+    with fewer than 64 slots left.
+    """
+    slots = recording.scans * recording.slots
+    places = np.asarray(places, float)
+    per_scan = places.shape == (recording.scans, 2)
+    expected = f"({slots}, 2), one per slot, or ({recording.scans}, 2), one per scan"
+    require(per_scan or places.shape == (slots, 2), "places", places.shape, expected)
+    if per_scan:
+        places = places.repeat(recording.slots, 0)
+    before = tare(recording)
+    found: list[tuple] = []
+    each = max(1, _SLOTS // recording.slots)
+    step = max(1, slots // most)
+    for start in range(0, recording.scans, each):
+        stop = min(start + each, recording.scans)
+        _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
+        number = np.arange(len(v)) + start * recording.slots
+        touched = np.abs(before.voltages(v[:, 0])).max(1) > _TOUCHED
+        usable = good.all((1, 2)) & touched & np.isfinite(places[number]).all(1)
+        take = usable & (number % step == 0)
+        found.append((v[take], grounds[take], places[number[take]]))
+    parts = [np.concatenate(p) for p in zip(*found)]
+    enough = f"at least {_FEWEST} slots with a contact and its place"
+    require(len(parts[0]) >= _FEWEST, "places", f"{len(parts[0])} usable slots", enough)
+    return calibrate(recording.rig.sensor(), *parts, calibration=before)
+
+
+def read_places(path: Path) -> Float[np.ndarray, "n 2"]:
+    """`xy` of an .npz file, or two columns x, y of a text file (.csv, one header line at
+    most), m.
+
+    **Raises:** `ValueError` naming the file.
+    """
+    try:
+        if path.suffix == ".npz":
+            with np.load(path) as file:
+                places = file["xy"]
+        else:
+            places = np.genfromtxt(path, delimiter=",", comments="#")
+            places = places[1:] if np.isnan(places[:1]).all() else places
+    except (OSError, KeyError, ValueError) as error:
+        why = str(error).splitlines()[0]
+        raise ValueError(f"{path}: places: {why}; give x and y in metres") from None
+    fits = places.ndim == 2 and places.shape[1] == 2
+    require(fits, f"{path}: places", f"shape {places.shape}", "(n, 2), x and y in metres")
+    return np.asarray(places, float)

@@ -1,0 +1,37 @@
+"""`tomojax demo`: a recording that comes with the package, reconstructed and shown.
+
+The recording is simulated (`python -m tomojax.cli._demo_recording` makes it anew), with an
+uneven sheet, gain errors and noise that the reconstruction does not know of.
+"""
+
+import sys
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import h5py
+
+from tomojax.recordings import open_recording
+from tomojax.results import plots, reconstruct_recording, report, Settings
+
+
+def run(out: Path) -> None:
+    """Contacts printed; pictures, a clip and the results file in the folder `out`."""
+    from tqdm import tqdm
+
+    out.mkdir(parents=True, exist_ok=True)
+    results = out / "results.h5"
+    with as_file(files("tomojax") / "demo.h5") as path, open_recording(path) as recording:
+        rig = recording.rig
+        print(
+            f"{recording.scans} scans of {recording.slots} slots, {recording.electrodes} "
+            f"electrodes, {recording.scans * recording.interval:.3g} s: {rig.notes}"
+        )
+        reconstruct_recording(recording, results, Settings(grid=32), overwrite=True)
+    print(report.text(report.summary(results), results))
+    plots.timeline(results).savefig(out / "contacts.png", dpi=110)
+    with h5py.File(results) as file:
+        frames = file["t"].shape[0]  # pyright: ignore
+    with tqdm(total=frames, desc="clip", disable=None, file=sys.stderr) as bar:
+        plots.clip(results, out / "contacts.gif", progress=bar.update)
+    for name in ("contacts.png", "contacts.gif"):
+        print(f"picture: {out / name}")

@@ -1,0 +1,246 @@
+"""`tomojax design`: grounds for where contacts may be."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+import jax
+import numpy as np
+
+from tomojax._environment import environment
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+_FOLDER = click.Path(file_okay=False, path_type=Path)
+
+# Cells of the map of what a design tells, along a side.
+_MAP = 32
+
+
+@click.command()
+@click.option(
+    "--region",
+    type=float,
+    nargs=4,
+    metavar="X0 Y0 X1 Y1",
+    help="Where contacts may be, mm. [default: the sheet but half a pitch]",
+)
+@click.option(
+    "--place", "spots", type=float, nargs=2, multiple=True, help="A contact at X Y, mm."
+)
+@click.option("--slots", type=int, default=8, show_default=True)
+@click.option(
+    "--method",
+    type=click.Choice(["points", "linear", "source"]),
+    default="points",
+    show_default=True,
+)
+@click.option(
+    "--criterion",
+    type=click.Choice(["place", "a", "d", "worst", "rigs"]),
+    help="Of all places: the mean error of place, the mean variance, the volume of what "
+    "stays unknown, or the worst; rigs: what is seen on simulated ones. "
+    "[default: place; of a table for points or linear rigs]",
+)
+@click.option("--noise", type=float, help="V rms. [default: as the method takes it]")
+@click.option("--lam", type=float, help="λ of an image. [default: the noise's]")
+@click.option("--contacts", type=int, default=64, show_default=True, help="In a region.")
+@click.option("--like", type=_FILE, help="A recording of the rig: its sheet, electrodes.")
+@click.option("--json", "json_path", type=_FILE, help="Write all of it here.")
+@click.option("--out", type=_FOLDER, help="Folder for a picture.")
+@click.option(
+    "--policy",
+    type=_FILE,
+    help="Also a table by place, for `tomojax live --policy`: an .npz file.",
+)
+def design(
+    region: tuple | None,
+    spots: tuple,
+    json_path: Path | None,
+    out: Path | None,
+    policy: Path | None,
+    like: Path | None,
+    **options: Any,
+) -> None:
+    """The best ground conditions for a contact's place, and how far from the best possible.
+
+    Beside the paper's nine patterns, and a design of as many slots as each has.
+    """
+    from tomojax.recordings import open_recording
+    from tomojax.sensor import Sensor
+
+    for folder in (out, json_path and json_path.parent, policy and policy.parent):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+    if policy is not None and policy.suffix != ".npz":
+        raise ValueError(f"--policy: got {policy}, expected a name that ends in .npz")
+    if region and spots:
+        raise ValueError("--place: got a region as well, expected one of both")
+    # Variances of a small λ want all digits.
+    with jax.enable_x64(True):
+        sensor = Sensor.grid(divisions=(32, 32), dtype=np.float64)
+        if like is not None:
+            with open_recording(like) as recording:
+                sensor = recording.rig.sensor(dtype=np.float64)
+        report = _designed(sensor, region, spots, options)
+        print(_text(report))
+        if json_path:
+            told = {k: v for k, v in report.items() if not k.startswith("_")}
+            told["environment"] = environment()
+            text = json.dumps(told, indent=1).replace("NaN", "null")
+            json_path.write_text(text + "\n")
+        if out:
+            path = out / "design.png"
+            _draw(sensor, report).savefig(path, dpi=110)
+            print(f"picture: {path}")
+        if policy:
+            _table(sensor, policy, options)
+
+
+def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str, Any]:
+    from tomojax import design as d, design as problem
+
+    if spots:
+        places = np.array(spots) / 1e3
+    else:
+        box = None if not region else np.array(region) / 1e3
+        places = np.asarray(problem.design_places(sensor, box, options["contacts"]))
+    words = {k: options[k] for k in ("noise", "lam")}
+    criterion = options["criterion"] or "place"
+
+    def objective(where: Any) -> Any:
+        return problem.design_objective(
+            sensor, where, options["method"], criterion, **words
+        )
+
+    with click.progressbar(length=3, label="design", file=sys.stderr) as bar:
+        made = objective(places)
+        found = d.design(made, options["slots"])
+        bar.update(1)
+        explored = problem.exploratory_voltages(sensor, jax.numpy.asarray(places))
+        rows = d.patterns_beside(sensor, made, explored)
+        # What knows the contact is beside designs that do, the others beside one for all.
+        kinds = {(row["slots"], row["adaptive"]) for row in rows}
+        best = {kind: _best(made, *kind) for kind in kinds}
+        for row in rows:
+            row["designed"] = best[row["slots"], row["adaptive"]]
+        bar.update(1)
+        parts = [(np.arange(_MAP) + 0.5) / _MAP * s for s in np.asarray(sensor.size)]
+        grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+        chosen = np.zeros(made.slots)
+        chosen[found.grounds] = 1
+        whole = criterion == "d" and options["method"] != "points"
+        figures = None if whole else np.asarray(objective(grid)(jax.numpy.asarray(chosen)))
+        bar.update(1)
+    gap = found.value / found.bound - 1
+    return {
+        "rows": rows,
+        "summary": {
+            "grounds": found.grounds.tolist(),
+            "lam": None if options["method"] == "points" else float(made.lam),
+            "objective": found.value,
+            "bound": found.bound,
+            "gap": gap,
+            "unit": found.unit,
+            "greedy": found.greedy,
+            "rounded": found.rounded,
+            "method": options["method"],
+            "criterion": criterion,
+            "baselines": {row["name"]: row["value"] for row in rows},
+        },
+        "_places": places,
+        "_map": None if figures is None else figures.reshape(_MAP, _MAP),
+    }
+
+
+def _best(objective: Any, slots: int, by_place: bool) -> float:
+    from tomojax import design as d
+    from tomojax.design import designs_by_place, ImageVariance
+
+    if not by_place:
+        return d.design(objective, slots).value
+    if isinstance(objective, ImageVariance) and objective.criterion == "d":
+        return float("nan")  # one figure for all contacts
+    figures = d.each_its_own(objective, designs_by_place(objective, slots)[0])
+    return float(figures.max() if objective.worst else figures.mean())
+
+
+def _text(report: dict[str, Any]) -> str:
+    s = report["summary"]
+    scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
+    grounds = " ".join(map(str, s["grounds"]))
+    bound = f"{scale * s['bound']:.4g} ({100 * s['gap']:.1f} %)"
+    beside = f"; no set of as many is below {bound}" if s["gap"] == s["gap"] else ""
+    lines = [
+        f"grounds: {grounds}",
+        *([] if s["lam"] is None else [f"λ: {s['lam']:.4g}"]),
+        f"objective: {scale * s['objective']:.4g} {unit}{beside}",
+        f"{'pattern':12s} slots  {'its own':>10s}  designed, {unit}",
+    ]
+    for row in report["rows"]:
+        mark = "*" if row["adaptive"] else " "
+        known = [row[key] for key in ("value", "designed")]
+        own, best = (f"{scale * v:.4g}" if v == v else "-" for v in known)
+        values = f"{own:>10s}  {best:>8s}"
+        lines.append(f"{row['name']:11s}{mark} {row['slots']:5d}  {values}")
+    known = "* knows where the contact is, and so does the design beside it: --policy"
+    return "\n".join([*lines, known])
+
+
+def _table(sensor: Any, path: Path, options: dict) -> None:
+    from tomojax.design import design_policy
+    from tomojax.step import save_policy
+
+    words = {k: options[k] for k in ("noise", "lam", "criterion")}
+    words = {k: v for k, v in words.items() if v is not None}
+    found = design_policy(sensor, options["slots"], options["method"], **words)
+    save_policy(found.policy, path)
+    nx, ny = found.value.shape
+    worst = 100 * float((found.value / found.bound - 1).max())
+    told = f", each {worst:.1f} % off its bound at most" if worst == worst else ""
+    print(f"policy: {path}, {nx} x {ny} places{told}")
+
+
+def _draw(sensor: Any, report: dict[str, Any]) -> Any:
+    from matplotlib.figure import Figure
+
+    s = report["summary"]
+    scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
+    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    xy = 1e3 * np.asarray(sensor.electrode_xy)
+    width, height = 1e3 * np.asarray(sensor.size)
+    if report["_map"] is not None:
+        image = left.imshow(
+            scale * report["_map"].T,
+            origin="lower",
+            extent=(0, width, 0, height),
+            cmap="viridis_r",
+            norm="log",
+        )
+        figure.colorbar(image, label=f"{s['criterion']}, {s['method']}: {unit}")
+    left.plot(*xy.T, "o", color="w", mec="0.4", ms=4)
+    left.plot(*1e3 * report["_places"].T, "k.", ms=2)
+    for order, ground in enumerate(s["grounds"], 1):
+        left.plot(*xy[ground], "o", color="C3", ms=11)
+        left.text(*xy[ground], str(order), color="w", ha="center", va="center", size=8)
+    left.set(xlabel="x, mm", ylabel="y, mm", title=f"{len(s['grounds'])} grounds in order")
+    rows = sorted(report["rows"], key=lambda row: row["slots"])
+    for row in rows:
+        mark = "^" if row["adaptive"] else "o"
+        right.loglog(row["slots"], scale * row["value"], mark, color="0.4")
+        right.annotate(row["name"], (row["slots"], scale * row["value"]), size=7)
+    for adaptive, style, label in ((False, "-o", "one for all"), (True, "-^", "by place")):
+        some = [row for row in rows if row["adaptive"] == adaptive]
+        values = [scale * row["designed"] for row in some]
+        slots = [row["slots"] for row in some]
+        right.loglog(slots, values, style, color="C3", ms=4, label=f"designed, {label}")
+    right.legend(fontsize=8)
+    right.loglog(len(s["grounds"]), scale * s["objective"], "*", color="C3", ms=12)
+    slots = sorted({row["slots"] for row in rows})
+    right.set_xticks(slots, [str(n) for n in slots], minor=False)
+    right.set_xticks([], minor=True)
+    right.set(xlabel="slots", ylabel=f"objective, {unit}")
+    right.set_title("patterns (triangles know the contact) and designs")
+    return figure

@@ -1,0 +1,77 @@
+"""`tomojax frontier`: which method, pattern, mesh and precision to take."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from tomojax._environment import environment
+from tomojax.cli._study import begin, named, study_options
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
+@study_options("frontier", "rows and a summary", "Of each kind. [default: 20; quick: 6]")
+def frontier(
+    quick: bool,
+    out: Path,
+    json_path: Path | None,
+    scenes: int | None,
+    seed: int,
+    like: Path | None,
+) -> None:
+    """Speed against accuracy of every method and of the peers, on this machine.
+
+    On scenes whose voltages another model made: a resistor network with a rig's errors.
+    """
+    from tomojax.studies.frontier import jobs, KINDS, mark_front, report, run
+
+    _peers_there()
+    sensor = begin(json_path, scenes, 2, seed, like)
+    steps = len(jobs(quick)) + 1
+    with click.progressbar(
+        length=steps, label="frontier", file=sys.stderr, item_show_func=named
+    ) as bar:
+        rows = run(
+            sensor,
+            out,
+            quick,
+            scenes,
+            seed,
+            lambda done: bar.update(1, done),  # pyright: ignore
+        )
+    failed = [row for row in rows if row.get("failed")]
+    rates, day = ([r for r in rows if r["scene"] == name] for name in ("rate", "day"))
+    rows = [row for row in rows if row["scene"] in KINDS]
+    mark_front(rows)
+    print(report.text(rows))
+    for line in report.machine_lines(rates, day):
+        print(line)
+    for row in failed:
+        print(f"failed: {row['method']}, {row['dtype']}: {row['failed']}")
+    path = json_path or out / "frontier.json"
+    summary = report.summary(rows) | {"failed": failed}
+    told = {"rows": rows, "rates": rates, "day": day, "summary": summary}
+    told["environment"] = environment()
+    path.write_text(json.dumps(told, indent=1) + "\n")
+    for draw, name in (
+        (report.chart, "frontier.png"),
+        (report.rungs, "frontier_rungs.png"),
+    ):
+        draw(rows).savefig(out / name, dpi=110)
+        print(f"picture: {out / name}")
+    if rates:
+        report.rate_chart(rates).savefig(out / "frontier_rates.png", dpi=110)
+        print(f"picture: {out / 'frontier_rates.png'}")
+
+
+def _peers_there() -> None:
+    """Known before the work: the peers are part of the picture."""
+    from importlib.util import find_spec
+
+    for module in ("pyeit", "skfem"):
+        if find_spec(module) is None:
+            raise ValueError(
+                f"{module} is not installed; pip install 'tomojax[app,peers]' brings it"
+            )

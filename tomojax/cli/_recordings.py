@@ -1,0 +1,245 @@
+"""Commands on recordings: `tomojax reconstruct` and `tomojax info`."""
+
+import json
+import os
+import signal
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import click
+import numpy as np
+
+from tomojax._environment import environment
+
+_FILE = click.Path(path_type=Path)
+_REPORT = click.Path(dir_okay=False, path_type=Path)
+
+
+def _tdms(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
+    names = ("group", "channels", "ground", "slots", "rail")
+    options = {}
+    for value in values:
+        name, equals, text = value.partition("=")
+        if not equals or name not in names:
+            expected = ", ".join(f"{n}=…" for n in names)
+            raise click.BadParameter(f"got {value!r}, expected one of {expected}")
+        options[name] = text
+    return options
+
+
+def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
+    if value == "auto":
+        return None
+    try:
+        return float(value)
+    except ValueError:
+        raise click.BadParameter(f"got {value!r}, expected auto or a number") from None
+
+
+_tdms_option = click.option(
+    "--tdms",
+    multiple=True,
+    metavar="NAME=TEXT",
+    callback=_tdms,
+    help="How a .tdms file is laid out: group=scan, channels=ai{}, ground=ground, "
+    "slots=10, rail=5. Again for each.",
+)
+
+
+@click.command()
+@click.argument("rec", type=_FILE)
+@click.option("-o", "--out", type=_FILE, help="Results file. [default: REC.results.h5]")
+@click.option(
+    "--rate", type=click.Choice(["scan", "slot"]), default="scan", show_default=True
+)
+@click.option(
+    "--method",
+    default="source",
+    show_default=True,
+    help="auto, points, source, positive, conductance or linear.",
+)
+@click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
+@click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
+@click.option(
+    "--grid", type=int, help="Pixels of a side. [default: 32; 24 with --rate slot]"
+)
+@click.option(
+    "--contacts", type=int, default=4, show_default=True, help="At most, per row."
+)
+@click.option(
+    "--threshold", type=float, help="V: less is no contact. [default: the method's]"
+)
+@click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option(
+    "--tare/--no-tare",
+    default=True,
+    help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
+)
+@click.option(
+    "--policy",
+    type=_FILE,
+    help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
+)
+@click.option("--chunk", type=int, help="Scans that are worked on at once.")
+@click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
+@click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
+@click.option("--picture", type=_REPORT, help="Draw the contacts over time here (PNG).")
+@click.option("--json", "json_path", type=_REPORT, help="Write the printed summary here.")
+@click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
+@click.option("--processes", type=int, help="How many share it.")
+@click.option("--process", type=int, help="Which of them this is, from 0.")
+@_tdms_option
+def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
+    """Contacts and images of every scan or slot of the recording REC.
+
+    Ctrl-C, a crash or a full disk leave OUT.partial: --resume goes on with it, to the same
+    file. On several machines that share a folder, run one command on each, with the same
+    --coordinator and --processes; one that was killed is started again with --resume.
+    """
+    from tomojax.recordings import open_recording
+    from tomojax.results import distributed, reconstruct_recording, report, Settings
+
+    out = out or rec.with_name(rec.stem + ".results.h5")
+    given = (options[n] for n in ("coordinator", "processes", "process"))
+    share = distributed.join(*given, out=out, resume=options["resume"])
+    images = options["images"]
+    rate = options["rate"]
+    settings = Settings(
+        method=options["method"],
+        rate=rate,
+        images=rate == "scan" if images is None else images,
+        lam=options["lam"],
+        grid=options["grid"],
+        contacts=options["contacts"],
+        threshold=options["threshold"],
+        chunk=options["chunk"],
+        calibration=str(options["calibration"]) if options["calibration"] else None,
+        policy=str(options["policy"]) if options["policy"] else None,
+        tare=options["tare"],
+    )
+    for path in (options["picture"], options["json_path"]):
+        if path and not path.parent.is_dir():
+            raise ValueError(f"{path}: no such folder; make it, or give another")
+    with (
+        open_recording(rec, **options["tdms"]) as recording,
+        _bar(share) as bar,
+        interrupts() as interrupted,
+    ):
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+
+        try:
+            reconstruct_recording(
+                recording,
+                out,
+                settings,
+                resume=options["resume"],
+                overwrite=options["overwrite"],
+                share=share,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            bar.close()
+            print(f"\ntomojax: stopped; --resume goes on with {out}", file=sys.stderr)
+            raise SystemExit(130) from None
+    distributed.leave(share, out)
+    if share[0] > 0:
+        print(f"process {share[0]} of {share[1]}: done; process 0 names the file")
+        return
+    summary = report.summary(out)
+    print(report.text(summary, out))
+    if options["json_path"]:
+        whole = {
+            "rows": summary.pop("rows"),
+            "summary": summary,
+            "environment": environment(),
+        }
+        options["json_path"].write_text(json.dumps(whole, indent=1) + "\n")
+    if options["picture"]:
+        from tomojax.results.plots import timeline
+
+        timeline(out).savefig(options["picture"], dpi=110)
+        print(f"picture: {options['picture']}")
+
+
+@contextmanager
+def interrupts():
+    """Ctrl-C as an event: as an exception it may come up inside a callback and be lost.
+
+    A second one ends the process at once, which loses nothing that has been written.
+    """
+    event = Event()
+
+    def handle(number: int, frame: Any) -> None:
+        if event.is_set():
+            os._exit(130)
+        event.set()
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _bar(share: tuple[int, int]):
+    from tqdm import tqdm
+
+    return tqdm(desc="reconstruct", unit="chunk", disable=None, position=share[0])
+
+
+@click.command()
+@click.argument("rec", type=_FILE)
+@click.option(
+    "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
+)
+@_tdms_option
+def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
+    """What the recording REC holds, and its faults."""
+    from tomojax.recordings import info, open_recording
+
+    with open_recording(rec, **tdms) as recording:
+        summary = info.summary(recording)
+        with _bar((0, 1)) as bar:
+            bar.set_description("info")
+
+            def progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done - bar.n)
+
+            rows = info.faults(recording, progress)
+    print(info.text(rec, summary, rows))
+    if json_path:
+        report = {"rows": rows, "summary": summary, "environment": environment()}
+        json_path.write_text(json.dumps(report, indent=1) + "\n")
+
+
+@click.command()
+@click.argument("rec", type=_FILE)
+@click.argument("places", type=_REPORT)
+@click.option("-o", "--out", type=_REPORT, help="[default: REC.calibration.json]")
+@_tdms_option
+def calibrate(rec: Path, places: Path, out: Path | None, tdms: dict) -> None:
+    """Calibrate the rig from REC, a recording of one contact at known PLACES.
+
+    PLACES has x and y in metres, of each slot or of each scan: `xy` in an .npz file, or a
+    .csv file. `tomojax reconstruct --calibration` uses what comes out. Takes a minute.
+    """
+    from tomojax.calibration import calibrate_recording, read_places
+    from tomojax.recordings import open_recording
+
+    out = out or rec.with_name(rec.stem + ".calibration.json")
+    with open_recording(rec, **tdms) as recording:
+        found = calibrate_recording(recording, read_places(places))
+    found.save(out)
+    gains, zeros = 100 * np.std(found.gain), 1e3 * np.std(found.offset)
+    print(f"gains {gains:.3f} %, zeros {zeros:.2f} mV rms")
+    print(f"left of the model's error: {100 * found.error:.0f} %")
+    print(f"calibration: {out}")

@@ -1,0 +1,79 @@
+"""`tomojax stability`: where methods fail, and what they say then."""
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from tomojax._environment import environment
+from tomojax.cli._study import begin, named, study_options
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Four methods, few scenes; some minutes.")
+@click.option("--only", multiple=True, help="This sweep alone; may be given again.")
+@study_options(
+    "stability", "limits and a summary", "At each value. [default: 10; quick: 4]"
+)
+def stability(
+    quick: bool,
+    only: tuple[str, ...],
+    out: Path,
+    json_path: Path | None,
+    scenes: int | None,
+    seed: int,
+    like: Path | None,
+) -> None:
+    """Sweep noise, faults and scenes until each method fails; what it says beyond.
+
+    On scenes whose voltages another model made: a resistor network with a rig's errors.
+    """
+    from tomojax.studies.stability import (
+        limits as stability_limits,
+        numbers as stability_numbers,
+        report,
+        run,
+        SWEEPS,
+    )
+
+    names = SWEEPS
+    for name in only:
+        if name not in names:
+            raise ValueError(f"--only: got {name!r}, expected one of {', '.join(names)}")
+    sensor = begin(json_path, scenes, 1, seed, like)
+    with click.progressbar(
+        length=len(only) or len(names) + 1,
+        label="stability",
+        file=sys.stderr,
+        item_show_func=named,
+    ) as bar:
+        rows = run(
+            sensor,
+            out,
+            quick,
+            only,
+            scenes,
+            seed,
+            lambda done: bar.update(1, done),  # pyright: ignore
+        )
+        numbers = None
+        if not only:
+            numbers = stability_numbers(out, quick)
+            bar.update(1)
+    limits = stability_limits(rows)
+    print(report.text(limits))
+    flagged = report.flagged(limits)
+    print(report.flagged_text(flagged))
+    summary = {"flagged": flagged, "values": rows, "numbers": numbers}
+    path = json_path or out / "stability.json"
+    told = {"rows": limits, "summary": summary, "environment": environment()}
+    path.write_text(json.dumps(told, indent=1) + "\n")
+    picture = out / "stability.png"
+    report.chart(rows, limits).savefig(picture, dpi=100)
+    print(f"picture: {picture}")
+    if numbers:
+        print(report.numbers_text(numbers))
+        picture = out / "stability_numbers.png"
+        report.numbers_chart(numbers, limits).savefig(picture, dpi=100)
+        print(f"picture: {picture}")

@@ -1,0 +1,69 @@
+"""What `tomojax frontier` and `tomojax stability` share: a folder of rows, and a rig."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+
+def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
+    """Options of a command that leaves `name`.json and pictures in a folder."""
+    options = (
+        click.option(
+            "--out",
+            type=click.Path(file_okay=False, path_type=Path),
+            default=Path(f"tomojax-{name}"),
+            show_default=True,
+            help="Folder for pictures and rows; run again, it goes on where it was.",
+        ),
+        click.option(
+            "--json",
+            "json_path",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help=f"Write {report} here. [default: {name}.json in the folder]",
+        ),
+        click.option("--scenes", type=int, help=scenes),
+        click.option("--seed", type=int, default=0, show_default=True),
+        click.option(
+            "--like",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="A recording of the rig: its sheet and electrodes.",
+        ),
+    )
+
+    def wrapped(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return wrapped
+
+
+def begin(
+    json_path: Path | None, scenes: int | None, least: int, seed: int, like: Path | None
+) -> Any:
+    """The sensor, after a look at the options.
+
+    **Raises:** `ValueError` for fewer scenes than `least`, or over 1000, and for a
+    negative seed.
+    """
+    from tomojax.recordings import open_recording
+    from tomojax.sensor import Sensor
+
+    if scenes is not None and not least <= scenes <= 1000:
+        raise ValueError(f"--scenes: got {scenes}, expected {least} to 1000")
+    if seed < 0:
+        raise ValueError(f"--seed: got {seed}, expected 0 or more")
+    if json_path:
+        json_path.parent.mkdir(parents=True, exist_ok=True)
+    if like is None:
+        return Sensor.grid(divisions=(64, 64), dtype=np.float32)
+    with open_recording(like) as recording:
+        return recording.rig.sensor()
+
+
+def named(job: Any) -> str | None:
+    """What a progress bar shows beside it."""
+    return job

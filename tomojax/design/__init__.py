@@ -1,0 +1,48 @@
+"""Designs: ground conditions, λ and electrodes' places that are best for a purpose.
+
+`objectives` says what a set of slots is good for; the searches of this room make
+that small. The room knows nothing of recordings, nor of results.
+"""
+
+from tomojax.design._by_place import (
+    design_policy as design_policy,
+    designs_by_place as designs_by_place,
+    PlaceDesigns as PlaceDesigns,
+)
+from tomojax.design._descend import descend_sets as descend_sets, tune as tune
+from tomojax.design._design import (
+    Design as Design,
+    design as design,
+    each_its_own as each_its_own,
+    patterns_beside as patterns_beside,
+)
+from tomojax.design._electrodes import (
+    design_electrodes as design_electrodes,
+    ElectrodeDesign as ElectrodeDesign,
+    image_scale as image_scale,
+    image_spread as image_spread,
+)
+from tomojax.design._search import exchange as exchange, relax as relax, Relaxed as Relaxed
+from tomojax.design._shared import (
+    closed as closed,
+    design_shared as design_shared,
+    gamma as gamma,
+    pair_objective as pair_objective,
+    Pairs as Pairs,
+    pairs_of as pairs_of,
+    shared_columns as shared_columns,
+    shared_map as shared_map,
+    SharedDesign as SharedDesign,
+)
+from tomojax.design.objectives import (
+    AbstractObjective as AbstractObjective,
+    contact_columns as contact_columns,
+    design_objective as design_objective,
+    design_places as design_places,
+    exploratory_voltages as exploratory_voltages,
+    ImageError as ImageError,
+    ImageVariance as ImageVariance,
+    Scenes as Scenes,
+    score as score,
+    simulate_scenes as simulate_scenes,
+)

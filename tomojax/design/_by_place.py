@@ -1,0 +1,191 @@
+"""Tables of ground conditions by place, for a step to look up."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax._require import require
+from tomojax.design._search import exchange, greedy, relax
+from tomojax.design.objectives._image_error import ImageError
+from tomojax.design.objectives._information import AbstractObjective
+from tomojax.design.objectives._problem import design_objective
+from tomojax.design.objectives._rigs import simulate_scenes
+from tomojax.kernels.algebra import heaviest
+from tomojax.methods import Linear, Source
+from tomojax.paper import exploration
+from tomojax.sensor import Sensor
+from tomojax.step import Lookup
+
+# Swaps that are looked at for each place, and places that are computed side by side.
+_TRIED, _TOGETHER = 16, 64
+
+# Places of a table.
+_SHAPES = {"points": (32, 32), "linear": (24, 24), "source": (16, 16)}
+
+# λ/σ₁² that are tried (decades, and how many), pixels along a side of the images that they
+# are tried on, and the width of a contact in those (σ), m.
+_LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.008
+
+# What a set may be worse by, as a part, to have as many grounds in common with its
+# neighbours' as it has; and how often all are gone through.
+_SMOOTH, _PASSES = 0.02, 4
+
+
+class PlaceDesigns(NamedTuple):
+    """A set of its own for each of nx × ny places."""
+
+    policy: Lookup
+    value: Float[np.ndarray, "nx ny"]  # of the objective
+    bound: Float[np.ndarray, "nx ny"]  # NaN where the objective has none
+
+
+def design_policy(
+    sensor: Sensor,
+    slots: int = 8,
+    method: str = "points",
+    shape: tuple[int, int] | None = None,
+    **options: Any,
+) -> PlaceDesigns:
+    """The best `slots` grounds for a contact at each place, as a policy.
+
+    Each place has the relaxed problem's heaviest slots, improved by exchanges. Then sets
+    that differ from their neighbours' give way to one that is 2 % worse at most and has
+    more in common with them, so that little changes at a seam. Those for images have a λ
+    for each place (`place_lambdas`).
+
+    **Arguments:** `method` and `options` as in `design_objective`, but that of "points" and
+    "linear" the default is "rigs" (errors that slots share count); `shape` of the table, by
+    default (32, 32), (24, 24) of "linear" and (16, 16) of "source", which take longer.
+    **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
+    1 to the electrodes'.
+    """
+    m = sensor.electrode_count
+    whole = isinstance(slots, int | np.integer) and 1 <= slots <= m
+    require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
+    whole = method != "points" and options.get("criterion") == "d"
+    require(not whole, "criterion", "'d' of an image", "one with a figure for each place")
+    nx, ny = shape or _SHAPES.get(method, (16, 16))
+    size = np.asarray(sensor.size, float)
+    parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
+    places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    if method != "source" and options.get("noise") is None:
+        options.setdefault("criterion", "rigs")
+    objective = design_objective(sensor, places, method, **options)
+    sets, bound = designs_by_place(objective, int(slots))
+    sets, value = _smoothed(objective, sets, (nx, ny))
+    # Nearest first: several contacts share the slots, and what is nearest tells most.
+    away = np.linalg.norm(np.asarray(sensor.electrode_xy) - places[:, None], axis=-1)
+    away = np.where(np.asarray(sets) > 0.5, away, np.inf)
+    grounds = np.argsort(away, 1, kind="stable")[:, :slots]
+    table = jnp.asarray(grounds.reshape(nx, ny, slots), jnp.int32)
+    idle = jnp.resize(exploration(sensor), (slots,)).astype(jnp.int32)
+    lams = None
+    if method != "points":
+        lams = place_lambdas(sensor, method, places, sets, (nx, ny))
+    policy = Lookup(table, idle, sensor.size, lams)
+    each = np.asarray(value).reshape(nx, ny), np.asarray(bound).reshape(nx, ny)
+    return PlaceDesigns(policy, *each)
+
+
+def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array]:
+    """The best set of n slots for each place alone, and the bound of each."""
+    slots, dtype = objective.slots, objective.dtype
+    count = jax.eval_shape(objective, jnp.ones(slots, dtype))
+
+    @jax.jit
+    def whole(objective: AbstractObjective) -> tuple[Array, Array]:
+        def one(k: Array) -> tuple[Array, Array]:
+            alone = objective.alone(k)
+            if not objective.convex:
+                start = greedy(alone.value, slots, n, dtype)
+                unknown = jnp.full((), jnp.nan, dtype)
+                return exchange(alone.value, start, n, objective.swaps), unknown
+            best = relax(alone, slots, n, dtype=dtype)
+            start = heaviest(best.weights, n)
+            return exchange(alone.value, start, n, _TRIED), best.bound
+
+        places = jnp.arange(count.shape[0])
+        return jax.lax.map(one, places, batch_size=min(_TOGETHER, len(places)))
+
+    return whole(objective)
+
+
+def _smoothed(
+    objective: AbstractObjective, sets: Float[Array, "P L"], shape: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Sets that have more in common with their neighbours', and their values."""
+    places, n = jnp.arange(len(sets)), sets[0].sum()
+
+    def values(sets: Array) -> Array:
+        one = lambda k, w: objective.alone(k).value(w)  # noqa: E731
+        return jax.lax.map(lambda x: one(*x), (places, sets), batch_size=_TOGETHER)
+
+    def beside(sets: Array) -> Array:
+        """Neighbours' sets (4, P, L); at an edge the place's own."""
+        grid = jnp.pad(sets.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
+        shifted = grid[2:, 1:-1], grid[:-2, 1:-1], grid[1:-1, 2:], grid[1:-1, :-2]
+        return jnp.stack([part.reshape(sets.shape) for part in shifted])
+
+    @jax.jit
+    def one_pass(sets: Array, least: Array) -> Array:
+        around = beside(sets)
+        options = jnp.concatenate([sets[None], around])
+        worse = jax.lax.map(values, options) / least - 1
+        alien = 1 - (options[:, None] * around[None]).sum(-1).mean(1) / n
+        best = jnp.argmin(worse + _SMOOTH * alien, 0)
+        return options[best, places]
+
+    least = jax.jit(values)(sets)
+    for _ in range(_PASSES):
+        sets = one_pass(sets, least)
+    return sets, jax.jit(values)(sets)
+
+
+def place_lambdas(
+    sensor: Sensor,
+    method: str,
+    places: np.ndarray,
+    sets: Float[Array, "P L"],
+    shape: tuple[int, int],
+) -> Float[Array, "nx ny"]:
+    """λ/σ₁² of the least image error at each place and its neighbours, under its set.
+
+    Of simulated contacts on rigs that are not nominal: for "linear" they hold the sheet at
+    V0, for "source" they are soft.
+    """
+    radius, conductance = (0.002, 1.0) if method == "linear" else (0.006, 1e-4)
+    scenes = simulate_scenes(
+        sensor, places, radius=radius, conductance=conductance, rigs=min(8, len(places))
+    )
+    model = (Linear if method == "linear" else Source).of(sensor, (_PIXELS, _PIXELS))
+    objective = ImageError.of(model, scenes, _WIDTH)
+    nx, ny = shape
+    i, j = np.indices(shape).reshape(2, -1)
+    nearby = [
+        np.clip(i + a, 0, nx - 1) * ny + np.clip(j + b, 0, ny - 1)
+        for a in (-1, 0, 1)
+        for b in (-1, 0, 1)
+    ]
+    lams = jnp.asarray(np.logspace(*_LAMS), sensor.dtype)
+
+    @jax.jit
+    def each(objective: ImageError, sets: Array, nearby: Array) -> Array:
+        def one(x: tuple[Array, Array]) -> Array:
+            weights, some = x
+            here = replace(
+                objective, rights=objective.rights[some], targets=objective.targets[some]
+            )
+
+            def error(lam: Array) -> Array:
+                log_lam = jnp.log(lam * model.scale())
+                return replace(here, log_lam=log_lam).value(weights)
+
+            return lams[jnp.argmin(jax.lax.map(error, lams))]
+
+        return jax.lax.map(one, (sets, nearby))
+
+    return each(objective, sets, jnp.asarray(np.stack(nearby, 1))).reshape(shape)

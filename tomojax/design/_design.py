@@ -1,0 +1,156 @@
+"""Ground conditions for a purpose: designed sets beside the best possible and patterns."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from tomojax._require import require
+from tomojax.design._search import exchange, greedy, relax
+from tomojax.design.objectives._information import AbstractObjective
+from tomojax.kernels.algebra import draw_subset, heaviest
+from tomojax.paper import AdaptiveScan, pattern, PATTERNS
+from tomojax.sensor import Sensor
+from tomojax.step import ADAPTIVE
+
+# Further sets that exchanges begin at.
+_DRAWN = 4
+
+
+class Design(NamedTuple):
+    """A set of ground conditions, and what it was chosen among."""
+
+    grounds: Int[np.ndarray, " n"]  # each adds most to those before it
+    value: float  # of the objective
+    bound: float  # no set of as many slots is below it; NaN where the objective has none
+    weights: Float[np.ndarray, " L"]  # the relaxed problem's
+    relaxed: float  # their value
+    rounded: float  # the value of the heaviest n of them
+    greedy: float  # of one slot after another
+    unit: str
+
+
+def design(objective: AbstractObjective, slots: int = 8) -> Design:
+    """The best set of `slots` ground conditions that is found, each once.
+
+    The relaxed problem's heaviest slots, those of a greedy search and some drawn by the
+    relaxed weights, all improved by exchanges: the best of them. `bound` says how far from
+    the best possible that can be at most.
+    **Raises:** `ValueError` for a number of slots outside 1 to the objective's.
+    """
+    most = objective.slots
+    whole = isinstance(slots, int | np.integer) and 1 <= slots <= most
+    require(whole, "slots", repr(slots), f"a whole number from 1 to {most}")
+    n = int(slots)
+    found = _search(objective, n)
+    values = {name: float(v) for name, v in found.values.items()}
+    chosen = np.flatnonzero(np.asarray(found.sets["best"]) > 0.5)
+    return Design(
+        _ordered(objective, chosen),
+        values["best"],
+        float(found.bound) if objective.convex else float("nan"),
+        np.asarray(found.weights),
+        float(found.relaxed),
+        values["rounded"],
+        values["greedy"],
+        objective.unit,
+    )
+
+
+class _Found(NamedTuple):
+    sets: dict[str, Array]
+    values: dict[str, Array]
+    weights: Array
+    relaxed: Array
+    bound: Array
+
+
+def _search(objective: AbstractObjective, n: int) -> _Found:
+    dtype, count = objective.dtype, objective.slots
+
+    @jax.jit
+    def whole(objective: AbstractObjective) -> _Found:
+        value = objective.value
+        best = relax(objective, count, n, objective.worst, dtype)
+        sets = {
+            "rounded": heaviest(best.weights, n),
+            "greedy": greedy(value, count, n, dtype),
+        }
+        # Sets drawn by those weights: exchanges end in the best nearby.
+        inside = jnp.clip(best.weights, 0.01, 0.99)
+        logits = jnp.log(inside / (1 - inside))
+        keys = jax.random.split(jax.random.key(0), _DRAWN)
+        drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
+        starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
+        ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
+        reached = lax.map(value, ends)
+        sets["best"] = ends[jnp.argmin(reached)]
+        values = {name: value(chosen) for name, chosen in sets.items()}
+        return _Found(sets, values, best.weights, best.value, best.bound)
+
+    return whole(objective)
+
+
+def _ordered(objective: AbstractObjective, grounds: np.ndarray) -> Int[np.ndarray, " n"]:
+    """Each next the one that lowers the objective most."""
+    value = jax.jit(lambda o, w: o.value(w))
+    left, order = [int(g) for g in grounds], []
+    weights = np.zeros(objective.slots)
+    while left:
+        scores = []
+        for g in left:
+            weights[g] = 1
+            scores.append(float(value(objective, jnp.asarray(weights, objective.dtype))))
+            weights[g] = 0
+        order.append(left.pop(int(np.argmin(scores))))
+        weights[order[-1]] = 1
+    return np.array(order, int)
+
+
+def patterns_beside(
+    sensor: Sensor,
+    objective: AbstractObjective,
+    explored: Float[Array, "P 2 M"],
+) -> list[dict[str, Any]]:
+    """The paper's nine patterns under the same objective: name, slots, value, adaptive.
+
+    Adaptive ones have a set of their own for each of the P contacts, from its `explored`
+    voltages; their two exploratory slots are not counted, as the paper does not.
+    """
+    rows = []
+    for name in PATTERNS:
+        if name in ADAPTIVE:
+            scan = AdaptiveScan(sensor, name)  # pyright: ignore
+            sets = np.asarray(jax.jit(jax.vmap(lambda v, s=scan: s(v)[0]))(explored))
+            weights = np.zeros((len(sets), objective.slots))
+            np.put_along_axis(weights, sets, 1, 1)
+            figures = each_its_own(objective, jnp.asarray(weights, objective.dtype))
+            value = float(figures.max() if objective.worst else figures.mean())
+            count = sets.shape[1]
+        else:
+            grounds = np.asarray(pattern(sensor, name))
+            weights = np.zeros(objective.slots)
+            weights[grounds] = 1
+            value, count = (
+                float(objective.value(jnp.asarray(weights, objective.dtype))),
+                len(grounds),
+            )
+        adaptive = name in ADAPTIVE
+        rows.append({"name": name, "slots": count, "value": value, "adaptive": adaptive})
+    return rows
+
+
+def each_its_own(
+    objective: AbstractObjective, weights: Float[Array, "P L"]
+) -> Float[Array, " P"]:
+    """Figure k under weights k; NaN for an objective that has one figure for all."""
+
+    def one(k_and_weights: tuple[Array, Array]) -> Array:
+        k, w = k_and_weights
+        figures = objective(w)
+        return figures[k] if len(figures) == len(weights) else jnp.full((), jnp.nan)
+
+    return jax.jit(lambda w: jax.lax.map(one, (jnp.arange(len(w)), w)))(weights)

@@ -1,0 +1,198 @@
+"""Places for electrodes: the image's resolution where it is worst, made as good as it gets.
+
+Uniform grids leave gaps that their images blur. Gradients go through the Green's function
+of the sheet, the paper's J and Eq. 3 to the electrodes' places.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Float
+
+from tomojax._checks import float_array, require, require_positive, require_shape
+from tomojax._custom_types import Numbers
+from tomojax.design.objectives._problem import pitch
+from tomojax.kernels.sheet import (
+    contact_jacobian,
+    loop_resistance,
+    rectangle_fields,
+    rectangle_green,
+    Resistances,
+    slot_map,
+)
+from tomojax.sensor import Sensor
+
+# How sharply the largest stands out, from rough to fine, and steps of each.
+_SHARPNESS, _STEPS = (20.0, 60.0, 200.0), 40
+
+# λ/σ₁² that images of white noise ask for; a contact's resistance, Ω; and its width in
+# images (σ), of the pitch of a square grid of as many electrodes.
+_RELATIVE, _RESISTANCE, _BLOB = 1e-5, 1e4, 0.2
+
+# How far from the sensor's own places later searches begin (σ), of that pitch.
+_JITTER = 0.075
+
+# Of the electrodes' diameter: from a middle to an edge and to another middle, at least;
+# and what less than that costs.
+_EDGE, _APART, _COST = 0.6, 1.4, 1e2
+
+
+class ElectrodeDesign(NamedTuple):
+    """Electrodes' places, m, and the spread of images at the places asked for, m."""
+
+    electrode_xy: Float[np.ndarray, "M 2"]
+    spread: Float[np.ndarray, " P"]
+    spread_before: Float[np.ndarray, " P"]  # of the sensor's own electrodes
+
+
+def design_electrodes(
+    sensor: Sensor,
+    places: Numbers | None = None,
+    *,
+    lam: float | None = None,
+    grid: int = 32,
+    contact_resistance: float = _RESISTANCE,
+    starts: int = 2,
+    seed: int = 0,
+) -> ElectrodeDesign:
+    """As many electrodes as the sensor has, for the best resolution at the worst place.
+
+    A soft maximum of `image_spread`, sharpened in steps, by optimistix' BFGS. Electrodes
+    stay on the sheet and 1.4 diameters apart.
+
+    **Arguments:** `places` (P, 2), m, where resolution counts, by default 24 × 24 over the
+    sheet but 1/16 at its edges; `lam` λ of the images, the same for all electrodes' places,
+    by default 1e-5 of the largest eigenvalue of JᵀJ; `grid` cells along a side;
+    `contact_resistance` ρ, Ω; `starts` of the search, the first at the sensor's own places,
+    the others beside them (a symmetric start ends symmetric).
+    **Raises:** `ValueError` for a sheet with a value per element, and wrong arguments.
+    """
+    even = sensor.sheet_resistance.ndim == 0
+    require(even, "sensor", "a sheet with a value per element", "an even one")
+    size = np.asarray(sensor.size, float)
+    if places is None:
+        parts = [np.linspace(s / 16, s * 15 / 16, 24) for s in size]
+        places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    positive = isinstance(starts, int) and starts >= 1
+    require(positive, "starts", repr(starts), "a whole number above 0")
+    where = float_array("places", places, sensor.dtype)
+    require_shape("places", where, (None, 2))
+    require(len(where) > 0, "places", "none", "one place at least")
+    if lam is None:
+        lam = _RELATIVE * image_scale(sensor, grid, contact_resistance)
+    require_positive("lam", float_array("lam", lam))
+    edge = _EDGE * sensor.electrode_diameter
+    low, high = edge, sensor.size - edge
+
+    def at(free: Array) -> Array:
+        return low + (high - low) * jax.nn.sigmoid(free)
+
+    def figures(xy: Array) -> Array:
+        return image_spread(
+            sensor, where, xy, lam=lam, grid=grid, contact_resistance=contact_resistance
+        )
+
+    def value(free: Array, sharp: Array) -> Array:
+        xy = at(free)
+        f = figures(xy) / scale
+        return jax.nn.logsumexp(sharp * f) / sharp + _crowding(sensor, xy)
+
+    before = jax.jit(figures)(sensor.electrode_xy)
+    scale, rng = before.max(), np.random.default_rng(seed)
+    best = np.asarray(sensor.electrode_xy), np.asarray(before)
+    for number in range(starts):
+        off = (number > 0) * _JITTER * pitch(sensor) * rng.normal(size=best[0].shape)
+        part = (sensor.electrode_xy + off - low) / (high - low)
+        xy = at(_descended(value, jax.scipy.special.logit(jnp.clip(part, 0.01, 0.99))))
+        after = jax.jit(figures)(xy)
+        if after.max() < best[1].max():
+            best = np.asarray(xy), np.asarray(after)
+    return ElectrodeDesign(*best, np.asarray(before))
+
+
+def _descended(value: Callable, free: Array) -> Array:
+    solver = optimistix.BFGS(rtol=1e-4, atol=1e-4)
+    for sharp in _SHARPNESS:
+        given = jnp.asarray(sharp, free.dtype)
+        found = optimistix.minimise(
+            value, solver, free, given, max_steps=_STEPS, throw=False
+        )
+        free = found.value
+    return free
+
+
+def image_spread(
+    sensor: Sensor,
+    places: Float[Array, "P 2"],
+    electrode_xy: Float[Array, "M 2"],
+    *,
+    lam: float | Float[Array, ""],
+    grid: int = 32,
+    contact_resistance: float = _RESISTANCE,
+) -> Float[Array, " P"]:
+    """√(Σ_k |x − x_k|²p_k²/Σ_k p_k²), m, of the images p of contacts at `places` x.
+
+    p = (JᵀJ + λI)⁻¹JᵀJb of b a Gaussian (σ a fifth of the pitch): the spread of Backus and
+    Gilbert (Phil. Trans. R. Soc. A 266, 1970), σ of an image that is a Gaussian. J is
+    Eq. 1's of all ground conditions, on an even sheet with electrodes at `electrode_xy`, m;
+    differentiable in those.
+    """
+    cells = _cells(sensor, grid)
+    apart = ((places[:, None] - cells) ** 2).sum(-1)
+    blob = jnp.exp(-apart / (2 * (_BLOB * pitch(sensor)) ** 2))
+    blob = blob / blob.sum(1, keepdims=True)
+    gram = _gram(sensor, electrode_xy, grid, contact_resistance)
+    lower = jnp.linalg.cholesky(gram + lam * jnp.eye(len(gram), dtype=gram.dtype))
+    image = blob - lam * jax.scipy.linalg.cho_solve((lower, True), blob.T).T
+    return jnp.sqrt((apart * image**2).sum(1) / (image**2).sum(1))
+
+
+def image_scale(
+    sensor: Sensor, grid: int = 32, contact_resistance: float = _RESISTANCE
+) -> float:
+    """σ₁², the largest eigenvalue of JᵀJ: what λ of `image_spread` is relative to."""
+    gram = _gram(sensor, sensor.electrode_xy, grid, contact_resistance)
+    return float(jnp.linalg.eigvalsh(gram)[-1])
+
+
+def _cells(sensor: Sensor, grid: int) -> Float[Array, "K 2"]:
+    """Their middles, m."""
+    parts = [(jnp.arange(grid, dtype=s.dtype) + 0.5) / grid * s for s in sensor.size]
+    return jnp.stack(jnp.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+
+
+def _gram(sensor: Sensor, xy: Array, grid: int, contact: float) -> Float[Array, "K K"]:
+    """JᵀJ of all ground conditions; slot by slot, as J itself takes a lot of room."""
+    z, rho = sensor.ground_resistance, sensor.sheet_resistance
+    cells = _cells(sensor, grid)
+    ee, ek, shunts = rectangle_fields(
+        xy, cells, sensor.electrode_diameter / 2, sensor.size, sensor.electrode_shunt
+    )
+    # A cell is a disc of its area, evenly fed.
+    rim = jnp.sqrt(jnp.prod(sensor.size) / len(cells) / np.pi) * float(np.exp(-0.25))
+    kk = rectangle_green(cells, cells, rim, sensor.size) - (shunts**2).sum(0)
+    table = Resistances(rho * ee, rho * ek, rho * kk)
+
+    @jax.checkpoint
+    def one(ground: Array) -> Array:
+        g = ground[None]
+        t = slot_map(table, g, z)
+        loop = loop_resistance(table, g, z)
+        j = contact_jacobian(t, loop, jnp.asarray(contact, xy.dtype))[0]
+        return jnp.matmul(j.T, j, precision="highest")
+
+    nothing = jnp.zeros((len(cells), len(cells)), xy.dtype)
+    add = lambda total, ground: (total + one(ground), None)  # noqa: E731
+    return jax.lax.scan(add, nothing, jnp.arange(len(xy)))[0]
+
+
+def _crowding(sensor: Sensor, xy: Float[Array, "M 2"]) -> Float[Array, ""]:
+    """What electrodes cost that are too near each other; 0 else."""
+    square = ((xy[:, None] - xy) ** 2).sum(-1)
+    far = jnp.eye(len(xy), dtype=xy.dtype)
+    apart = jnp.sqrt(square + far) / sensor.electrode_diameter
+    return _COST * (jnp.clip(_APART - apart, 0) ** 2).sum()

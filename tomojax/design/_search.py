@@ -1,0 +1,175 @@
+"""Sets of ground conditions that make an objective small, and how small it can be at all.
+
+`relax` finds the best weights and a bound that no set can beat; `greedy` adds one slot
+after another, `exchange` swaps as long as that helps.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from tomojax.kernels.algebra import least_weights, project_weights
+
+# Of a largest figure: how sharply it stands for the maximum, from rough to fine.
+_SHARPNESS = (10.0, 100.0, 1000.0)
+
+# Steps of each, the gap that is small enough (a part of the value), and the values that a
+# step must not exceed all of (a nonmonotone search takes the lengths of Barzilai and
+# Borwein as they are).
+_STEPS, _GAP, _MEMORY = 200, 1e-4, 5
+
+
+class Relaxed(NamedTuple):
+    """The best weights found, their value, and a bound below all sets' values."""
+
+    weights: Float[Array, " L"]
+    value: Float[Array, ""]
+    bound: Float[Array, ""]
+    steps: Int[Array, ""]
+
+
+class _State(NamedTuple):
+    weights: Array
+    value: Array
+    slope: Array
+    before: Array  # the last values
+    length: Array
+    bound: Array
+    done: Array
+    steps: Array
+
+
+Figures = Callable[[Float[Array, " L"]], Float[Array, " P"]]
+
+
+def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None) -> Relaxed:
+    """The weights 0 ≤ w ≤ 1, Σw = `n` that make the mean (or largest) figure least.
+
+    Spectral projected gradients (Birgin, Martínez, Raydan, SIAM J. Optim. 10, 2000). The
+    bound is Σ_k π_k f_k(w) + min_v Σ_k π_k ∇f_k·(v − w) over sets v, true for convex
+    figures f_k and any π: the mean's, or those of a soft maximum.
+    """
+    start = jnp.full(slots, n / slots, dtype)
+    scale = figures(start).max()
+
+    def soft(sharp: float) -> Callable[[Array], tuple[Array, Array, Array]]:
+        def value(w: Array) -> tuple[Array, tuple[Array, Array]]:
+            f = figures(w)
+            if not worst:
+                return f.mean(), (f.mean(), f.mean())
+            tilted = sharp * f / scale
+            shares = lax.stop_gradient(jax.nn.softmax(tilted))
+            smooth = jax.nn.logsumexp(tilted) * scale / sharp
+            return smooth, (f.max(), (shares * f).sum())
+
+        def both(w: Array) -> tuple[Array, Array, Array]:
+            (smooth, (_, linear)), slope = jax.value_and_grad(value, has_aux=True)(w)
+            return smooth, slope, linear
+
+        return both
+
+    best = Relaxed(start, scale, jnp.full_like(scale, -jnp.inf), jnp.zeros((), int))
+    for sharp in _SHARPNESS if worst else (1.0,):
+        best = _descend(soft(sharp), best, n)
+    f = figures(best.weights)
+    return best._replace(value=f.max() if worst else f.mean())
+
+
+def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
+    count = jnp.asarray(n, best.weights.dtype)
+
+    def bounded(w: Array, slope: Array, linear: Array) -> Array:
+        return linear + (slope * (least_weights(slope, n) - w)).sum()
+
+    def step(s: _State) -> _State:
+        towards = project_weights(s.weights - s.length * s.slope, count) - s.weights
+        fall = (s.slope * towards).sum()
+
+        def too_far(part: Array) -> Array:
+            value = both(s.weights + part * towards)[0]
+            enough = value <= s.before.max() + 1e-4 * part * fall
+            return ~enough & (part > 1e-6)
+
+        part = lax.while_loop(too_far, lambda p: p / 2, jnp.ones_like(s.value))
+        weights = s.weights + part * towards
+        value, slope, linear = both(weights)
+        moved, changed = weights - s.weights, slope - s.slope
+        curved = (moved * changed).sum()
+        length = jnp.where(curved > 0, (moved**2).sum() / curved, 4 * s.length)
+        longest = 1e6 / (jnp.abs(slope).max() + 1e-30)
+        bound = jnp.maximum(s.bound, bounded(weights, slope, linear))
+        before = jnp.concatenate([s.before[1:], value[None]])
+        done = (value - bound <= _GAP * jnp.abs(value)) | (jnp.abs(towards).max() < 1e-9)
+        length = jnp.clip(length, 1e-9 * longest, longest)
+        return _State(weights, value, slope, before, length, bound, done, s.steps + 1)
+
+    value, slope, linear = both(best.weights)
+    first = _State(
+        best.weights,
+        value,
+        slope,
+        jnp.full(_MEMORY, value),
+        1 / (jnp.abs(slope).max() + 1e-30),
+        jnp.maximum(best.bound, bounded(best.weights, slope, linear)),
+        jnp.array(False),
+        best.steps,
+    )
+    limit = best.steps + _STEPS
+    end = lax.while_loop(lambda s: ~s.done & (s.steps < limit), step, first)
+    return Relaxed(end.weights, end.value, end.bound, end.steps)
+
+
+def greedy(value: Callable, slots: int, n: int, dtype=None) -> Float[Array, " L"]:
+    """The set to which one slot after the other was added, each time the best."""
+    each = jnp.eye(slots, dtype=dtype)
+
+    def add(_: Array, chosen: Array) -> Array:
+        values = lax.map(lambda one: value(jnp.minimum(chosen + one, 1)), each)
+        return chosen + each[jnp.argmin(jnp.where(chosen > 0, jnp.inf, values))]
+
+    return lax.fori_loop(0, n, add, jnp.zeros(slots, dtype))
+
+
+def exchange(
+    value: Callable, chosen: Float[Array, " L"], n: int, tried: int | None = None
+) -> Float[Array, " L"]:
+    """The set after swaps of one slot for another, each time the best, while they help.
+
+    With `tried`, only so many swaps are looked at each time, those that the slope says
+    most of (of a convex objective it says how much they can help at most).
+    """
+    slots = len(chosen)
+    if n == slots:
+        return chosen
+    pairs = jnp.stack(
+        jnp.meshgrid(jnp.arange(n), jnp.arange(slots - n), indexing="ij"), -1
+    ).reshape(-1, 2)
+
+    def step(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        chosen, now, _ = state
+        order = jnp.argsort(-chosen)
+        inside, outside = order[:n], order[n:]
+        some = pairs
+        if tried is not None:
+            slope = jax.grad(value)(chosen)
+            gain = slope[outside[pairs[:, 1]]] - slope[inside[pairs[:, 0]]]
+            some = pairs[lax.top_k(-gain, min(tried, len(pairs)))[1]]
+
+        def swapped(pair: Array) -> Array:
+            return chosen.at[inside[pair[0]]].set(0).at[outside[pair[1]]].set(1)
+
+        values = lax.map(lambda pair: value(swapped(pair)), some)
+        best = jnp.argmin(values)
+        helps = values[best] < now * (1 - 1e-6)
+        return (
+            jnp.where(helps, swapped(some[best]), chosen),
+            jnp.where(helps, values[best], now),
+            helps,
+        )
+
+    start = chosen, value(chosen), jnp.array(True)
+    return lax.while_loop(lambda s: s[2], step, start)[0]

@@ -1,0 +1,21 @@
+"""What a set of ground conditions is good for, as figures of weights over slots.
+
+The room rates a set. It never imports a search.
+"""
+
+from tomojax.design.objectives._contacts import contact_columns as contact_columns
+from tomojax.design.objectives._image_error import ImageError as ImageError
+from tomojax.design.objectives._information import (
+    AbstractObjective as AbstractObjective,
+    ImageVariance as ImageVariance,
+)
+from tomojax.design.objectives._problem import (
+    design_objective as design_objective,
+    design_places as design_places,
+    exploratory_voltages as exploratory_voltages,
+)
+from tomojax.design.objectives._rigs import (
+    Scenes as Scenes,
+    simulate_scenes as simulate_scenes,
+)
+from tomojax.design.objectives._scores import score as score

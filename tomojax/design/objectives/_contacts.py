@@ -1,0 +1,43 @@
+"""A contact: what it makes of a slot, as `points` sees it, and what an image of it is."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels.contacts import green_of, in_slot, Sheet, SIZE_WIDTH, tangents
+
+
+def contact_current(
+    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
+) -> Float[Array, ""]:
+    """V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A: R_kk the disc's own."""
+    raw = tangents(sheet, place, size)[0]
+    radius = sheet.size * jnp.exp(SIZE_WIDTH * size)
+    own = green_of(sheet, place[None], radius[None])(place)[0]
+    z = jnp.broadcast_to(sheet.ground_resistance, raw.shape)[ground]
+    loop = own + sheet.field.electrodes[ground, ground] + z - 2 * raw[ground]
+    return sheet.drive_voltage / (resistance + loop)
+
+
+def contact_columns(
+    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
+) -> Float[Array, "4 M"]:
+    """A disc's voltages, V, and how moves (per unit) and its size change them."""
+    raw = tangents(sheet, place, size)
+    current = contact_current(sheet, place, size, resistance, ground)
+    return current * in_slot(sheet, raw[None], ground)[0]
+
+
+def blobs(
+    shape: tuple[int, int], cell: Float[Array, "2"], places: Float[Array, "P 2"], width: Any
+) -> Float[Array, "P pixels"]:
+    """Images of Gaussians at `places`, of σ = `width`, m, and of length 1."""
+    sides = [
+        jnp.exp(
+            -((((jnp.arange(n, dtype=d.dtype) + 0.5) * d - at[:, None]) / width) ** 2) / 2
+        )
+        for n, d, at in zip(shape, cell, places.T)
+    ]
+    images = (sides[0][:, :, None] * sides[1][:, None]).reshape(len(places), -1)
+    return images / jnp.linalg.norm(images, axis=1, keepdims=True)

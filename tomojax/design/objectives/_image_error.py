@@ -1,0 +1,111 @@
+"""Designs by simulation: the error of images of contacts on rigs that are not nominal.
+
+What reconstructs knows nominal values; the voltages are of sheets that vary, electrodes
+off their places, channels with gains and noise. Not convex in the weights, so there is no
+bound; λ and the length over which an image is smooth are found together with the grounds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax._checks import require_shape
+from tomojax.design.objectives._contacts import blobs
+from tomojax.design.objectives._information import AbstractObjective
+from tomojax.design.objectives._rigs import Scenes
+from tomojax.kernels.algebra import gaussian, matmul
+from tomojax.methods import Linear, Source
+
+# Of λ/σ₁², where the search for λ begins.
+_FIRST = 1e-5
+
+
+class ImageError(AbstractObjective):
+    """1 − cos² of the angle between each scene's image and a Gaussian at its contact.
+
+    φ = GGᵀBᵀc, Tikhonov's under a prior that is smooth over ℓ (G a Gaussian), of the slots
+    with their weights; differentiable in the weights, ln λ and ln ℓ, by the rule of the
+    linear solve. 0 is an image like the contact, 1 one that has nothing of it.
+    """
+
+    grams: Float[Array, "L r r"]
+    rights: Float[Array, "P L r"]  # A_lᵀv_l of each scene
+    basis: Float[Array, "r pixels"]
+    targets: Float[Array, "P pixels"]
+    log_lam: Float[Array, ""]
+    log_length: Float[Array, ""] | None  # in pixels; None: no smoothing
+    shape: tuple[int, int] = eqx.field(static=True)
+    worst: ClassVar[bool] = False  # pyright: ignore
+    convex: ClassVar[bool] = False
+    unit: ClassVar[str] = "1"  # pyright: ignore
+
+    @classmethod
+    def of(
+        cls, method: Linear | Source, scenes: Scenes, width: float, smooth: bool = False
+    ) -> "ImageError":
+        """Through the images of `method`; contacts are Gaussians of `width` (σ), m."""
+        rank = 128
+        factors, basis = method.factors[..., :rank], method.basis[:rank]
+        grams = jnp.einsum("lmr,lms->lrs", factors, factors, precision="highest")
+        count, m = len(factors), method.electrode_count
+        require_shape("voltages", scenes.voltages, (None, count, m))
+        rights = jnp.einsum("lmr,plm->plr", factors, scenes.voltages, precision="highest")
+        places = scenes.places.reshape(-1, 2)
+        targets = blobs(method.shape, method.cell, places, width)
+        targets = targets.reshape(len(scenes.places), -1, targets.shape[1]).sum(1)
+        targets = targets / jnp.linalg.norm(targets, axis=1, keepdims=True)
+        lam = jnp.log(jnp.asarray(_FIRST * method.scale(), basis.dtype))
+        length = jnp.zeros((), basis.dtype) if smooth else None
+        return cls(grams, rights, basis, targets, lam, length, method.shape)
+
+    @property
+    def slots(self) -> int:
+        return len(self.grams)
+
+    @property
+    def lam(self) -> float:
+        return float(jnp.exp(self.log_lam))
+
+    def alone(self, k: Array) -> "ImageError":
+        k = jnp.atleast_1d(k)
+        return replace(self, rights=self.rights[k], targets=self.targets[k])
+
+    def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
+        """φ of every scene, from one set of slots."""
+        return self.images_of(weights, self.rights)
+
+    def images_of(self, weights: Array, rights: Array) -> Float[Array, "P pixels"]:
+        total = jnp.einsum("l,lrs->rs", weights, self.grams, precision="highest")
+        right = jnp.einsum("l,plr->rp", weights, rights, precision="highest")
+        if self.log_length is None:
+            return matmul(self._solved(total, right).T, self.basis)
+        sides = [gaussian(n, jnp.exp(self.log_length)) for n in self.shape]
+        sides = [side / jnp.linalg.norm(side, axis=1, keepdims=True) for side in sides]
+        smooth = self._smoothed(self.basis, sides)
+        inner = matmul(smooth, smooth.T)
+        eps = 64 * jnp.finfo(inner.dtype).eps * jnp.trace(inner)
+        lower = jnp.linalg.cholesky(inner + eps * jnp.eye(len(inner), dtype=inner.dtype))
+        turned = matmul(lower.T, matmul(total, lower))
+        solution = self._solved(turned, matmul(lower.T, right))
+        back = jax.scipy.linalg.solve_triangular(lower, solution, lower=True, trans="T")
+        return self._smoothed(matmul(back.T, smooth), [side.T for side in sides])
+
+    def _smoothed(self, images: Array, sides: Sequence[Array]) -> Array:
+        grid = images.reshape(-1, *self.shape)
+        smooth = jnp.einsum("pxy,xi,yj->pij", grid, *sides, precision="highest")
+        return smooth.reshape(images.shape)
+
+    def _solved(self, total: Array, right: Array) -> Array:
+        unit = jnp.eye(len(total), dtype=total.dtype)
+        system = total + jnp.exp(self.log_lam) * unit
+        return jax.scipy.linalg.solve(system, right, assume_a="pos")
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        images = self.images(weights)
+        alike = (images * self.targets).sum(1) ** 2
+        return 1 - alike / ((images**2).sum(1) + jnp.finfo(images.dtype).tiny)

@@ -1,0 +1,156 @@
+"""What a set of ground conditions is good for: figures of weights over slots.
+
+Each slot l counts w_l times. What it tells adds up, F = F₀ + Σ_l w_l F_l, and every figure
+here is convex in w: `relax` finds the least there is, which no set of slots can beat.
+"""
+
+from abc import abstractmethod
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts import solve_small
+
+Criterion = Literal["place", "a", "d", "worst", "rigs"]
+
+
+class AbstractObjective(eqx.Module):
+    """P figures of a weighting, the lower the better.
+
+    `convex` in the weights: then there is a bound. `swaps` are looked at for an exchange,
+    those that the slope says most of; without it all.
+    """
+
+    convex: ClassVar[bool] = True
+    swaps: ClassVar[int | None] = None
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """Of the figures."""
+
+    @property
+    @abstractmethod
+    def worst(self) -> bool:
+        """Whether the highest figure counts."""
+
+    @property
+    @abstractmethod
+    def slots(self) -> int:
+        """L, the ground conditions that there are to choose from."""
+
+    @abstractmethod
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        """The figures of weights w ≥ 0; of a set where they are 0 and 1."""
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        return jnp.result_type(*jax.tree.leaves(self))
+
+    @abstractmethod
+    def alone(self, k: Array) -> "AbstractObjective":
+        """The objective of figure k only."""
+
+    def value(self, weights: Float[Array, " L"]) -> Float[Array, ""]:
+        """The one number that is to be made small."""
+        figures = self(weights)
+        return figures.max() if self.worst else figures.mean()
+
+
+class PlaceInformation(AbstractObjective):
+    """How well `points` can tell a contact's place: what Cramér and Rao allow.
+
+    F_l = JᵀN⁻¹J of place and size, with the slot's current free; its currents are those
+    that the ground really draws, N the errors of `points` or what is stated. Figures in m:
+    "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4), "a" its variance, m².
+    `directions` are what of the unknowns counts: x and y, or the distance of two contacts.
+    """
+
+    criterion: str = eqx.field(static=True)
+    information: Float[Array, "P L n n"]  # of x, y (per unit) and size, of each contact
+    prior: Float[Array, "n n"]
+    length: Float[Array, ""]  # the unit, m
+    directions: Float[Array, "P n q"]  # what of these counts: x and y
+
+    @property
+    def unit(self) -> str:
+        return "m2" if self.criterion == "a" else "m"
+
+    @property
+    def worst(self) -> bool:
+        return self.criterion == "worst"
+
+    @property
+    def slots(self) -> int:
+        return self.information.shape[1]
+
+    def alone(self, k: Array) -> "PlaceInformation":
+        one = self.information[k][None], self.directions[k][None]
+        return replace(self, information=one[0], directions=one[1])
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
+        known = told + self.prior
+        solved = solve_small(known, self.directions) * self.length**2
+        covariance = jnp.einsum("pnq,pnr->pqr", self.directions, solved)
+        if self.criterion == "d":
+            return jnp.linalg.det(covariance) ** (0.5 / covariance.shape[1])
+        variance = jnp.trace(covariance, axis1=1, axis2=2)
+        return variance if self.criterion == "a" else jnp.sqrt(variance)
+
+
+class ImageVariance(AbstractObjective):
+    """How well an image is known where a contact may be: its posterior variance there.
+
+    φ ~ N(0, σ²/λ) and errors of variance σ²: λuᵀ(H + λI)⁻¹u with H = Σ_l w_l c_l² A_lᵀA_l
+    and u a contact in the image's basis, |u| = 1: of what any slots could tell of it, the
+    part that these leave open. c_l² is how much more current the contact feeds in slot l
+    than in the mean of all ("source"; Eq. 3's J has that in it). "d": the geometric mean
+    over the directions that the contacts span.
+    """
+
+    criterion: str = eqx.field(static=True)
+    grams: Float[Array, "L r r"]  # A_lᵀN⁻¹A_l
+    columns: Float[Array, "P r"]
+    shares: Float[Array, "contacts L"] | None  # c_l²
+    lam: Float[Array, ""]
+    unit: ClassVar[str] = "1"  # pyright: ignore
+
+    @property
+    def worst(self) -> bool:
+        return self.criterion == "worst"
+
+    @property
+    def slots(self) -> int:
+        return len(self.grams)
+
+    def alone(self, k: Array) -> "ImageVariance":
+        shares = None if self.shares is None else self.shares[k][None]
+        return replace(self, columns=self.columns[k][None], shares=shares)
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        if self.criterion == "d":
+            mean = weights if self.shares is None else weights * self.shares.mean(0)
+            half = self._half(mean, self.columns)
+            lower = jnp.linalg.cholesky(matmul(half, half.T))
+            return jnp.exp(2 * jnp.log(jnp.diagonal(lower)).mean())[None]
+        if self.shares is None:
+            return (self._half(weights, self.columns) ** 2).sum(1)
+
+        def one(share_and_column: tuple[Array, Array]) -> Array:
+            share, column = share_and_column
+            return (self._half(weights * share, column[None]) ** 2).sum()
+
+        return jax.lax.map(one, (self.shares, self.columns))
+
+    def _half(self, weights: Array, columns: Float[Array, "q r"]) -> Float[Array, "q r"]:
+        told = jnp.einsum("l,lrs->rs", weights, self.grams, precision="highest")
+        system = told / self.lam + jnp.eye(len(told), dtype=told.dtype)
+        lower = jnp.linalg.cholesky(system)
+        solve = jax.scipy.linalg.solve_triangular
+        return solve(lower, columns.T, lower=True).T

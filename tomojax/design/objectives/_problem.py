@@ -1,0 +1,275 @@
+"""What a design makes small, from a sensor, a method and where contacts may be."""
+
+from typing import Any, get_args, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import qmc
+
+from tomojax._checks import (
+    float_array,
+    known,
+    require,
+    require_finite,
+    require_positive,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+from tomojax.design.objectives._contacts import blobs, contact_columns, contact_current
+from tomojax.design.objectives._images import simulated_image
+from tomojax.design.objectives._information import (
+    AbstractObjective,
+    Criterion,
+    ImageVariance,
+    PlaceInformation,
+)
+from tomojax.design.objectives._scores import simulated_place_error
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts import SIZE_WIDTH, slot_weights, weighed
+from tomojax.methods import Linear, Points, Source
+from tomojax.paper import exploration
+from tomojax.sensor import Sensor
+from tomojax.step import Follow
+
+DesignMethod = Literal["points", "linear", "source"]
+
+# What is known of a contact beforehand: its place to about a pitch, m, and its size (in
+# units of what `points` knows of it). Without the first, one slot may say nothing.
+_PLACE_KNOWN = 0.02
+
+# Radius of a contact that holds the sheet at V0, m.
+_DISC = 0.002
+
+# λ/σ₁² where the converter's noise alone limits an image, directions of an image that
+# are looked at, and the width of a contact in it (σ), of the electrodes' pitch.
+_RELATIVE, _RANK, _BLOB = 1e-6, 128, 0.4
+
+
+def design_places(
+    sensor: Sensor, region: Numbers | None = None, count: int = 64
+) -> Float[Array, "count 2"]:
+    """Places for contacts, m, evenly over a region (x₀, y₀, x₁, y₁): Halton's.
+
+    By default all of the sheet but a margin of half the electrodes' pitch.
+    **Raises:** `ValueError` for an empty region, one off the sheet, and a `count` below 1.
+    """
+    whole = isinstance(count, int | np.integer) and count >= 1
+    require(whole, "count", repr(count), "a whole number above 0")
+    size = np.asarray(sensor.size, float)
+    margin = pitch(sensor) / 2
+    given = [margin, margin, *(size - margin)] if region is None else region
+    box = np.asarray(float_array("region", given), float)
+    require(box.shape == (4,), "region", f"shape {box.shape}", "x0, y0, x1, y1")
+    require_finite("region", jnp.asarray(box))
+    low, high = box[:2], box[2:]
+    text = ", ".join(f"{v:g}" for v in box)
+    require((low < high).all(), "region", text, "x0 < x1 and y0 < y1")
+    inside = (low >= 0).all() and (high <= size * (1 + 1e-6)).all()
+    require(inside, "region", text, f"on the sheet, 0 to {size[0]:g}, {size[1]:g}")
+    # The sequence's first is the corner.
+    unit = qmc.Halton(2, scramble=False).random(count + 1)[1:]
+    return jnp.asarray(low + unit * (high - low), sensor.dtype)
+
+
+def design_objective(
+    sensor: Sensor,
+    places: Numbers,
+    method: str = "points",
+    criterion: str = "place",
+    *,
+    lam: float | None = None,
+    noise: Numbers | None = None,
+    radius: float | None = None,
+    conductance: float | None = None,
+    grid: int = 32,
+) -> AbstractObjective:
+    """What a design makes small, over contacts at `places` (P, 2), m.
+
+    **Arguments:**
+
+    - `method` "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
+      `grid` × `grid` pixels).
+    - `criterion`: "rigs", what is seen on 16 simulated rigs that are not nominal: the error
+      of place ("points", `SimulatedPlaceError`), or that and the width of images ("linear",
+      `SimulatedImage`); "place", the expected error of a contact's place (of an image the
+      same as "a"); "a", the mean variance; "d", the volume of what stays unknown; "worst",
+      the largest of all places.
+    - `lam`: λ of an image; by default where the converter's noise alone limits it.
+    - `noise`: a standard deviation, V; one for each channel (M,); or their covariance
+      (M, M), V². By default what `points` takes for a rig with nominal values; of images
+      the same for all channels, and of any noise but its relative values are in λ.
+    - `radius`, m, and `conductance`, S, of a contact (1e-4 by default); in an image a
+      Gaussian of that width, but by "rigs" a disc, by default of 2 mm and 1 S, which holds
+      the sheet at V0.
+
+    **Raises:** `ValueError` for places off the sheet or none, unknown names, λ ≤ 0, and a
+    noise that is NaN, not symmetric or not positive.
+    """
+    for name, value, among in (
+        ("method", method, get_args(DesignMethod)),
+        ("criterion", criterion, get_args(Criterion)),
+    ):
+        require(value in among, name, repr(value), f"one of {', '.join(among)}")
+    where = float_array("places", places, sensor.dtype)
+    require_shape("places", where, (None, 2))
+    require(len(where) > 0, "places", "none", "one place at least")
+    require_finite("places", where)
+    if known(where):
+        on = (np.asarray(where) >= 0) & (np.asarray(where) <= np.asarray(sensor.size))
+        off = int((~on.all(1)).sum())
+        require(off == 0, "places", f"{off} off the sheet", "places on it")
+    for name, number in (("lam", lam), ("radius", radius), ("conductance", conductance)):
+        if number is not None:
+            require_positive(name, float_array(name, number))
+    rigs = criterion == "rigs"
+    fits = not rigs or method != "source"
+    require(fits, "criterion", "'rigs' of 'source'", "another, or another method")
+    given = noise is not None
+    require(not (rigs and given), "noise", "a value for criterion 'rigs'", "none: rigs'")
+    precision = None if noise is None else _precision(sensor, noise)
+    metal = 1.0 if rigs and method == "linear" else 1e-4
+    conductance = metal if conductance is None else conductance
+    # Where its contacts are is what `points` alone needs to know closely.
+    points = Points.of(sensor, (grid, grid)) if method != "linear" else None
+    if method == "points":
+        assert points is not None
+        if rigs:
+            contact = _contact(points, radius, conductance)
+            prior = place_prior(points.sheet.unit)
+            return simulated_place_error(sensor, points, where, *contact, prior)
+        return _of_points(points, where, criterion, precision, radius, conductance)
+    found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
+    shares = None
+    if points is not None:
+        current = jax.vmap(
+            jax.vmap(contact_current, (None, None, None, None, 0)),
+            (None, 0, None, None, None),
+        )
+        size, resistance = _contact(points, radius, conductance)
+        each = current(
+            points.sheet, where, size, resistance, jnp.arange(found.electrode_count)
+        )
+        shares = (each / each.mean(1, keepdims=True)) ** 2
+    value = _RELATIVE * found.scale() if lam is None else lam
+    if rigs:
+        assert isinstance(found, Linear)
+        disc = _DISC if radius is None else radius
+        return simulated_image(
+            sensor, found, where, value, disc, conductance, pitch(sensor)
+        )
+    width = _BLOB * pitch(sensor) if radius is None else radius
+    return image_objective(found, where, criterion, value, precision, width, shares)
+
+
+def pitch(sensor: Sensor) -> float:
+    """Of a square grid with as many electrodes, m."""
+    return float(np.sqrt(np.prod(np.asarray(sensor.size)) / sensor.electrode_count))
+
+
+def _precision(sensor: Sensor, noise: Numbers) -> Float[Array, "M M"]:
+    """N⁻¹."""
+    m = sensor.electrode_count
+    given = float_array("noise", noise, sensor.dtype)
+    require_shape("noise", given, (), (m,), (m, m))
+    require_finite("noise", given)
+    if given.ndim < 2:
+        require_positive("noise", given)
+    covariance = given if given.ndim == 2 else jnp.diag(jnp.broadcast_to(given**2, (m,)))
+    if not known(covariance):
+        return jnp.linalg.inv(covariance)
+    n = np.asarray(covariance, float)
+    require(np.allclose(n, n.T), "noise", "no symmetric matrix", "a covariance")
+    least = np.linalg.eigvalsh(n).min()
+    require(least > 0, "noise", f"a least variance of {least:g}", "one above 0")
+    return jnp.asarray(np.linalg.inv(n), sensor.dtype)
+
+
+def image_objective(
+    method: Linear | Source,
+    places: Float[Array, "P 2"],
+    criterion: str,
+    lam: Any,
+    precision: Float[Array, "M M"] | None,
+    width: float,
+    shares: Float[Array, "P L"] | None = None,
+) -> ImageVariance:
+    """Of the image of any J. Contacts are Gaussians of `width` (σ), m."""
+    factors, basis = method.factors[..., :_RANK], method.basis[:_RANK]
+    seen = factors
+    if precision is not None:
+        # λ keeps Eq. 3's unit: N relative to its mean variance.
+        mean = jnp.mean(jnp.diagonal(jnp.linalg.inv(precision)))
+        seen = jnp.einsum("mn,lnr->lmr", precision * mean, factors, precision="highest")
+    grams = jnp.einsum("lmr,lms->lrs", factors, seen, precision="highest")
+    columns = matmul(blobs(method.shape, method.cell, places, width), basis.T)
+    columns = columns / jnp.linalg.norm(columns, axis=1, keepdims=True)
+    if criterion == "d":
+        columns = _span(columns)
+    return ImageVariance(criterion, grams, columns, shares, jnp.asarray(lam, grams.dtype))
+
+
+def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
+    """Orthonormal rows of what the columns span, but for what none has a tenth of."""
+    _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
+    return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
+
+
+def _contact(
+    points: Points, radius: float | None, conductance: float
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Its size as `points` counts it, and its resistance."""
+    sheet, dtype = points.sheet, points.cell.dtype
+    usual = sheet.size if radius is None else jnp.asarray(radius, dtype)
+    return jnp.log(usual / sheet.size) / SIZE_WIDTH, jnp.asarray(1 / conductance, dtype)
+
+
+def _of_points(
+    points: Points,
+    places: Float[Array, "P 2"],
+    criterion: str,
+    precision: Float[Array, "M M"] | None,
+    radius: float | None,
+    conductance: float,
+) -> PlaceInformation:
+    m, sheet = points.electrode_count, points.sheet
+    noise = Follow.of(points, 1, np.ones(m, bool)).noise
+    size, resistance = _contact(points, radius, conductance)
+
+    def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
+        columns = contact_columns(sheet, place, size, resistance, ground)
+        if precision is None:
+            weights = slot_weights(noise, columns[0], jnp.ones(m, bool))
+            seen = weighed(weights, columns)
+        else:
+            seen = matmul(columns, precision)
+        gram = matmul(columns, seen.T)
+        # The current is whatever fits: what it could explain says nothing of the place.
+        return gram[1:, 1:] - gram[1:, :1] * gram[:1, 1:] / gram[0, 0]
+
+    every = jax.vmap(one, (None, 0))
+    each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
+    xy = jnp.broadcast_to(jnp.eye(3, dtype=places.dtype)[:, :2], (len(places), 3, 2))
+    prior = place_prior(sheet.unit)
+    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
+
+
+def place_prior(unit: Array) -> Float[Array, "3 3"]:
+    """What is known beforehand of place (per unit) and size."""
+    known = (unit / _PLACE_KNOWN) ** 2
+    return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
+
+
+def exploratory_voltages(
+    sensor: Sensor,
+    places: Float[Array, "P 2"],
+    radius: float | None = None,
+    conductance: float = 1e-4,
+) -> Float[Array, "P 2 M"]:
+    """What contacts make under the two exploratory grounds, V: `exploration`'s."""
+    points = Points.of(sensor, (8, 8))
+    size, resistance = _contact(points, radius, conductance)
+    one = lambda x, g: contact_columns(points.sheet, x, size, resistance, g)[0]  # noqa: E731
+    grounds = exploration(sensor)
+    return jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(places, grounds)

@@ -1,0 +1,181 @@
+"""Rigs that are nearly as they say: what designs by simulation take for the truth."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from tomojax._checks import (
+    float_array,
+    require,
+    require_finite,
+    require_positive,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
+from tomojax.kernels.sheet import centroids
+from tomojax.methods import Points
+from tomojax.sensor import Converter, resistances, Sensor
+
+# Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (m), gains by 1 σ; and
+# the waves of a sheet, at most so many half periods along a side.
+_SHEET, _OFF, GAIN, _WAVES = 0.02, 75e-6, 5e-4, 4
+
+
+def varied(sensor: Sensor, key: Array) -> Sensor:
+    """A rig that is nearly so: its sheet in long waves, its electrodes' places."""
+    sheet, places = jax.random.split(key)
+    middles = centroids(sensor.divisions, sensor.size).astype(sensor.dtype)
+    order = jnp.arange(_WAVES, dtype=sensor.dtype)
+    along, across = (
+        jnp.cos(jnp.pi * order * middles[:, k : k + 1] / sensor.size[k]) for k in (0, 1)
+    )
+    length = jnp.hypot(order[:, None], order).at[0, 0].set(jnp.inf)
+    strength = jax.random.normal(sheet, length.shape, sensor.dtype) / length
+    waves = ((along @ strength) * across).sum(1)
+    part = 1 + _SHEET * waves / waves.std()
+    off = _OFF * jax.random.normal(places, sensor.electrode_xy.shape, sensor.dtype)
+    return replace(
+        sensor,
+        sheet_resistance=sensor.sheet_resistance * part,
+        electrode_xy=sensor.electrode_xy + off,
+    )
+
+
+class Difference(NamedTuple):
+    """What a rig's resistances have more than nominal ones, by elements: the mesh's own
+    errors cancel."""
+
+    electrodes: Float[Array, "M M"]
+    elements: Float[Array, "M K"]
+
+
+def differences(sensor: Sensor, keys: Array) -> Iterator[Difference]:
+    """Of a rig for each of the keys."""
+    nominal = resistances(sensor, "fem")
+    for key in keys:
+        table = resistances(varied(sensor, key), "fem")
+        yield Difference(
+            table.electrodes - nominal.electrodes, table.elements - nominal.elements
+        )
+
+
+def disc_shares(
+    sensor: Sensor, places: Float[np.ndarray, "P 2"], radius: float
+) -> Float[Array, "K P"]:
+    """Of each disc's current what enters each element; of a small one the nearest."""
+    middles = np.asarray(centroids(sensor.divisions, sensor.size))
+    apart = np.hypot(*(middles[:, None] - places).transpose(2, 0, 1))
+    inside = (apart <= np.maximum(radius, apart.min(0) * (1 + 1e-9))).astype(float)
+    return jnp.asarray(inside / inside.sum(0), sensor.dtype)
+
+
+class Scenes(NamedTuple):
+    """Contacts and the voltages of all ground conditions."""
+
+    places: Float[Array, "P ..."]  # (P, 2), or (P, C, 2), m
+    voltages: Float[Array, "P L M"]  # V
+
+
+def simulate_scenes(
+    sensor: Sensor,
+    places: Numbers,
+    *,
+    radius: Numbers = 0.002,
+    conductance: float = 1.0,
+    rigs: int = 4,
+    seed: int = 0,
+) -> Scenes:
+    """Contacts (discs, m and S) at `places` on `rigs` that are not as `sensor` says.
+
+    Each has a sheet that varies by 2 % rms in waves of half a side and longer, electrodes
+    off by 75 µm, gains off by 0.05 %, and a 16-bit converter with 0.3 mV of noise. Rigs
+    take turns over the places. A contact of 1 S holds the sheet at V0, as in Eq. 1.
+
+    Contacts draw their current evenly, or as metal does, from an even sheet in closed
+    form; what a rig has more is by elements. (On a mesh alone a contact that holds the
+    sheet at V0 holds all nodes that it touches, and is larger by an element.) Metal that
+    touches the grounded electrode leaves the sheet no current.
+
+    **Arguments:** `places` (P, 2), or (P, C, 2) of C contacts at once; `radius` one, or
+    one for each scene (P,).
+    **Raises:** `ValueError` for other shapes, places off the sheet, radii and conductances
+    that are not above 0, and a number of rigs outside 1 to the scenes'.
+    """
+    given = float_array("places", places, sensor.dtype)
+    require_shape("places", given, (None, 2), (None, None, 2))
+    require_finite("places", given)
+    at = np.asarray(given).reshape(len(given), -1, 2)
+    off = int(((at < 0) | (at > np.asarray(sensor.size))).any(-1).sum())
+    require(off == 0, "places", f"{off} off the sheet", "places on it")
+    require(1 <= rigs <= len(at), "rigs", rigs, f"1 to {len(at)}, one scene each at least")
+    radii = float_array("radius", radius, sensor.dtype)
+    require_shape("radius", radii, (), (len(at),))
+    require_positive("radius", radii)
+    require_positive("conductance", float_array("conductance", conductance))
+    radii = np.broadcast_to(np.asarray(radii), len(at))
+    away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
+    reach = radii + np.asarray(sensor.electrode_diameter) / 2
+    touched = jnp.asarray((away < reach[:, None, None]).any(1))
+    sheet, converter = Points.of(sensor, (8, 8)).sheet, Converter()
+    found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
+    keys = jax.random.split(jax.random.key(seed), rigs)
+    split = jax.vmap(lambda key: jax.random.split(key, 3))(keys)
+    for number, more in enumerate(differences(sensor, split[:, 0])):
+        # As many for each rig, for one compilation.
+        turns = np.arange(number, len(at), rigs)
+        some = np.resize(turns, -(-len(at) // rigs))
+        shares = disc_shares(sensor, at[some].reshape(-1, 2), float(radii.mean()))
+        there = (more.elements @ shares).T.reshape(*at[some].shape[:2], -1)
+        drawn = jnp.asarray(at[some]), jnp.asarray(radii[some]), there, touched[some]
+        exact = _exact(sheet, *drawn, more.electrodes, conductance)
+        gains = 1 + GAIN * jax.random.normal(split[number, 1], found.shape[1:2])
+        seen = converter(gains.astype(sensor.dtype) * exact, split[number, 2])
+        found[turns] = seen[: len(turns)]
+    return Scenes(given, jnp.asarray(found, sensor.dtype))
+
+
+@jax.jit
+def _exact(
+    sheet: Sheet,
+    places: Float[Array, "n C 2"],
+    radii: Float[Array, " n"],
+    there: Float[Array, "n C M"],
+    touched: Bool[Array, "n M"],
+    electrodes: Float[Array, "M M"],
+    conductance: Array | float,
+) -> Float[Array, "n L M"]:
+    """Voltages of contacts at V0 behind 1/`conductance`; `there` and `electrodes` are
+    what the resistances R_m(x_c) and R_mn have more than the sheet's."""
+    each = sheet.field.electrodes + electrodes
+    own = jnp.diagonal(each) + sheet.ground_resistance  # R_ll + z
+    columns = own[:, None] - each  # V per A into the sheet, but for the contacts' places
+    # Metal's current is at its rim: as an even disc's that is larger by e^¼.
+    metal = metallic(sheet, conductance)
+    larger = jnp.exp(metal / 4)
+    z = jnp.broadcast_to(sheet.ground_resistance, own.shape)
+    short = sheet.drive_voltage * z / (z + 1 / conductance)
+
+    def scene(some: tuple[Array, Array, Array, Array]) -> Float[Array, "L M"]:
+        place, radius, more, touched = some
+        radius = jnp.broadcast_to(radius * larger, place.shape[:1])
+        potential = jax.vmap(field_at, (None, 0, 0))(sheet.field, place, radius) + more
+        among = jax.vmap(green_of(sheet, place, radius))(place)
+        among = among + jnp.eye(len(place), dtype=among.dtype) / conductance
+
+        def slot(ground: Array) -> Float[Array, " M"]:
+            at_ground = potential[:, ground]
+            loop = among - at_ground - at_ground[:, None] + own[ground]
+            drive = jnp.broadcast_to(sheet.drive_voltage, (len(place), 1))
+            current = solve_small(loop, drive)[:, 0]
+            volts = current @ (potential - at_ground[:, None] + columns[ground])
+            return jnp.where(touched[ground] & (metal > 0.5), short[ground], volts)
+
+        return jax.vmap(slot)(jnp.arange(len(each)))
+
+    return jax.lax.map(scene, (places, radii, there, touched))

@@ -1,0 +1,102 @@
+"""Errors of place on rigs that are not nominal, of any set of slots, without a fit each.
+
+What `points` takes for independent errors of slots is mostly the sheet's, which all slots
+share. To first order a contact is found off its place by F⁻¹ Σ_l w_l h_l, h_l the score
+of slot l: what the voltages of a rig, less nominal ones, pull it by.
+"""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax.design.objectives._contacts import contact_columns, contact_current
+from tomojax.design.objectives._information import AbstractObjective
+from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts import slot_weights, solve_small, weighed
+from tomojax.methods import Points
+from tomojax.sensor import Converter, Sensor
+from tomojax.step import Follow
+
+# Rigs that are simulated.
+_RIGS = 16
+
+
+class SimulatedPlaceError(AbstractObjective):
+    """The rms error of a contact's place over simulated rigs, m.
+
+    √(mean_r |F⁻¹ Σ_l w_l h_lr|²), F = F₀ + Σ_l w_l F_l as in `PlaceInformation`. Not convex
+    in the weights: there is no bound.
+    """
+
+    information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
+    scores: Float[Array, "P L R 3"]
+    prior: Float[Array, "3 3"]
+    length: Float[Array, ""]  # the unit, m
+    worst: ClassVar[bool] = False  # pyright: ignore
+    convex: ClassVar[bool] = False
+    unit: ClassVar[str] = "m"  # pyright: ignore
+
+    @property
+    def slots(self) -> int:
+        return self.information.shape[1]
+
+    def alone(self, k: Array) -> "SimulatedPlaceError":
+        one = self.information[k][None], self.scores[k][None]
+        return replace(self, information=one[0], scores=one[1])
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
+        pull = jnp.einsum("l,plri->pir", weights, self.scores, precision="highest")
+        off = solve_small(told + self.prior, pull)[:, :2] * self.length
+        return jnp.sqrt((off**2).sum(1).mean(1))
+
+
+def simulated_place_error(
+    sensor: Sensor,
+    points: Points,
+    places: Float[Array, "P 2"],
+    size: Array,
+    resistance: Array,
+    prior: Float[Array, "3 3"],
+) -> SimulatedPlaceError:
+    """Of discs at `places` on rigs as `simulate_scenes` has them."""
+    m, sheet = points.electrode_count, points.sheet
+    noise = Follow.of(points, 1, np.ones(m, bool)).noise
+    inside = disc_shares(sensor, np.asarray(places), float(sheet.size))
+    keys = jax.random.split(jax.random.key(0), _RIGS)
+    more = [(d.electrodes, d.elements @ inside) for d in differences(sensor, keys)]
+    more_ee, more_ek = (jnp.stack(part) for part in zip(*more))  # (R, M, M), (R, M, P)
+    gain, hiss = jax.random.split(jax.random.key(1))
+    gains = GAIN * jax.random.normal(gain, (_RIGS, m), sensor.dtype)
+    hisses = Converter().noise * jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
+
+    def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
+        columns = contact_columns(sheet, place, size, resistance, ground)
+        current = contact_current(sheet, place, size, resistance, ground)
+        own = (more_ee[:, ground, ground] - ek[:, ground])[:, None]
+        off = current * (ek - more_ee[:, ground] + own)
+        off = off + gains * columns[0] + hisses[ground]
+        seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
+        return score(columns, seen, off)
+
+    every = jax.vmap(one, (None, 0, None))
+    grounds = jnp.arange(m)
+    each = jax.jit(lambda p, e: jax.lax.map(lambda x: every(x[0], grounds, x[1]), (p, e)))
+    told, scores = each(places, more_ek.transpose(2, 0, 1))
+    return SimulatedPlaceError(told, scores, prior, sheet.unit)
+
+
+def score(
+    columns: Float[Array, "n M"], seen: Float[Array, "n M"], off: Float[Array, "R M"]
+) -> tuple[Float[Array, "k k"], Float[Array, "R k"]]:
+    """F_l and h_l of a slot's `columns` J (the first the current's, whatever fits) and
+    errors `off`, V; `seen` is J·N⁻¹."""
+    gram, right = matmul(columns, seen.T), matmul(off, seen.T)
+    share = gram[1:, 0] / gram[0, 0]
+    told = gram[1:, 1:] - share[:, None] * gram[0, 1:]
+    return told, right[:, 1:] - right[:, :1] * share

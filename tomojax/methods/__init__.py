@@ -1,0 +1,26 @@
+"""The ladder of models: from the voltages of a frame to contacts and an image.
+
+Each method has a file of its own and keeps one contract; `method` finds them by name
+and `Batch` applies them to many frames. The room knows nothing of files, nor of what is
+grounded next.
+"""
+
+from tomojax.methods._batch import (
+    Batch as Batch,
+    check_limits as check_limits,
+    frames_of as frames_of,
+    Rows as Rows,
+)
+from tomojax.methods._contract import (
+    AbstractMethod as AbstractMethod,
+    Estimate as Estimate,
+    Frame as Frame,
+    judge as judge,
+    Rung as Rung,
+)
+from tomojax.methods._errors import TOLERANCE as TOLERANCE
+from tomojax.methods._linear import Linear as Linear
+from tomojax.methods._names import method as method, METHODS as METHODS
+from tomojax.methods._pixels import pixel_divisions as pixel_divisions
+from tomojax.methods._source import Source as Source
+from tomojax.methods.points import Points as Points, scene_of as scene_of

@@ -1,0 +1,174 @@
+"""`auto`: the smallest model that explains a frame."""
+
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Integer
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts import currents, whitened_columns
+from tomojax.kernels.flags import Flag
+from tomojax.methods._batch import Rows
+from tomojax.methods._conductance import (
+    ALONE,
+    Conductance,
+    Prepared as PreparedConductance,
+)
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Rung
+from tomojax.methods._errors import (
+    misfit_cost,
+    Prepared as PreparedErrors,
+    TOLERANCE,
+    whitened,
+)
+from tomojax.methods._source import Prepared as PreparedSource, Source
+from tomojax.methods.points._points import Points
+from tomojax.sensor import Calibration, Sensor
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    errors: PreparedErrors
+    source: PreparedSource
+    start: PreparedSource  # of `conductance`
+
+
+class Auto(AbstractMethod):
+    """Each frame is worked on by `points`; what that leaves unexplained by `source`; and
+    what is left then by `conductance`.
+
+    A model explains a frame whose misfit is at the noise: the converter's, with the
+    model's own error (`Errors`), to which `points`' tolerance belongs. λ is `source`'s.
+    """
+
+    image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+    tells_covariance: ClassVar[bool] = True
+    tells_rung: ClassVar[bool] = True
+    any_grounds: ClassVar[bool] = True
+    threshold: ClassVar[float] = Points.threshold
+    padded: ClassVar[bool] = False
+    cells_per_diameter: ClassVar[int] = Conductance.cells_per_diameter
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    points: Points
+    conductance: Conductance
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Auto":
+        """On an image of `shape` pixels."""
+        points, conductance = Points.of(sensor, shape), Conductance.of(sensor, shape)
+        return cls(shape, points.cell, points, conductance)
+
+    def calibrated(self, calibration: Calibration) -> "Auto":
+        points = self.points.calibrated(calibration)
+        conductance = self.conductance.calibrated(calibration)
+        return replace(self, points=points, conductance=conductance)
+
+    @property
+    def source(self) -> Source:
+        """The rung between."""
+        return self.conductance.source
+
+    @property
+    def electrode_count(self) -> int:
+        return self.points.electrode_count
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """As `source`."""
+        return self.source.choose_lambda(frames)
+
+    def scale(self) -> float:
+        return self.source.scale()
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        start = self.conductance.prepare(grounds, good, 1.0)
+        return Prepared(start.errors, self.source.prepare(grounds, good, lam), start.source)
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        points = self.points.estimate(prepared.errors, voltages, count)
+        some = points.contacts.count > 0
+        points = points._replace(rung=jnp.where(some, Rung.POINTS.value, 0))
+        left = points.flags & Flag.HIGH_RESIDUAL.value > 0
+
+        larger = partial(self.larger, prepared, voltages, count)
+        return jax.lax.cond(left, larger, lambda: points)
+
+    def larger(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        """Of what `points` does not explain."""
+        explained, source = self._source(prepared, voltages, count)
+        largest = partial(self._conductance, prepared, voltages, count)
+        return jax.lax.cond(explained, lambda: source, largest)
+
+    def block(
+        self,
+        prepared: Prepared,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
+    ) -> tuple:
+        """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        found = self.points.block(prepared.errors, voltages, grounds, count, images)
+        rows = Rows(*(None if a is None else np.array(a) for a in found))  # pyright: ignore
+        rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
+        for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
+            here = prepared
+            if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
+                good, lam = np.asarray(prepared.errors.used), prepared.source.lam
+                here = self.prepare(grounds[k], good, float(lam))
+            # One frame at a time: `conductance` factors.
+            with ALONE:
+                row = _larger(self, here, voltages[k], count, images)
+                for values, value in zip(rows, jax.block_until_ready(row)):
+                    if values is not None:
+                        values[k] = value
+        return rows
+
+    def _source(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> tuple[Bool[Array, ""], Estimate]:
+        """`source`, and whether its image explains the slots, each with its own current."""
+        estimate = self.source.estimate(prepared.source, voltages, count)
+        frame = whitened(prepared.errors, voltages).frame
+        coefficients = matmul(voltages.ravel(), prepared.source.operators)
+        volts = matmul(self.source.factors[frame.grounds], coefficients)
+        columns = whitened_columns(frame, volts)
+        _, rest = currents(frame, columns[None])
+        slots = jnp.maximum(prepared.errors.used.any(1).sum(), 1).astype(rest.dtype)
+        cost = misfit_cost((rest**2).sum(1)).sum() / slots
+        rung = jnp.asarray(Rung.SOURCE.value)
+        # Its flags stay: the image explains the slots, the contacts read off it may not.
+        return cost < TOLERANCE, estimate._replace(rung=rung)
+
+    def _conductance(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        ready = PreparedConductance(prepared.start, prepared.errors)
+        fitted = self.conductance.fitted(ready, voltages)
+        image = fitted.current / jnp.prod(self.cell)
+        estimate = self.conductance.described(fitted, image, count)
+        return estimate._replace(rung=jnp.asarray(Rung.CONDUCTANCE.value))
+
+
+@eqx.filter_jit
+def _larger(
+    method: Auto,
+    prepared: Prepared,
+    voltages: Float[Array, "S M"],
+    count: int,
+    images: bool,
+) -> tuple:
+    estimate = method.larger(prepared, voltages, count)
+    return judged(method, estimate, voltages, count, images)

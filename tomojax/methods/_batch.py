@@ -1,0 +1,274 @@
+"""Frames in, rows out: a method applied to many scans, or slots, of any grounds."""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Bool, Float, Integer
+
+from tomojax._require import require
+from tomojax.kernels.flags import Flag
+from tomojax.methods._contract import AbstractMethod, Frame
+
+# Calls that run side by side: the parts of one call are not all parallel.
+_WORKERS = 2
+
+# A frame with no more than this part of its voltages places a contact badly.
+_FEW = 0.25
+
+# Ground sets whose preparation is kept: 2 MB each for 64 slots.
+_KEPT = 128
+
+
+class Rows(NamedTuple):
+    """Results of n frames, as in the results file; C contacts each, strongest first."""
+
+    contact_count: Integer[np.ndarray, " n"]
+    contact_xy: Float[np.ndarray, "n C 2"]  # m
+    contact_radius: Float[np.ndarray, "n C"]  # m
+    contact_angle: Float[np.ndarray, "n C"]  # rad
+    contact_current: Float[np.ndarray, "n C"]  # A
+    contact_conductance: Float[np.ndarray, "n C"]  # S
+    contact_covariance: Float[np.ndarray, "n C 3"]  # of the place: xx, yy, xy, m²
+    residual: Float[np.ndarray, " n"]  # V rms
+    flags: Integer[np.ndarray, " n"]  # bits of `Flag`
+    rung: Integer[np.ndarray, " n"]  # of `auto`: the model, see `tomojax.Rung`; else 0
+    image: Float[np.ndarray, "n nx ny"] | None
+    residual_by_electrode: Float[np.ndarray, "n M"] | None  # V rms; with images
+
+
+class Batch:
+    """A method at one λ, applied to frames; remembers what it prepared.
+
+    **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
+    leaves them out; `threshold`: volts that no channel exceeds without a contact (the
+    method's own by default);
+    `devices` that share the frames (all of this process by default), by
+    `jax.sharding` along the scan axis.
+    """
+
+    def __init__(
+        self,
+        method: AbstractMethod,
+        lam: float,
+        contacts: int = 4,
+        images: bool = True,
+        threshold: float | None = None,
+        devices: list[Any] | None = None,
+    ):
+        threshold = method.threshold if threshold is None else threshold
+        check_limits(lam, contacts, threshold)
+        self.method, self.lam = method, float(lam)
+        self.contacts, self.images, self.threshold = int(contacts), images, threshold
+        self.devices = jax.local_devices() if devices is None else devices
+        self._prepared: OrderedDict[bytes, Any] = OrderedDict()
+
+    def __call__(
+        self,
+        voltages: Float[np.ndarray, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        good: Bool[np.ndarray, "n S M"] | None = None,
+        flags: Integer[np.ndarray, " n"] | None = None,
+        lams: Float[np.ndarray, " n"] | None = None,
+    ) -> Rows:
+        """Rows of n frames; `good` voltages are used, `flags` (bits) are added to.
+
+        `lams`: λ of each frame, instead of that of all.
+
+        A frame without a good voltage has no contact, NaN in image and residual, and the
+        bit NO_DATA.
+
+        **Raises:** `ValueError` for shapes that do not fit, and for NaN or a ground that is
+        no electrode where `good` says to use them.
+        """
+        if good is None:
+            good = np.isfinite(voltages)
+        self._check(voltages, grounds, good)
+        if lams is not None:
+            fits = lams.shape == voltages.shape[:1] and bool((lams > 0).all())
+            require(fits, "lams", f"shape {lams.shape}", "a λ above 0 for each frame")
+        rows = self._empty(len(voltages))
+        if flags is not None:
+            rows.flags[:] = flags
+        usable = self._nothing(voltages, good, rows)
+        grounds = np.where(good.any(2), grounds, 0)
+        keys = grounds * 0 if self.method.any_grounds else grounds
+        apart = keys
+        if lams is not None:
+            kinds = np.unique(lams, return_inverse=True)[1]
+            apart = np.concatenate([keys, kinds.reshape(-1, 1)], 1)
+        groups = list(_groups(apart, good, np.flatnonzero(usable)))
+
+        def of_frame(k: int) -> Any:
+            lam = self.lam if lams is None else float(lams[k])
+            return self._prepare(keys[k], good[k], lam)
+
+        # What `jax.enable_x64` says here holds in this thread alone.
+        wide = jax.config.jax_enable_x64  # pyright: ignore
+
+        def work(job: tuple[Any, np.ndarray]) -> None:
+            prepared, part = job
+            with jax.enable_x64(wide):
+                self._run(prepared, part, voltages, grounds, good, rows)
+
+        with ThreadPoolExecutor(_WORKERS) as pool:
+            # The first alone: what it compiles serves the others. Then as many as the
+            # preparations that are kept, so that no more of them are ever held.
+            for some in (groups[:1], *_slices(groups[1:], _KEPT)):
+                jobs = [
+                    (of_frame(int(group[0])), part)
+                    for group in some
+                    for part in _slices(group, self.method.blocks[-1])
+                ]
+                list(pool.map(work, jobs))
+        return rows
+
+    def _check(self, voltages, grounds, good) -> None:
+        m = self.method.electrode_count
+        shape = voltages.shape
+        fits = len(shape) == 3 and shape[1] > 0 and shape[2] == m
+        require(
+            fits, "voltages", f"shape {shape}", f"(frames, slots, {m}), a slot at least"
+        )
+        require(grounds.shape == shape[:2], "grounds", grounds.shape, f"{shape[:2]}")
+        require(good.shape == shape, "good", good.shape, f"{shape}")
+        used = grounds[good.any(-1)]
+        inside = not used.size or (0 <= used.min() and used.max() < m)
+        require(inside, "grounds", "an electrode that is none", f"0 to {m - 1} where good")
+        finite = np.isfinite(voltages)
+        require(finite.all() or finite[good].all(), "voltages", "NaN where good", "volts")
+
+    def _empty(self, n: int) -> Rows:
+        c, kind = self.contacts, np.float32
+        nan = np.full((n, c), np.nan, kind)
+        image = each = None
+        if self.images:
+            image = np.full((n, *self.method.shape), np.nan, kind)
+            each = np.full((n, self.method.electrode_count), np.nan, kind)
+        return Rows(
+            np.zeros(n, np.uint8),
+            np.full((n, c, 2), np.nan, kind),
+            nan.copy(),
+            nan.copy(),
+            nan.copy(),
+            nan.copy(),
+            np.full((n, c, 3), np.nan, kind),
+            np.full(n, np.nan, kind),
+            np.zeros(n, np.uint32),
+            np.zeros(n, np.uint8),
+            image,
+            each,
+        )
+
+    def _nothing(self, voltages, good, rows: Rows) -> Bool[np.ndarray, " n"]:
+        """Fills in rows without data or contact; the others are for the method.
+
+        The ladder's lowest step: no contact, image 0, all of the voltages left over.
+        """
+        used = voltages if good.all() else np.where(good, voltages, 0)
+        data = good.any((1, 2))
+        height = np.maximum(used.max((1, 2)), -used.min((1, 2)))
+        quiet = data & (height <= self.threshold)
+        rows.flags[~data] |= np.uint32(Flag.NO_DATA)
+        few = good.sum((1, 2)) <= _FEW * good[0].size if len(good) else data
+        rows.flags[few & data] |= np.uint32(Flag.PLACE_UNCERTAIN)
+        rows.flags[quiet] |= np.uint32(Flag.NO_CONTACT)
+        squares = (used[quiet].astype(float) ** 2).sum((1, 2))
+        rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
+        if rows.image is not None and rows.residual_by_electrode is not None:
+            rows.image[quiet] = 0
+            with np.errstate(invalid="ignore"):  # NaN where no slot is good
+                mean = (used[quiet].astype(float) ** 2).sum(1) / good[quiet].sum(1)
+            rows.residual_by_electrode[quiet] = np.sqrt(mean)
+        return data & ~quiet
+
+    def _prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
+        key = grounds.tobytes() + np.packbits(good).tobytes() + np.float64(lam).tobytes()
+        if key not in self._prepared:
+            self._prepared[key] = self.method.prepare(grounds, good, lam)
+            if len(self._prepared) > _KEPT:
+                self._prepared.popitem(last=False)
+        self._prepared.move_to_end(key)
+        return self._prepared[key]
+
+    def _run(self, prepared, part, voltages, grounds, good, rows) -> None:
+        dtype = self.method.cell.dtype
+        size = len(part)
+        if self.method.padded:
+            size = next(b for b in self.method.blocks if b >= size)
+        block = np.zeros((size, *voltages.shape[1:]), dtype)
+        np.copyto(block[: len(part)], voltages[part], where=good[part])
+        shared, under = (
+            self._shared(jnp.asarray(block)),
+            np.resize(grounds[part], (size, grounds.shape[1])),
+        )
+        found = self.method.block(prepared, shared, under, self.contacts, self.images)
+        for name, values in zip(Rows._fields, found):
+            if values is None:
+                continue
+            values = np.asarray(values)[: len(part)]
+            if name == "flags":
+                rows.flags[part] |= values.astype(np.uint32)
+            else:
+                getattr(rows, name)[part] = values
+
+    def _shared(self, block: Array) -> Array:
+        count = len(self.devices)
+        if count == 1 or len(block) % count:
+            return block
+        mesh = Mesh(np.array(self.devices), ("scan",))
+        return jax.device_put(block, NamedSharding(mesh, PartitionSpec("scan")))
+
+
+def check_limits(lam: float, contacts: int, threshold: float) -> None:
+    """**Raises:** `ValueError` for a `Batch` that cannot be."""
+    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 16
+    require(whole, "contacts", repr(contacts), "a whole number from 1 to 16")
+    require(np.isfinite(lam) and lam > 0, "lam", lam, "a number above 0")
+    fine = np.isfinite(threshold) and threshold >= 0
+    require(fine, "threshold", threshold, "volts, 0 or more")
+
+
+def _groups(grounds, good, usable) -> Iterator[np.ndarray]:
+    """Frames with the same grounds and the same good channels."""
+    if not len(usable):
+        return
+    mixed = good.reshape(len(good), -1).view(np.uint8)
+    bad = ~good.all((1, 2))
+    # Frames with bad channels are few: only those carry their mask into the key.
+    masks = np.zeros(len(good), int)
+    if bad.any():
+        packed = np.packbits(mixed[bad], axis=1)
+        masks[bad] = 1 + np.unique(packed, axis=0, return_inverse=True)[1].ravel()
+    if grounds.shape[1] == 1:
+        group = (grounds[usable, 0] * (masks.max() + 1) + masks[usable]).astype(np.int32)
+    else:
+        # Runs of equal keys first: a scan's pattern changes seldom, or not at all.
+        keys = np.concatenate([grounds, masks[:, None]], 1)[usable]
+        change = np.concatenate([[True], (keys[1:] != keys[:-1]).any(1)])
+        starts = np.flatnonzero(change)
+        _, which = np.unique(keys[starts], axis=0, return_inverse=True)
+        group = np.repeat(which.ravel(), np.diff(np.append(starts, len(keys))))
+    order = np.argsort(group, kind="stable")
+    yield from np.split(usable[order], np.flatnonzero(np.diff(group[order])) + 1)
+
+
+def _slices(items: Any, size: int) -> list[Any]:
+    """Of `size` items, but for the last."""
+    return [items[k : k + size] for k in range(0, len(items), size)]
+
+
+def frames_of(
+    voltages: np.ndarray, grounds: np.ndarray, good: np.ndarray, most: int
+) -> list[Frame]:
+    """Up to `most` frames, spread evenly."""
+    step = max(1, -(-len(voltages) // most))
+    return [
+        Frame(np.where(g, v, 0), np.where(g.any(1), ground, 0), g)
+        for v, ground, g in zip(voltages[::step], grounds[::step], good[::step])
+    ]

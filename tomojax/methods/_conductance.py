@@ -1,0 +1,299 @@
+"""`conductance`: g ≥ 0 at every pixel, from the exact contact model and all slots."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from threading import Lock
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Integer
+
+from tomojax.kernels.algebra import (
+    gaussian,
+    matmul,
+    near_positive,
+    positive_least_squares,
+    PositiveFit,
+    smooth_prior,
+    SmoothPrior,
+)
+from tomojax.kernels.contacts import whitened_columns
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import read_regions
+from tomojax.kernels.sheet import (
+    ContactReduction,
+    fem_contact,
+    FemSheet,
+    ground_voltages,
+    site_conductance,
+    voltage_drop,
+    voltage_sensitivity,
+)
+from tomojax.methods._contract import (
+    AbstractMethod,
+    Estimate,
+    Frame,
+    rms_by_electrode,
+)
+from tomojax.methods._errors import (
+    Errors,
+    misfit_cost,
+    Prepared as PreparedErrors,
+    seen,
+    TOLERANCE,
+    whitened,
+)
+from tomojax.methods._pixels import pixels_of
+from tomojax.methods._source import Prepared as PreparedSource, Source
+from tomojax.sensor import Calibration, NOISE, Sensor, sheet_on_mesh
+
+# What is known of ln g beforehand: its mean below the start's highest and its standard
+# deviation; and the length over which it is alike, of the electrodes' diameter.
+_LEVEL, _WIDTH, _LENGTH = -6.0, 2.5, 0.8
+
+# V0 − u at a contact is no less than this part of V0, for a start; steps of the fit.
+_DROP, _STEPS = 0.1, 25
+
+# Contacts are read off an image blurred by as much, of the electrodes' diameter; from
+# this part of their peak on.
+_BLUR, _FROM = 0.8, 0.1
+
+# What a further region carries of what the first does, to be one that is not told of.
+# Highest voltage, in the converter's noise, that places a contact.
+_OTHERS, _FAINT = 0.1, 30.0
+
+# A contact on more than this, of what an electrode has of the sheet, is seen by its rim.
+_WIDE = 1.1
+
+# The start's λ, of σ₁².
+_START = 1e-4
+
+# Concurrent factorisations stop for ever on few cores: one frame at a time.
+ALONE = Lock()
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    source: PreparedSource  # for the start
+    errors: PreparedErrors  # of the voltages
+
+
+class Fitted(NamedTuple):
+    """Of one frame."""
+
+    conductance: Float[Array, "nx ny"]  # S per pixel
+    current: Float[Array, "nx ny"]  # A per pixel, the mean over the slots
+    cost: Float[Array, ""]  # per slot, of the whitened misfit
+    seen: Bool[Array, ""]  # whether no contact would not do
+    residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]
+    highest: Float[Array, ""]  # |V|
+
+
+class Conductance(AbstractMethod):
+    """The likeliest g: ln g is smooth beforehand, as wide as decades. λ as for `points`.
+
+    The start is `source`'s image; each of Gauss and Newton's steps solves the loaded
+    sheet once, on a mesh that resolves the electrodes. Where an object is much better
+    than the sheet, only that it is so can be known: g there is a lower bound.
+    """
+
+    image_unit: ClassVar[str] = "S/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+    threshold: ClassVar[float] = 0.0015
+    cells_per_diameter: ClassVar[int] = 2
+    padded: ClassVar[bool] = False
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    divisions: tuple[int, int] = eqx.field(static=True)
+    source: Source
+    sheet: FemSheet
+    errors: Errors
+    sheet_resistance: Float[Array, ""]
+    ground_resistance: Float[Array, "..."]
+    drive_voltage: Float[Array, ""]
+    diameter: Float[Array, ""]
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Conductance":
+        """On an image of `shape` pixels."""
+        # Metal discs where the sensor leaves it open, as for `points`.
+        if sensor.electrode_shunt is None:
+            sensor = replace(sensor, electrode_shunt=1.0)
+        source = Source.of(sensor, shape)
+        pixels = pixels_of(sensor, shape, cls.cells_per_diameter)
+        fine = pixels.sensor
+        return cls(
+            shape,
+            pixels.cell,
+            fine.divisions,
+            source,
+            sheet_on_mesh(fine),
+            Errors.of(sensor),
+            jnp.exp(jnp.mean(jnp.log(fine.sheet_resistance))),
+            fine.ground_resistance,
+            fine.drive_voltage,
+            fine.electrode_diameter,
+        )
+
+    def calibrated(self, calibration: Calibration) -> "Conductance":
+        ground = jnp.asarray(calibration.ground, self.cell.dtype)
+        errors = self.errors.calibrated(calibration)
+        resistance = self.ground_resistance + ground
+        return replace(self, errors=errors, ground_resistance=resistance)
+
+    @property
+    def electrode_count(self) -> int:
+        return self.source.electrode_count
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The error of a sheet with nominal values."""
+        return 1.0
+
+    def scale(self) -> float:
+        return 1.0
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        start = self.source.prepare(grounds, good, _START * self.source.scale())
+        return Prepared(start, self.errors.prepare(grounds, good, lam))
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        fitted = self.fitted(prepared, voltages)
+        area = jnp.prod(self.cell)
+        return self.described(fitted, fitted.conductance / area, count)
+
+    def block(
+        self,
+        prepared: Prepared,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
+    ) -> tuple:
+        """As `estimate`, frame by frame."""
+        rows = []
+        for k in range(len(voltages)):
+            with ALONE:
+                one = voltages[k : k + 1], grounds[k : k + 1]
+                row = super().block(prepared, *one, count, images)
+                rows.append(jax.tree.map(np.asarray, row))
+        return jax.tree.map(lambda *r: np.concatenate(r), *rows)
+
+    def fitted(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Fitted:
+        """The image, and how well it fits."""
+        errors, z, v0 = prepared.errors, self.ground_resistance, self.drive_voltage
+        frame = whitened(errors, voltages).frame
+
+        def model(values: Array) -> tuple[Array, Callable[[], Array]]:
+            contact = self._contact(values)
+            volts = ground_voltages(contact, frame.grounds, z, v0)
+            at_pixels = self._at_pixels(contact)
+
+            def slopes() -> Float[Array, "S W pixels"]:
+                steep = voltage_sensitivity(at_pixels, frame.grounds, z, v0)
+                columns = whitened_columns(frame, jnp.moveaxis(steep, -1, 0))
+                return jnp.moveaxis(columns, 0, -1)
+
+            return whitened_columns(frame, volts - voltages), slopes
+
+        prior, start = self._start(prepared.source, voltages)
+        fit: PositiveFit = positive_least_squares(model, prior, start, TOLERANCE, _STEPS)
+        contact = self._contact(fit.values)
+        drop = voltage_drop(self._at_pixels(contact), frame.grounds, z, v0)
+        slots = errors.used.any(1)
+        n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
+        mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+        volts = ground_voltages(contact, frame.grounds, z, v0)
+        misfit = jnp.where(errors.used, volts - voltages, 0)
+        channels = jnp.maximum(errors.used.sum(), 1).astype(drop.dtype)
+        return Fitted(
+            fit.values,
+            fit.values * mean.reshape(self.shape),
+            fit.cost / n,
+            seen(errors, frame, misfit_cost(fit.misfits)),
+            jnp.sqrt((misfit**2).sum() / channels),
+            rms_by_electrode(misfit, errors.used),
+            jnp.abs(voltages).max(),
+        )
+
+    def described(
+        self, fitted: Fitted, image: Float[Array, "nx ny"], count: int
+    ) -> Estimate:
+        """Contacts are what imposes its potential on the sheet below it, blurred a little.
+
+        gρ/(1 + gρ) of each pixel: in proportion to g where that is small; metal is 1.
+        """
+        share = fitted.conductance * self.sheet_resistance
+        share = share / (1 + share)
+        wide = share.mean() > _WIDE / self.electrode_count
+        along, across = (
+            gaussian(n, length)
+            for n, length in zip(self.shape, _BLUR * self.diameter / self.cell)
+        )
+        share = matmul(matmul(along, share), across.T)
+        read = lambda carried: read_regions(  # noqa: E731
+            share, carried, self.cell, count + 1, _FROM
+        )
+        contacts, flow = read(fitted.conductance), read(fitted.current)
+        # One more than are asked for says that there are others.
+        more = contacts.current[count] > _OTHERS * contacts.current[0]
+        contacts = contacts._replace(conductance=contacts.current, current=flow.current)
+        some = jnp.minimum(contacts.count, count)
+        contacts = jax.tree.map(lambda a: a[:count] if a.ndim else a, contacts)
+        contacts = contacts._replace(
+            count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
+        )
+        faint = fitted.seen & (fitted.highest < _FAINT * NOISE)
+        bits = (
+            (fitted.cost > TOLERANCE, Flag.HIGH_RESIDUAL),
+            (more, Flag.CONTACTS_UNEXPLAINED),
+            (faint | wide, Flag.PLACE_UNCERTAIN),
+        )
+        flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
+        return Estimate(
+            contacts, image, fitted.residual, flags, by_electrode=fitted.by_electrode
+        )
+
+    def _contact(self, values: Float[Array, "nx ny"]) -> ContactReduction:
+        sites = self._sites(values)
+        return fem_contact(self.sheet, sites, self.divisions)
+
+    def _sites(self, values: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
+        """From pixels to the mesh's nodes and the electrodes' metal."""
+        mx, my = (m // n for m, n in zip(self.divisions, self.shape))
+        each = jnp.repeat(jnp.repeat(values / (2 * mx * my), mx, 0), my, 1)
+        elements = jnp.repeat(each.ravel(), 2)
+        return site_conductance(self.sheet, elements, self.divisions)
+
+    def _at_pixels(self, contact: ContactReduction) -> ContactReduction:
+        """Fields at pixels, as means over their sites: for slopes and currents.
+
+        A mean of products is taken for the product of means, which is the slopes' own
+        error, not the fit's.
+        """
+        flat = jax.ShapeDtypeStruct(self.shape, contact.gap.dtype)
+        back = jax.linear_transpose(self._sites, flat)
+        mean = lambda at_sites: back(at_sites)[0].ravel()  # noqa: E731
+        field = jax.vmap(mean, 1, 1)(contact.field)
+        return contact._replace(field=field, gap=mean(contact.gap))
+
+    def _start(
+        self, prepared: PreparedSource, voltages: Float[Array, "S M"]
+    ) -> tuple[SmoothPrior, Float[Array, "nx ny"]]:
+        current = self.source.image(prepared, voltages).reshape(self.shape)
+        v0 = self.drive_voltage
+        # What is under a contact is hardly higher than the highest electrode.
+        drop = jnp.maximum(jnp.abs(v0) - jnp.abs(voltages).max(), _DROP * jnp.abs(v0))
+        tiny = 1e-12 / self.sheet_resistance
+        guess = jnp.maximum(jnp.sign(v0) * current / drop, tiny)
+        level = jnp.log(guess.max()) + _LEVEL
+        length = _LENGTH * self.diameter / self.cell
+        prior = smooth_prior(self.shape, length, _WIDTH, level)
+        return prior, near_positive(prior, guess)

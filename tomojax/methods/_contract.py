@@ -1,0 +1,198 @@
+"""What a step of the ladder of models is: the contract that each method keeps.
+
+A method prepares once for a set of grounds and of good channels, and is then applied to
+many frames. Its file is all that a new one needs, and a line in `METHODS`.
+"""
+
+from abc import abstractmethod
+from enum import IntEnum
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Integer
+
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import Contacts, no_contacts
+from tomojax.sensor import Calibration
+
+# What noise and offsets of a converter leave in any case, V rms.
+NOISE = 1e-3
+
+# So many channels of a slot, or one in so many, do not share the highest value by chance.
+_SHARED = 8
+
+
+class Rung(IntEnum):
+    """Which model a row is of."""
+
+    NOTHING = 0
+    POINTS = 1
+    SOURCE = 2
+    CONDUCTANCE = 3
+
+
+class Estimate(NamedTuple):
+    """What a method says of one frame."""
+
+    contacts: Contacts
+    image: Float[Array, "nx ny"]
+    residual: Float[Array, ""]  # rms over the voltages used, V
+    flags: Int[Array, ""] | int = 0  # bits that the method sets
+    rung: Int[Array, ""] | int = 0  # of `auto`: which model
+    by_electrode: Float[Array, " M"] | None = None  # residual of each, V rms
+
+
+class Frame(NamedTuple):
+    """One scan, or one slot of it, as measured (NumPy)."""
+
+    voltages: Float[np.ndarray, "S M"]
+    grounds: Integer[np.ndarray, " S"]
+    good: Bool[np.ndarray, "S M"]
+
+
+def rms_by_electrode(
+    misfit: Float[Array, "S M"], used: Bool[Array, "S M"]
+) -> Float[Array, " M"]:
+    """Over the slots that are used; NaN where none is."""
+    return jnp.sqrt(jnp.mean(misfit**2, 0, where=used))
+
+
+class AbstractMethod(eqx.Module):
+    """From the voltages of one frame to contacts and an image."""
+
+    shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
+    cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
+    image_unit: eqx.AbstractClassVar[str]
+    # Residual beyond this part of the voltages' rms: the model does not hold.
+    residual_limit: eqx.AbstractClassVar[float]
+    # Whether contacts come with the covariance of their place.
+    tells_covariance: ClassVar[bool] = False
+    # Whether it chooses between models.
+    tells_rung: ClassVar[bool] = False
+    # Whether a call may have frames of different grounds.
+    any_grounds: ClassVar[bool] = False
+    # V that no channel exceeds without a contact: such frames are not worked on.
+    threshold: ClassVar[float] = 0.005
+    # How fine a mesh is needed beside the electrodes.
+    cells_per_diameter: ClassVar[int] = 1
+    # Frames of a compiled call: as many as keep the working set in the cache. What is left
+    # of a group fills the smallest that holds it, so that at most three are compiled.
+    blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)
+    # Whether a call is filled up to that with zeros; else the method does what it needs.
+    padded: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def electrode_count(self) -> int:
+        """M."""
+
+    def calibrated(self, calibration: Calibration) -> "AbstractMethod":
+        """With the noise and the model's error that a calibration states, where used."""
+        return self
+
+    @abstractmethod
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """λ for a recording, from a few of its frames with a contact."""
+
+    @abstractmethod
+    def scale(self) -> float:
+        """σ₁², which λ is relative to."""
+
+    @abstractmethod
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
+        """Arrays that serve every frame with these grounds (S,) and good channels (S, M).
+
+        A slot without a good channel is not used. Host code, in float64.
+        """
+
+    @abstractmethod
+    def estimate(
+        self, prepared: Any, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        """Up to `count` contacts, an image and a residual, of one frame. Compiled.
+
+        Channels that are not good come as 0.
+        """
+
+    def block(
+        self,
+        prepared: Any,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
+    ) -> tuple:
+        """`estimate` of n frames, `judged`; a method may do it in several calls.
+
+        The grounds are those prepared for, but where the method takes `any_grounds`.
+        """
+        return _block(self, prepared, voltages, count, images)
+
+
+@eqx.filter_jit
+def _block(
+    method: AbstractMethod,
+    prepared: Any,
+    voltages: Float[Array, "n S M"],
+    count: int,
+    images: bool,
+) -> tuple:
+    def one(v: Float[Array, "S M"]) -> tuple:
+        return judged(method, method.estimate(prepared, v, count), v, count, images)
+
+    return jax.vmap(one)(voltages)
+
+
+def judged(
+    method: AbstractMethod,
+    estimate: Estimate,
+    voltages: Float[Array, "S M"],
+    count: int,
+    images: bool,
+) -> tuple:
+    """A row of results: contacts, residual, flags, rung, images (or None)."""
+    contacts, image, residual, flags, rung, by_electrode = estimate
+    limit = method.residual_limit
+    contacts, flags = judge(contacts, residual, flags, voltages, limit)
+    rung = jnp.asarray(rung, jnp.uint8)
+    row = *contacts, residual, flags, rung
+    return *row, *((image, by_electrode) if images else (None, None))
+
+
+def judge(
+    contacts: Contacts,
+    residual: Float[Array, ""],
+    flags: Int[Array, ""] | int,
+    voltages: Float[Array, "*slots M"],
+    limit: float,
+) -> tuple[Contacts, Int[Array, ""]]:
+    """Contacts and flags: nothing is said of a frame whose residual is no number.
+
+    `limit`: the part of the voltages' rms beyond which a residual is high.
+    """
+    failed = ~jnp.isfinite(residual)
+    # A channel that is not good is 0: the limit is the lower for it.
+    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + NOISE
+    none = no_contacts(len(contacts.radius), voltages.dtype)
+    contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
+    flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
+    flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
+    flags = flags | jnp.where(cut_off(voltages), Flag.SATURATED.value, 0)
+    flags = flags | jnp.where(contacts.count == 0, Flag.NO_CONTACT.value, 0)
+    return contacts, flags
+
+
+def cut_off(voltages: Float[Array, "*slots M"]) -> Bool[Array, ""]:
+    """Whether many channels of a slot share the highest value: a range that ended there.
+
+    Of a converter whose rails nobody told. An eighth of the channels do not read the same
+    by chance, if they read more than a few of its steps.
+    """
+    size = jnp.abs(voltages)
+    highest = size.max(-1, keepdims=True)
+    shared = (size == highest).sum(-1)
+    many = max(_SHARED, voltages.shape[-1] // _SHARED)
+    return ((shared > many) & (highest[..., 0] > 10 * NOISE)).any()

@@ -1,0 +1,158 @@
+"""What errors a frame's voltages have: the converter's noise, and the model's own."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.contacts import Frame, smooth_modes, whiten
+from tomojax.sensor import Calibration, NOISE, Sensor
+
+# What nominal values leave of measured voltages, as parts of them: each electrode's own
+# error (place, gain, detail of the sheet), of which this part of how its voltage differs
+# from its neighbours'; what they have in common, the longest waves over the sheet; and a
+# slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
+_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
+
+# A slot's misfit (64 channels) beyond which it counts little.
+TOLERANCE = 64.0
+
+# What a contact must explain in all, and more for each slot: a fit to noise gains some too.
+_SEEN = (25.0, 4.0)
+
+# Slots that stand for all.
+_SLOTS = 4
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    grounds: Int[Array, " S"]
+    used: Bool[Array, "S M"]
+    own: Float[Array, ""]  # a channel's own error, as a part of its voltage
+    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
+    smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
+    spread: Float[Array, ""]  # of the model's error, by λ
+    offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
+    noise: Float[Array, ""]  # of the converter, V
+    compared: Int[Array, " s"]  # slots that candidates are compared in
+
+
+class Whitened(NamedTuple):
+    """One frame, and its errors."""
+
+    frame: Frame
+    own: Float[Array, "S M"]  # σ of a channel's own error but for noise, V
+    common: Float[Array, "S q M"]  # and of what they have in common, V, the offset last
+    offset: Float[Array, " S"]  # σ of what all channels of a slot may be off, V
+
+
+class Errors(eqx.Module):
+    """Of a rig with nominal values, or as a calibration states them."""
+
+    electrode_xy: Float[Array, "M 2"]
+    size: Float[Array, "2"]
+    noise: Float[Array, ""]  # of the converter, V
+    error: Float[Array, ""]  # of the model, as a part of that of nominal values
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> "Errors":
+        """With nominal values."""
+        noise, error = (jnp.asarray(a, sensor.dtype) for a in (NOISE, 1.0))
+        return cls(sensor.electrode_xy, sensor.size, noise, error)
+
+    def calibrated(self, calibration: Calibration) -> "Errors":
+        """As the calibration states them."""
+        noise, error = (
+            jnp.asarray(a, self.noise.dtype) for a in (calibration.noise, calibration.error)
+        )
+        return replace(self, noise=noise, error=error)
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        """`lam` multiplies the variance of the model's error."""
+        used = _common(good)
+        channels = np.asarray(used.any(0))
+        slots = np.flatnonzero(used.any(1))
+        compared = slots
+        if len(slots) > _SLOTS:
+            compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
+        dtype, own = self.noise.dtype, float(np.sqrt(lam))
+        # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
+        spread = own * float(self.error)
+        xy = np.asarray(self.electrode_xy, float)
+        return Prepared(
+            jnp.asarray(grounds, int),
+            jnp.asarray(used),
+            jnp.asarray(own * _OWN, dtype),
+            jnp.asarray(own * _BEND * bends(xy, channels), dtype),
+            spread * self.smooth(self.electrode_xy),
+            jnp.asarray(spread, dtype),
+            jnp.asarray(spread * _OFFSET, dtype),
+            self.noise,
+            jnp.asarray(compared),
+        )
+
+    def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
+        """What neighbours' relative errors have in common, 1 σ of each wave."""
+        modes, strength = smooth_modes(places, self.size)
+        return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
+
+
+def whitened(prepared: Prepared, voltages: Float[Array, "S M"]) -> Whitened:
+    """A frame whose errors are independent and of size 1."""
+    used = prepared.used
+    bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
+    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
+    each = jnp.sqrt(own**2 + prepared.noise**2)
+    high = jnp.where(used, jnp.abs(voltages), 0)
+    channels = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
+    offset = prepared.offset * high.sum(1) / channels
+    flat = jnp.broadcast_to(offset[:, None], voltages.shape)
+    common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
+    frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)
+    return Whitened(frame, own, common, offset)
+
+
+def misfit_cost(misfits: Float[Array, " S"]) -> Float[Array, " S"]:
+    """Of each slot's |r|², Cauchy's loss: what does not fit at all counts little."""
+    return TOLERANCE * jnp.log1p(misfits / TOLERANCE)
+
+
+def seen(prepared: Prepared, frame: Frame, costs: Float[Array, " S"]) -> Bool[Array, ""]:
+    """Whether a fit of these costs explains more than noise and channels' zeros would."""
+    slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
+    alone = misfit_cost((frame.whitened**2).sum(1))
+    return (alone - costs).sum() > _SEEN[0] + _SEEN[1] * slots
+
+
+def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
+    """Slots by the channels that are good in all of them.
+
+    One set of channels serves all slots; slots that have lost more than half of what the
+    best has are left out for it.
+    """
+    each = good.sum(1)
+    slots = each * 2 > each.max()
+    channels = good[slots].all(0) if slots.any() else good.any(0)
+    return slots[:, None] & channels
+
+
+def bends(
+    xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
+) -> Float[np.ndarray, "M M"]:
+    """From voltages to how far each is from the plane through its neighbours'."""
+    apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
+    pitch = np.median(apart.min(1))
+    matrix = np.zeros(apart.shape)
+    for k in np.flatnonzero(channels):
+        near = np.flatnonzero(channels & (apart[k] < 1.6 * pitch))
+        if len(near) < 3:  # what is left of few: those that are nearest
+            near = np.flatnonzero(channels)[np.argsort(apart[k, channels])[:4]]
+            near = near[near != k]
+        plane = np.column_stack([np.ones(len(near)), (xy[near] - xy[k]) / pitch])
+        matrix[k, near] = -np.linalg.pinv(plane)[0]
+        matrix[k, k] = 1
+    return matrix

@@ -1,0 +1,184 @@
+"""`linear`: the paper's Eq. 3 with J(0), prepared once for a ground set."""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import Contacts, point_sources, read_contacts, unexplained
+from tomojax.kernels.sheet import (
+    contact_jacobian,
+    loop_resistance,
+    Resistances,
+    slot_map,
+)
+from tomojax.methods._contract import (
+    AbstractMethod,
+    Estimate,
+    Frame,
+    rms_by_electrode,
+)
+from tomojax.methods._pixels import Pixels, pixels_of
+from tomojax.paper import reduce_jacobian
+from tomojax.sensor import resistances, Sensor
+
+# Rows of the basis that stands for J, and how many of them are used from which λ/σ₁² on:
+# an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see `reduce_jacobian`).
+_RANK, _FEWER, _FROM = 256, 128, 1e-3
+
+# What the contacts leave of the slots' voltages, each slot with currents of its own and
+# without its mean. J(0) places even lone contacts only so well: half of them leave more.
+# Slots that are looked at.
+_UNEXPLAINED, _SOME = 0.09, 8
+
+# λ/σ₁² below which an image in float32 is another than in float64, by 20 mm in one of ten.
+_SMALLEST = 1e-6
+
+# λ/σ₁² of `tomojax table1`.
+_RELATIVE = 1.8e-3
+
+
+class Prepared(NamedTuple):
+    """For one ground set with its good channels."""
+
+    operator: Float[Array, "SM r"]  # coefficients of φ from the voltages
+    rows: Float[Array, "SM r"]  # and back
+    current: Float[Array, " pixels"]  # A per volt of φ, the mean over the slots
+    used: Bool[Array, " SM"]
+    small: Bool[Array, ""]  # whether λ is less than numbers and basis hold
+
+
+class Linear(AbstractMethod):
+    """φ = (J_sᵀJ_s + λI)⁻¹J_sᵀV_s with J(0) in a basis of its strongest rows."""
+
+    image_unit: ClassVar[str] = "V"  # pyright: ignore
+    # Strong contacts draw another current in every slot; J(0) has one for all.
+    residual_limit: ClassVar[float] = 0.5  # pyright: ignore
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    basis: Float[Array, "r pixels"]
+    factors: Float[Array, "L M r"]  # J^l Bᵀ
+    conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
+        """On an image of `shape` pixels."""
+        pixels = pixels_of(sensor, shape)
+        sensor = pixels.sensor
+        route = "fem" if sensor.sheet_resistance.ndim else "series"
+        table, grounds = resistances(sensor, route), jnp.asarray(sensor.all_grounds())
+        z = sensor.ground_resistance
+        loop = loop_resistance(table, grounds, z)
+        maps = _pixel_jacobian(pixels, table, grounds)
+        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell)
+
+    @classmethod
+    def from_maps(
+        cls, maps: Array, conductance: Array, shape: tuple[int, int], cell: Array
+    ) -> "Linear":
+        """Of any J (L, M, pixels)."""
+        rank = min(_RANK, maps.shape[0] * maps.shape[1], maps.shape[2])
+        reduced = reduce_jacobian(maps, rank)
+        # The strongest directions first, so that any number of them is the best choice.
+        turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
+        turn = jnp.asarray(turn.copy(), maps.dtype)
+        basis, factors = matmul(turn.T, reduced.basis), matmul(reduced.factors, turn)
+        return cls(shape, cell, basis, factors, conductance)
+
+    @property
+    def electrode_count(self) -> int:
+        return self.factors.shape[1]
+
+    def scale(self) -> float:
+        rows = np.asarray(self.factors, float)
+        return float(np.linalg.norm(rows.reshape(-1, rows.shape[-1]), 2) ** 2)
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """Table I's λ, which makes *All* as wide as the paper's, whatever the frames.
+
+        `tomojax.reconstruct`'s own rule goes decades lower, for the least error of the
+        image: that has a peak at every electrode, and contacts cannot be read off it.
+        """
+        return _RELATIVE * self.scale()
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        dtype = self.cell.dtype
+        scale = self.scale()
+        fewer = _FEWER if lam >= _FROM * scale else _RANK
+        rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
+        rows = rows.reshape(-1, rows.shape[-1])
+        operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
+        current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
+        return Prepared(
+            jnp.asarray(operator.T, dtype),
+            jnp.asarray(rows, dtype),
+            jnp.asarray(current, dtype),
+            jnp.asarray(good.ravel()),
+            jnp.asarray(lam < _SMALLEST * scale),
+        )
+
+    def image(
+        self, prepared: Prepared, voltages: Float[Array, "S M"]
+    ) -> tuple[Array, Array]:
+        """φ per pixel (or element, for a J of elements) and its coefficients."""
+        coefficients = matmul(voltages.ravel(), prepared.operator)
+        return matmul(coefficients, self.basis[: len(coefficients)]), coefficients
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        phi, coefficients = self.image(prepared, voltages)
+        image = phi.reshape(self.shape)
+        current = (phi * prepared.current).reshape(self.shape)
+        # As the paper reads its images: above half the maximum.
+        contacts = read_contacts(image, current, self.cell, count, 0.5, False)
+        misfit = matmul(prepared.rows, coefficients) - voltages.ravel()
+        residual = jnp.sqrt(jnp.mean(misfit**2, where=prepared.used))
+        grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
+        each = rms_by_electrode(grid[1], grid[0])
+        flags = self._unexplained(prepared, voltages, contacts)
+        flags = flags | jnp.where(prepared.small, Flag.BAD_LAMBDA.value, 0)
+        return Estimate(contacts, image, residual, flags, by_electrode=each)
+
+    def _unexplained(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], contacts: Contacts
+    ) -> Int[Array, ""]:
+        """Of a few of the slots; J(0)'s columns have T's shape, whatever the contact."""
+        step = max(1, len(voltages) // _SOME)
+        rows = prepared.rows.reshape(*voltages.shape, -1)[::step]
+        used = prepared.used.reshape(voltages.shape)[::step]
+        basis = self.basis[: rows.shape[-1]]
+        points = point_sources(basis, contacts, self.shape, self.cell)
+        columns = jnp.einsum("smr,cr->scm", rows, points, precision="highest")
+        seen = _centred(voltages[::step], used)
+        left = unexplained(_centred(columns, used[:, None]), seen)
+        bit = Flag.CONTACTS_UNEXPLAINED.value
+        return jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
+
+
+def _centred(values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]) -> Array:
+    """Without the mean over the channels that are used; 0 where not."""
+    count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
+    mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
+    return jnp.where(used, values - mean, 0)
+
+
+@eqx.filter_jit
+def _pixel_jacobian(
+    pixels: Pixels, table: Resistances, grounds: Array
+) -> Float[Array, "L M pixels"]:
+    """J(0), the mean over each pixel's elements; ground by ground, one held at a time."""
+    z, rho = pixels.sensor.ground_resistance, jnp.zeros((), pixels.sensor.dtype)
+
+    def one(ground: Array) -> Array:
+        t = slot_map(table, ground[None], z)
+        loop = loop_resistance(table, ground[None], z)
+        return pixels.mean(contact_jacobian(t, loop, rho)[0])
+
+    return jax.lax.map(one, grounds)

@@ -1,0 +1,52 @@
+"""The ladder's table of names: which method is which class."""
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.methods._auto import Auto
+from tomojax.methods._conductance import Conductance
+from tomojax.methods._contract import AbstractMethod
+from tomojax.methods._linear import Linear
+from tomojax.methods._pixels import pixel_divisions
+from tomojax.methods._source import PositiveSource, Source
+from tomojax.methods.points import Points
+from tomojax.sensor import Calibration, Sensor
+
+METHODS: dict[str, type] = {
+    "auto": Auto,
+    "source": Source,
+    "positive": PositiveSource,
+    "linear": Linear,
+    "points": Points,
+    "conductance": Conductance,
+}
+
+
+def method(
+    sensor: Sensor,
+    name: str = "source",
+    grid: int = 32,
+    calibration: Calibration | None = None,
+) -> AbstractMethod:
+    """The method of that name on an image of `grid` × `grid` pixels.
+
+    With a `calibration` on the sheet as it is; its zeros and gains are for who reads the
+    voltages.
+
+    "source" finds the current image of each slot, with nothing assumed of the contact;
+    "positive" is the same with an image that is nowhere negative;
+    "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
+    "auto" takes the smallest of points, source and conductance that explains a frame;
+    "conductance" fits the contact's conductance at every pixel, in the exact model.
+
+    **Raises:** `ValueError` for an unknown name or a grid below 8.
+    """
+    require(name in METHODS, "method", repr(name), f"one of {', '.join(METHODS)}")
+    whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
+    require(whole, "grid", repr(grid), "a whole number from 8 to 512")
+    shape = (int(grid), int(grid))
+    found = METHODS[name]
+    if calibration is None:
+        return found.of(sensor, shape)
+    fine = pixel_divisions(sensor, shape, found.cells_per_diameter)
+    return found.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)

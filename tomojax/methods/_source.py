@@ -1,0 +1,309 @@
+"""`source`: the current that the object feeds into the sheet, slot by slot.
+
+V^l = T^l s^l holds exactly for any contact (DESIGN: one slot is linear in the injected
+current), and one slot has M − 1 of the M numbers that can be known of s. A scan's image
+is the mean of its slots' images: the slots' currents differ, their places do not. (One
+image fitted to all slots was off by 50 mm where a strong contact's currents differ;
+with each slot scaled to the same current, it was no better than the mean.)
+"""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from tomojax.kernels.algebra import gaussian, matmul
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import point_sources, read_contacts, unexplained
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame
+from tomojax.methods._pixels import Pixels, pixels_of
+from tomojax.sensor import resistances, Sensor
+
+# What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9
+# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py). And the converter's noise.
+_MODEL_ERROR, _NOISE = 0.015, 5e-4
+
+# A peak stands out of that noise by this factor of its standard deviation; offsets do not
+# average out over slots, so that no number of them lowers it.
+_STANDS_OUT = 5.0
+
+# Of an image, beside images of point sources where its contacts were read off: a simulated
+# lone contact leaves 4 to 8 %, one of two or three that was missed, a bar, a palm 12 % and
+# more.
+_UNEXPLAINED = 0.12
+
+# Length over which an image is smooth beforehand, of the electrodes' pitch; steps of the
+# projected gradient.
+_SMOOTH, _PROJECTED = 0.375, 100
+
+# Slots that λ is chosen from; and λ/σ₁² where nothing ever touches.
+_SLOTS, _RELATIVE = 64, 1e-4
+
+
+class Prepared(NamedTuple):
+    """For S slots with their good channels."""
+
+    operators: Float[Array, "SM r"]  # coefficients of the mean image from the voltages
+    through: Float[Array, "r r"]  # coefficients of the mean image from those of a source
+    misfits: Float[Array, "S M M"]  # T A − I on the good channels
+    imaging: Float[Array, "SM r"]  # the same for the image that is drawn
+    normal: Float[Array, "r r"]  # of it, in the mean over the slots
+    damping: Float[Array, ""]  # its λ
+    spread: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
+    lowest: Float[Array, ""]  # statistic that noise does not reach
+    used: Bool[Array, "S M"]
+    lam: Float[Array, ""]
+
+
+class Source(AbstractMethod):
+    """s^l = T^lᵀ(T^lT^lᵀ + λI)⁻¹V^l, in an orthonormal basis of T's row space (rank M).
+
+    The minimum-norm image is highest at electrodes wherever the contact is. Contacts are
+    read off s_k/√(resolution matrix)_kk, which without noise is highest at a lone point
+    source exactly (sLORETA: Pascual-Marqui, Methods Find. Exp. Clin. Pharmacol. 24D,
+    2002); their currents are sums of s.
+
+    The image that is drawn is smooth beforehand: s = Gw, G a Gaussian, w as s above. What
+    is finer than the electrodes' pitch is not in the data, and λI puts it where it costs
+    least, at electrodes: of lone contacts the image's highest pixel was 13 mm off in one
+    of ten, against 4 mm with G; λI's is narrower (35 mm against 45).
+    """
+
+    positive: ClassVar[bool] = False
+
+    image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    basis: Float[Array, "r pixels"]
+    factors: Float[Array, "L M r"]  # T^l Bᵀ
+    along: Float[Array, "nx nx"]  # G = along ⊗ across
+    across: Float[Array, "ny ny"]
+    drawn: Float[Array, "r pixels"]  # an orthonormal basis of the rows of TG
+    drawn_factors: Float[Array, "L M r"]
+    smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
+        """On an image of `shape` pixels."""
+        pixels = pixels_of(sensor, shape)
+        # Of the pitch: half of the square that an electrode has to itself, as a Gaussian.
+        pitch = np.sqrt(float(jnp.prod(sensor.size)) / sensor.electrode_count)
+        length = _SMOOTH * pitch / np.asarray(pixels.cell, float)
+        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length)
+
+    @classmethod
+    def from_maps(
+        cls,
+        maps: Float[np.ndarray, "L M pixels"],
+        shape: tuple[int, int],
+        cell: Array,
+        length: Float[np.ndarray, "2"] | None = None,
+    ) -> "Source":
+        """Of any T^l; the image is smooth over `length`, in pixels."""
+        dtype = cell.dtype
+        sides = [np.eye(n) for n in shape]
+        if length is not None:
+            sides = [np.asarray(gaussian(n, jnp.asarray(w))) for n, w in zip(shape, length)]
+            sides = [side / np.linalg.norm(side, axis=1)[:, None] for side in sides]
+        images = maps.reshape(*maps.shape[:2], *shape)
+        smooth = np.einsum("lmxy,xi,yj->lmij", images, *sides, optimize=True)
+        arrays = []
+        for some in (maps, smooth.reshape(maps.shape)):
+            basis = _row_basis(some)
+            arrays.append((jnp.asarray(basis, dtype), jnp.asarray(some @ basis.T, dtype)))
+        (basis, factors), (drawn, drawn_factors) = arrays
+        along, across = (jnp.asarray(side, dtype) for side in sides)
+        rows = np.asarray(drawn, float).reshape(-1, *shape)
+        smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
+        smoothed = jnp.asarray(smoothed.reshape(drawn.shape), dtype)
+        whole = drawn, drawn_factors, smoothed
+        return cls(shape, cell, basis, factors, along, across, *whole)
+
+    @property
+    def electrode_count(self) -> int:
+        return self.factors.shape[1]
+
+    def scale(self) -> float:
+        return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The λ that leaves the residual which nominal values would leave in any case."""
+        factors = np.asarray(self.factors, float)
+        # A scan may begin before its contact: those slots have nothing to say.
+        highest = [np.abs(frame.voltages).max() for frame in frames]
+        enough = max(highest, default=0.0) / 2
+        slots = [
+            (v[g].astype(float), factors[ground][g])
+            for frame in frames
+            for v, ground, g in zip(*frame)
+            if g.any() and np.abs(v).max() >= enough
+        ]
+        if not slots:
+            return _RELATIVE * self.scale()
+        chosen = []
+        for v, rows in slots[:: max(1, len(slots) // _SLOTS)]:
+            left, s, _ = np.linalg.svd(rows, full_matrices=False)
+            beta = left.T @ v
+            outside = max(0.0, float(v @ v - beta @ beta))
+            lam = s[0] ** 2 * np.logspace(-9, 0, 37)
+            rest = lam[:, None] / (s**2 + lam[:, None]) * beta
+            misfit = (rest**2).sum(1) + outside
+            target = len(v) * _NOISE**2 + _MODEL_ERROR**2 * (v @ v)
+            chosen.append(np.interp(np.log(target), np.log(misfit), np.log(lam)))
+        return float(np.exp(np.median(chosen)))
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        used = good.any(1)
+        basis, dtype = np.asarray(self.basis, float), self.basis.dtype
+        lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
+        factors = np.asarray(self.factors, float)
+        drawn = np.asarray(self.drawn_factors, float)
+        drawn_lam = lam * (drawn**2).sum() / (factors**2).sum()
+        operators, misfits, imaging = [], [], []
+        through = np.zeros((factors.shape[-1],) * 2)
+        total = np.zeros((drawn.shape[-1],) * 2)
+        spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
+        for ground, channels in zip(grounds, good):
+            if not channels.any():
+                operators.append(np.zeros_like(factors[0].T))
+                imaging.append(np.zeros_like(factors[0].T))
+                misfits.append(np.zeros((good.shape[1],) * 2))
+                continue
+            operator, rows = _operator(factors[ground], channels, lam)
+            operators.append(operator)
+            through += operator @ rows
+            to_image, seen = _operator(drawn[ground], channels, drawn_lam)
+            imaging.append(to_image)
+            total += seen.T @ seen
+            misfits.append(rows @ operator - np.diag(channels.astype(float)))
+            spread += ((operator @ rows @ basis).T * basis.T).sum(1)
+            noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
+        count = max(1, used.sum())
+        spread = np.maximum(spread, 1e-30)
+        lowest = _STANDS_OUT * _NOISE * np.sqrt((noise / spread).max())
+        return Prepared(
+            jnp.asarray(np.concatenate([o.T for o in operators]) / count, dtype),
+            jnp.asarray(through / count, dtype),
+            jnp.asarray(np.stack(misfits), dtype),
+            jnp.asarray(np.concatenate([o.T for o in imaging]) / count, dtype),
+            jnp.asarray(total / count + drawn_lam * np.eye(len(total)), dtype),
+            jnp.asarray(drawn_lam, dtype),
+            jnp.asarray(np.sqrt(count / spread), dtype),
+            jnp.asarray(lowest, dtype),
+            jnp.asarray(good),
+            jnp.asarray(lam, dtype),
+        )
+
+    def image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
+        """The mean current image of the slots, A per pixel (or element of T)."""
+        return self._image(prepared, voltages)[0]
+
+    def _image(
+        self, prepared: Prepared, voltages: Float[Array, "S M"]
+    ) -> tuple[Array, Array]:
+        coefficients = matmul(voltages.ravel(), prepared.operators)
+        return matmul(coefficients, self.basis), coefficients
+
+    def smooth_image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
+        """The image that is drawn, A per pixel; nowhere negative where `positive`."""
+        coefficients = matmul(voltages.ravel(), prepared.imaging)
+        if not self.positive:  # one product, where a Gaussian of each image takes longer
+            return matmul(coefficients, self.smoothed).reshape(self.shape)
+        w = matmul(coefficients, self.drawn)
+        w = _not_negative(w, coefficients, self.drawn, prepared.normal, prepared.damping)
+        return matmul(matmul(self.along, w.reshape(self.shape)), self.across.T)
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        source, coefficients = self._image(prepared, voltages)
+        statistic = (source * prepared.spread).reshape(self.shape)
+        current = source.reshape(self.shape)
+        contacts = read_contacts(
+            statistic, current, self.cell, count, lowest=prepared.lowest
+        )
+        points = point_sources(self.basis, contacts, self.shape, self.cell)
+        points = matmul(points, prepared.through.T)
+        left = unexplained(points[None], coefficients[None])
+        bit = Flag.CONTACTS_UNEXPLAINED.value
+        flags = jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
+
+        # Slot by slot: of a batch each is one product, where a batch of products is slow.
+        def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
+            misfit, v = slot
+            return total + matmul(misfit, v) ** 2, None
+
+        squares, _ = lax.scan(
+            add, jnp.zeros_like(voltages[0]), (prepared.misfits, voltages)
+        )
+        used = jnp.sum(prepared.used, 0).astype(squares.dtype)
+        image = self.smooth_image(prepared, voltages) / self.cell.prod()
+        residual = jnp.sqrt(squares.sum() / used.sum())
+        each = jnp.sqrt(squares / used)
+        return Estimate(contacts, image, residual, flags, by_electrode=each)
+
+
+class PositiveSource(Source):
+    """The same, with an image of currents that flow out of the object alone."""
+
+    positive: ClassVar[bool] = True
+
+
+def _row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
+    # The rows of every slot span the same M dimensions; a few slots show them all.
+    some = maps[:: max(1, len(maps) // 4)].reshape(-1, maps.shape[-1])
+    return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
+
+
+def _operator(rows: np.ndarray, channels: np.ndarray, lam: float):
+    """(AᵀA + λI)⁻¹Aᵀ of a slot's good channels, and A."""
+    rows = np.where(channels[:, None], rows, 0)
+    return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows
+
+
+def _not_negative(
+    w: Float[Array, " n"],
+    coefficients: Float[Array, " r"],
+    basis: Float[Array, "r n"],
+    normal: Float[Array, "r r"],
+    damping: Float[Array, ""],
+) -> Float[Array, " n"]:
+    """The w ≥ 0 nearest to Tikhonov's, as the voltages and λ measure it.
+
+    (Bw − c)ᵀN(Bw − c) + λ|w − BᵀBw|² by accelerated projected gradients (FISTA: Beck and
+    Teboulle, SIAM J. Imaging Sci. 2, 183, 2009). A drive below 0 V turns the sign.
+    """
+    forward = jnp.where(w.sum() < 0, -1, 1).astype(w.dtype)
+    c = forward * coefficients
+    # N has λ in it, as off the rows' space; a trace bounds its largest eigenvalue.
+    step = 1 / jnp.trace(normal)
+
+    def gradient(w: Array) -> Array:
+        seen = matmul(basis, w)
+        return matmul(matmul(normal, seen - c) - damping * seen, basis) + damping * w
+
+    def one(_: Array, state: tuple) -> tuple:
+        w, ahead, t = state
+        new = jnp.maximum(ahead - step * gradient(ahead), 0)
+        later = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
+        return new, new + (t - 1) / later * (new - w), later
+
+    start = jnp.maximum(forward * w, 0)
+    first = start, start, jnp.ones((), w.dtype)
+    return forward * lax.fori_loop(0, _PROJECTED, one, first)[0]
+
+
+def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
+    """T^l of every ground, volts per ampere into a pixel; float64 on the host."""
+    sensor = pixels.sensor
+    route = "fem" if sensor.sheet_resistance.ndim else "series"
+    table = resistances(sensor, route)
+    ee, ek = np.asarray(table.electrodes, float), np.asarray(pixels.mean(table.elements))
+    z = np.broadcast_to(np.asarray(sensor.ground_resistance, float), len(ee))
+    offset = (np.diagonal(ee) + z)[:, None] - ee
+    return ek.astype(float)[None] - ek.astype(float)[:, None] + offset[:, :, None]

@@ -1,0 +1,8 @@
+"""The method `points`: a few compact contacts, as many as the voltages ask for.
+
+`sheet_of` has what a fit is told of the sheet. The room fits frames; it knows nothing of
+the other methods.
+"""
+
+from tomojax.methods.points._fit import scene_of as scene_of
+from tomojax.methods.points._points import Points as Points

@@ -1,0 +1,202 @@
+"""One fit of `points` to one frame: what it is given, and what is known when it ends."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import least_squares, LeastSquares, solve_positive
+from tomojax.kernels.contacts import Frame, slot_columns, unwhitened, whitened_columns
+from tomojax.methods._contract import rms_by_electrode
+from tomojax.methods._errors import misfit_cost, Prepared, TOLERANCE, whitened
+
+# Fits from several starts: the best, after a few steps, is gone on with.
+_FEW, _MOST = 6, 30
+
+
+class Found(NamedTuple):
+    """Contacts of one frame as they were fitted, `count` of at most C."""
+
+    cost: Float[Array, ""]  # per slot
+    misfits: Float[Array, " S"]  # of each slot
+    count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
+    parameters: Float[Array, "C 3"]
+    place: Float[Array, "C 2"]
+    extent: Float[Array, "C 2"]
+    ring: Float[Array, " C"]
+    radius: Float[Array, " C"]
+    current: Float[Array, " C"]  # A, the mean over the slots
+    conductance: Float[Array, " C"]
+    covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
+    limited: Bool[Array, ""]  # by the model's error rather than noise
+    residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]  # the same of each
+
+
+class Scene(NamedTuple):
+    """One frame, and what it is fitted with."""
+
+    method: Any
+    prepared: Prepared
+    frame: Frame
+    own: Float[Array, "S M"]  # these three as in `Whitened`
+    common: Float[Array, "S q M"]
+    offset: Float[Array, " S"]
+    voltages: Float[Array, "S M"]
+    most: int  # contacts
+
+
+def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: int) -> Scene:
+    """A frame, whitened."""
+    return Scene(method, prepared, *whitened(prepared, voltages), voltages, most)
+
+
+def candidates_of(scene: Scene) -> tuple[Array, Array]:
+    """Of each candidate in some slots, and the frame in these; whitened."""
+    some = scene.prepared.compared
+    part: Frame = jax.tree.map(lambda a: a[some], scene.frame)
+    sheet, potentials = scene.method.sheet, scene.method.potentials
+    z = sheet.ground_resistance
+    columns = slot_columns(sheet.field, potentials, part.grounds, z)
+    return whitened_columns(part, columns), part.whitened
+
+
+def starts_at(scene: Scene, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
+    lengths = places / scene.method.sheet.unit
+    usual = jnp.zeros_like(lengths[..., :1])
+    return jnp.concatenate([lengths, usual], -1).reshape(len(places), -1)
+
+
+def fit_of(scene: Scene, kind: Callable) -> Callable:
+    """That model, of a flat vector of parameters."""
+    width = (-1, 3) if kind is model.discs else (-1,)
+    return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
+
+
+def best_fit(
+    scene: Scene, kind: Callable, starts: Float[Array, "n P"]
+) -> tuple[Found, LeastSquares]:
+    """The best of the fits from `starts`, and how it ended."""
+    # The search itself is not differentiated (its loop cannot be, in reverse): what it
+    # ends at is, as the place where the cost's slope is zero.
+    still = jax.tree.map(
+        lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, scene
+    )
+    fit, prepared = fit_of(still, kind), scene.prepared
+    starts = lax.stop_gradient(starts)
+    ended = least_squares(fit, starts, TOLERANCE, _MOST, _FEW)
+    ended = jax.tree.map(lax.stop_gradient, ended)
+    cost = jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
+    parameters = _implicit(scene, kind, ended)
+    rest, _, fitted = fit_of(scene, kind)(parameters)
+    slots = prepared.used.any(1)
+    n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
+    misfit = jnp.where(prepared.used, fitted.voltages - scene.voltages, 0)
+    channels = jnp.maximum(prepared.used.sum(), 1).astype(cost.dtype)
+    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
+    drop = _drop(scene, fitted, rest)
+    count = len(fitted.radius)
+    # What is long is not added to.
+    of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
+    spread, limited = _uncertainty(still, ended, count)
+    values = (
+        of_discs.reshape(count, 3),
+        fitted.place,
+        fitted.extent,
+        fitted.ring,
+        fitted.radius,
+        current,
+        current / drop,
+        spread,
+    )
+    found = Found(
+        cost / n,
+        misfit_cost((rest**2).sum(1)),
+        jnp.asarray(count),
+        *(_padded(a, scene.most) for a in values),
+        limited=limited,
+        residual=jnp.sqrt((misfit**2).sum() / channels),
+        by_electrode=rms_by_electrode(misfit, prepared.used),
+    )
+    return found, ended
+
+
+def _implicit(scene: Scene, kind: Callable, ended: LeastSquares) -> Array:
+    """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
+    rest, priors, _ = fit_of(scene, kind)(ended.parameters)
+    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
+    downhill = jnp.einsum("psw,sw,s->p", ended.slope, rest, weight, precision="highest")
+    downhill = downhill + jnp.matmul(ended.slope_priors, priors, precision="highest")
+    step = solve_positive(ended.normal, downhill[:, None])[:, 0]
+    moved = step - lax.stop_gradient(step)
+    return ended.parameters - jnp.where(jnp.isfinite(moved), moved, 0)
+
+
+def _uncertainty(
+    scene: Scene, ended: LeastSquares, count: int
+) -> tuple[Float[Array, "C 3"], Bool[Array, ""]]:
+    """Covariance of the places, and whether noise has the lesser part in it.
+
+    N⁻¹(ΣGᵀσ²G + Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
+    another in each slot, the model's errors e_k are the same ones. So more slots average
+    the one and not the other.
+    """
+    normal, parameters = ended.normal, ended.parameters
+    used, frame = scene.prepared.used, scene.frame
+    slope = ended.slope.transpose(1, 2, 0)
+    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
+    by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
+    noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
+    own = jnp.where(used, scene.own, 0)
+    shared = jnp.concatenate(
+        [
+            jnp.einsum("smp,sm->mp", by_voltage, own),
+            jnp.einsum("smp,sqm->qp", by_voltage, scene.common[:, :-1]),
+            # Another in each slot: its ground's.
+            jnp.einsum("smp,sm->sp", by_voltage, scene.common[:, -1]),
+        ]
+    )
+    # Of each contact the first two parameters are its place.
+    blocks = len(parameters) // count * np.arange(count)
+    unit = jnp.eye(len(parameters), dtype=normal.dtype)
+    inverse = solve_positive(normal, unit) * scene.method.sheet.unit
+
+    def of_places(middle: Array) -> Float[Array, "C 3"]:
+        whole = jnp.matmul(inverse.T, jnp.matmul(middle, inverse))
+        return jnp.stack(
+            [whole[blocks + i, blocks + j] for i, j in ((0, 0), (1, 1), (0, 1))], 1
+        )
+
+    by_noise, by_model = of_places(noise), of_places(jnp.matmul(shared.T, shared))
+    return by_noise + by_model, by_model[:, :2].sum() > by_noise[:, :2].sum()
+
+
+def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
+    """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
+
+    What the channels have in common is there too, as the fit has found it.
+    """
+    prepared, sheet = scene.prepared, scene.method.sheet
+    # What is left ends with the common errors, in standard deviations, see `whiten`.
+    found = rest[:, scene.voltages.shape[1] :]
+    at = prepared.spread * scene.method.errors.smooth(fitted.place)
+    relative = jnp.matmul(found[:, :-1], at, precision="highest")
+    u = sheet.drive_voltage - fitted.drop
+    drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]
+    slots = prepared.used.any(1)
+    n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
+    mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+    forward = jnp.sign(sheet.drive_voltage)
+    least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
+    return forward * jnp.maximum(forward * mean, least)
+
+
+def _padded(values: Array, count: int) -> Array:
+    missing = count - len(values)
+    return jnp.pad(values, ((0, missing),) + ((0, 0),) * (values.ndim - 1))

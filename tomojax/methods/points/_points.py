@@ -1,0 +1,198 @@
+"""`points`: a few compact contacts, fitted; as many as the voltages ask for."""
+
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Integer
+
+from tomojax.kernels import contacts as model
+from tomojax.kernels.contacts import field_at
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
+from tomojax.methods._errors import Errors, Prepared, TOLERANCE
+from tomojax.methods.points._fit import Found, scene_of
+from tomojax.methods.points._ladder import first, Ladder, steps
+from tomojax.sensor import Calibration, make_field, Sensor
+
+# Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
+_USUAL, _UNIT = 1.2, 0.2
+
+# Candidates along a side.
+_CANDIDATES = 20
+
+# A place that is uncertain by more, 1 σ, in electrodes' diameters: half of a pitch.
+_UNCERTAIN = 2.0
+
+# Slots of a compiled call: many for frames of few slots, where calls cost more than work;
+# few of many, as what fills a call up costs as much as what it is for.
+_CALL = 256
+
+
+class Points(AbstractMethod):
+    """Contacts as discs, or one bar or ring, with a current of their own in each slot.
+
+    The model grows while it gains: one disc, two discs or a bar or a ring, three discs, …
+    Slots share places and sizes, not currents. λ multiplies the variance of the model's
+    error: 1 for nominal values.
+    """
+
+    image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+    tells_covariance: ClassVar[bool] = True
+    any_grounds: ClassVar[bool] = True
+    threshold: ClassVar[float] = 0.0015
+    padded: ClassVar[bool] = False
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    sheet: model.Sheet
+    candidates: Float[Array, "K 2"]
+    potentials: Float[Array, "K M"]  # of a usual contact at each
+    errors: Errors
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
+        """On an image of `shape` pixels."""
+        diameter = sensor.electrode_diameter
+        sheet = model.Sheet(
+            make_field(sensor),
+            jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
+            sensor.ground_resistance,
+            sensor.drive_voltage,
+            _UNIT * diameter,
+            _USUAL * diameter,
+        )
+        size = np.asarray(sensor.size)
+        parts = (np.arange(_CANDIDATES) + 0.5) / _CANDIDATES
+        grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
+        candidates = jnp.asarray(grid * size, sensor.dtype)
+        each = jax.vmap(field_at, (None, 0, None))
+        potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
+        cell = sensor.size / jnp.asarray(shape, sensor.dtype)
+        return cls(shape, cell, sheet, candidates, potentials, Errors.of(sensor))
+
+    def calibrated(self, calibration: Calibration) -> "Points":
+        ground = jnp.asarray(calibration.ground, self.cell.dtype)
+        resistance = self.sheet.ground_resistance + ground
+        sheet = self.sheet._replace(ground_resistance=resistance)
+        return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
+
+    @property
+    def electrode_count(self) -> int:
+        return self.potentials.shape[1]
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The error of a sheet with nominal values."""
+        return 1.0
+
+    def scale(self) -> float:
+        return 1.0
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+        return self.errors.prepare(grounds, good, lam)
+
+    def estimate(
+        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        scene = scene_of(self, prepared, voltages, count)
+        ladder = first(scene)
+        for due, step in steps(count):
+            ladder = jax.lax.cond(
+                due(ladder), partial(step, scene), lambda found: found, ladder
+            )
+        return self._described(ladder.best)
+
+    def block(
+        self,
+        prepared: Prepared,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
+    ) -> tuple:
+        """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        frames, slots = voltages.shape[:2]
+        size = int(np.clip(_CALL // slots, 4, 32))
+        full = np.resize(np.arange(frames), -(-frames // size) * size)
+        voltages, under = voltages[full], jnp.asarray(grounds)[full]
+        blocks = [slice(k, k + size) for k in range(0, len(full), size)]
+        parts = [_first(self, prepared, voltages[b], under[b], count) for b in blocks]
+        ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
+        for number, (due, _) in enumerate(steps(count)):
+            rest = np.flatnonzero(due(ladder))
+            for k in range(0, len(rest), size):
+                rows = np.resize(rest[k : k + size], size)
+                part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
+                new = _step(
+                    self, prepared, voltages[rows], under[rows], part, count, number
+                )
+                for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
+                    old[rows] = values
+        rows = []
+        for b in blocks:
+            found = jax.tree.map(lambda a, b=b: a[b], ladder.best)
+            rows.append(_described_all(self, found, voltages[b], count, images))
+        return jax.tree.map(lambda *p: np.concatenate(p)[:frames], *rows)
+
+    def _described(self, found: Found) -> Estimate:
+        contacts = points_as_contacts(
+            found.count,
+            found.place,
+            found.extent,
+            found.ring,
+            found.radius,
+            found.current,
+            found.conductance,
+            found.covariance,
+        )
+        image = points_image(
+            found.place,
+            found.extent,
+            found.ring,
+            found.radius,
+            found.current,
+            self.cell,
+            self.shape,
+        )
+        flags = jnp.where(found.limited, Flag.MODEL_LIMITED.value, 0)
+        # Of all channels together: what is left of a part of them is little of the whole.
+        high = found.cost > TOLERANCE
+        flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
+        limit = _UNCERTAIN / _UNIT * self.sheet.unit
+        vague = (largest_variance(found.covariance) > limit**2).any()
+        flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
+        each = found.by_electrode
+        return Estimate(contacts, image, found.residual, flags, by_electrode=each)
+
+
+@eqx.filter_jit
+def _first(method, prepared, voltages, grounds: Int[Array, "n S"], count: int) -> Ladder:
+    def one(v: Array, grounds: Array) -> Ladder:
+        return first(scene_of(method, prepared._replace(grounds=grounds), v, count))
+
+    return jax.vmap(one)(voltages, grounds)
+
+
+@eqx.filter_jit
+def _step(
+    method, prepared, voltages, grounds, ladder: Ladder, count: int, number: int
+) -> Ladder:
+    def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
+        scene = scene_of(method, prepared._replace(grounds=grounds), v, count)
+        return steps(count)[number][1](scene, ladder=ladder)
+
+    return jax.vmap(one)(voltages, grounds, ladder)
+
+
+@eqx.filter_jit
+def _described_all(method, found: Found, voltages, count: int, images: bool) -> tuple:
+    def one(found: Found, v: Array) -> tuple:
+        return judged(method, method._described(found), v, count, images)
+
+    return jax.vmap(one)(found, voltages)

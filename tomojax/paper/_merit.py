@@ -1,0 +1,72 @@
+"""Figures of merit of images on the sensor's elements."""
+
+from typing import NamedTuple
+
+import jax
+from jaxtyping import Array, Float
+
+from tomojax._checks import float_array, require_finite, require_shape
+from tomojax._custom_types import Numbers
+from tomojax.kernels.images import (
+    greit_figures,
+    GreitFigures,
+    half_area_radius,
+    half_width,
+    image_error,
+    image_place,
+)
+from tomojax.kernels.sheet import cell_sides
+from tomojax.sensor import Sensor
+
+
+class Figures(NamedTuple):
+    """Of one image, or with a leading axis of a batch."""
+
+    half_width: Float[Array, "*frames"]  # m, half the width at half the maximum
+    half_area_radius: Float[Array, "*frames"]  # m, of the area above half the maximum
+    place: Float[Array, "*frames 2"]  # m, centre of what exceeds half the maximum
+    image_error: Float[Array, "*frames"]  # relative, at the best scale
+    greit: GreitFigures
+
+
+def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
+    """Values per element (…, K) as an image (…, nx, ny): the mean of each cell's two."""
+    array = float_array("image", image)
+    k = sensor.element_count
+    require_shape("image", array, (k,), (None, k))
+    return array.reshape(*array.shape[:-1], *sensor.divisions, 2).mean(-1)
+
+
+def cell_size(sensor: Sensor) -> Float[Array, "2"]:
+    """Sides of a pixel, m."""
+    return cell_sides(sensor.divisions, sensor.size)
+
+
+def figures_of_merit(sensor: Sensor, image: Numbers, truth: Numbers) -> Figures:
+    """How wide, where and how like the truth an image (K,) or a batch (frames, K) is.
+
+    `truth` (K,) or (frames, K) is the true image in any unit; see `half_width`,
+    `image_place`, `image_error` and `greit_figures` for the definitions. Distances
+    between an estimated and a true place are differences of `place`.
+    **Raises:** `ValueError` for shapes that do not fit and values that are not numbers.
+    """
+    images, truths = pixels(sensor, image), pixels(sensor, truth)
+    require_finite("image", images)
+    require_finite("truth", truths)
+    one_truth = truths.ndim == 2
+    require_shape("truth", truths, images.shape, images.shape[-2:])
+    if images.ndim == 2:
+        return _figures(images, truths, cell_size(sensor))
+    over = (0, None if one_truth else 0, None)
+    return jax.vmap(_figures, over)(images, truths, cell_size(sensor))
+
+
+@jax.jit
+def _figures(image: Array, truth: Array, cell: Array) -> Figures:
+    return Figures(
+        half_width(image, cell),
+        half_area_radius(image, cell),
+        image_place(image, cell),
+        image_error(image, truth),
+        greit_figures(image, truth, cell),
+    )

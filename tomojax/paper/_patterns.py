@@ -1,0 +1,207 @@
+"""Ground patterns: which electrodes a scan grounds, in order."""
+
+from typing import cast, get_args, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tomojax._checks import float_array, known, require, require_finite, require_shape
+from tomojax._custom_types import Numbers
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.scan import (
+    around,
+    contact_region,
+    contact_regions,
+    cop_line,
+    electrode_currents,
+    nearest_electrodes,
+    pitch,
+    point,
+    Region,
+)
+from tomojax.sensor import resistances, Sensor
+
+FixedPattern = Literal["all", "boundary", "v_line", "edge", "random_16", "random_8"]
+AdaptivePattern = Literal["around", "cop_line", "point"]
+Purpose = Literal["spatial", "temporal", "balanced"]
+
+# The paper's order, Table I.
+PATTERNS: tuple[str, ...] = (
+    "all",
+    "around",
+    "cop_line",
+    "point",
+    "boundary",
+    "v_line",
+    "edge",
+    "random_16",
+    "random_8",
+)
+
+# Best by the paper's weighted score of resolution and speed (Fig. 4, from Table I) when
+# only resolution counts, only speed, and both alike.
+PURPOSES: dict[str, str] = {"spatial": "all", "temporal": "point", "balanced": "around"}
+
+_EACH_AT_MOST = 4  # contacts that "around_each" looks for
+
+
+def pattern(
+    sensor: Sensor,
+    name: str,
+    voltages: Numbers | None = None,
+    *,
+    alpha: Numbers = 95.0,
+    threshold: Numbers = 0.01,
+    seed: int = 0,
+) -> Int[Array, " L"]:
+    """Electrodes that a pattern grounds, for any array of electrodes.
+
+    **Arguments:** `name`:
+
+    - "all"; "boundary": the array's outline; "edge": those of least x; "v_line": those
+      nearest to the array's middle in x (a vertical line where x is horizontal);
+      "random_16", "random_8": so many, drawn with `seed`;
+    - from exploratory `voltages` (2, M) under the grounds of `exploration`: "around",
+      "cop_line", "point" as `AdaptiveScan` gives them, and "around_each": a box around
+      each of up to four contacts, every electrode once;
+    - a purpose: "spatial" (all), "balanced" (around) or "temporal" (point).
+
+    `alpha` and `threshold` as in `AdaptiveScan`.
+    **Raises:** `ValueError` for an unknown name, missing or NaN voltages, α outside
+    (0, 100], and a random pattern of more electrodes than there are.
+    """
+    names = (*PATTERNS, "around_each", *PURPOSES)
+    require(name in names, "name", repr(name), f"one of {', '.join(names)}")
+    name = PURPOSES.get(name, name)
+    if name not in (*get_args(AdaptivePattern), "around_each"):
+        return jnp.asarray(_fixed(sensor, name, seed))
+    if voltages is None:
+        raise ValueError(f"voltages: got None, expected exploratory voltages for {name!r}")
+    each = name == "around_each"
+    scan = AdaptiveScan(
+        sensor,
+        "around" if each else cast(AdaptivePattern, name),
+        alpha=alpha,
+        threshold=threshold,
+    )
+    explored = float_array("voltages", voltages, sensor.dtype)
+    require_shape("voltages", explored, (2, sensor.electrode_count))
+    require_finite("voltages", explored)
+    if not each:
+        return scan(explored)[0]
+    grounds, regions = scan.around_each(explored, _EACH_AT_MOST)
+    found = (np.asarray(regions.flags) & Flag.NO_CONTACT) == 0
+    # Without any contact, the box around the middle.
+    chosen = np.asarray(grounds)[found if found.any() else [0]]
+    return jnp.asarray(list(dict.fromkeys(chosen.ravel().tolist())))
+
+
+def exploration(sensor: Sensor) -> Int[Array, "2"]:
+    """The two exploratory grounds: opposite corners of the array (the paper's 1 and 64)."""
+    return _corners(sensor)[jnp.array([0, 3])]
+
+
+class AdaptiveScan(eqx.Module):
+    """The paper's adaptive scan (II.D): exploratory voltages to the next ground conditions.
+
+    `scan(voltages)` is compiled code of fixed output size that can sit inside a step.
+
+    **Arguments:** `sensor`; `name` "around" (8), "cop_line" (8) or "point" (6); `alpha`
+    α: electrodes whose summed voltage is at least α percent of the highest are in contact;
+    `threshold`: summed volts below which nothing touches.
+
+    The principal direction is taken of `electrode_currents`, not (as in the paper)
+    of the electrodes in contact: on a recorded spanner at 35° that gives 36° where the
+    electrodes give 18°. Without a contact, or with NaN voltages, the scan is that around
+    the array's middle, and the region's flags say so.
+    """
+
+    electrode_xy: Float[Array, "M 2"]
+    resistances: Float[Array, "M M"]  # R_ee'
+    corners: Int[Array, "4"]
+    alpha: Float[Array, ""]
+    threshold: Float[Array, ""]
+    name: AdaptivePattern = eqx.field(static=True)
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        name: AdaptivePattern = "cop_line",
+        *,
+        alpha: Numbers = 95.0,
+        threshold: Numbers = 0.01,
+    ):
+        adaptive = get_args(AdaptivePattern)
+        require(name in adaptive, "name", repr(name), f"one of {', '.join(adaptive)}")
+        require(sensor.electrode_count >= 6, "sensor", sensor, "six electrodes or more")
+        self.alpha = float_array("alpha", alpha, sensor.dtype)
+        require_shape("alpha", self.alpha, ())
+        if known(self.alpha):
+            percent = float(self.alpha)
+            require(0 < percent <= 100, "alpha", percent, "a percentage in (0, 100]")
+        self.threshold = float_array("threshold", threshold, sensor.dtype)
+        require_shape("threshold", self.threshold, ())
+        require_finite("threshold", self.threshold)
+        self.electrode_xy = sensor.electrode_xy
+        self.resistances = resistances(sensor).electrodes
+        self.corners = _corners(sensor)
+        self.name = name
+
+    def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
+        """Ground conditions and the region they come from."""
+        region = self.region(voltages)
+        if self.name == "around":
+            return around(region, self.electrode_xy), region
+        if self.name == "cop_line":
+            return cop_line(region, self.electrode_xy), region
+        return point(voltages, self.corners), region
+
+    def region(self, voltages: Float[Array, "E M"]) -> Region:
+        """Centre of contact, electrodes in contact, box, direction, flags."""
+        currents = electrode_currents(self.resistances, voltages)
+        return contact_region(
+            voltages, self.electrode_xy, self.alpha, self.threshold, currents
+        )
+
+    def around_each(
+        self, voltages: Float[Array, "E M"], count: int
+    ) -> tuple[Int[Array, "C 8"], Region]:
+        """One box per contact, of up to `count`; absent ones are flagged NO_CONTACT."""
+        currents = electrode_currents(self.resistances, voltages)
+        regions = contact_regions(
+            voltages, self.electrode_xy, currents, self.threshold, count
+        )
+        box = lambda region: around(region, self.electrode_xy)  # noqa: E731
+        return jax.vmap(box)(regions), regions
+
+
+def _corners(sensor: Sensor) -> Int[Array, "4"]:
+    xy = sensor.electrode_xy
+    low, high = xy.min(0), xy.max(0)
+    mixed = [low, jnp.stack([low[0], high[1]]), jnp.stack([high[0], low[1]]), high]
+    return nearest_electrodes(jnp.stack(mixed), xy)
+
+
+def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
+    xy = np.asarray(sensor.electrode_xy, float)
+    near = 0.1 * float(pitch(sensor.electrode_xy))
+    if name == "all":
+        return sensor.all_grounds()
+    if name == "edge":
+        return np.flatnonzero(xy[:, 0] <= xy[:, 0].min() + near)
+    if name == "v_line":
+        away = np.abs(xy[:, 0] - (xy[:, 0].min() + xy[:, 0].max()) / 2)
+        closest = xy[np.argmin(np.round(away / near)), 0]
+        return np.flatnonzero(np.abs(xy[:, 0] - closest) <= near)
+    if name == "boundary":
+        # Outermost in some direction: the corners and sides of the convex hull.
+        angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+        reach = xy @ np.stack([np.cos(angle), np.sin(angle)])
+        return np.flatnonzero((reach >= reach.max(0) - near / 100).any(1))
+    count = int(name.removeprefix("random_"))
+    m = sensor.electrode_count
+    require(count <= m, "name", repr(name), f"no more than the {m} electrodes")
+    return np.random.default_rng(seed).choice(m, count, replace=False)

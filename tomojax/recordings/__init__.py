@@ -1,0 +1,21 @@
+"""Files of measured scans, and arrays like them: read in chunks, with their faults.
+
+The room reads and judges voltages. It imports no JAX, so that `tomojax info` starts at
+once, and knows nothing of methods.
+"""
+
+from tomojax.recordings._chunks import (
+    Chunk as Chunk,
+    CHUNK_SLOTS as CHUNK_SLOTS,
+    Rate as Rate,
+    read_chunk as read_chunk,
+)
+from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
+from tomojax.recordings._open import open_recording as open_recording
+from tomojax.recordings._recording import (
+    ArrayRecording as ArrayRecording,
+    Recording as Recording,
+    Rig as Rig,
+    SCHEMA as SCHEMA,
+    VERSION as VERSION,
+)

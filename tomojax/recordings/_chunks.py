@@ -1,0 +1,64 @@
+"""A recording in chunks: how it is cut, and each chunk's frames with their faults."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from tomojax.kernels.flags import Flag
+from tomojax.recordings._faults import find_faults, HALO
+from tomojax.recordings._recording import Recording
+
+Rate = Literal["slot", "scan"]
+
+# Slots of a chunk: an int16 code, a float32 voltage and their masks take 1 kB a slot.
+CHUNK_SLOTS = 1 << 16
+
+# A scan that starts later than this after the one before: scans were lost.
+_LATE = 1.5
+
+
+class Chunk(NamedTuple):
+    """Frames of a stretch of a recording, judged."""
+
+    t: np.ndarray  # (n,) s
+    voltages: np.ndarray  # (n, S, M); S is 1 with a row per slot
+    grounds: np.ndarray  # (n, S)
+    good: np.ndarray  # (n, S, M)
+    flags: np.ndarray  # (n,)
+
+
+def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan") -> Chunk:
+    """Scans `start` to `stop` as frames, with their faults."""
+    # As many scans around as the rules for faults look at.
+    halo = -(-HALO // recording.slots) + 1
+    first, last = max(0, start - halo), min(recording.scans, stop + halo)
+    scans = recording.read(first, last)
+    rig = recording.rig
+    faults = find_faults(scans.voltages, scans.grounds, rig.drive_voltage, rig.rails)
+    keep = slice(start - first, stop - first)
+    v, grounds, good, bits = (
+        a[keep] for a in (scans.voltages, scans.grounds, faults.good, faults.flags)
+    )
+    bits = bits.copy()
+    bits[_after_gaps(recording, scans.t0, first)[keep], 0] |= np.uint32(Flag.GAP)
+    t0 = scans.t0[keep]
+    if rate == "scan":
+        return Chunk(t0, v, grounds, good, np.bitwise_or.reduce(bits, 1))
+    t = t0[:, None] + np.arange(recording.slots) / rig.f_switch
+    m = recording.electrodes
+    return Chunk(
+        t.ravel(),
+        v.reshape(-1, 1, m),
+        grounds.reshape(-1, 1),
+        good.reshape(-1, 1, m),
+        bits.ravel(),
+    )
+
+
+def _after_gaps(recording: Recording, t0: np.ndarray, first: int) -> np.ndarray:
+    """Which of these scans come after lost ones, as listed or by their times."""
+    after = np.zeros(len(t0), bool)
+    listed = recording.rows_after_gaps() - first
+    after[listed[(listed >= 0) & (listed < len(t0))]] = True
+    after[1:] |= np.diff(t0) > _LATE * recording.interval
+    return after

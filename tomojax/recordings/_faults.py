@@ -1,0 +1,115 @@
+"""What is wrong with measured scans: bits of `Flag` per slot, and which voltages to use.
+
+Rules of a few lines each, local in time: whether a slot is faulty depends on nothing
+further away than `HALO` slots or one scan, so that chunks of a recording can be judged
+alone. They need the noise of a real converter: a channel or a scan that repeats itself
+to the last bit is not being read. A scene computed without noise would look stuck.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer, Shaped
+
+from tomojax.kernels.flags import Flag
+
+# A channel is dead or stuck when this many steps from slot to slot leave it unchanged, and
+# in half of them most channels change. Noise of one code repeats by chance in 1 of 4 steps:
+# once in 4e9.
+HALO = 16
+
+# A voltage below 0 or above the drive by this part of it is no potential of the sheet.
+_BEYOND = 0.1
+
+
+class Faults(NamedTuple):
+    """Of n scans of S slots of M channels."""
+
+    good: Bool[np.ndarray, "n S M"]  # voltages to use
+    flags: Integer[np.ndarray, "n S"]  # bits of `Flag` per slot
+
+
+def find_faults(
+    voltages: Float[np.ndarray, "n S M"],
+    grounds: Shaped[np.ndarray, "n S"],
+    drive_voltage: float,
+    rails: tuple[float, float] = (-np.inf, np.inf),
+    repeats: bool = True,
+) -> Faults:
+    """Bad channels, slots and scans of a stretch of a recording.
+
+    **Arguments:** `voltages` V; `grounds` electrode numbers; `drive_voltage` V0;
+    `rails` of the converter, V; `repeats` False does not look for stuck and dead channels
+    and scans (voltages without noise).
+
+    Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
+    STUCK_SCAN.
+    """
+    scans, slots, channels = voltages.shape
+    finite = np.isfinite(voltages)
+    beyond = abs(_BEYOND * drive_voltage)
+    low = max(rails[0], min(0.0, drive_voltage) - beyond)
+    high = min(rails[1], max(0.0, drive_voltage) + beyond)
+    saturated = finite & ((voltages <= low) | (voltages >= high))
+    unknown = (grounds < 0) | (grounds >= channels)
+    zero = np.logical_not(voltages.any(-1))
+    good = finite & ~saturated
+    flags = (
+        _bit(~finite.all(-1), Flag.BAD_VOLTAGES)
+        | _bit(saturated.any(-1), Flag.SATURATED)
+        | _bit(unknown, Flag.UNKNOWN_GROUND)
+        | _bit(zero, Flag.ALL_ZERO)
+    )
+    if repeats:
+        frozen = (_repeated_scans(voltages) & ~zero.all(1))[:, None]
+        still = _unchanging(voltages.reshape(-1, channels)).reshape(voltages.shape)
+        # One reason for each: at the rail and all at once are told already.
+        still &= ~(saturated | zero[..., None] | frozen[..., None])
+        dead = still & (voltages == 0)
+        flags |= _bit(dead.any(-1), Flag.DEAD_CHANNEL)
+        flags |= _bit((still & ~dead).any(-1), Flag.STUCK_CHANNEL)
+        flags |= _bit(np.broadcast_to(frozen, flags.shape), Flag.STUCK_SCAN)
+        good &= ~still & ~frozen[..., None]
+    good &= ~(unknown | zero)[..., None]
+    # A slot with less than half of its channels tells of those, not of the contact.
+    enough = 2 * good.sum(-1) >= channels
+    good &= enough[..., None]
+    return Faults(good, flags)
+
+
+def _bit(where: Any, flag: Flag) -> np.ndarray:
+    return np.where(where, flag.value, 0).astype(np.uint32)
+
+
+def _repeated_scans(voltages: np.ndarray) -> Bool[np.ndarray, " n"]:
+    """Scans equal to the one before or after, and not because nothing ever changes."""
+    same = (voltages[1:] == voltages[:-1]).all((1, 2))
+    found = np.zeros(len(voltages), bool)
+    found[1:] |= same
+    found[:-1] |= same
+    if found.any() and voltages.shape[1] > 1:
+        steps = voltages[found, 1:] != voltages[found, :-1]
+        # Without noise and without contact every code is the same all the time.
+        found[found] = (steps.mean(-1) > 0.5).mean(-1) >= 0.5
+    return found
+
+
+def _unchanging(slots: Float[np.ndarray, "slots M"]) -> Bool[np.ndarray, "slots M"]:
+    """Values in a stretch of `HALO` steps without change, while most channels change."""
+    found = np.zeros(slots.shape, bool)
+    if len(slots) <= HALO:
+        return found
+    same = slots[1:] == slots[:-1]
+    lively = same.mean(1) < 0.5
+    # All of 16 steps, by doubling.
+    whole = same
+    for reach in (1, 2, 4, 8):
+        whole = whole[:-reach] & whole[reach:]
+    counts = np.concatenate([[0], np.cumsum(lively)])
+    windows = (counts[HALO:] - counts[:-HALO]) >= HALO // 2
+    whole = whole & windows[:, None]
+    if not whole.any():
+        return found
+    for reach in range(HALO + 1):
+        found[reach : reach + len(whole)] |= whole
+    return found

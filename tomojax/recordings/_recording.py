@@ -1,0 +1,226 @@
+"""Recordings: measured scans with what the rig says of itself, read a stretch at a time."""
+
+import hashlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from tomojax._require import check_electrodes, require
+
+if TYPE_CHECKING:
+    import tomojax.sensor
+
+SCHEMA, VERSION = "tomojax-recording", 1
+
+# What no rig has: these catch millimetres for metres, millivolts for volts.
+_NUMBERS = (1e-9, 1e12)
+_LARGEST_SHEET = 10.0  # m
+_FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
+_SCAN_INTERVALS = (0.5, 100.0)  # between scans, over the time of their slots
+
+# The paper's rig, for forms that do not say.
+PAPER = {
+    "f_switch": 10e3,
+    "drive_voltage": 4.5,
+    "ground_resistance": 4.0,
+    "sheet_resistance": 10e3,
+    "electrode_diameter": 0.005,
+}
+
+
+class Scans(NamedTuple):
+    """A stretch of a recording."""
+
+    voltages: Float[np.ndarray, "n S M"]  # V, float32
+    grounds: Integer[np.ndarray, "n S"]
+    t0: Float[np.ndarray, " n"]  # of each scan's first slot, s
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a recording says of the sensor and the converter; SI."""
+
+    f_switch: float
+    drive_voltage: float
+    ground_resistance: float
+    sheet_resistance: float
+    electrode_diameter: float
+    size: tuple[float, float]
+    electrode_xy: np.ndarray
+    rails: tuple[float, float]  # the lowest and highest voltage that can be read
+    notes: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        sensor: "tomojax.sensor.Sensor",
+        f_switch: float = 10e3,
+        rails: tuple[float, float] = (-np.inf, np.inf),
+    ) -> "Rig":
+        """Of a homogeneous sensor, for voltages in memory."""
+        numbers = {
+            n: float(getattr(sensor, n))
+            for n in PAPER
+            if n != "f_switch" and getattr(sensor, n).ndim == 0
+        }
+        for name in PAPER:
+            known = name in numbers or name == "f_switch"
+            require(known, name, "a value per element or electrode", "one value")
+        return cls(
+            f_switch,
+            size=tuple(float(s) for s in sensor.size),  # pyright: ignore
+            electrode_xy=np.asarray(sensor.electrode_xy, float),
+            rails=rails,
+            **numbers,  # pyright: ignore
+        )
+
+    def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
+        """The sensor, on the coarsest mesh that its electrodes allow."""
+        from tomojax.sensor import Sensor  # needs JAX, which reading does not
+
+        cells = np.ceil(np.array(self.size) / self.electrode_diameter * (1 - 1e-9))
+        return Sensor(
+            self.size,
+            self.electrode_xy,
+            self.electrode_diameter,
+            self.sheet_resistance,
+            self.ground_resistance,
+            self.drive_voltage,
+            divisions=tuple(int(n) for n in np.maximum(cells, 2)),
+            dtype=dtype,
+        )
+
+
+class Recording(ABC):
+    """Scans of a rig, in a file or in memory; a context that closes the file.
+
+    `scans`, `slots` (a scan), `electrodes`: its shape; `gaps` (n, 2): [scan number, scans
+    lost], where numbers count lost scans too.
+    """
+
+    path: Path
+    rig: Rig
+    scans: int
+    slots: int
+    electrodes: int
+    gaps: np.ndarray
+
+    @abstractmethod
+    def read(self, start: int, stop: int) -> Scans:
+        """Scans `start` to `stop`."""
+
+    def close(self) -> None:  # noqa: B027 (arrays have nothing to close)
+        """Nothing is read after this."""
+
+    def __enter__(self) -> "Recording":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    @property
+    def interval(self) -> float:
+        """From the start of one scan to that of the next, s."""
+        return self.slots / self.rig.f_switch
+
+    def digest(self) -> str:
+        """SHA-256 of the file."""
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def rows_after_gaps(self) -> np.ndarray:
+        """Rows just before which scans were lost."""
+        lost_before = np.concatenate([[0], np.cumsum(self.gaps[:, 1])[:-1]])
+        return (self.gaps[:, 0] - lost_before).astype(int)
+
+
+class ArrayRecording(Recording):
+    """Voltages (n, S, M) in memory, of a `Rig`."""
+
+    def __init__(self, rig: Rig, voltages: Any, grounds: Any, t0: Any = None):
+        v, g = np.asarray(voltages), np.asarray(grounds)
+        require(v.ndim == 3, "voltages", f"shape {v.shape}", "(scans, slots, electrodes)")
+        self.path, self.rig = Path("arrays"), rig
+        self.scans, self.slots, self.electrodes = v.shape
+        fits = g.shape in (v.shape[:2], v.shape[1:2])
+        require(fits, "grounds", f"shape {g.shape}", f"{v.shape[:2]} or {v.shape[1:2]}")
+        g = np.broadcast_to(g, v.shape[:2])
+        times = np.arange(len(v)) * self.slots / rig.f_switch if t0 is None else t0
+        self._scans = Scans(v.astype(np.float32), g.astype(int), np.asarray(times, float))
+        self.gaps = np.zeros((0, 2), int)
+        check(self)
+
+    def read(self, start: int, stop: int) -> Scans:
+        return Scans(*(a[start:stop] for a in self._scans))
+
+    def digest(self) -> str:
+        """SHA-256 of the arrays."""
+        digest = hashlib.sha256()
+        for array in self._scans:
+            digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
+
+
+def check(recording: Recording) -> None:
+    """What every form has to fulfil. **Raises:** `ValueError` naming the field."""
+    rig, m = recording.rig, recording.electrodes
+    for name in PAPER:
+        value = getattr(rig, name)
+        size = abs(value) if name == "drive_voltage" else value
+        low, high = _NUMBERS
+        fine = low < size < high or (name == "ground_resistance" and size == 0)
+        require(fine, name, repr(value), "one number above 0, in SI units")
+    size = np.asarray(rig.size)
+    plausible = size.shape == (2,) and np.isfinite(size).all() and (size > 0).all()
+    plausible = plausible and size.max() <= _LARGEST_SHEET
+    require(plausible, "size", size.tolist(), f"(2,) m, no more than {_LARGEST_SHEET:g} m")
+    shape = np.shape(rig.electrode_xy)
+    require(
+        shape == (m, 2), "electrode_xy", f"shape {shape}", f"({m}, 2), as v has columns"
+    )
+    low, high = rig.rails
+    full = max(abs(low), abs(high)) / abs(rig.drive_voltage)
+    sensible = low < high and (not np.isfinite(full) or _FULL_SCALES[0] < full)
+    sensible = sensible and (not np.isfinite(full) or full < _FULL_SCALES[1])
+    expected = f"volts per code: a range that fits {rig.drive_voltage:g} V of drive"
+    require(sensible, "scale", f"readings from {low:g} to {high:g}", expected)
+    require(recording.scans > 0, "v", "no scans", "at least one")
+    require(recording.slots > 0, "v", "no slots in a scan", "at least one")
+    check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
+    _check_gaps(recording)
+
+
+def check_times(t0: np.ndarray, slots: int, f_switch: float) -> None:
+    """Start times that rise, at an interval that fits the slots."""
+    require(np.isfinite(t0).all(), "t0", "NaN or infinite", "seconds")
+    if len(t0) < 2:
+        return
+    steps = np.diff(t0)
+    back = np.flatnonzero(steps <= 0)
+    require(
+        not back.size, "t0", f"falls or repeats after scan {back[:1]}", "rising seconds"
+    )
+    ratio = float(np.median(steps)) * f_switch / slots
+    low, high = _SCAN_INTERVALS
+    require(
+        low <= ratio <= high,
+        "t0",
+        f"scans {np.median(steps):.3g} s apart",
+        f"seconds: {slots} slots at f_switch = {f_switch:g} Hz: {slots / f_switch:.3g} s",
+    )
+
+
+def _check_gaps(recording: Recording) -> None:
+    gaps = recording.gaps
+    shape = gaps.shape
+    require(gaps.ndim == 2 and shape[1] == 2, "gaps", f"shape {shape}", "(n, 2)")
+    require((gaps >= 0).all(), "gaps", "a negative number", "[scan number, scans lost]")
+    # Numbers count lost scans too: after n lost ones a row's number is n higher.
+    total = recording.scans + gaps[:, 1].sum()
+    rising = (np.diff(gaps[:, 0]) > gaps[:-1, 1] - 1).all() if len(gaps) > 1 else True
+    inside = not len(gaps) or gaps[:, 0].max() <= total
+    require(rising and inside, "gaps", "numbers out of order or beyond the end", "rising")

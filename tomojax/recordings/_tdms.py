@@ -1,0 +1,104 @@
+"""Recordings as LabVIEW leaves them: one TDMS channel per electrode, in volts."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.recordings._recording import check, PAPER, Recording, Rig, Scans
+
+
+class TdmsRecording(Recording):
+    """A group of channels with one value per slot.
+
+    **Arguments** (as text they come from the command line): `group` of the channels;
+    `channels`: names of the electrodes' channels with {} for the number; `ground`: the
+    channel of ground numbers; `slots`: per scan, by default the file's property
+    `slots_per_scan`; `rail`: the converter's range ±V. Properties of the file with the
+    names of recording version 1's attributes say what the rig was; where one is missing
+    the paper's rig is meant: 64 electrodes of 5 mm on 160 mm × 160 mm.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        group: str = "scan",
+        channels: str = "ai{}",
+        ground: str = "ground",
+        slots: int | str | None = None,
+        rail: float | str = 5.0,
+    ):
+        from nptdms import TdmsFile
+
+        self.path = path
+        require("{}" in channels, "channels", repr(channels), "a name with {} in it")
+        with path.open("rb") as raw:
+            require(raw.read(4) == b"TDSm", "file", "no TDMS file", "a recording in TDMS")
+        try:
+            self._file = TdmsFile.open(path)
+        except (ValueError, KeyError, EOFError) as error:
+            raise ValueError(f"file: cannot be read as TDMS ({error})") from None
+        try:
+            self._load(group, channels, ground, slots, rail)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _load(self, group, channels, ground, slots, rail) -> None:
+        groups = [g.name for g in self._file.groups()]
+        require(group in groups, "group", repr(group), f"one of {groups}")
+        found = {c.name: c for c in self._file[group].channels()}
+        self._channels = []
+        while (name := channels.format(len(self._channels))) in found:
+            self._channels.append(found[name])
+        self.electrodes = len(self._channels)
+        require(
+            self.electrodes, "channels", f"only {sorted(found)[:5]}", channels.format(0)
+        )
+        require(ground in found, "ground", f"no {ground!r} in {group!r}", "this channel")
+        self._ground = found[ground]
+        lengths = {len(c) for c in (*self._channels, self._ground)}
+        require(len(lengths) == 1, "channels", f"lengths {sorted(lengths)}", "one length")
+        properties: dict[str, Any] = dict(self._file.properties)
+        value = properties.get("slots_per_scan") if slots is None else slots
+        require(value is not None, "slots", None, "the slots of a scan: slots=10")
+        self.slots = int(_number("slots", value))
+        require(self.slots > 0, "slots", value, "1 or more")
+        self.scans = lengths.pop() // self.slots
+        self.gaps = np.zeros((0, 2), int)
+        rail = abs(_number("rail", rail))
+        numbers = {n: _number(n, properties.get(n, d)) for n, d in PAPER.items()}
+        index = np.indices((8, 8)).reshape(2, -1).T
+        paper = self.electrodes == len(index)
+        require(paper, "channels", f"{self.electrodes} electrodes", "the paper's 64")
+        self.rig = Rig(
+            size=(0.16, 0.16),
+            electrode_xy=0.01 + 0.02 * index,
+            # A step inside, as rounding of the codes may leave it.
+            rails=(-rail * (1 - 1e-4), rail * (1 - 1e-4)),
+            notes=str(properties.get("notes", "")),
+            **numbers,
+        )
+        check(self)
+
+    def read(self, start: int, stop: int) -> Scans:
+        stop = min(stop, self.scans)
+        offset, length = start * self.slots, (stop - start) * self.slots
+        ground = self._ground.read_data(offset, length)
+        volts = np.empty((length, self.electrodes), np.float32)
+        for e, channel in enumerate(self._channels):
+            volts[:, e] = channel.read_data(offset, length)
+        shape = (stop - start, self.slots)
+        t0 = np.arange(start, stop) * self.slots / self.rig.f_switch
+        return Scans(volts.reshape(*shape, -1), ground.reshape(shape).astype(int), t0)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: got {value!r}, expected a number") from None

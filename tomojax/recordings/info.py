@@ -1,0 +1,103 @@
+"""What a recording holds, for `tomojax info`."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tomojax.kernels.flags import Flag
+from tomojax.recordings._chunks import CHUNK_SLOTS, read_chunk
+from tomojax.recordings._recording import Recording
+
+
+def summary(recording: Recording) -> dict:
+    """Its shape and its rig, units in the keys."""
+    rig = recording.rig
+    grounds = recording.read(0, 1).grounds[0]
+    last = recording.read(recording.scans - 1, recording.scans).t0[0]
+    return {
+        "scans": recording.scans,
+        "slots": recording.slots,
+        "electrodes": recording.electrodes,
+        "f_switch_Hz": rig.f_switch,
+        "duration_s": float(last - recording.read(0, 1).t0[0] + recording.interval),
+        "first_pattern": grounds.tolist(),
+        "scans_lost": int(recording.gaps[:, 1].sum()),
+        "drive_V": rig.drive_voltage,
+        "range_V": [float(f"{r:.6g}") for r in rig.rails],
+        "sheet_resistance_ohm": rig.sheet_resistance,
+        "ground_resistance_ohm": rig.ground_resistance,
+        "size_m": list(rig.size),
+        "electrode_diameter_m": rig.electrode_diameter,
+        "notes": rig.notes,
+    }
+
+
+def faults(
+    recording: Recording, progress: Callable[[int, int], None] = lambda done, total: None
+) -> list[dict]:
+    """For each kind of fault, in how many scans, where, and of which channels."""
+    size = max(1, CHUNK_SLOTS // 4 // recording.slots)
+    starts = range(0, recording.scans, size)
+    flags = np.zeros(recording.scans, np.uint32)
+    silent = np.zeros((recording.electrodes,), int)
+    for k, start in enumerate(starts):
+        stop = min(start + size, recording.scans)
+        chunk = read_chunk(recording, start, stop)
+        flags[start:stop] = chunk.flags
+        # Channels that are out while others of their slot are in use.
+        used = chunk.good.any(-1, keepdims=True)
+        silent += (used & ~chunk.good).any(1).sum(0)
+        progress(k + 1, len(starts))
+    rows = []
+    for flag in Flag:
+        where = np.flatnonzero(flags & flag.value)
+        if where.size:
+            rows.append(
+                {"fault": flag.name, "scans": int(where.size), "where": _runs(where)}
+            )
+    bad = np.flatnonzero(silent)
+    for channel in bad[:20]:
+        rows.append(
+            {
+                "fault": f"channel {channel} not used",
+                "scans": int(silent[channel]),
+                "where": [],
+            }
+        )
+    return rows
+
+
+def _runs(where: np.ndarray, most: int = 5) -> list[list[int]]:
+    """[first, last] of the first stretches of neighbours."""
+    parts = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
+    return [[int(p[0]), int(p[-1])] for p in parts[:most]]
+
+
+def text(path: Path, found: dict, rows: list[dict]) -> str:
+    """For people."""
+    lines = [
+        f"{path}: can be read",
+        f"  {found['scans']} scans of {found['slots']} slots of {found['electrodes']} "
+        f"electrodes, {found['duration_s']:.6g} s at {found['f_switch_Hz']:g} slots/s",
+        f"  first scan grounds {found['first_pattern'][:12]}"
+        + (" …" if found["slots"] > 12 else ""),
+        f"  object at {found['drive_V']:g} V; sheet of "
+        f"{found['sheet_resistance_ohm']:g} Ω/sq, "
+        f"{1e3 * found['size_m'][0]:g} mm × {1e3 * found['size_m'][1]:g} mm; "
+        f"readings from {found['range_V'][0]:g} to {found['range_V'][1]:g} V",
+    ]
+    if found["notes"]:
+        lines.append(f"  notes: {found['notes']}")
+    if found["scans_lost"]:
+        lines.append(
+            f"  {found['scans_lost']} scans lost; numbers below count those present"
+        )
+    if not rows:
+        lines.append("  no faults")
+    for row in rows:
+        where = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in row["where"])
+        lines.append(
+            f"  {row['fault']}: {row['scans']} scans" + (f": {where}" if where else "")
+        )
+    return "\n".join(lines)

@@ -1,0 +1,16 @@
+"""Recordings to results: a stream of chunks, results files, tracks, reports, plots.
+
+The room reads, applies a method and writes. It knows nothing of how a method works, nor of
+how grounds are designed.
+"""
+
+from tomojax.results._chosen import Chosen as Chosen
+from tomojax.results._file import partial_path as partial_path
+from tomojax.results._settings import Settings as Settings
+from tomojax.results._stream import reconstruct_recording as reconstruct_recording
+from tomojax.results._track import (
+    Touch as Touch,
+    touches as touches,
+    track as track,
+    Tracks as Tracks,
+)

@@ -1,0 +1,72 @@
+"""Of a recording's slots those that a design by place asks for, with its λ."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tomojax._require import require
+from tomojax.methods import Batch, method as make_method
+from tomojax.paper import exploration
+from tomojax.recordings import Chunk, Recording
+from tomojax.step import load_policy
+
+# Methods whose λ/σ₁² a table has.
+_WITH_LAMBDA = "linear", "source"
+
+
+class Chosen:
+    """The slots of each scan that a table has for where its contacts are.
+
+    `points` finds those in the two exploratory slots, as the paper's adaptive scan does;
+    the table's are looked up as a step does, several contacts in turn. A scan without a
+    contact keeps all. Of `method` "linear" and "source" the table's λ are used as well.
+    **Raises:** `ValueError` for a table of another rig, and a scan that lacks a ground of
+    the table or of the exploration.
+    """
+
+    def __init__(self, path: Path | str, recording: Recording, contacts: int, method: str):
+        sensor = recording.rig.sensor()
+        policy = load_policy(path, sensor)
+        self.table = np.asarray(policy.table)
+        # What λ is to the other methods is something else.
+        known = policy.lam is not None and method in _WITH_LAMBDA
+        self.lam = np.asarray(policy.lam) if known else None
+        self.size, self.corners = np.asarray(sensor.size), np.asarray(exploration(sensor))
+        asked = np.union1d(self.table, self.corners)
+        missing = np.setdiff1d(asked, recording.read(0, 1).grounds)
+        require(
+            not len(missing),
+            f"{path}: table",
+            f"grounds that the recording lacks: {', '.join(map(str, missing[:8]))}",
+            "a recording with all of them in each scan",
+        )
+        points = make_method(sensor, "points", 8)
+        self._find = Batch(points, 1.0, contacts, images=False)
+
+    @property
+    def median(self) -> float | None:
+        """λ/σ₁² of a place of the table."""
+        return None if self.lam is None else float(np.median(self.lam))
+
+    def __call__(
+        self, chunk: Chunk, volts: Float[np.ndarray, "n S M"]
+    ) -> tuple[Bool[np.ndarray, "n S M"], Float[np.ndarray, " n"] | None]:
+        """What of a chunk is used, and λ/σ₁² of each frame."""
+        explores = np.isin(chunk.grounds, self.corners)
+        order = np.argsort(~explores, 1, kind="stable")[:, : len(self.corners)]
+        at = np.arange(len(order))[:, None], order
+        found = self._find(volts[at], chunk.grounds[at], chunk.good[at])
+        used = np.ones(chunk.grounds.shape, bool)
+        lams = None if self.lam is None else np.full(len(used), self.median)
+        shape = np.array(self.table.shape[:2])
+        for k in np.flatnonzero(found.contact_count):
+            some = int(found.contact_count[k])
+            at = np.nan_to_num(found.contact_xy[k, :some]) / self.size * shape
+            cells = np.clip(at.astype(int), 0, shape - 1)
+            turn = np.arange(self.table.shape[2])
+            each = self.table[cells[:, 0], cells[:, 1]]
+            used[k] = np.isin(chunk.grounds[k], each[turn % some, turn])
+            if lams is not None and self.lam is not None:
+                lams[k] = self.lam[cells[0, 0], cells[0, 1]]
+        return chunk.good & used[:, :, None], lams

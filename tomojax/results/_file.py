@@ -1,0 +1,236 @@
+"""Results, version 1 (HDF5), written so that nothing done is ever lost.
+
+The file is laid out whole before the first row: every dataset contiguous at a fixed
+place. Rows are then written into it with plain writes, chunk by chunk, in any order and by
+any number of processes, and HDF5's own structures are never touched again: a process may
+be killed at any moment. Beside OUT.partial lies OUT.partial.done, one byte a chunk, set
+after the chunk is on disk. What is finished gets its name at the end.
+"""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
+# (h5py does not say whether a name is a group or a dataset)
+
+import contextlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tomojax._require import require
+from tomojax.kernels.flags import Flag
+from tomojax.methods import Rows, Rung
+
+SCHEMA, VERSION = "tomojax-results", 1
+
+
+def fields(
+    contacts: int,
+    shape: tuple[int, int] | None,
+    image_unit: str,
+    electrodes: int,
+    covariance: bool,
+    rung: bool = False,
+    force: bool = False,
+) -> dict:
+    """Name: (shape of a row, type, unit); the last three only where they are told."""
+    each: dict[str, tuple] = {
+        "t": ((), "<f8", "s"),
+        "contact_count": ((), "u1", "1"),
+        "contact_xy": ((contacts, 2), "<f4", "m"),
+        "contact_radius": ((contacts,), "<f4", "m"),
+        "contact_angle": ((contacts,), "<f4", "rad"),
+        "contact_current": ((contacts,), "<f4", "A"),
+        "contact_conductance": ((contacts,), "<f4", "S"),
+        "residual": ((), "<f4", "V"),
+        "flags": ((), "<u4", "1"),
+    }
+    if covariance:  # of the place: xx, yy, xy
+        each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
+    if force:
+        each["contact_force"] = ((contacts,), "<f4", "N")
+    if rung:
+        each["rung"] = ((), "u1", "1")
+    if shape:
+        each["image"] = (shape, "<f4", image_unit)
+        each["residual_by_electrode"] = ((electrodes,), "<f4", "V")
+    return each
+
+
+@dataclass(frozen=True)
+class ResultsFile:
+    """A results file in the making: OUT.partial, and which of its chunks are done."""
+
+    out: Path
+    chunks: int
+
+    @property
+    def partial(self) -> Path:
+        return partial_path(self.out)
+
+    @property
+    def _done(self) -> Path:
+        return _marks(self.partial)
+
+    def create(self, rows: int, layout: dict, attributes: dict[str, Any]) -> None:
+        """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
+        building = self.partial.with_name(self.partial.name + ".new")
+        try:
+            with h5py.File(building, "w") as file:
+                for name, (shape, kind, unit) in layout.items():
+                    _contiguous(file, name, (rows, *shape), kind)
+                    file[name].attrs["unit"] = unit
+                file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
+                if "rung" in layout:
+                    names = {rung.name.lower(): rung.value for rung in Rung}
+                    file["rung"].attrs["models"] = json.dumps(names)
+                file.attrs.update(
+                    {"schema": SCHEMA, "schema_version": VERSION, **attributes}
+                )
+            if hasattr(
+                os, "posix_fallocate"
+            ):  # all of it now, rather than too little later
+                with building.open("r+b") as raw:
+                    os.posix_fallocate(raw.fileno(), 0, os.path.getsize(building))
+            self._done.write_bytes(bytes(self.chunks))
+            building.replace(self.partial)
+        except (OSError, RuntimeError) as error:  # HDF5 says it in either way
+            building.unlink(missing_ok=True)
+            self._done.unlink(missing_ok=True)
+            size = sum(
+                rows * np.dtype(k).itemsize * int(np.prod(s)) for s, k, _ in layout.values()
+            )
+            raise ValueError(
+                f"{self.out}: {getattr(error, 'strerror', 0) or error}; "
+                f"{size / 1e9:.3g} GB are needed there"
+            ) from None
+
+    def done(self) -> np.ndarray:
+        """Which chunks are written; all, once another process has finished the file."""
+        try:
+            return np.frombuffer(self._done.read_bytes(), bool)
+        except FileNotFoundError:
+            return np.ones(self.chunks, bool)
+
+    def finished(self, chunk: int) -> bool:
+        """Whether that chunk is written by now."""
+        return bool(self.done()[chunk])
+
+    def discard(self) -> None:
+        """Removes what an earlier run left."""
+        for path in (self._done, self.partial):
+            path.unlink(missing_ok=True)
+
+    def finish(self) -> None:
+        """Gives OUT.partial its name."""
+        with contextlib.suppress(FileNotFoundError):  # another process was first
+            self.partial.replace(self.out)
+            self._done.unlink()
+
+    def writer(self) -> "RowWriter":
+        """Writes into OUT.partial."""
+        return RowWriter(self.partial, self._done)
+
+
+class RowWriter:
+    """Rows to their places; chunks are marked once their rows are on disk."""
+
+    def __init__(self, partial: Path, done: Path):
+        with h5py.File(partial, "r") as file:
+            self._place = {
+                name: (data.id.get_offset(), data.dtype, data.shape[1:])
+                for name, data in file.items()
+            }
+        self._data = os.open(partial, os.O_WRONLY)
+        self._marks = os.open(done, os.O_WRONLY)
+        self._unmarked: list[int] = []
+
+    def write(
+        self, chunk: int, start: int, t: np.ndarray, rows: Rows, **more: np.ndarray
+    ) -> None:
+        """Rows of a chunk, from row `start` on."""
+        for name, values in {"t": t, **rows._asdict(), **more}.items():
+            if name not in self._place:
+                continue
+            offset, kind, shape = self._place[name]
+            values = np.ascontiguousarray(values, kind)
+            assert values.shape[1:] == shape
+            row = kind.itemsize * int(np.prod(shape))
+            _write_all(self._data, values, offset + start * row)
+        self._unmarked.append(chunk)
+
+    def mark(self) -> None:
+        """What is written so far is done."""
+        os.fsync(self._data)
+        for chunk in self._unmarked:
+            os.pwrite(self._marks, b"\x01", chunk)
+        os.fsync(self._marks)
+        self._unmarked.clear()
+
+    def close(self) -> None:
+        os.close(self._data)
+        os.close(self._marks)
+
+
+def attributes(path: Path) -> dict[str, Any]:
+    """Of a results file, or one in the making."""
+    with h5py.File(path, "r") as file:
+        return dict(file.attrs)
+
+
+def partial_path(out: Path) -> Path:
+    """Where a results file is made."""
+    return out.with_name(out.name + ".partial")
+
+
+def nothing_left(out: Path) -> bool:
+    """Whether every row is written, named or not yet."""
+    partial = partial_path(out)
+    if not partial.exists():
+        return out.exists()
+    marks = _marks(partial)
+    return not marks.exists() or all(marks.read_bytes())
+
+
+def _marks(partial: Path) -> Path:
+    return partial.with_name(partial.name + ".done")
+
+
+def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:
+    """A dataset in one piece whose place is fixed now; nothing is written into it."""
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_layout(h5py.h5d.CONTIGUOUS)
+    plist.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    plist.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    plist.set_obj_track_times(False)
+    space = h5py.h5s.create_simple(shape)
+    kind_id = h5py.h5t.py_create(np.dtype(kind))
+    h5py.h5d.create(file.id, name.encode(), kind_id, space, plist)
+
+
+def _write_all(file: int, values: np.ndarray, offset: int) -> None:
+    left = memoryview(values).cast("B")
+    while left:
+        count = os.pwrite(file, left[: 1 << 26], offset)
+        left, offset = left[count:], offset + count
+
+
+def check_output(out: Path, resume: bool, overwrite: bool) -> None:
+    """Before any work: OUT can be made, and nothing that is there would be lost."""
+    require(out.parent.is_dir(), f"{out}", "no such folder", "a folder that exists")
+    require(os.access(out.parent, os.W_OK), f"{out}", "no permission", "a writable folder")
+    require(not out.is_dir(), f"{out}", "a folder", "a file's name")
+    if not overwrite:
+        require(
+            not out.exists() or resume, f"{out}", "a file", "a new name, or --overwrite"
+        )
+        begun = partial_path(out).exists()
+        require(
+            not begun or resume,
+            f"{partial_path(out)}",
+            "work begun there",
+            "--resume to go on with it, or --overwrite",
+        )

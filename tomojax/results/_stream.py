@@ -1,0 +1,265 @@
+"""A recording of any length to a results file: read ahead, compute, write behind.
+
+Chunks are judged, solved and written one by one; none depends on another, so that what a
+run leaves undone any later run, or another process, does with the same bytes.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any
+
+import numpy as np
+
+from tomojax._environment import environment
+from tomojax._require import require
+from tomojax.calibration import force, tare
+from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
+from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
+from tomojax.results._chosen import Chosen
+from tomojax.results._settings import chunk_scans, Settings
+from tomojax.sensor import Calibration
+
+# Frames that λ is chosen from, and the seconds after which what is written is marked.
+_LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0
+
+
+def choose_lambda(
+    recording: Recording,
+    method: AbstractMethod,
+    settings: Settings,
+    calibration: Calibration,
+) -> float:
+    """λ of the settings, or the method's choice from the first stretch with a contact."""
+    if settings.lam is not None:
+        return settings.lam
+    size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
+    for start in range(0, recording.scans, size):
+        chunk = read_chunk(recording, start, min(start + size, recording.scans))
+        height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
+        # Not the edges of a contact, where it lasts for a part of the scan.
+        least = method.threshold if settings.threshold is None else settings.threshold
+        touched = (height > least) & (height >= height.max() / 2)
+        if touched.any():
+            volts = calibration.voltages(chunk.voltages)
+            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
+            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
+    return method.choose_lambda([])
+
+
+def reconstruct_recording(
+    recording: Recording,
+    out: Path | str,
+    settings: Settings | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    share: tuple[int, int] = (0, 1),
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Images and contacts of every scan (or slot) of a recording, in a results file.
+
+    **Arguments:** `resume` goes on with OUT.partial of a run that ended; `overwrite`
+    begins anew over it, and over OUT; `share` (i, n): this process is the i-th of n that
+    work on the same file; `progress` is told the chunks done and their number.
+    **Returns:** the path of the finished file.
+    **Raises:** `ValueError`; `KeyboardInterrupt` leaves OUT.partial to be resumed.
+    """
+    from tomojax.results import _file
+
+    settings, out = settings or Settings(), Path(out)
+    settings.check()
+    alone = share == (0, 1)
+    _file.check_output(out, resume or share[0] > 0, overwrite)
+    size = chunk_scans(recording, settings)
+    file = _file.ResultsFile(out, -(-recording.scans // size))
+    config = _configuration(recording, settings, size)
+    if (resume or share[0] > 0) and out.exists() and not file.partial.exists():
+        _require_same(config, _file.attributes(out), out)
+        if alone:
+            file.discard()  # the marks of a run that was killed as it ended
+        return out
+    calibration = calibration_of(recording, settings)
+    model = make_method(
+        recording.rig.sensor(), settings.method, settings.pixels, calibration
+    )
+    given = settings.policy
+    chosen = None
+    if given:
+        chosen = Chosen(given, recording, settings.contacts, settings.method)
+    if share[0] > 0:
+        _wait_for(file.partial)
+    begun = file.partial.exists() and not (overwrite and share[0] == 0)
+    if not begun:
+        file.discard()
+        if settings.lam is None and chosen is not None and chosen.median:
+            lam = chosen.median * model.scale()
+        else:
+            lam = choose_lambda(recording, model, settings, calibration)
+        _create(file, recording, settings, calibration, model, lam, config)
+    attributes = _file.attributes(file.partial)
+    _require_same(config, attributes, file.partial)
+    batch = Batch(
+        model,
+        float(attributes["lam"]),
+        settings.contacts,
+        settings.images,
+        settings.threshold,
+    )
+    with closing(file.writer()) as writer:
+        left = np.flatnonzero(~file.done())
+        mine = left % share[1] == share[0]
+        work = partial(_work, recording, settings, calibration, chosen, batch, file, writer)
+        work(left[mine], progress)
+        if not alone:
+            # What another process has not done comes last, from its end: done twice it is
+            # the same bytes, and nobody need wait for a process that was killed.
+            left = np.flatnonzero(~file.done())
+            work(left[::-1], progress)
+    # Process 0 gives the file its name: the others may still be about to write.
+    if share[0] == 0 and file.done().all():
+        file.finish()
+    return out
+
+
+def _configuration(recording: Recording, settings: Settings, size: int) -> dict:
+    """What makes the rows what they are: two runs with the same make the same bytes."""
+    return {
+        **asdict(settings),
+        "grid": settings.pixels,
+        "chunk": size,
+        "scans": recording.scans,
+        "recording_sha256": recording.digest(),
+        "versions": environment(),
+    }
+
+
+def calibration_of(recording: Recording, settings: Settings) -> Calibration:
+    """That of the settings, with zeros from the recording itself where it tells them."""
+    given = settings.calibration
+    calibration = Calibration.load(given) if given else Calibration()
+    return tare(recording, calibration) if settings.tare else calibration
+
+
+def _create(file, recording, settings, calibration, model, lam, config) -> None:
+    from tomojax.results import _file
+
+    rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
+    shape = model.shape if settings.images else None
+    layout = _file.fields(
+        settings.contacts,
+        shape,
+        model.image_unit,
+        model.electrode_count,
+        model.tells_covariance,
+        model.tells_rung,
+        calibration.pressure is not None,
+    )
+    file.create(
+        rows,
+        layout,
+        {
+            "method": settings.method,
+            "rate": settings.rate,
+            "lam": lam,
+            "lam_relative": lam / model.scale(),
+            "pattern": recording.read(0, 1).grounds[0],  # of the first scan
+            "size": recording.rig.size,
+            "electrode_xy": recording.rig.electrode_xy,
+            "drive_voltage": recording.rig.drive_voltage,
+            "sheet_resistance": recording.rig.sheet_resistance,
+            "calibration": json.dumps(asdict(calibration)),
+            "recording": recording.path.name,
+            "recording_sha256": config["recording_sha256"],
+            "versions": json.dumps(config["versions"]),
+            "configuration": json.dumps(config, sort_keys=True),
+        },
+    )
+
+
+def _require_same(config: dict, attributes: dict, path: Path) -> None:
+    before = json.loads(attributes["configuration"])
+    for name, value in config.items():
+        was = before.get(name)
+        if was != value:
+            raise ValueError(
+                f"{path}: {name}: begun with {was}, now {value}; "
+                "give the same, or --overwrite"
+            )
+
+
+def _wait_for(path: Path, seconds: float = 600.0) -> None:
+    """The first process lays the file out."""
+    end = monotonic() + seconds
+    while not path.exists():
+        require(
+            monotonic() < end, f"{path}", f"nothing in {seconds:g} s", "process 0's file"
+        )
+        sleep(0.1)
+
+
+def _work(
+    recording, settings, calibration, chosen, batch, file, writer, todo, progress
+) -> None:
+    """Chunks `todo`: one is read and one written while one is computed."""
+    size = chunk_scans(recording, settings)
+    per_scan = recording.slots if settings.rate == "slot" else 1
+
+    def read(chunk: int) -> Chunk:
+        start = chunk * size
+        return read_chunk(
+            recording, start, min(start + size, recording.scans), settings.rate
+        )
+
+    marked = monotonic()
+
+    def write(chunk: int, t: np.ndarray, rows: Rows) -> None:
+        nonlocal marked
+        more = {}
+        if calibration.pressure is not None:
+            g, radius = rows.contact_conductance, rows.contact_radius
+            more["contact_force"] = force(calibration, g, radius)
+        writer.write(chunk, chunk * size * per_scan, t, rows, **more)
+        if monotonic() - marked > _MARK_SECONDS:
+            writer.mark()
+            marked = monotonic()
+
+    done = int(file.done().sum())
+    progress(done, file.chunks)
+    writing: Future | None = None
+    with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as behind:
+        try:
+            for chunk, frames in _read_ahead(reader, read, [int(c) for c in todo]):
+                if file.finished(chunk):
+                    continue
+                _, voltages, grounds, good, flags = frames
+                volts, lams = calibration.voltages(voltages), None
+                if chosen is not None:
+                    good, lams = chosen(frames, volts)
+                    own = settings.lam is None and lams is not None
+                    lams = lams * batch.method.scale() if own else None
+                rows = batch(volts, grounds, good, flags, lams)
+                if writing:
+                    writing.result()
+                writing = behind.submit(write, chunk, frames.t, rows)
+                done += 1
+                progress(done, file.chunks)
+        finally:  # also when interrupted: what is computed is kept
+            if writing:
+                writing.result()
+            writer.mark()
+
+
+def _read_ahead(reader, read, todo) -> Iterator[tuple[int, Any]]:
+    """Each of `todo` with what is read of it, the next one being read meanwhile."""
+    coming = [(c, reader.submit(read, c)) for c in todo[:2]]
+    for following in [*todo[2:], None, None][: len(todo)]:
+        chunk, result = coming.pop(0)
+        if following is not None:
+            coming.append((following, reader.submit(read, following)))
+        yield chunk, result.result()

@@ -1,0 +1,267 @@
+"""Contacts followed over time: which is which, and what all of its slots say of it."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Integer
+
+from tomojax._require import require
+from tomojax.kernels.algebra import filter_levels, Levels, smooth_levels
+from tomojax.methods import Rows
+
+# A contact is the one of the row before that is no farther: m, or standard deviations of
+# a feeble one's place.
+_REACH, _SIGMAS = 0.015, 5.0
+
+# Standard deviations: of voltages by the model's error, as a part of them (which tells how
+# well V0 − u and so a conductance is known); of a current by the converter's noise, of
+# what a volt drives through a square of the sheet; of ln g where the place is off by so
+# many m; and of a place that comes without, m.
+_MODEL, _NOISE, _ASTRAY, _UNTOLD = 0.02, 2e-4, 0.01, 0.003
+
+# Drifts that are tried for `drift=None`: standard deviations per row, of a place in m (and
+# of ln g, by what is beside it).
+_DRIFTS = ((0.0, 0.0), (1e-5, 0.003), (3e-5, 0.01), (1e-4, 0.03), (3e-4, 0.1))
+
+
+class Tracks(NamedTuple):
+    """n rows of up to C contacts, NaN-padded, strongest first."""
+
+    contact_count: Integer[np.ndarray, " n"]
+    contact_track: Integer[np.ndarray, "n C"]  # a contact's number, from 1; 0: none
+    contact_xy: Float[np.ndarray, "n C 2"]  # m
+    contact_covariance: Float[np.ndarray, "n C 3"]  # xx, yy, xy, m²
+    contact_conductance: Float[np.ndarray, "n C"]  # S
+    contact_conductance_error: Float[np.ndarray, "n C"]  # σ of its logarithm
+    contact_current: Float[np.ndarray, "n C"]  # A, as in the rows; held in gaps
+
+
+class _Paths(NamedTuple):
+    """Rows with C places; in one of them a contact stays from its first row to its last."""
+
+    number: Integer[np.ndarray, "n C"]  # of the contact; 0: none
+    source: Integer[np.ndarray, "n C"]  # which contact of the row; −1: not seen
+
+
+def track(
+    rows: Rows,
+    drive_voltage: float,
+    sheet_resistance: float,
+    *,
+    smooth: bool = True,
+    hold: int = 3,
+    least: int = 3,
+    drift: tuple[float, float] | None = None,
+) -> Tracks:
+    """Place and conductance of each contact from all rows that show it.
+
+    A Kalman filter of a state that stands still, or drifts, and begins anew where it has
+    changed; ln g has one of its own. For what stands still the standard deviation falls
+    as 1/√n, and a step shows at once.
+
+    **Arguments:** `rows` of `points` or `auto` (their contacts come with covariances);
+    `drive_voltage` V; `sheet_resistance` Ω/sq; `smooth`: rows after count as well as
+    those before; `hold`: rows that a contact may be missing from and still be there (a
+    feeble one is not seen under every ground); `least`: rows that have to show a contact
+    (what fewer show are ghosts); `drift`: standard deviations per row of
+    place (m) and ln g, those that are likeliest by default.
+    **Raises:** `ValueError` for rows without covariances and values out of range.
+    """
+    _check(rows, drive_voltage, sheet_resistance, hold, least, drift)
+    # Of a larger model of auto's, that tells none.
+    here = np.isfinite(rows.contact_covariance) | np.isnan(rows.contact_xy[..., :1])
+    wide = np.array([_UNTOLD**2, _UNTOLD**2, 0], np.float32)
+    covariance = np.where(here, rows.contact_covariance, wide)
+    rows = rows._replace(contact_covariance=covariance)
+    paths = _follow(rows, hold, least)
+    if not paths.number.any():
+        return _arranged(rows, paths, None, None)
+    there = paths.source >= 0
+    begins = np.diff(paths.number, axis=0, prepend=0) != 0
+    pick = lambda values: _picked(values, paths.source)  # noqa: E731
+    square = pick(rows.contact_covariance)[..., [[0, 2], [2, 1]]]  # of xx, yy, xy
+    place = pick(rows.contact_xy), square
+    g, current = pick(rows.contact_conductance), pick(rows.contact_current)
+    height = np.log(np.maximum(g, 1e-30))[..., None]
+    spread = _height_noise(g, current, drive_voltage, sheet_resistance)
+    # What is feeble beside its ground is told neither where nor how strong.
+    spread += np.trace(place[1], axis1=-2, axis2=-1) / _ASTRAY**2
+    spread = spread[..., None, None]
+    drifts = _DRIFTS if drift is None else (drift,)
+    followed = []
+    for k, (z, r) in enumerate((place, (height, spread))):
+        each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
+        z, origin = _centred(z)
+        given = [jnp.asarray(a) for a in (z, r.astype(np.float32), there, begins)]
+        found = _likeliest(given[0], given[1], given[2], given[3], each, smooth)
+        followed.append((np.asarray(found.mean) + origin, np.asarray(found.covariance)))
+    return _arranged(rows, paths, *followed)
+
+
+def _check(rows, drive_voltage, sheet_resistance, hold, least, drift) -> None:
+    told = np.isfinite(rows.contact_covariance).any() or not rows.contact_count.any()
+    require(told, "rows", "contacts without covariance", "those of points or auto")
+    require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
+    fine = np.isfinite(sheet_resistance) and sheet_resistance > 0
+    require(fine, "sheet_resistance", sheet_resistance, "ohms, above 0")
+    for name, value, low in (("hold", hold, 0), ("least", least, 1)):
+        whole = isinstance(value, int | np.integer) and value >= low
+        require(whole, name, repr(value), f"a whole number of rows, {low} or more")
+    if drift is not None:
+        numbers = len(drift) == 2 and np.isfinite(drift).all() and min(drift) >= 0
+        require(numbers, "drift", drift, "two numbers, 0 or more: m and ln g per row")
+
+
+def _follow(rows: Rows, hold: int, least: int) -> _Paths:
+    """Contacts of each row joined to the nearest of those before, the nearest first."""
+    n, most = rows.contact_xy.shape[:2]
+    number, source = np.zeros((n, most), int), np.full((n, most), -1)
+    places, widths = np.zeros((most, 2)), np.zeros(most)
+    last = np.full(most, -hold - 2)  # row in which it was seen last
+    names = np.zeros(most, int)
+    for k in np.flatnonzero(rows.contact_count):
+        seen = rows.contact_xy[k, : rows.contact_count[k]]
+        alive = k - last <= hold + 1
+        apart = np.hypot(*(places[:, None] - seen).transpose(2, 0, 1))
+        wide = np.sqrt(rows.contact_covariance[k, : len(seen), :2].sum(-1))
+        reach = np.maximum(_REACH, _SIGMAS * np.maximum(wide, widths[:, None]))
+        apart[~alive] = np.inf
+        free = list(np.argsort(np.where(alive, n + last, last), kind="stable"))
+        for _ in range(len(seen)):
+            slot, which = np.unravel_index(apart.argmin(), apart.shape)
+            if not apart[slot, which] <= reach[slot, which]:
+                which = next(c for c in range(len(seen)) if c not in source[k])
+                slot = free[0]
+                names[slot] = names.max() + 1
+                places[slot], widths[slot] = seen[which], wide[which]
+            elif last[slot] < k - 1:  # there all along
+                number[last[slot] + 1 : k, slot] = names[slot]
+            number[k, slot], source[k, slot] = names[slot], which
+            # Weighed, lest a ghost draws the place away; not for long, as contacts move.
+            gain = widths[slot] ** 2 / (widths[slot] ** 2 + wide[which] ** 2 + 1e-30)
+            places[slot] += gain * (seen[which] - places[slot])
+            narrowed = np.sqrt(1 - gain) * widths[slot]
+            widths[slot], last[slot] = max(narrowed, wide[which] / 2), k
+            free.remove(slot)
+            apart[slot], apart[:, which] = np.inf, np.inf
+    # Ghosts go, and the others close up.
+    shown = np.bincount(number[source >= 0], minlength=number.max() + 1) >= least
+    shown[0] = False
+    renamed = np.cumsum(shown) * shown
+    return _Paths(renamed[number], np.where(shown[number], source, -1))
+
+
+def _picked(values: np.ndarray, source: np.ndarray) -> np.ndarray:
+    """Of each path, what its row says; of the row before where it is not seen."""
+    rows = np.where(source >= 0, np.arange(len(source))[:, None], -1)
+    rows = np.maximum(np.maximum.accumulate(rows, 0), 0)
+    which = np.maximum(np.take_along_axis(source, rows, 0), 0)
+    found = values[rows, which]
+    return np.nan_to_num(found, nan=1.0)
+
+
+def _height_noise(g, current, drive_voltage: float, sheet_resistance: float) -> np.ndarray:
+    """Variance of ln g: of V0 − u by the model's error, of the current by noise."""
+    current = np.maximum(np.abs(current), 1e-15)
+    below = np.maximum(np.abs(drive_voltage) * g / current - 1, 0)  # u/(V0 − u)
+    noise = _NOISE / sheet_resistance / current
+    return (_MODEL**2 * (1 + below**2) + noise**2).astype(np.float32)
+
+
+def _centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """About their middle, so that float32 has its digits where they are needed."""
+    middle = np.median(values, (0, 1))
+    return (values - middle).astype(np.float32), middle
+
+
+@eqx.filter_jit
+def _likeliest(
+    z: Float[Array, "n C d"],
+    noise: Float[Array, "n C d d"],
+    there: Bool[Array, "n C"],
+    begins: Bool[Array, "n C"],
+    drifts: Float[Array, " k"],
+    smooth: bool,
+) -> Levels:
+    """With the drift by which all measurements are likeliest."""
+    unit = jnp.eye(z.shape[-1], dtype=z.dtype)
+    paths = jax.vmap(filter_levels, (1, 1, 1, 1, None), 1)
+    drift = drifts[0]
+    if len(drifts) > 1:
+        every = lambda d: paths(z, noise, there, begins, d * unit).likelihood.sum()  # noqa: E731
+        drift = drifts[jnp.argmax(jax.lax.map(every, drifts))]
+    if smooth:
+        paths = jax.vmap(smooth_levels, (1, 1, 1, 1, None), 1)
+    return paths(z, noise, there, begins, drift * unit)
+
+
+def _arranged(rows: Rows, paths: _Paths, place, height) -> Tracks:
+    """Strongest first, as rows are."""
+    number, nan = paths.number, np.nan
+    present = number > 0
+    n, most = number.shape
+    if place is None:
+        empty = np.full((n, most), nan, np.float32)
+        xy, spread = (np.full((n, most, k), nan, np.float32) for k in (2, 3))
+        zero = np.zeros(n, np.uint8)
+        return Tracks(zero, number.astype(np.uint32), xy, spread, empty, empty, empty)
+    current = _picked(rows.contact_current, paths.source)
+    strength = np.where(present, np.abs(current), -1)
+    order = np.argsort(-strength, 1, kind="stable")
+    here = np.take_along_axis(present, order, 1)
+
+    def sorted_(values: np.ndarray) -> np.ndarray:
+        extra = (1,) * (values.ndim - 2)
+        values = np.take_along_axis(values, order.reshape(n, most, *extra), 1)
+        mask = here.reshape(n, most, *extra)
+        return np.where(mask, values, nan).astype(np.float32)
+
+    (xy, covariance), (log, error) = place, height
+    flat = np.stack([covariance[..., i, j] for i, j in ((0, 0), (1, 1), (0, 1))], -1)
+    return Tracks(
+        present.sum(1).astype(np.uint8),
+        np.take_along_axis(number, order, 1).astype(np.uint32),
+        sorted_(xy),
+        sorted_(flat),
+        sorted_(np.exp(log[..., 0])),
+        sorted_(np.sqrt(error[..., 0, 0])),
+        sorted_(current),
+    )
+
+
+class Touch(NamedTuple):
+    """One contact from its first row to its last."""
+
+    track: int
+    start: float  # s
+    end: float  # s, of the last row that has it
+    rows: int
+    xy: tuple[float, float]  # m, in the middle of its time
+    conductance: float  # S, the highest
+
+
+def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:
+    """Every contact of a recording, in order; `t` the rows' times, s."""
+    row, column = np.nonzero(tracks.contact_track)
+    names = tracks.contact_track[row, column]
+    order = np.argsort(names, kind="stable")
+    found = []
+    for part in np.split(order, np.flatnonzero(np.diff(names[order])) + 1):
+        if not len(part):
+            continue
+        r, c = row[part], column[part]
+        middle = np.median(tracks.contact_xy[r, c], 0)
+        found.append(
+            Touch(
+                int(names[part[0]]),
+                float(t[r[0]]),
+                float(t[r[-1]]),
+                len(part),
+                (float(middle[0]), float(middle[1])),
+                float(np.nanmax(tracks.contact_conductance[r, c])),
+            )
+        )
+    return found

@@ -1,0 +1,138 @@
+"""Pictures of a results file."""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
+# (h5py does not say whether a name is a group or a dataset)
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tomojax.kernels.flags import Flag
+
+_POINTS = 20_000  # more than a picture shows
+
+
+def timeline(path: Path) -> Figure:
+    """Places and currents of the contacts over time, the path on the sheet, and flags."""
+    with h5py.File(path, "r") as file:
+        step = max(1, -(-len(file["t"]) // _POINTS))
+        t, xy, current, flags, residual = (
+            file[name][::step]
+            for name in ("t", "contact_xy", "contact_current", "flags", "residual")
+        )
+        image = file["image"][_strongest(file)] if "image" in file else None
+        unit = file["image"].attrs["unit"] if image is not None else ""
+        name, each, electrodes = "residual_by_electrode", None, np.zeros((0, 2))
+        if name in file and "electrode_xy" in file.attrs:
+            each = 1e3 * file[name][_strongest(file)]
+            electrodes = 1e3 * file.attrs["electrode_xy"]
+        covariance = None
+        if "contact_covariance" in file:
+            covariance = file["contact_covariance"][::step]
+        width, height = 1e3 * file.attrs["size"]
+    figure = Figure(figsize=(14, 8), layout="constrained")
+    grid = figure.add_gridspec(4, 3)
+    left = [figure.add_subplot(grid[k, :2]) for k in range(4)]
+    for c in range(max(1, int(np.isfinite(current).any(0).sum()))):
+        style = {"ls": "none", "marker": ".", "ms": 3, "color": f"C{c}"}
+        left[0].plot(t, 1e3 * xy[:, c, 0], **style)
+        left[1].plot(t, 1e3 * xy[:, c, 1], **style)
+        left[2].plot(t, 1e6 * current[:, c], **style, label=f"{c + 1}")
+    for axes, label in zip(left, ("x, mm", "y, mm", "current, µA")):
+        axes.set_ylabel(label)
+        axes.sharex(left[3])
+    left[2].legend(title="contact", loc="upper right", markerscale=3, fontsize=8)
+    found = [f for f in Flag if (flags & f.value).any()]
+    for k, flag in enumerate(found):
+        when = t[flags & flag.value > 0]
+        left[3].plot(when, np.full(len(when), k), "|", color="C3")
+    left[3].set_yticks(range(len(found)), [str(f.name) for f in found], fontsize=7)
+    left[3].set(xlabel="s", ylim=(-0.5, max(0.5, len(found) - 0.5)))
+    path_axes = figure.add_subplot(grid[:2, 2])
+    dots = path_axes.scatter(*(1e3 * xy[:, 0].T), c=t, s=4)
+    figure.colorbar(dots, ax=path_axes, label="s")
+    path_axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="strongest contact")
+    if covariance is not None:
+        ellipses(path_axes, xy[:, 0], covariance[:, 0])
+    path_axes.set(xlim=(0, width), ylim=(0, height))
+    other = figure.add_subplot(grid[2:, 2])
+    if image is None:
+        other.plot(t, 1e3 * residual, ".", ms=2)
+        other.set(xlabel="s", ylabel="residual, mV")
+    else:
+        shown = other.imshow(image.T, origin="lower", extent=(0, width, 0, height))
+        figure.colorbar(shown, ax=other, label=unit)
+        title = "image at the largest current"
+        if each is not None:
+            shown = other.scatter(*electrodes.T, c=each, s=18, cmap="cool", lw=0)
+            figure.colorbar(shown, ax=other, label="residual of each electrode, mV")
+        other.set(title=title, xlabel="x, mm", ylabel="y, mm")
+    return figure
+
+
+def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
+    """Of two standard deviations, about some of the places (m, m²: xx, yy, xy)."""
+    from matplotlib.patches import Ellipse
+
+    known = np.flatnonzero(np.isfinite(covariance).all(-1))
+    for k in known[:: max(1, -(-len(known) // most))]:
+        a, b, c = 1e6 * covariance[k].astype(float)
+        sides, turn = np.linalg.eigh([[a, c], [c, b]])
+        narrow, wide = 4 * np.sqrt(np.maximum(sides, 0))
+        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
+        style = {"fill": False, "ec": "k", "lw": 0.5} | style
+        axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
+
+
+def _strongest(file: h5py.File) -> int:
+    current = np.nan_to_num(file["contact_current"][:, 0])
+    return int(current.argmax())
+
+
+def clip(
+    path: Path,
+    out: Path,
+    most: int = 100,
+    progress: Callable[[int], object] = lambda n: None,
+) -> None:
+    """The images as a film (GIF), with the contacts and their directions drawn in."""
+    from matplotlib.animation import FuncAnimation, PillowWriter
+
+    with h5py.File(path, "r") as file:
+        step = max(1, -(-len(file["t"]) // most))
+        names = ("t", "image", "contact_xy", "contact_radius", "contact_angle")
+        t, image, xy, radius, angle = (file[name][::step] for name in names)
+        width, height = 1e3 * file.attrs["size"]
+        unit = file["image"].attrs["unit"]
+    figure = Figure(figsize=(4.8, 4.2), layout="constrained")
+    axes = figure.subplots()
+    shown = axes.imshow(
+        image[0].T,
+        origin="lower",
+        extent=(0, width, 0, height),
+        vmin=0,
+        vmax=np.nanpercentile(image.max((1, 2)), 90),
+        cmap="magma",
+    )
+    figure.colorbar(shown, ax=axes, label=unit)
+    axes.set(xlabel="x, mm", ylabel="y, mm")
+    marks = axes.plot([], [], "c+", ms=10, mew=1.5)[0]
+    lines = [axes.plot([], [], "c", lw=1)[0] for _ in range(xy.shape[1])]
+
+    def draw(k: int):
+        shown.set_data(image[k].T)
+        marks.set_data(*(1e3 * xy[k].T))
+        for line, place, r, a in zip(lines, 1e3 * xy[k], 1e3 * radius[k], angle[k]):
+            along = np.outer([-r, r], [np.cos(a), np.sin(a)])  # nothing where NaN
+            line.set_data(*(place + along).T)
+        axes.set_title(f"{t[k]:.3f} s")
+        progress(step)
+        return [shown, marks, *lines]
+
+    film = FuncAnimation(figure, draw, frames=len(t), init_func=lambda: [shown])
+    FigureCanvasAgg(figure)
+    film.save(out, PillowWriter(fps=12), dpi=80)

@@ -1,0 +1,140 @@
+"""A results file's contacts followed over time: another file, a table, a picture."""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
+# (h5py does not say whether a name is a group or a dataset)
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tomojax._require import require
+from tomojax.methods import Rows
+from tomojax.results._file import check_output, SCHEMA
+from tomojax.results._track import Touch, touches, track, Tracks
+
+# Datasets that tracks replace or add, with their units.
+_UNITS = {
+    "contact_count": "1",
+    "contact_track": "1",
+    "contact_xy": "m",
+    "contact_covariance": "m^2",
+    "contact_conductance": "S",
+    "contact_conductance_error": "1",
+    "contact_current": "A",
+}
+# What is about a contact by its place in the row, and so not the tracks'.
+_LEFT_OUT = (
+    "contact_radius",
+    "contact_angle",
+    "contact_force",
+    "image",
+    "residual_by_electrode",
+)
+
+
+def track_results(
+    path: Path, out: Path, overwrite: bool = False, **options: Any
+) -> tuple[Tracks, list[Touch]]:
+    """`track` of a results file, written to another; and its touches.
+
+    **Raises:** `ValueError` naming the file and what is wrong with it.
+    """
+    check_output(out, resume=False, overwrite=overwrite)
+    require(path.resolve() != out.resolve(), f"{out}", "the results file", "another name")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise ValueError(f"{path}: not a results file: {error}") from None
+    with file:
+        require(file.attrs.get("schema") == SCHEMA, f"{path}: schema", "another", SCHEMA)
+        attributes = dict(file.attrs)
+        for name in ("drive_voltage", "sheet_resistance"):
+            require(
+                name in attributes, f"{path}: {name}", "none", "results of this version"
+            )
+        told = "contact_covariance" in file
+        need = "results of points or auto, with contact_covariance"
+        require(told, f"{path}", attributes.get("method", "unknown method"), need)
+        rows, t = _rows(file), file["t"][()]
+        try:
+            found = track(
+                rows,
+                float(attributes["drive_voltage"]),
+                float(attributes["sheet_resistance"]),
+                **options,
+            )
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+        building = out.with_name(out.name + ".partial")
+        with h5py.File(building, "w") as new:
+            new.attrs.update(attributes | {"tracked": json.dumps(options)})
+            for name in file:
+                if name not in _UNITS and name not in _LEFT_OUT:
+                    file.copy(name, new)
+            for name, values in found._asdict().items():
+                new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
+        building.replace(out)
+    return found, touches(found, t)
+
+
+def _rows(file: h5py.File) -> Rows:
+    n = len(file["t"])
+    empty = {"rung": np.zeros(n, np.uint8), "image": None}
+    names = [f for f in Rows._fields if f not in _LEFT_OUT and f in file]
+    some = {name: file[name][()] for name in names}
+    return Rows(**{name: some.get(name, empty.get(name)) for name in Rows._fields})
+
+
+def text(found: list[Touch], most: int = 30) -> str:
+    """The touches as a table."""
+    head = "  start s    end s     ms    rows    x mm    y mm      µS"
+    lines = [
+        f"{touch.start:9.4f} {touch.end:8.4f} {1e3 * (touch.end - touch.start):6.1f} "
+        f"{touch.rows:7d} {1e3 * touch.xy[0]:7.2f} {1e3 * touch.xy[1]:7.2f} "
+        f"{1e6 * touch.conductance:7.3g}"
+        for touch in found[:most]
+    ]
+    if len(found) > most:
+        lines.append(f"and {len(found) - most} more")
+    return "\n".join([f"{len(found)} contacts", head, *lines] if found else ["no contact"])
+
+
+def picture(path: Path, out: Path) -> Any:
+    """Places and conductances before and after, and the ellipses of the places."""
+    from matplotlib.figure import Figure
+
+    from tomojax.results.plots import ellipses
+
+    with h5py.File(path) as raw, h5py.File(out) as file:
+        t, before = file["t"][()], raw["contact_xy"][()]
+        raw_g = raw["contact_conductance"][()]
+        xy, g = file["contact_xy"][()], file["contact_conductance"][()]
+        spread, names = file["contact_covariance"][()], file["contact_track"][()]
+        width, height = 1e3 * file.attrs["size"]
+    figure = Figure(figsize=(14, 8), layout="constrained")
+    grid = figure.add_gridspec(3, 3)
+    left = [figure.add_subplot(grid[k, :2]) for k in range(3)]
+    step = max(1, len(t) // 20_000)
+    for axes, old, new, label in zip(
+        left,
+        (1e3 * before[..., 0], 1e3 * before[..., 1], 1e6 * raw_g),
+        (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
+        ("x, mm", "y, mm", "conductance, µS"),
+    ):
+        axes.plot(t[::step], old[::step], ".", ms=2, color="0.7")
+        axes.plot(t[::step], new[::step], lw=1)
+        axes.set_ylabel(label)
+    left[2].set(xlabel="s (dots: row by row; lines: followed)", yscale="log")
+    sheet = figure.add_subplot(grid[:, 2])
+    for number in np.unique(names[names > 0])[:200]:
+        row, column = np.nonzero(names == number)
+        path_xy = 1e3 * xy[row, column]
+        colour = f"C{number % 10}"
+        sheet.plot(*path_xy.T, lw=0.8, color=colour)
+        ellipses(sheet, xy[row, column], spread[row, column], 6, ec=colour)
+    sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal", xlabel="x, mm")
+    sheet.set(ylabel="y, mm", title="paths, with ellipses of two standard deviations")
+    return figure

@@ -1,0 +1,31 @@
+"""The rig and what touches it: sensors, shapes, converters, exact voltages.
+
+The room states what is there and computes what would be measured. It knows nothing of how
+contacts are found.
+"""
+
+from tomojax.sensor._calibration import Calibration as Calibration, NOISE as NOISE
+from tomojax.sensor._converter import Converter as Converter
+from tomojax.sensor._field import make_field as make_field, make_variation as make_variation
+from tomojax.sensor._forward import (
+    contact_conductance as contact_conductance,
+    ground_set as ground_set,
+    jacobian as jacobian,
+    resistances as resistances,
+    sheet_on_mesh as sheet_on_mesh,
+    voltages as voltages,
+)
+from tomojax.sensor._sensor import Sensor as Sensor
+from tomojax.sensor._shapes import (
+    AbstractOutline as AbstractOutline,
+    AbstractShape as AbstractShape,
+    Bar as Bar,
+    Disc as Disc,
+    Ellipse as Ellipse,
+    Mask as Mask,
+    Moving as Moving,
+    Polygon as Polygon,
+    Ring as Ring,
+    Scene as Scene,
+    Shifted as Shifted,
+)

@@ -1,0 +1,107 @@
+"""What a rig is beside its nominal values: zeros, gains, and how its sheet varies."""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from tomojax._require import require
+from tomojax.kernels.contacts import smooth_modes
+from tomojax.sensor._sensor import Sensor
+
+SCHEMA, VERSION = "tomojax-calibration", 1
+
+# Noise and zeros of the paper's converter, V; and a sheet's waves, see `smooth_modes`.
+NOISE, _WAVES = 4.5e-4, 14
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Of a rig with M channels; the default is its nominal values.
+
+    V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
+    1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4, in the
+    order of j within i, of mean square 1. `ground`: what a grounded
+    electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
+    corrected reading, V rms, with what is left of zeros. `error`: of what the channels
+    have in common with these values, as a part of what nominal values leave. `pressure`:
+    c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
+    """
+
+    offset: tuple[float, ...] | float = 0.0
+    gain: tuple[float, ...] | float = 1.0
+    noise: float = NOISE
+    sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
+    ground: tuple[float, ...] | float = 0.0
+    error: float = 1.0
+    pressure: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("offset", "gain", "noise", "sheet", "ground", "error"):
+            values = np.asarray(getattr(self, name), float)
+            require(np.isfinite(values).all(), name, getattr(self, name), "numbers")
+        require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
+        for name in ("noise", "error"):
+            require(getattr(self, name) > 0, name, getattr(self, name), "above 0")
+        law = np.asarray(self.pressure or (1, 1), float)
+        fine = law.shape == (2,) and bool(np.isfinite(law).all() and (law > 0).all())
+        require(fine, "pressure", self.pressure, "c and k, above 0")
+        require(len(self.sheet) == _WAVES, "sheet", len(self.sheet), f"{_WAVES} waves")
+        grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 2), -1).reshape(-1, 2)
+        positive = bool((self.sheet_factor(grid, np.ones(2)) > 0).all())
+        require(positive, "sheet", self.sheet, "less than the sheet itself")
+
+    def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
+        """Readings corrected for zeros and gains, in their dtype."""
+        offset, gain = (np.asarray(a, readings.dtype) for a in (self.offset, self.gain))
+        return (readings - offset) / gain
+
+    def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""
+        at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
+        modes, _ = smooth_modes(at, sides)
+        return 1 + np.asarray(self.sheet) @ np.asarray(modes)
+
+    def sensor(self, sensor: Sensor, divisions: tuple[int, int]) -> Sensor:
+        """The sensor with its sheet as it is, on a mesh of `divisions`."""
+        if not any(self.sheet):
+            return sensor
+        centres = element_centres(np.asarray(sensor.size), divisions)
+        factor = self.sheet_factor(centres, np.asarray(sensor.size))
+        values = np.asarray(sensor.sheet_resistance) * factor
+        return replace(sensor, sheet_resistance=values, divisions=divisions)
+
+    def save(self, path: Path | str) -> None:
+        """As JSON."""
+        content = {"schema": SCHEMA, "schema_version": VERSION, **asdict(self)}
+        Path(path).write_text(json.dumps(content, indent=1) + "\n")
+
+    @classmethod
+    def load(cls, path: Path | str) -> "Calibration":
+        """**Raises:** `ValueError` naming the file and the field."""
+        try:
+            content = json.loads(Path(path).read_text())
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{path}: not a calibration: {error}") from None
+        known = isinstance(content, dict) and content.pop("schema", None) == SCHEMA
+        require(known, f"{path}: schema", "another", SCHEMA)
+        version = content.pop("schema_version", None)
+        require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
+        try:
+            values: dict[str, Any] = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in content.items()
+            }
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def element_centres(size: np.ndarray, divisions: tuple[int, int]) -> np.ndarray:
+    """Of a mesh's two elements per cell, (K, 2), m: of their cells."""
+    x, y = ((np.arange(n) + 0.5) * s / n for n, s in zip(divisions, size))
+    cells = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    return np.repeat(cells, 2, axis=0)

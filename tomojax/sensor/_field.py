@@ -1,0 +1,144 @@
+"""The table of electrodes' potentials that `points` looks up."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy import fft, special
+
+from tomojax._require import require
+from tomojax.kernels.contacts import Field
+from tomojax.kernels.sheet import rectangle_fields
+from tomojax.sensor._forward import resistances
+from tomojax.sensor._sensor import Sensor
+
+# Of the electrodes' diameter: radii that potentials are averaged over, and the spacing of
+# the table they are computed on, which resolves an electrode's rim. Every second point of
+# the averages is kept.
+_RADII, _SPACING = (0.4, 0.8, 1.6, 2.6), 0.2
+
+# Points of the table along a side; beyond, the sheet is too large for its electrodes.
+_MOST = 640
+
+# Cells of the mesh for what a sheet's variation adds, of a diameter.
+_MESH = 4
+
+# Points whose potentials are computed at once.
+_BLOCK = 2048
+
+
+def make_field(sensor: Sensor) -> Field:
+    """The potentials of electrodes in closed form, averaged over discs.
+
+    What a sheet with a value per element has beside its mean's is a difference of two
+    solutions on a mesh, whose errors cancel. Electrodes even out the potential under
+    them (`electrode_shunt`, 1 where the sensor leaves it open: metal discs): without it
+    places are off by 1 mm and more.
+
+    **Raises:** `ValueError` for a sheet more than 128 electrode diameters wide.
+    """
+    sensor, even, cells = _parts(sensor)
+    axes = [np.linspace(0, s, n + 1) for s, n in zip(np.asarray(sensor.size, float), cells)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    rho = float(even.sheet_resistance)
+    ee, ep = (rho * r for r in _potentials(even, points))
+    rows = ep.reshape(-1, *(cells + 1))
+    if sensor.sheet_resistance.ndim:
+        more_ee, more = _variation(sensor, even, cells)
+        ee, rows = ee + more_ee, rows + more
+    return _averaged(sensor, ee, rows)
+
+
+def make_variation(sensor: Sensor) -> Field:
+    """What of `make_field` a sheet with a value per element adds to its mean's alone."""
+    sensor, even, cells = _parts(sensor)
+    return _averaged(sensor, *_variation(sensor, even, cells))
+
+
+def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray]:
+    """The sensor, as it is with an even sheet, and the cells of its table."""
+    # Metal discs where the sensor leaves it open.
+    if sensor.electrode_shunt is None:
+        sensor = replace(sensor, electrode_shunt=1.0)
+    rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
+    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
+    cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
+    wide = f"at most {_MOST * _SPACING:g} electrode diameters"
+    require(cells.max() <= _MOST, "size", size.tolist(), wide)
+    return sensor, replace(sensor, sheet_resistance=rho), cells
+
+
+def _averaged(sensor: Sensor, ee: np.ndarray, rows: np.ndarray) -> Field:
+    """The table of R_e at points as one over discs of several radii."""
+    size = np.asarray(sensor.size, float)
+    radii = np.array(_RADII) * float(sensor.electrode_diameter)
+    averaged = [disc_average(rows, size, a)[:, ::2, ::2] for a in radii]
+    values, dtype = np.stack(averaged).transpose(2, 3, 0, 1), sensor.dtype
+    return Field(
+        jnp.asarray(values, dtype),
+        jnp.asarray(radii, dtype),
+        jnp.asarray(ee, dtype),
+        sensor.size,
+    )
+
+
+def _variation(
+    sensor: Sensor, even: Sensor, cells: np.ndarray
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
+    """What a sheet's variation adds to R_ee' and to R_e at the table's points, Ω."""
+    diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
+    divisions = np.array(sensor.divisions)
+    finer = np.ceil(_MESH * size / diameter / divisions).astype(int)
+    values = np.asarray(sensor.sheet_resistance).reshape(*divisions, 2)
+    values = values.repeat(finer[0], 0).repeat(finer[1], 1).ravel()
+    mesh = tuple(int(n) for n in divisions * finer)
+    one = resistances(replace(sensor, sheet_resistance=values, divisions=mesh))
+    same = np.full_like(values, even.sheet_resistance)
+    other = resistances(replace(sensor, sheet_resistance=same, divisions=mesh))
+    ee, ek = (
+        np.asarray(a, float) - np.asarray(b, float)
+        for a, b in zip((one.electrodes, one.elements), (other.electrodes, other.elements))
+    )
+    # From the cells' middles to the table's points, which mirror at the same edges.
+    middles = ek.reshape(-1, *mesh, 2).mean(-1)
+    waves = np.asarray(fft.dctn(middles, 2, axes=(1, 2), norm="forward"))
+    padded = np.zeros((len(ee), *(np.maximum(cells, mesh) + 1)))
+    padded[:, : mesh[0], : mesh[1]] = waves
+    padded = padded[:, : cells[0] + 1, : cells[1] + 1]
+    return ee, np.asarray(fft.dctn(padded, 1, axes=(1, 2)))
+
+
+def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    dtype, ee = sensor.dtype, np.zeros(0)
+    padded = np.resize(points, (-(-len(points) // _BLOCK) * _BLOCK, 2))
+    parts = []
+    for start in range(0, len(padded), _BLOCK):
+        part = jnp.asarray(padded[start : start + _BLOCK], dtype)
+        ee, ep = _rectangle(sensor, part)
+        parts.append(np.asarray(ep, float))
+    return np.asarray(ee, float), np.concatenate(parts, 1)[:, : len(points)]
+
+
+@eqx.filter_jit
+def _rectangle(sensor: Sensor, points: Float[Array, "P 2"]) -> tuple[Array, Array]:
+    radius = sensor.electrode_diameter / 2
+    ee, ep, _ = rectangle_fields(
+        sensor.electrode_xy, points, radius, sensor.size, sensor.electrode_shunt
+    )
+    return ee, ep
+
+
+def disc_average(
+    values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radius: float
+) -> Float[np.ndarray, "*batch nx ny"]:
+    """The mean over a disc around each point of a table that mirrors at its edges.
+
+    A cosine of wave vector k is averaged to 2J₁(|k|a)/(|k|a) of itself.
+    """
+    k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
+    ka = np.hypot(*np.meshgrid(*k, indexing="ij")) * radius
+    factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
+    averaged = fft.dctn(values, 1, axes=(-2, -1)) * factor
+    return np.asarray(fft.idctn(averaged, 1, axes=(-2, -1)))

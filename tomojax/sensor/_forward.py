@@ -1,0 +1,260 @@
+"""From a sensor and a scene to resistances, Jacobians and voltages."""
+
+from collections.abc import Callable
+from typing import cast, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tomojax._checks import (
+    float_array,
+    known,
+    require,
+    require_finite,
+    require_not_negative,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+from tomojax.kernels.sheet import (
+    contact_jacobian,
+    element_area,
+    fem_contact,
+    fem_resistances,
+    fem_sheet,
+    FemSheet,
+    ground_voltages,
+    loop_resistance,
+    rectangle_resistances,
+    Resistances,
+    shared_ground_voltages,
+    shared_slot_map,
+    site_conductance,
+    slot_map,
+    subpoints,
+)
+from tomojax.sensor._converter import Converter
+from tomojax.sensor._sensor import element_values, Sensor
+from tomojax.sensor._shapes import AbstractShape
+
+Route = Literal["fem", "series"]
+Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
+
+# Each element is sampled at 4^2 points: a cell's side is resolved to an eighth.
+_LEVEL = 2
+
+
+def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
+    """The table of transfer resistances R_ee (M, M), R_ek (M, K), R_kk (K,), Ω.
+
+    `route` "fem" solves on the sensor's mesh, for any sheet; "series" sums the cosine
+    series of a homogeneous sheet, with no mesh error. An element is the mesh's
+    (1/3, 1/3, 1/3) on three vertices in the first, which acts like a disc about twice
+    as wide as the true triangle's, and a disc of the element's area in the second:
+    R_kk differs by about 0.7·(sheet resistance)/2π, all else agrees to the mesh's error.
+
+    **Raises:** `ValueError` for "series" on a sheet with a value per element.
+    """
+    require(route in ("fem", "series"), "route", repr(route), "'fem' or 'series'")
+    if route == "series":
+        shape = sensor.sheet_resistance.shape
+        require(shape == (), "sheet_resistance", f"shape {shape}", "one value for 'series'")
+    return _resistances(sensor, route)
+
+
+@eqx.filter_jit
+def _resistances(sensor: Sensor, route: Route) -> Resistances:
+    if route == "series":
+        return rectangle_resistances(
+            sensor.sheet_resistance,
+            sensor.electrode_xy,
+            sensor.electrode_diameter / 2,
+            sensor.divisions,
+            sensor.size,
+            sensor.electrode_shunt,
+        )
+    return fem_resistances(sheet_on_mesh(sensor), sensor.divisions)
+
+
+def sheet_on_mesh(sensor: Sensor) -> FemSheet:
+    """The sheet and its electrodes on the sensor's mesh."""
+    return fem_sheet(
+        1 / element_values(sensor, sensor.sheet_resistance),
+        sensor.electrode_xy,
+        sensor.electrode_diameter / 2,
+        sensor.divisions,
+        sensor.size,
+        sensor.electrode_shunt,
+    )
+
+
+def ground_set(
+    sensor: Sensor, grounds: Numbers | None
+) -> Int[Array, " L"] | Float[Array, "L M"]:
+    """`grounds` checked: electrode numbers (L,), or conductances to ground (L, M), S.
+
+    None is every electrode once, in order.
+
+    **Raises:** `ValueError` for an empty set, numbers out of range, negative or NaN
+    conductances, or a shape that does not fit.
+    """
+    if grounds is None:
+        return jnp.asarray(sensor.all_grounds())
+    array = grounds if not known(grounds) else np.asarray(grounds)
+    if known(array):
+        numbers = np.asarray(array).dtype.kind in "iuf"
+        require(numbers, "grounds", repr(grounds), "electrode numbers or conductances")
+    if jnp.issubdtype(jnp.result_type(array), jnp.integer):
+        array = jnp.asarray(array)
+        require_shape("grounds", array, (None,))
+        require(array.size > 0, "grounds", "none", "at least one")
+        if known(array):
+            low, high, top = int(array.min()), int(array.max()), sensor.electrode_count
+            require(
+                0 <= low and high < top,
+                "grounds",
+                f"{low} to {high}",
+                f"0 to {top - 1}",
+            )
+        return array
+    array = float_array("grounds", grounds, sensor.dtype)
+    require_shape("grounds", array, (None, sensor.electrode_count))
+    require(array.size > 0, "grounds", "none", "at least one")
+    require_not_negative("grounds", array)
+    if known(array):
+        floating = np.flatnonzero(np.asarray(array).sum(1) == 0)
+        require(
+            not floating.size, "grounds", f"slots {floating[:5]} ungrounded", "a ground"
+        )
+    return array
+
+
+def jacobian(
+    sensor: Sensor,
+    grounds: Numbers | None = None,
+    contact_resistance: Numbers = 0.0,
+    route: Route = "fem",
+) -> Float[Array, "L M K"]:
+    """J^l_ik(ρ): volts at electrode i per volt of the object touching element k alone.
+
+    J^l_ik(ρ) = T^l_ik / (ρ + R_kk + R_ll − 2R_lk + z). ρ = 0 is the paper's Eq. 1, a
+    potential imposed at element k; ρ·J(ρ) → T for ρ → ∞ is a fixed current.
+
+    **Arguments:** `grounds` as in `ground_set`; `contact_resistance` ρ in Ω, one value
+    or one per element; `route` as in `resistances`.
+    **Returns:** (L, M, K). An element that coincides with the grounded electrode at
+    ρ = z = 0, where the formula is 0/0, gives 0. An element is read as the mean of its
+    vertices also where it lies over an electrode: within two feed widths of the grounded
+    one (5 mm on the default sensor) a small ρ makes J leave [0, 1], as no contact on
+    the metal would. `voltages` puts such contacts on the metal.
+    **Raises:** `ValueError` as `ground_set`, and for a negative or NaN ρ.
+    """
+    rho = float_array("contact_resistance", contact_resistance, sensor.dtype)
+    require_shape("contact_resistance", rho, (), (sensor.element_count,))
+    require_not_negative("contact_resistance", rho)
+    checked = ground_set(sensor, grounds)
+    return _jacobian(sensor, checked, rho, resistances(sensor, route))
+
+
+@eqx.filter_jit
+def _jacobian(
+    sensor: Sensor, grounds: Array, rho: Array, table: Resistances
+) -> Float[Array, "L M K"]:
+    if grounds.ndim == 2:
+        t, loop = shared_slot_map(table, grounds)
+    else:
+        z = sensor.ground_resistance
+        t = slot_map(table, grounds, z)
+        loop = loop_resistance(table, grounds, z)
+    return contact_jacobian(t, loop, rho)
+
+
+@eqx.filter_jit
+def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
+    """Conductance (S) of a scene on each element: S/m² at 16 points, times the area."""
+    points = subpoints(sensor.divisions, sensor.size, _LEVEL)
+    area = element_area(sensor.divisions, sensor.size)
+    blur = jnp.sqrt(area / points.shape[1])
+    cast = lambda a: a.astype(sensor.dtype) if eqx.is_inexact_array(a) else a  # noqa: E731
+    density = jax.tree.map(cast, scene).density(points, blur, sensor.size)
+    return density.mean(1) * area
+
+
+def voltages(
+    sensor: Sensor,
+    scene: Contact,
+    grounds: Numbers | None = None,
+    *,
+    times: Numbers | None = None,
+    converter: Converter | None = None,
+    key: Array | None = None,
+) -> Float[Array, "L M"]:
+    """Voltages (V) of all M electrodes under each ground condition, exactly.
+
+    Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches (at the
+    mesh's nodes, and at the metal of electrodes under it), and one factorisation serves
+    every ground condition. Between 0 and V0, as long as electrodes are small beside their
+    distance to the edge (a disc as near to it as it is wide was seen to read −1 %). A
+    contact that conducts far better than the sheet holds all nodes that it touches: a disc
+    of 2 mm and 1 S acted like one larger by about an element (`simulate_scenes` has none
+    of that).
+
+    **Arguments:**
+
+    - `scene`: a shape or `Scene`; or conductances (K,) in S per element; or a function
+      of time that returns a shape, such as `Moving`, with `times`.
+    - `grounds`: electrode numbers (L,), or conductances to ground (L, M) in S for
+      several or partial grounds (the sensor's `ground_resistance` is then not used).
+      None is every electrode once.
+    - `times` (L,): when each slot is read, s; each slot then has a scene of its own.
+    - `converter`: noise and quantisation, with a `key` where it has noise.
+
+    **Returns:** (L, M). **Raises:** `ValueError` that names the argument.
+    """
+    checked = ground_set(sensor, grounds)
+    if times is not None:
+        when = float_array("times", times, sensor.dtype)
+        require_shape("times", when, (len(checked),))
+        require_finite("times", when)
+        require(
+            callable(scene),
+            "scene",
+            type(scene).__name__,
+            "a function of time with times",
+        )
+        exact = _moving_voltages(sensor, cast(Callable, scene), checked, when)
+    elif isinstance(scene, AbstractShape):
+        exact = _voltages(sensor, contact_conductance(sensor, scene), checked)
+    elif callable(scene):
+        raise ValueError("times: got None, expected the time of each slot")
+    else:
+        g = float_array("scene", scene, sensor.dtype)
+        require_shape("scene", g, (sensor.element_count,))
+        require_not_negative("scene", g)
+        exact = _voltages(sensor, g, checked)
+    return exact if converter is None else converter(exact, key)
+
+
+@eqx.filter_jit
+def _voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
+    fem = sheet_on_mesh(sensor)
+    sites = site_conductance(fem, g, sensor.divisions)
+    contact = fem_contact(fem, sites, sensor.divisions)
+    v0 = sensor.drive_voltage
+    if grounds.ndim == 2:
+        return shared_ground_voltages(contact, grounds, v0)
+    return ground_voltages(contact, grounds, sensor.ground_resistance, v0)
+
+
+@eqx.filter_jit
+def _moving_voltages(
+    sensor: Sensor, scene: Callable[[Array], AbstractShape], grounds: Array, times: Array
+) -> Array:
+    def slot(ground_and_time: tuple[Array, Array]) -> Array:
+        ground, time = ground_and_time
+        g = contact_conductance(sensor, scene(time))
+        return _voltages(sensor, g, ground[None])[0]
+
+    return jax.lax.map(slot, (grounds, times))

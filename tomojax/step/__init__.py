@@ -1,0 +1,15 @@
+"""The step of a robot: one slot in, contacts and the next ground out, compiled once.
+
+The room holds policies and their tables too. It knows nothing of files of slots, nor of the
+rig that a slot comes from.
+"""
+
+from tomojax.step._make import make_step as make_step
+from tomojax.step._methods import Follow as Follow
+from tomojax.step._policies import (
+    ADAPTIVE as ADAPTIVE,
+    Lookup as Lookup,
+    POLICIES as POLICIES,
+)
+from tomojax.step._step import Output as Output, Step as Step
+from tomojax.step._tables import load_policy as load_policy, save_policy as save_policy

@@ -1,0 +1,81 @@
+"""Makes steps: a sensor, a method and policies by their names."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.methods import method as make_method, METHODS, Points
+from tomojax.sensor import Calibration, Sensor
+from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
+from tomojax.step._policies import AbstractPolicy, policy as make_policy
+from tomojax.step._step import Step
+
+STEP_METHODS = ("follow", *METHODS)
+
+
+def make_step(
+    sensor: Sensor,
+    method: str = "follow",
+    policy: str | Sequence[str] = "around_contacts",
+    *,
+    contacts: int = 2,
+    grid: int = 32,
+    lam: float | None = None,
+    cheaper: str | None = None,
+    calibration: Calibration | None = None,
+    good: Any = None,
+    highest: float | None = None,
+    tables: dict[str, AbstractPolicy] | None = None,
+) -> Step:
+    """A compiled step: one slot after another to contacts and the next ground.
+
+    **Arguments:** `method` "follow", which carries a few contacts on from slot to slot, or
+    one of `tomojax.method`, on each slot alone; `policy` or several, to `switch` between:
+    the patterns ("around", "cop_line" and "point" after two corner slots each),
+    "around_contacts" (*Around* by the contacts' places) and "information" (each time the
+    slot that is expected to say most of the places); `tables`: policies of your own by
+    name, such as a `Lookup`; `contacts` at most; `lam` λ (by default the method's own
+    without a recording); `cheaper`: a method that answers slots that are `hurried`;
+    `calibration`: of the rig, its zeros and gains are taken off what is read;
+    `good` (M,): channels that are used; `highest`: |V| that no channel can have.
+    **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
+    wrong shape.
+    """
+    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
+    require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")
+    m = sensor.electrode_count
+    used = np.ones(m, bool) if good is None else np.asarray(good, bool)
+    require(used.shape == (m,), "good", f"shape {used.shape}", f"shape ({m},)")
+    require(used.sum() >= 4, "good", f"{used.sum()} channels", "4 or more")
+    names = [policy] if isinstance(policy, str) else list(policy)
+    require(names, "policy", names, "at least one")
+    own = tables or {}
+
+    def made(name: str) -> AbstractStepMethod:
+        names = ", ".join(STEP_METHODS)
+        require(name in STEP_METHODS, "method", repr(name), f"one of {names}")
+        if name == "follow":
+            points = make_method(sensor, "points", grid, calibration)
+            assert isinstance(points, Points)
+            return Follow.of(points, contacts, used)
+        found = make_method(sensor, name, grid, calibration)
+        value = found.choose_lambda([]) if lam is None else lam
+        return EachSlot.of(found, contacts, used, value)
+
+    main = made(method)
+    # Tables of what slots tell are of contacts that are followed.
+    by_place = main if isinstance(main, Follow) else None
+    if "information" in names and by_place is None:
+        by_place = made("follow")
+    policies = {
+        name: own[name] if name in own else make_policy(sensor, name, by_place)
+        for name in names
+    }
+    quick = None if cheaper is None else made(cheaper)
+    drive = abs(float(sensor.drive_voltage))
+    limit = 1.05 * drive if highest is None else float(highest)
+    require(limit > 0, "highest", limit, "volts above 0")
+    known = Calibration() if calibration is None else calibration
+    return Step(sensor, main, quick, policies, used, limit, known)

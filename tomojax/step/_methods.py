@@ -1,0 +1,205 @@
+"""What a step does with one slot: follow contacts between slots, or look at it alone."""
+
+from abc import abstractmethod
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.contacts import (
+    Candidates,
+    follow,
+    Followed,
+    Noise,
+    nothing_followed,
+    radius_of,
+    tangents,
+)
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
+from tomojax.methods import AbstractMethod, Estimate, Points
+
+# Waves of the sheet that a slot's voltages have in common: the longest. All fourteen are no
+# better here, three lose a second contact on the way to it.
+_WAVES = 5
+
+# What is left of a slot's voltages where one more contact may hide: lone ones leave 5 % at
+# most, nineteen in twenty that hide another 6 % and more.
+_LIMIT = 0.06
+
+# Highest voltage, in the converter's noise, that places a contact: zeros that a slot shares
+# with the next do not average out.
+_FAINT = 10.0
+
+
+class Told(NamedTuple):
+    """What is said of one slot."""
+
+    contacts: Contacts
+    residual: Float[Array, ""]  # V rms
+    flags: Int[Array, ""]
+
+
+class AbstractStepMethod(eqx.Module):
+    """From one slot after another to contacts, with what it remembers of those before."""
+
+    @property
+    @abstractmethod
+    def residual_limit(self) -> float:
+        """As of `AbstractMethod`."""
+
+    @abstractmethod
+    def image(
+        self, memory: Any, voltages: Float[Array, " M"], ground: Int[Array, ""]
+    ) -> Float[Array, "nx ny"]:
+        """Of a slot that it was called with, in the method's unit."""
+
+    @abstractmethod
+    def first(self) -> Any:
+        """What is remembered before the first slot."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        memory: Any,
+        voltages: Float[Array, " M"],
+        used: Bool[Array, " M"],
+        ground: Int[Array, ""],
+        elapsed: Float[Array, ""],
+    ) -> tuple[Any, Told]:
+        """One slot later, `elapsed` slots after the last; voltages 0 where not `used`."""
+
+
+class Follow(AbstractStepMethod):
+    """`points`, carried on from slot to slot: see `kernels._follow`."""
+
+    count: int = eqx.field(static=True)
+    points: Points
+    candidates: Candidates
+    noise: Noise
+
+    @classmethod
+    def of(cls, points: Points, count: int, good: Bool[np.ndarray, " M"]) -> "Follow":
+        """Up to `count` contacts, from the channels that are `good`."""
+        every = jax.vmap(tangents, (None, 0, None))
+        none = jnp.zeros((), points.cell.dtype)
+        tangent = jax.jit(every)(points.sheet, points.candidates, none)
+        potential = tangent[:, 0]
+        candidates = Candidates(points.candidates, potential, potential**2, tangent)
+        prepared = points.prepare(np.array([0]), good[None], 1.0)
+        strength = np.asarray((prepared.smooth**2).mean(1))
+        longest = np.sort(np.argsort(-strength, kind="stable")[:_WAVES])
+        noise = Noise(
+            prepared.noise,
+            prepared.own,
+            prepared.bend,
+            prepared.smooth[longest],
+            prepared.offset,
+        )
+        return cls(count, points, candidates, noise)
+
+    @property
+    def residual_limit(self) -> float:
+        return _LIMIT
+
+    def first(self) -> Followed:
+        return nothing_followed(self.points.sheet.field.size, self.count)
+
+    def __call__(
+        self,
+        memory: Followed,
+        voltages: Float[Array, " M"],
+        used: Bool[Array, " M"],
+        ground: Int[Array, ""],
+        elapsed: Float[Array, ""],
+    ) -> tuple[Followed, Told]:
+        sheet = self.points.sheet
+        now, rest = follow(
+            sheet, self.candidates, memory, voltages, used, ground, elapsed, self.noise
+        )
+        channels = jnp.maximum(used.sum(), 1).astype(rest.dtype)
+        residual = jnp.sqrt((rest**2).sum() / channels)
+        radius = radius_of(sheet, now.size)
+        c = now.covariance * sheet.unit**2
+        covariance = jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1)
+        none = jnp.zeros((), jnp.uint8)
+        nan = jnp.full_like(radius, jnp.nan)
+        found = Contacts(
+            none, now.place, radius, nan, now.current, now.conductance, covariance
+        )
+        contacts = strongest_first(found, now.there)
+        faint = (jnp.abs(voltages).max() < _FAINT * self.noise.converter) & now.there.any()
+        flags = jnp.where(faint, Flag.PLACE_UNCERTAIN.value, 0)
+        return now, Told(contacts, residual, flags)
+
+    def image(
+        self, memory: Followed, voltages: Float[Array, " M"], ground: Int[Array, ""]
+    ) -> Float[Array, "nx ny"]:
+        none = jnp.zeros_like(memory.place)
+        return points_image(
+            memory.place,
+            none,
+            none[:, 0],
+            radius_of(self.points.sheet, memory.size),
+            jnp.where(memory.there, memory.current, 0),
+            self.points.cell,
+            self.points.shape,
+        )
+
+
+class EachSlot(AbstractStepMethod):
+    """A method of the ladder on each slot by itself; nothing is remembered."""
+
+    count: int = eqx.field(static=True)
+    method: AbstractMethod
+    prepared: Any  # of each ground
+    good: Bool[Array, " M"]
+
+    @classmethod
+    def of(
+        cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
+    ) -> "EachSlot":
+        """Prepared for every ground, with the channels that are `good`."""
+        grounds = np.arange(method.electrode_count)[:, None]
+        each = [method.prepare(ground, good[None], lam) for ground in grounds]
+        prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
+        return cls(count, method, prepared, jnp.asarray(good))
+
+    @property
+    def residual_limit(self) -> float:
+        return self.method.residual_limit
+
+    def first(self) -> tuple:
+        return ()
+
+    def __call__(
+        self,
+        memory: tuple,
+        voltages: Float[Array, " M"],
+        used: Bool[Array, " M"],
+        ground: Int[Array, ""],
+        elapsed: Float[Array, ""],
+    ) -> tuple[tuple, Told]:
+        estimate = self._estimate(voltages, ground)
+        # It was prepared for the good channels: with one of them missing it says nothing.
+        whole = (used | ~self.good).all()
+        touched = jnp.abs(voltages).max() > self.method.threshold
+        none = no_contacts(self.count, voltages.dtype)
+        contacts = jax.tree.map(
+            lambda a, b: jnp.where(whole & touched, a, b), estimate.contacts, none
+        )
+        missing = jnp.where(whole, 0, Flag.NO_DATA.value)
+        flags = jnp.asarray(estimate.flags | missing, int)
+        return (), Told(contacts, estimate.residual, flags)
+
+    def image(
+        self, memory: tuple, voltages: Float[Array, " M"], ground: Int[Array, ""]
+    ) -> Float[Array, "nx ny"]:
+        return self._estimate(voltages, ground).image
+
+    def _estimate(self, voltages: Float[Array, " M"], ground: Int[Array, ""]) -> Estimate:
+        prepared = jax.tree.map(lambda a: a[ground], self.prepared)
+        return self.method.estimate(prepared, voltages[None], self.count)

@@ -1,0 +1,203 @@
+"""Which electrode to ground next, from what is known by then: policies of a step.
+
+A policy lays out a stretch of ground conditions; when they are through it is asked again.
+"""
+
+from abc import abstractmethod
+from typing import Any, cast, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax._require import require
+from tomojax.kernels.contacts import in_slot, slot_weights, solve_small, weighed
+from tomojax.kernels.images import Contacts
+from tomojax.kernels.scan import around, Region
+from tomojax.paper import AdaptivePattern, AdaptiveScan, exploration, pattern, PATTERNS
+from tomojax.sensor import Sensor
+
+# The paper's: two corner slots, then grounds that depend on them.
+ADAPTIVE = ("around", "cop_line", "point")
+POLICIES = (*PATTERNS, "around_contacts", "information")
+
+# Places along a side that a table by place is made for.
+_PLACES = 32
+
+
+class Seen(NamedTuple):
+    """What a policy may go by."""
+
+    explored: Float[Array, "2 M"]  # voltages under the two corner grounds, V
+    contacts: Contacts
+    doubted: Bool[Array, ""]  # whether they left much of a slot of this stretch unexplained
+    ground: Int[Array, ""]  # of the last slot
+
+    def onwards(self, length: int) -> Int[Array, " L"]:
+        """The electrodes after the last ground, in order.
+
+        Where there is another contact it is found by grounds next to each other: three in
+        a row have to show it at one place. Grounds far from each other find half as many.
+        """
+        turn = jnp.arange(1, length + 1, dtype=self.ground.dtype)
+        return (self.ground + turn) % self.explored.shape[1]
+
+
+class Plan(NamedTuple):
+    """Ground conditions laid out, and how far they are through."""
+
+    policy: Int[Array, ""]  # which of the step's
+    grounds: Int[Array, " M"]
+    length: Int[Array, ""]
+    at: Int[Array, ""]
+    exploring: Bool[Array, ""]  # whether these are the corners
+    explored: Float[Array, "2 M"]
+    doubted: Bool[Array, ""]  # as in `Seen`
+    held: Int[Array, ""]  # slots that an earlier doubt still counts in
+
+
+class AbstractPolicy(eqx.Module):
+    """`explores`: whether each stretch begins with the two corner slots."""
+
+    explores: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def __call__(self, seen: Seen) -> Int[Array, " L"]:
+        """The next L ground conditions, L of 1 to M; compiled."""
+
+
+class Fixed(AbstractPolicy):
+    """The same ground conditions over and over."""
+
+    explores: ClassVar[bool] = False  # pyright: ignore
+    grounds: Int[Array, " L"]
+
+    def __call__(self, seen: Seen) -> Int[Array, " L"]:
+        return self.grounds
+
+
+class Adaptive(AbstractPolicy):
+    """The paper's: two corner slots, then *Around*, *CoP line* or *Point*."""
+
+    explores: ClassVar[bool] = True  # pyright: ignore
+    scan: AdaptiveScan
+
+    def __call__(self, seen: Seen) -> Int[Array, " L"]:
+        return self.scan(seen.explored)[0]
+
+
+class Lookup(AbstractPolicy):
+    """A table by place: L ground conditions for each; several contacts take turns.
+
+    Without a contact `idle` (L,) is grounded; one electrode after another where the
+    contacts do not explain what is measured, as there may be one more. `lam`, of designs
+    for images: the λ of each place, of σ₁²; a step has its own.
+    """
+
+    explores: ClassVar[bool] = False  # pyright: ignore
+    table: Int[Array, "nx ny L"]
+    idle: Int[Array, " L"]
+    size: Float[Array, "2"]
+    lam: Float[Array, "nx ny"] | None = None
+
+    def __call__(self, seen: Seen) -> Int[Array, " L"]:
+        contacts = seen.contacts
+        cells = jnp.asarray(self.table.shape[:2], self.size.dtype)
+        at = jnp.nan_to_num(contacts.xy) / self.size * cells
+        index = jnp.clip(at, 0, cells - 1).astype(int)
+        each = self.table[index[:, 0], index[:, 1]]  # (C, L)
+        length, count = each.shape[1], contacts.count.astype(int)
+        turn = jnp.arange(length)
+        some = jnp.maximum(count, 1)
+        # With n contacts each is given every nth of its own.
+        mixed = each[turn % some, turn]
+        onwards = seen.onwards(length).astype(mixed.dtype)
+        grounds = jnp.where(seen.doubted, onwards, mixed)
+        return jnp.where(count > 0, grounds, self.idle)
+
+
+class Information(AbstractPolicy):
+    """One slot at a time: the ground whose slot is expected to say most of the places.
+
+    The largest Σ_c ln|P_c⁻¹ + J_c(l)| over grounds l, P the covariance of a contact's
+    place and J(l) what a slot says of it, looked up by place. The next electrode where the
+    contacts do not explain what is measured, as of `Lookup`.
+    """
+
+    explores: ClassVar[bool] = False  # pyright: ignore
+    places: Float[Array, "K 2"]
+    information: Float[Array, "K M 3"]  # of a place: xx, yy, xy, 1/m²
+    idle: Int[Array, ""]  # grounded while there is no contact
+
+    def __call__(self, seen: Seen) -> Int[Array, " L"]:
+        contacts = seen.contacts
+        there = jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
+        xy = jnp.nan_to_num(contacts.xy)
+        away = ((self.places - xy[:, None]) ** 2).sum(-1)
+        a, b, c = jnp.moveaxis(self.information[jnp.argmin(away, 1)], -1, 0)  # (C, M)
+        unit = jnp.ones_like(contacts.covariance).at[:, 2].set(0) * 1e-6
+        spread = jnp.where(there[:, None], contacts.covariance, unit)
+        spread = jnp.where(jnp.isfinite(spread), spread, unit)
+        xx, yy, mixed = (s[:, None] for s in spread.T)
+        det = xx * yy - mixed**2
+        told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
+        best = jnp.argmax(jnp.where(there[:, None], told, 0).sum(0))
+        best = jnp.where(seen.doubted, seen.onwards(1)[0].astype(best.dtype), best)
+        return jnp.where(there.any(), best, self.idle)[None]
+
+
+def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
+    """The policy of that name: a pattern's, "around_contacts" or "information".
+
+    `follow`, of the sensor, is where "information" has its tables from; else not used.
+    """
+    require(name in POLICIES, "policy", repr(name), f"one of {', '.join(POLICIES)}")
+    if name in ADAPTIVE:
+        return Adaptive(AdaptiveScan(sensor, cast(AdaptivePattern, name)))
+    if name == "around_contacts":
+        table = around_table(sensor)
+        idle = jnp.resize(exploration(sensor), table.shape[-1:])
+        return Lookup(table, idle, sensor.size)
+    if name == "information":
+        told = _information(follow)
+        return Information(follow.candidates.place, told, exploration(sensor)[0])
+    return Fixed(pattern(sensor, name))
+
+
+def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
+    """*Around* a small contact anywhere: its grounds by place."""
+    parts = (np.arange(_PLACES) + 0.5) / _PLACES
+    grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
+    places = jnp.asarray(grid, sensor.dtype) * sensor.size
+    xy = sensor.electrode_xy
+    zero = jnp.zeros((), int)
+    direction = jnp.zeros((), sensor.dtype)
+
+    def one(place: Array) -> Array:
+        inside = jnp.zeros(len(xy), bool)
+        region = Region(zero, inside, place, place, direction, zero, zero)
+        return around(region, xy)
+
+    return jax.jit(jax.vmap(one))(places).reshape(_PLACES, _PLACES, -1)
+
+
+def _information(follow: Any) -> Float[Array, "K M 3"]:
+    """What a slot of each ground says of a usual contact's place, 1/m²."""
+    sheet, noise = follow.points.sheet, follow.noise
+    tangent, unit = follow.candidates.tangent, sheet.unit
+    # A current that makes a tenth of the drive, so that noise is the lesser part.
+    current = 0.1 * sheet.drive_voltage / sheet.sheet_resistance
+
+    def one(raw: Float[Array, "4 M"], ground: Array) -> Float[Array, "3"]:
+        columns = current * in_slot(sheet, raw[None], ground)[0]
+        weights = slot_weights(noise, columns[0], jnp.ones(len(columns[0]), bool))
+        gram = columns @ weighed(weights, columns).T
+        inner = solve_small(gram[:1, :1], gram[:1, 1:3])
+        normal = (gram[1:3, 1:3] - gram[1:3, :1] @ inner) / unit**2
+        return jnp.stack([normal[0, 0], normal[1, 1], normal[0, 1]])
+
+    grounds = jnp.arange(tangent.shape[-1])
+    every = jax.vmap(jax.vmap(one, (None, 0)), (0, None))
+    return jax.jit(every)(tangent, grounds)

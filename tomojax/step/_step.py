@@ -1,0 +1,290 @@
+"""The step of a robot: one slot in, contacts and the next ground out, compiled once."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax._require import require
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import Contacts, no_contacts
+from tomojax.methods import judge
+from tomojax.paper import exploration
+from tomojax.sensor import Calibration, Sensor
+from tomojax.step._methods import AbstractStepMethod
+from tomojax.step._packing import Packed, Packing
+from tomojax.step._policies import AbstractPolicy, Plan, Seen
+
+
+class Slot(NamedTuple):
+    """What came of one ground condition."""
+
+    voltages: Any  # (M,) V; NaN where a channel gave nothing
+    ground: Any  # the electrode that was grounded, whichever was asked for
+    lost: Any  # slots lost since the one before
+    hurried: Any  # bool: whether the cheaper method is to answer
+
+
+class Output(NamedTuple):
+    """What a step says."""
+
+    contacts: Contacts
+    residual: Float[Array, ""]  # V rms
+    flags: Int[Array, ""]  # bits of `Flag`
+    ground: Int[Array, ""]  # to be grounded next
+
+
+class Remembered(NamedTuple):
+    """All that a step remembers; outside, packed into two arrays."""
+
+    memory: Any
+    cheaper: Any
+    plan: Plan
+    last: Slot
+    used: Bool[Array, " M"]
+
+
+class Step:
+    """A method and a policy as one compiled function of a state and a slot.
+
+    `state` is where to begin: two arrays, to be saved and restored as such.
+    `step(state, voltages, ground)` gives the state after that slot and an `Output` in
+    NumPy's arrays. What comes is converted and checked for its shape; nothing else
+    of it can raise or compile anew: what is wrong with it is in the flags. `replay` is the
+    same under `lax.scan`, for slots that are there already; `image(state)` the image after
+    a slot, on request. Made by `make_step`.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        method: AbstractStepMethod,
+        cheaper: AbstractStepMethod | None,
+        policies: dict[str, AbstractPolicy],
+        good: Bool[np.ndarray, " M"],
+        highest: float,
+        calibration: Calibration,
+    ):
+        self.electrode_count = sensor.electrode_count
+        self.policies = tuple(policies)
+        self.dtype = np.dtype(sensor.dtype)
+        self._method, self._cheaper = method, cheaper
+        self._policies = tuple(policies.values())
+        self._corners = exploration(sensor).astype(jnp.int32)
+        self._good, self._highest = jnp.asarray(good), highest
+        zero, gain = calibration.offset, calibration.gain
+        self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
+        self.traces = 0
+        begun = self._begun()
+        self._packing = Packing(begun, self.dtype)
+        said = jax.eval_shape(self._run, begun, begun.last)[1]
+        self._said = Packing(said, self.dtype)
+        self.contact_count = len(said.contacts.radius)
+        self.state = jax.jit(self._packing.pack)(begun)
+        slot = self._slot(np.zeros(self.electrode_count), 0, 0, False)
+        self._compiled = jax.jit(self._counted).lower(self.state, *slot).compile()
+        self._image = jax.jit(self._drawn)
+        self._replay = jax.jit(self._replayed)
+
+    def __call__(
+        self,
+        state: Packed,
+        voltages: Any,
+        ground: Any,
+        lost: int | np.integer = 0,
+        hurried: bool = False,
+    ) -> tuple[Packed, Output]:
+        """The state after a slot, and what is said of it."""
+        slot = self._slot(voltages, ground, lost, hurried)
+        state, said = self._compiled(state, *slot)
+        return state, self._output(said)
+
+    def replay(
+        self, state: Packed, voltages: Any, grounds: Any, lost: Any = None
+    ) -> tuple[Packed, Output]:
+        """As many calls as there are rows in `voltages` (n, M); outputs have n rows."""
+        v = np.asarray(voltages, self.dtype)
+        fits = v.ndim == 2 and v.shape[1] == self.electrode_count
+        require(fits, "voltages", f"shape {v.shape}", f"(n, {self.electrode_count})")
+        g = np.asarray(grounds)
+        require(g.shape == (len(v),), "grounds", f"shape {g.shape}", f"({len(v)},)")
+        gone = np.zeros(len(v), np.int32) if lost is None else np.asarray(lost, np.int32)
+        require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
+        whole = np.stack([g.astype(np.int32), gone, np.zeros_like(gone)], 1)
+        state, said = self._replay(state, v, whole)
+        return state, self._output(said)
+
+    def image(self, state: Packed) -> Float[Array, "nx ny"]:
+        """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
+        return self._image(state)
+
+    def switch(self, state: Packed, policy: str) -> Packed:
+        """The state with another of the step's policies, from the next slot on."""
+        names = ", ".join(self.policies)
+        require(policy in self.policies, "policy", repr(policy), f"one of {names}")
+        remembered = self._packing.unpack(state)
+        number = jnp.asarray(self.policies.index(policy), jnp.int32)
+        plan = remembered.plan._replace(policy=number, length=jnp.zeros((), jnp.int32))
+        return self._packing.pack(remembered._replace(plan=plan))
+
+    def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> tuple:
+        v = np.asarray(voltages, self.dtype)
+        shape = (self.electrode_count,)
+        require(v.shape == shape, "voltages", f"shape {v.shape}", f"shape {shape}")
+        return v, np.array((ground, lost, hurried), np.int32)
+
+    def _output(self, said: Packed) -> Output:
+        numbers, whole = np.asarray(said.numbers), np.asarray(said.whole)
+        return self._said.unpack((numbers, whole))
+
+    def _begun(self) -> Remembered:
+        m = self.electrode_count
+        whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
+        volts = jnp.zeros(m, self.dtype)
+        corners = whole.at[:2].set(self._corners)
+        two = jnp.zeros((2, m), self.dtype)
+        no = jnp.array(False)
+        plan = Plan(none, corners, none + 2, none, jnp.array(True), two, no, none)
+        cheaper = () if self._cheaper is None else self._cheaper.first()
+        last = Slot(volts, none, none, jnp.array(False))
+        return Remembered(self._method.first(), cheaper, plan, last, whole > 0)
+
+    def _counted(self, state: Packed, volts: Array, whole: Array) -> tuple:
+        """`_packed` as one turn of a loop.
+
+        A loop that XLA takes for a small one becomes a single function; else each of some
+        hundred operations is a task of its own, of a third of a microsecond at least.
+        """
+        self.traces += 1
+        shapes = jax.eval_shape(self._packed, state, volts, whole)
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+        def turn(carry: tuple) -> tuple:
+            return jnp.array(False), self._packed(state, volts, whole)
+
+        once = whole[0] == whole[0]  # not known before
+        return lax.while_loop(lambda carry: carry[0], turn, (once, nothing))[1]
+
+    def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
+        slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
+        remembered, said = self._run(self._packing.unpack(state), slot)
+        return self._packing.pack(remembered), self._said.pack(said)
+
+    def _replayed(self, state: Packed, volts: Array, whole: Array) -> tuple:
+        return lax.scan(lambda s, slot: self._packed(s, *slot), state, (volts, whole))
+
+    def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
+        voltages, used, ok, flags = self._checked(slot)
+        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
+        ground = jnp.clip(slot.ground, 0, self.electrode_count - 1)
+        asked = voltages, used, ground, elapsed
+        memory, cheaper, told, late = self._told(state, slot, asked)
+        flags = flags | jnp.where(late, Flag.HURRIED.value, 0)
+        limit = self._method.residual_limit
+        contacts, residual, bits = told
+        contacts, bits = judge(contacts, residual, bits, voltages, limit)
+        bits = bits.astype(jnp.int32)
+        none = no_contacts(len(contacts.radius), voltages.dtype)
+
+        def kept(new: Any, old: Any) -> Any:
+            return jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
+
+        memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
+        contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
+        flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
+        high = (bits & Flag.HIGH_RESIDUAL.value) > 0
+        # Slots of a stretch see a hidden contact or not: what one has shown holds for all,
+        # and for longer where no contact can be added that would explain it.
+        doubted = state.plan.doubted | high
+        left = jnp.maximum(state.plan.held - ok.astype(jnp.int32), 0)
+        held = jnp.where(high, self.electrode_count // 2, left)
+        full = (contacts.count == len(contacts.radius)) & (held > 0)
+        flags = flags | jnp.where((doubted | full) & ok, Flag.HIGH_RESIDUAL.value, 0)
+        found = contacts, doubted, ground.astype(jnp.int32)
+        plan = self._planned(state.plan, slot, voltages, found, ok)._replace(held=held)
+        output = Output(
+            contacts,
+            jnp.where(ok, residual, jnp.nan),
+            flags,
+            plan.grounds[plan.at],
+        )
+        last = Slot(voltages, ground, slot.lost, slot.hurried)
+        return Remembered(memory, cheaper, plan, last, used & ok), output
+
+    def _checked(self, slot: Slot) -> tuple[Array, Array, Array, Array]:
+        """Voltages (0 where not used), channels used, whether there are enough, flags."""
+        finite = jnp.isfinite(slot.voltages)
+        size = jnp.abs(jnp.where(finite, slot.voltages, 0))
+        high = size > self._highest
+        used = self._good & finite & ~high
+        voltages = jnp.where(used, (slot.voltages - self._zero) / self._gain, 0)
+        known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
+        enough = 2 * used.sum() >= self._good.sum()
+        bits = (
+            ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
+            ((self._good & high).any(), Flag.SATURATED),
+            (~known, Flag.UNKNOWN_GROUND),
+            (slot.lost > 0, Flag.GAP),
+            (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
+        )
+        each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in bits]
+        return voltages, used, known & enough, jnp.stack(each).sum(dtype=jnp.int32)
+
+    def _told(self, state: Remembered, slot: Slot, asked: tuple) -> tuple:
+        if self._cheaper is None:
+            memory, told = self._method(state.memory, *asked)
+            return memory, (), told, jnp.array(False)
+        # The cheaper one goes along, so that it can answer at any time.
+        cheaper, quick = self._cheaper(state.cheaper, *asked)
+        memory, told = lax.cond(
+            slot.hurried,
+            lambda: (state.memory, quick),
+            lambda: self._method(state.memory, *asked),
+        )
+        return memory, cheaper, told, slot.hurried
+
+    def _planned(
+        self,
+        plan: Plan,
+        slot: Slot,
+        voltages: Array,
+        found: tuple[Contacts, Array, Array],
+        ok: Array,
+    ) -> Plan:
+        corner = (slot.ground == self._corners) & ok
+        explored = jnp.where(corner[:, None], voltages, plan.explored)
+        contacts, doubted, ground = found
+        seen = Seen(explored, contacts, doubted, ground)
+        at, m = plan.at + 1, self.electrode_count
+        corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
+
+        def laid(policy: AbstractPolicy) -> tuple:
+            grounds = policy(seen).astype(jnp.int32)
+            whole = jnp.zeros(m, jnp.int32).at[: len(grounds)].set(grounds)
+            return whole, jnp.array(len(grounds), jnp.int32), jnp.array(False)
+
+        def next_of(policy: AbstractPolicy) -> Any:
+            if not policy.explores:
+                return lambda: laid(policy)
+            explore = corners, jnp.array(2, jnp.int32), jnp.array(True)
+            return lambda: lax.cond(
+                plan.exploring & (plan.length > 0), lambda: laid(policy), lambda: explore
+            )
+
+        branches = [next_of(policy) for policy in self._policies]
+        same = lambda: (plan.grounds, plan.length, plan.exploring)  # noqa: E731
+        anew = lambda: lax.switch(plan.policy, branches)  # noqa: E731
+        over = at >= plan.length
+        grounds, length, exploring = lax.cond(over, anew, same)
+        at = jnp.where(over, 0, at)
+        still = doubted & ~over
+        return Plan(plan.policy, grounds, length, at, exploring, explored, still, plan.held)
+
+    def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
+        remembered = self._packing.unpack(state)
+        last = remembered.last
+        image = self._method.image(remembered.memory, last.voltages, last.ground)
+        return jnp.where(remembered.used.any(), image, jnp.nan)

@@ -1,0 +1,45 @@
+"""Tables of ground conditions by place, as files."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from tomojax._require import require
+from tomojax.sensor import Sensor
+from tomojax.step._policies import Lookup
+
+
+def save_policy(policy: Lookup, path: Path | str) -> None:
+    """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one."""
+    arrays = {name: getattr(policy, name) for name in ("table", "idle", "size", "lam")}
+    with open(path, "wb") as file:
+        given = {k: np.asarray(v) for k, v in arrays.items() if v is not None}
+        np.savez(file, **given)  # pyright: ignore
+
+
+def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
+    """What `save_policy` has written, for that `sensor`.
+
+    **Raises:** `ValueError` for a file that is none, or of another sensor.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            table, idle, size = file["table"], file["idle"], file["size"]
+            lam = file["lam"] if "lam" in file else None
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file") from None
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: no table of grounds ({error})") from None
+    fits = table.ndim == 3 and idle.shape == table.shape[2:] and table.size > 0
+    require(fits, f"{path}: table", f"shape {table.shape}", "(nx, ny, slots)")
+    m = sensor.electrode_count
+    known = 0 <= min(table.min(), idle.min()) and max(table.max(), idle.max()) < m
+    require(known, f"{path}: table", f"{table.min()} to {table.max()}", f"0 to {m - 1}")
+    same = size.shape == (2,) and np.allclose(size, np.asarray(sensor.size), rtol=1e-4)
+    require(same, f"{path}: size", size, f"{np.asarray(sensor.size)}")
+    fine = lam is None or (lam.shape == table.shape[:2] and (lam > 0).all())
+    require(fine, f"{path}: lam", "no λ for each place", "numbers above 0")
+    at = jnp.asarray(table, jnp.int32), jnp.asarray(idle, jnp.int32)
+    given = None if lam is None else jnp.asarray(lam, sensor.dtype)
+    return Lookup(*at, sensor.size, given)

@@ -1,0 +1,38 @@
+"""Speed against accuracy of every method, beside peers, on a rig that is not ours.
+
+The study uses the library as any caller would.
+"""
+
+from tomojax.studies.frontier._measure import Job as Job, repeated as repeated
+from tomojax.studies.frontier._peers import (
+    paper_jacobian as paper_jacobian,
+    peer_rows as peer_rows,
+)
+from tomojax.studies.frontier._rates import (
+    DAY as DAY,
+    day_rows as day_rows,
+    rate_rows as rate_rows,
+)
+from tomojax.studies.frontier._rows import (
+    method_rows as method_rows,
+    rows_of_steps as rows_of_steps,
+)
+from tomojax.studies.frontier._scenes import (
+    DOUBT as DOUBT,
+    FAR as FAR,
+    identity as identity,
+    KINDS as KINDS,
+    load_trials as load_trials,
+    make_trials as make_trials,
+    save_trials as save_trials,
+    score as score,
+    Trials as Trials,
+)
+from tomojax.studies.frontier._study import (
+    beside_peers as beside_peers,
+    jobs as jobs,
+    mark_front as mark_front,
+    measured as measured,
+    run as run,
+    same_run as same_run,
+)

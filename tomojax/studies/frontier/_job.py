@@ -1,0 +1,63 @@
+"""One job of `tomojax frontier`, in a process of its own: a method on one mesh and dtype.
+
+    python -m tomojax.studies.frontier._job SCENES.npz JOB
+
+Prints a JSON row for each pattern, rule for λ, kind of scene, batch size and output. The
+process's memory is the job's own, and what a crash takes with it is one job.
+"""
+
+import json
+import os
+import resource
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from tomojax.studies.frontier._measure import Job, kinds_of
+from tomojax.studies.frontier._peers import peer_rows
+from tomojax.studies.frontier._rates import day_rows, rate_rows
+from tomojax.studies.frontier._rows import follow_rows, method_rows
+from tomojax.studies.frontier._scenes import load_trials
+
+
+def peak_mb() -> float:
+    """The process's own peak: on Linux getrusage may carry the parent's over."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+
+def main() -> None:
+    path = Path(sys.argv[1])
+    words: dict[str, Any] = json.loads(sys.argv[2])
+    told: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in words.items()
+    }
+    job = Job(**told)
+    if job.threads:  # before JAX makes its threads
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
+    sensor, trials = load_trials(path, job.dtype)
+    if job.most:
+        trials = trials.of(np.concatenate([at[: job.most] for _, at in kinds_of(trials)]))
+    if job.method == "follow":
+        rows = follow_rows(job, sensor, trials)
+    elif job.method == "peers":
+        rows = peer_rows(job, sensor, trials)
+    elif job.method in ("rates", "day"):
+        kinds = {"rates": rate_rows, "day": day_rows}
+        rows = kinds[job.method](job, sensor, trials)
+    else:
+        rows = method_rows(job, sensor, trials)
+    made = list(rows)
+    common = {"dtype": job.dtype, "device": str(jax.devices()[0].device_kind)}
+    for row in made:
+        print(json.dumps({**common, "peer": False, **row, "memory_mb": peak_mb()}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,256 @@
+"""Scenes with truth for `tomojax frontier`, from a resistor network, and their scores."""
+
+import hashlib
+from collections.abc import Callable
+from itertools import permutations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax.kernels.flags import Flag
+from tomojax.methods import Rows
+from tomojax.sensor import Sensor
+from tomojax.studies.network import Contact, Network
+
+KINDS = ("one", "two", "three", "bar", "large")
+
+# Scenes of a rig: then another sheet, other electrodes, gains and zeros.
+_SCENES_OF_A_RIG = 10
+
+# Of a sensor, what its file tells.
+_TOLD = (
+    "size",
+    "electrode_xy",
+    "electrode_diameter",
+    "sheet_resistance",
+    "ground_resistance",
+    "drive_voltage",
+)
+
+# Contacts at most; cells along a side of the true images; the paper's sheet, m.
+_MOST, _FINE, _SIDE = 3, 64, 0.16
+
+# A place that is further off is of something that is not there, mm; of two contacts, both
+# are found within this part of their distance.
+FAR, APART = 20.0, 1 / 3
+
+# Any of these says that a row is not to be trusted as it stands.
+DOUBT = sum(
+    flag.value
+    for flag in (
+        Flag.HIGH_RESIDUAL,
+        Flag.CONTACTS_UNEXPLAINED,
+        Flag.PLACE_UNCERTAIN,
+        Flag.BAD_LAMBDA,
+        Flag.SATURATED,
+        Flag.SOLVE_FAILED,
+        Flag.NO_DATA,
+        Flag.NO_CONTACT,
+    )
+)
+
+
+class Trials(NamedTuple):
+    """n scenes as measured, and what was there."""
+
+    kind: np.ndarray  # (n,) names
+    volts: Float[np.ndarray, "n M M"]  # V, of every ground
+    xy: Float[np.ndarray, "n C 2"]  # m; NaN beyond the contacts, strongest first
+    conductance: Float[np.ndarray, "n C"]  # S
+    image: Float[np.ndarray, "n nx ny"]  # S per cell
+
+    def of(self, chosen: np.ndarray) -> "Trials":
+        """Some of them."""
+        return Trials(*(values[chosen] for values in self))
+
+
+def make_trials(
+    sensor: Sensor,
+    count: int,
+    seed: int = 0,
+    progress: Callable[[], Any] = lambda: None,
+) -> Trials:
+    """`count` scenes of each kind: one, two or three contacts, a bar, a large one.
+
+    Sizes and conductances vary by decades; every ten scenes are of another rig.
+    """
+    rng = np.random.default_rng(seed)
+    made: list[tuple] = []
+    rig = Network(sensor, rng)
+    for kind in KINDS:
+        for k in range(count):
+            if k % _SCENES_OF_A_RIG == 0:
+                rig = Network(sensor, rng)
+            contacts = sorted(_contacts(kind, rig, rng), key=lambda c: -c[1])
+            exact, truth = rig.scene(*contacts)
+            xy, total = np.full((_MOST, 2), np.nan), np.full(_MOST, np.nan)
+            for row, (place, conductance) in enumerate(truth):
+                xy[row], total[row] = place, conductance
+            made.append((kind, rig.measure(exact), xy, total, _image(rig, contacts)))
+            progress()
+    told: list = [np.array(values) for values in zip(*made)]
+    return Trials(*told)
+
+
+def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact]:
+    high = rig.cells.max(0)
+    unit = high.min() / _SIDE
+
+    def somewhere(margin: float) -> np.ndarray:
+        return rng.uniform(margin * unit, high - margin * unit)
+
+    if kind == "one":
+        radius = rng.uniform(0.003, 0.012)
+        inside = rig.disc(somewhere(radius + 1e-3), radius * unit)
+        return [(inside, 10 ** rng.uniform(-5.5, -2.5))]
+    if kind == "bar":
+        length, width = unit * rng.uniform([0.065, 0.008], [0.085, 0.012])
+        inside = rig.bar(somewhere(0.055), length, width, rng.uniform(0, np.pi))
+        return [(inside, 10 ** rng.uniform(-3.5, 0.5))]
+    if kind == "large":
+        inside = rig.disc(somewhere(0.05), unit * rng.uniform(0.025, 0.04))
+        return [(inside, 10 ** rng.uniform(-3.5, -2))]
+    if kind == "two":
+        angle, apart = rng.uniform(0, np.pi), unit * rng.uniform(0.015, 0.04)
+        half = apart / 2 * np.array([np.cos(angle), np.sin(angle)])
+        middle = somewhere(0.035)
+        places, largest = [middle + half, middle - half], 0.42 * apart / unit
+    else:
+        places, largest = _spread(lambda: somewhere(0.015), 0.03 * unit), 0.008
+    radii = rng.uniform(0.003, min(0.008, largest), len(places))
+    totals = 10 ** rng.uniform(-5, -3.3) * 10 ** -rng.uniform(0, 1, len(places))
+    return [(rig.disc(p, r * unit), float(g)) for p, r, g in zip(places, radii, totals)]
+
+
+def _spread(draw: Callable[[], np.ndarray], least: float) -> list[np.ndarray]:
+    """Three places that are so far from each other."""
+    places: list[np.ndarray] = []
+    while len(places) < 3:
+        new = draw()
+        if all(np.hypot(*(new - place)) > least for place in places):
+            places.append(new)
+    return places
+
+
+def _image(rig: Network, contacts: list[Contact]) -> Float[np.ndarray, "nx ny"]:
+    """Conductance on coarse cells, S."""
+    size = rig.cells.max(0) + rig.cells.min(0)
+    index = np.minimum((rig.cells / size * _FINE).astype(int), _FINE - 1)
+    image = np.zeros((_FINE, _FINE))
+    for inside, total in contacts:
+        np.add.at(image, tuple(index[inside].T), total / inside.sum())
+    return image
+
+
+def identity(sensor: Sensor) -> str:
+    """Of what a run's scenes are made for."""
+    arrays = (np.asarray(getattr(sensor, name), np.float32) for name in _TOLD)
+    return hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()[:16]
+
+
+def save_trials(path: Path, sensor: Sensor, trials: Trials) -> None:
+    """With what a process of its own needs to make the sensor again."""
+    told = {name: np.asarray(getattr(sensor, name)) for name in _TOLD}
+    np.savez_compressed(path, allow_pickle=False, **told, **trials._asdict())
+
+
+def load_trials(path: Path, dtype: str) -> tuple[Sensor, Trials]:
+    """As `save_trials` left them; the sensor on 64 cells along its longer side."""
+    with np.load(path) as file:
+        told = {name: file[name] for name in _TOLD}
+        trials = Trials(*(file[name] for name in Trials._fields))
+    size = told["size"]
+    cells = np.ceil(64 * size / size.max()).astype(int)
+    divisions = int(cells[0]), int(cells[1])
+    return Sensor(**told, divisions=divisions, dtype=dtype), trials
+
+
+def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
+    """Of trials of one kind: figures of places, counts, images, conductance and flags.
+
+    A scene's place error is that of its worst contact, each to the nearest that was found
+    (of a bar and of something large: of the mean of what was found, by current); one in
+    which nothing was found counts as infinite.
+    """
+    kind = str(trials.kind[0])
+    errors = 1e3 * np.array([_error(kind, rows, k, trials) for k in range(len(trials.xy))])
+    true_count = np.isfinite(trials.conductance).sum(1)
+    doubted = (rows.flags & DOUBT) > 0
+    found = {
+        "place_median_mm": _finite(np.median(errors)),
+        "place_p90_mm": _finite(np.sort(errors)[int(np.ceil(0.9 * len(errors))) - 1]),
+        "count_right": float(np.mean(rows.contact_count == true_count)),
+        "doubted": float(doubted.mean()),
+        "far_undoubted": int(((errors > FAR) & ~doubted).sum()),
+        "far": int((errors > FAR).sum()),
+        "scenes": len(errors),
+    }
+    if kind == "two":
+        apart = [_told_apart(rows, k, trials) for k in range(len(errors))]
+        found["told_apart"] = float(np.mean(apart))
+    if kind == "one":
+        off = np.abs(rows.contact_conductance[:, 0] / trials.conductance[:, 0] - 1)
+        found["conductance_error"] = _finite(np.median(off))
+    return found | _image_figures(kind, rows, trials, size)
+
+
+def _error(kind: str, rows: Rows, k: int, trials: Trials) -> float:
+    count = int(rows.contact_count[k])
+    places = trials.xy[k][np.isfinite(trials.conductance[k])]
+    if not count:
+        return np.inf
+    found = rows.contact_xy[k, :count]
+    if kind in ("bar", "large"):
+        weight = np.nan_to_num(np.maximum(rows.contact_current[k, :count], 0)) + 1e-30
+        found = (weight[:, None] * found).sum(0, keepdims=True) / weight.sum()
+    ways = np.sqrt(((found[:, None] - places) ** 2).sum(-1))
+    return float(ways.min(0).max())
+
+
+def _told_apart(rows: Rows, k: int, trials: Trials) -> bool:
+    """Two, each near one of the true ones."""
+    if int(rows.contact_count[k]) != 2:
+        return False
+    places = trials.xy[k, :2]
+    limit = APART * np.hypot(*(places[0] - places[1]))
+    found = rows.contact_xy[k, :2]
+    ways = (np.hypot(*(found[list(p)] - places).T).max() for p in permutations(range(2)))
+    return bool(min(ways) < limit)
+
+
+def _image_figures(kind: str, rows: Rows, trials: Trials, size: np.ndarray) -> dict:
+    """Width at half the maximum (of single contacts), and the image's error, medians."""
+    if rows.image is None:
+        return {}
+    images = np.nan_to_num(rows.image.astype(float))
+    n, (nx, ny) = len(images), images.shape[1:]
+    truth = trials.image
+    if _FINE % nx == 0 and _FINE % ny == 0:
+        truth = truth.reshape(n, nx, _FINE // nx, ny, _FINE // ny).sum((2, 4))
+    elif (nx, ny) != truth.shape[1:]:
+        across = [_overlaps(_FINE, m) for m in (nx, ny)]
+        truth = np.einsum("nxy,xi,yj->nij", truth, *across, optimize=True)
+    dot = (images * truth).sum((1, 2))
+    norms = (images**2).sum((1, 2)) * (truth**2).sum((1, 2)) + 1e-300
+    error = np.sqrt(np.maximum(1 - np.where(dot > 0, dot**2 / norms, 0), 0))
+    figures = {"image_error": float(np.median(error))}
+    if kind == "one":
+        above = images >= images.max((1, 2), keepdims=True) / 2
+        area = above.mean((1, 2)) * float(np.prod(size))
+        figures["width_mm"] = float(np.median(2e3 * np.sqrt(area / np.pi)))
+    return figures
+
+
+def _overlaps(fine: int, coarse: int) -> Float[np.ndarray, "fine coarse"]:
+    """Which part of each of `fine` cells lies in each of `coarse` ones."""
+    low, high = np.arange(fine) / fine, (np.arange(fine) + 1) / fine
+    start, end = np.arange(coarse) / coarse, (np.arange(coarse) + 1) / coarse
+    shared = np.minimum(high[:, None], end) - np.maximum(low[:, None], start)
+    return np.maximum(shared, 0) * fine
+
+
+def _finite(value: Any) -> float | None:
+    """JSON has no infinity."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,200 @@
+"""`tomojax frontier`: speed against accuracy of every method, on this machine.
+
+A scene's voltages are a resistor network's, with the errors of a rig; what reconstructs
+is told nominal values. Each method, mesh and dtype is a job in a process of its own; rows
+are kept as they come, so that a run that was cut off goes on where it was.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from tomojax.design import design, design_objective, design_places
+from tomojax.paper import PATTERNS
+from tomojax.sensor import Sensor
+from tomojax.studies.frontier._measure import Job
+from tomojax.studies.frontier._scenes import (
+    identity,
+    KINDS,
+    load_trials,
+    make_trials,
+    save_trials,
+)
+
+# Scenes of each kind.
+SCENES, QUICK_SCENES = 20, 6
+
+_RULES = ("own", "cautious", "gcv", "discrepancy", "l_curve")
+
+
+def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
+    """What is measured. All that only `linear` has a choice of is swept with `linear`."""
+    if quick:
+        return [
+            Job("linear", ("around",), batches=(256,)),
+            Job("source", ("corner",), batches=(256,)),
+            Job("source", ("corner",), batches=(256,), pixels=16),
+            Job("follow", ("around_contacts",)),
+            Job("peers", ("edge",), batches=(256,), dtype="float64"),
+        ]
+    batches, own = (1, 32, 256, 1024), ("own",)
+    every = ("corner", "corners", "ten", *PATTERNS, "designed")
+    few = ("corners", "around", "all")
+    rated, counts = ("corner", "edge"), tuple(4**k for k in range(7))
+    return [
+        Job("linear", every, own, batches, designed=designed),
+        Job("linear", ("around", "all"), _RULES[1:], (256,)),
+        Job("linear", ("around", "all"), own, (1, 256), dtype="float64"),
+        *(Job("linear", ("around", "all"), own, (256,), pixels) for pixels in (16, 64)),
+        Job("source", every, own, batches, designed=designed),
+        Job("source", few, own, (1, 256), dtype="float64"),
+        Job("source", ("corner", *few), own, (256, 1024), 16),
+        Job("source", few, own, (256,), 64),
+        Job("positive", few, own, (1, 256)),
+        # Slow ones, on some of the scenes: a conductance image takes a second.
+        Job("points", ("corner", "corners", "all"), own, (64,)),
+        Job("points", ("corners",), own, (64,), dtype="float64"),
+        Job("conductance", ("corners", "all"), own, (2,), most=6),
+        Job("auto", ("corners", "all"), own, (32,), most=10),
+        Job("follow", ("around_contacts", "around", "all")),
+        Job("peers", ("all", "boundary", "edge", "around"), own, (1, 256), dtype="float64"),
+        *(Job("rates", rated, own, counts, pixels) for pixels in (16, 32, 64)),
+        Job("rates", rated, own, counts, threads=1),
+        Job("day", ("corners", "ten")),
+    ]
+
+
+def run(
+    sensor: Sensor,
+    folder: Path,
+    quick: bool = False,
+    scenes: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str], Any] = lambda done: None,
+) -> list[dict[str, Any]]:
+    """Rows of all jobs; what `folder` has of the same run already is not done again.
+
+    **Raises:** `ValueError` where `folder` holds a run with other scenes or of another
+    sensor.
+    """
+    count = scenes or (QUICK_SCENES if quick else SCENES)
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {"scenes": count, "seed": seed, "quick": quick, "sensor": identity(sensor)}
+    same_run(folder / "frontier-run.json", told)
+    path = folder / "frontier-scenes.npz"
+    if not path.exists():
+        new = path.with_name("new-scenes.npz")
+        save_trials(new, sensor, make_trials(sensor, count, seed))
+        new.rename(path)
+    progress("scenes")
+    done, rows = _kept(folder / "frontier-rows.jsonl")
+    for job in jobs(quick, () if quick else _designed(path)):
+        key = json.dumps(job._asdict())
+        if key not in done:
+            begin = time.perf_counter()
+            made = measured(path, job)
+            rows += made
+            if not made[0].get("failed"):  # what failed is tried again the next time
+                with (folder / "frontier-rows.jsonl").open("a") as file:
+                    spent = time.perf_counter() - begin
+                    kept = {"job": key, "seconds": spent, "rows": made}
+                    file.write(json.dumps(kept) + "\n")
+        progress(job.method)
+    return rows
+
+
+def same_run(path: Path, told: dict[str, Any]) -> None:
+    """Of what a folder was begun with, kept in `path`.
+
+    **Raises:** `ValueError` where that was something else.
+    """
+    if not path.exists():
+        new = path.with_suffix(".new")
+        new.write_text(json.dumps(told) + "\n")
+        new.rename(path)
+        return
+    was = json.loads(path.read_text())
+    other = ", ".join(name for name in told if told[name] != was.get(name))
+    if other:
+        raise ValueError(
+            f"{path.parent}: got a run with another {other}, expected the one that was "
+            "begun there, or another folder"
+        )
+
+
+def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
+    """Jobs that are done, and their rows; a line that was cut off does not count."""
+    done, rows = set(), []
+    text = path.read_text() if path.exists() else ""
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole)
+    for line in whole.splitlines():
+        kept = json.loads(line)
+        done.add(kept["job"])
+        rows += kept["rows"]
+    return done, rows
+
+
+def _designed(path: Path) -> tuple[int, ...]:
+    """Eight grounds for the whole sheet, by their place error."""
+    with jax.enable_x64(True):
+        sensor, _ = load_trials(path, "float64")
+        places = design_places(sensor)
+        found = design(design_objective(sensor, places, "points", "place"), 8)
+    return tuple(int(g) for g in found.grounds)
+
+
+def measured(path: Path, job: Job) -> list[dict[str, Any]]:
+    """Its rows; of a job that fails one that says so."""
+    words = [sys.executable, "-m", "tomojax.studies.frontier._job", str(path)]
+    command = [*words, json.dumps(job._asdict())]
+    wide = "1" if job.dtype == "float64" else "0"
+    settings = {**os.environ, "JAX_ENABLE_X64": wide}
+    out = subprocess.run(command, capture_output=True, text=True, env=settings)
+    if out.returncode:
+        why = (out.stderr.strip().splitlines() or ["killed"])[-1]
+        return [{**job._asdict(), "scene": None, "failed": why}]
+    return [json.loads(line) for line in out.stdout.splitlines() if line.startswith("{")]
+
+
+def mark_front(rows: list[dict[str, Any]]) -> None:
+    """`on_front`: of its kind of scene none is both quicker a frame and nearer the place.
+
+    The peers do not take part: the front is ours, and they are where they are.
+    """
+    for row in rows:
+        row["on_front"] = False
+    for kind in KINDS:
+        some = [r for r in rows if r["scene"] == kind and not r["peer"]]
+        some = [r for r in some if r["place_median_mm"] is not None]
+        best = np.inf
+        for row in sorted(some, key=lambda r: (r["p50_us"], r["place_median_mm"])):
+            if row["place_median_mm"] < best:
+                row["on_front"], best = True, row["place_median_mm"]
+
+
+def beside_peers(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """For each row of a peer: ours that is no further off and quickest, and the one that
+    is no slower and nearest."""
+    for peer in (r for r in rows if r["peer"] and r["place_median_mm"] is not None):
+        ours = [r for r in rows if r["scene"] == peer["scene"] and not r["peer"]]
+        ours = [r for r in ours if r["place_median_mm"] is not None]
+        near = [r for r in ours if r["place_median_mm"] <= peer["place_median_mm"]]
+        fast = [r for r in ours if r["p50_us"] <= peer["p50_us"]]
+        quickest = min(near, key=lambda r: r["p50_us"], default=None)
+        nearest = min(fast, key=lambda r: r["place_median_mm"], default=None)
+        yield {
+            "peer": peer,
+            "times_as_fast": quickest and peer["p50_us"] / quickest["p50_us"],
+            "quickest": quickest,
+            "nearest": nearest,
+        }

@@ -1,0 +1,224 @@
+"""What `tomojax frontier` prints and draws."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tomojax.studies.frontier._scenes import KINDS
+from tomojax.studies.frontier._study import beside_peers
+
+COLOURS = {
+    "linear": "C3",
+    "source": "C1",
+    "positive": "C4",
+    "points": "C0",
+    "conductance": "C2",
+    "auto": "C5",
+    "follow": "C9",
+}
+_PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D"}
+_RUNGS = ("nothing", "points", "source", "conductance")
+WORDS = {
+    "one": "one contact",
+    "two": "two, 15 to 40 mm apart",
+    "three": "three contacts",
+    "bar": "a bar of 75 mm",
+    "large": "a disc of 50 to 80 mm",
+}
+
+
+def text(rows: list[dict[str, Any]]) -> str:
+    """The front of each kind of scene, slowest first, and the peers beside it."""
+    lines = [
+        "        method       pattern   slots λ        pixels dtype     batch "
+        "  µs a frame (99 %)  place, mm (90 %)  width"
+    ]
+    for kind in KINDS:
+        some = [r for r in rows if r["scene"] == kind and (r["on_front"] or r["peer"])]
+        lines.append(f"{WORDS[kind]}:")
+        for row in sorted(some, key=lambda r: (r["peer"], -r["p50_us"])):
+            lines.append(_line(row))
+    found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
+    if found:
+        faster = [f["times_as_fast"] for f in found if f["times_as_fast"]]
+        worse = sum(f["nearest"] is None or not _no_further(f) for f in found)
+        lines.append(
+            f"of one contact, ours reaches the accuracy of {len(faster)} of the peers' "
+            f"{len(found)} rows, {min(faster, default=0):.1f} times as fast or more; of "
+            f"their speeds {worse} have none of ours that is no further off"
+        )
+    return "\n".join(lines)
+
+
+def _no_further(found: dict[str, Any]) -> bool:
+    return found["nearest"]["place_median_mm"] <= found["peer"]["place_median_mm"]
+
+
+def _line(row: dict[str, Any]) -> str:
+    median, p90 = (_mm(row[key]) for key in ("place_median_mm", "place_p90_mm"))
+    width = f"{row['width_mm']:5.1f}" if row.get("width_mm") else "    -"
+    rule = row["lam_rule"].split(" ")[0]
+    return (
+        f"  {'peer  ' if row['peer'] else '      '}{row['method'][:12]:12s} "
+        f"{row['pattern']:10s} {row['slots']:4d} {rule:9s} {row['pixels']:5d} "
+        f"{row['dtype']:9s} {row['batch']:5d} {row['p50_us']:10.1f} ({row['p99_us']:.0f})"
+        f"   {median:>8s} ({p90})  {width}"
+    )
+
+
+def _mm(value: float | None) -> str:
+    return "lost" if value is None else f"{value:.2f}"
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How far from the peers, and what it cost to compile."""
+    found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
+    return {
+        "place": "of a scene's worst contact, to the nearest that was found",
+        "front": "of its kind of scene none is both quicker a frame and nearer the place",
+        "peers": [
+            {
+                "peer": f["peer"]["method"],
+                "pattern": f["peer"]["pattern"],
+                "batch": f["peer"]["batch"],
+                "times_as_fast_at_its_accuracy": f["times_as_fast"],
+                "place_mm": f["peer"]["place_median_mm"],
+                "place_at_its_speed_mm": f["nearest"] and f["nearest"]["place_median_mm"],
+            }
+            for f in found
+        ],
+        "failed": [r for r in rows if r.get("failed")],
+    }
+
+
+def chart(rows: list[dict[str, Any]]) -> Any:
+    """A panel for each kind of scene: time of a frame against place error."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 9), layout="constrained")
+    panels = figure.subplots(2, 3).ravel()
+    for axes, kind in zip(panels, KINDS):
+        some = [r for r in rows if r["scene"] == kind and r["place_median_mm"] is not None]
+        for row in some:
+            size = 12 + 18 * np.log2(row["slots"]) if row["slots"] > 1 else 12
+            if row["peer"]:
+                style = {"marker": _PEERS[row["method"]], "facecolors": "none"}
+                axes.scatter(
+                    row["p50_us"], row["place_median_mm"], s=size, edgecolors="k", **style
+                )
+            else:
+                colour = COLOURS[row["method"]]
+                axes.scatter(
+                    row["p50_us"], row["place_median_mm"], s=size, color=colour, alpha=0.5,
+                    linewidths=0,
+                )  # fmt: skip
+        front = sorted((r["p50_us"], r["place_median_mm"]) for r in some if r["on_front"])
+        if front:
+            axes.step(*zip(*front), where="post", color="k", lw=1)
+        axes.set(xscale="log", yscale="log", title=WORDS[kind])
+        axes.set(xlabel="µs a frame (median)", ylabel="place error, mm (median)")
+        axes.grid(alpha=0.3)
+    legend = panels[-1]
+    for method, colour in COLOURS.items():
+        legend.scatter([], [], color=colour, alpha=0.5, linewidths=0, label=method)
+    for peer, marker in _PEERS.items():
+        legend.scatter([], [], marker=marker, facecolors="none", edgecolors="k", label=peer)
+    for slots in (1, 8, 64):
+        size = 12 + 18 * np.log2(slots)
+        legend.scatter([], [], s=size, color="0.6", label=f"{slots} slots")
+    legend.plot([], [], "k", lw=1, label="the front (ours)")
+    legend.legend(loc="center", fontsize=10, ncols=2, frameon=False)
+    legend.set_axis_off()
+    return figure
+
+
+def rungs(rows: list[dict[str, Any]]) -> Any:
+    """Which rung each kind of scene needs: error, doubt, time, and what `auto` took."""
+    from matplotlib.figure import Figure
+
+    models = ("linear", "source", "points", "conductance", "auto")
+    patterns = [p for p in ("corners", "all") if any(r["pattern"] == p for r in rows)]
+    figure = Figure(figsize=(13, 3.6 * len(patterns) + 0.6), layout="constrained")
+    panels = figure.subplots(len(patterns), 3, squeeze=False)
+    for line, pattern in zip(panels, patterns):
+        chosen = {}
+        for row in rows:
+            usual = row["pattern"] == pattern and row["lam_rule"] == "own"
+            if usual and row["pixels"] == 32 and row["dtype"] == "float32":
+                chosen.setdefault((row["method"], row["scene"]), row)
+        x = np.arange(len(KINDS))
+        for k, model in enumerate(models):
+            some = [chosen.get((model, kind), {}) for kind in KINDS]
+            at, label = x + 0.16 * (k - 2), model
+            errors = [row.get("place_median_mm") or np.nan for row in some]
+            line[0].bar(at, errors, 0.16, color=COLOURS[model], label=label)
+            doubt = [100 * row.get("doubted", np.nan) for row in some]
+            line[1].bar(at, doubt, 0.16, color=COLOURS[model], label=label)
+        line[0].set(yscale="log", ylabel="place error, mm (median)")
+        line[1].set(ylabel="% of scenes flagged", ylim=(0, 100))
+        bottom = np.zeros(len(KINDS))
+        for k, rung in enumerate(_RUNGS):
+            shares = [chosen.get(("auto", kind), {}).get("rungs") for kind in KINDS]
+            part = np.array([100 * s[k] / sum(s) if s else 0 for s in shares])
+            colour = COLOURS.get(rung, "0.8")
+            line[2].bar(x, part, 0.7, bottom=bottom, color=colour, label=rung)
+            bottom += part
+        line[2].set(ylabel="% of scenes: what auto took", ylim=(0, 100))
+        for axes in line:
+            axes.set_xticks(x, KINDS)
+        line[0].set_title(f"{pattern} ({2 if pattern == 'corners' else 'every ground'})")
+    panels[0, 0].legend(fontsize=8)
+    panels[0, 2].legend(fontsize=8, loc="lower left")
+    return figure
+
+
+def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Iterator[str]:
+    """Images a second beside the machine's bound, and a day of frames."""
+    sets = {(r["method"], r["slots"], r["pixels"], r["threads"]) for r in rates}
+    for method, slots, pixels, threads in sorted(sets):
+        some = [
+            r
+            for r in rates
+            if (r["method"], r["slots"], r["pixels"], r["threads"])
+            == (method, slots, pixels, threads)
+        ]
+        best = max(some, key=lambda r: r["frames_per_s"])
+        yield (
+            f"images, {method}, slots {slots}, {pixels} x {pixels}, threads {threads}: "
+            f"{best['frames_per_s']:.3g}/s from a batch of {best['batch']}, "
+            f"{100 * best['part_of_bound']:.0f} % of the bound ({best['bound']})"
+            + (f", {best['error']:.0e} from float64" if "error" in best else "")
+        )
+    for row in day:
+        yield (
+            f"a day of frames, {row['method']}, {row['slots']} slots: "
+            f"{row['mean_us']:.0f} µs a frame; rungs {row['rungs']}"
+        )
+
+
+def rate_chart(rates: list[dict[str, Any]]) -> Any:
+    """Images a second against the batch; dashed, what the machine could do."""
+    from matplotlib.figure import Figure
+
+    panels = sorted({(r["pixels"], r["threads"]) for r in rates})
+    figure = Figure(figsize=(4.2 * len(panels), 4.5), layout="constrained")
+    for axes, (pixels, threads) in zip(
+        figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels
+    ):
+        some = [r for r in rates if (r["pixels"], r["threads"]) == (pixels, threads)]
+        for k, (method, slots) in enumerate(
+            sorted({(r["method"], r["slots"]) for r in some})
+        ):
+            mine = [r for r in some if (r["method"], r["slots"]) == (method, slots)]
+            x = [r["batch"] for r in mine]
+            label = f"{method}, {slots} slot{'s' * (slots > 1)}"
+            axes.loglog(x, [r["frames_per_s"] for r in mine], "-o", color=f"C{k}",
+                        ms=4, label=label)  # fmt: skip
+            axes.loglog(x, [r["bound_frames_per_s"] for r in mine], "--", color=f"C{k}")
+        axes.set_title(f"{pixels} x {pixels} pixels, threads: {threads}")
+        axes.set_xlabel("frames in a call")
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("images/s; dashed: the machine's bound")
+    figure.axes[0].legend(fontsize=8)
+    return figure

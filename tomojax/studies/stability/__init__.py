@@ -1,0 +1,33 @@
+"""Where each method fails, and what its flags say then, on a rig that is not ours.
+
+The study uses the library as any caller would.
+"""
+
+from tomojax.studies.stability._numbers import (
+    _centres as _centres,
+    gradient_rows as gradient_rows,
+    pipeline as pipeline,
+    random_points as random_points,
+    RANGES as RANGES,
+    small as small,
+    solver_rows as solver_rows,
+    symmetric_points as symmetric_points,
+)
+from tomojax.studies.stability._scenes import Bench as Bench
+from tomojax.studies.stability._starts import (
+    resistance_rows as resistance_rows,
+    start_rows as start_rows,
+)
+from tomojax.studies.stability._study import (
+    CONTACTS as CONTACTS,
+    FLAGGED as FLAGGED,
+    HOLDS as HOLDS,
+    limits as limits,
+    numbers as numbers,
+    run as run,
+    SLOW_TESTS as SLOW_TESTS,
+    SWEEPS as SWEEPS,
+    takes_part as takes_part,
+    Trial as Trial,
+    trial_row as trial_row,
+)

@@ -1,0 +1,156 @@
+"""What goes wrong between a scene and its reconstruction: noise, faults, wrong values.
+
+Sweeps of `tomojax stability` over the lone contacts of a bench: their voltages are spoilt,
+or the reconstruction is told something that is not so.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from tomojax.studies.stability._scenes import Bench, Scenes, Sweep
+
+
+def _spoilt(change: Callable[[Bench, np.ndarray, float], np.ndarray]):
+    """A sweep's `make` of what is done to voltages (n, M, M)."""
+
+    def make(bench: Bench, value: float) -> Scenes:
+        volts, xy = bench.lone
+        return Scenes(change(bench, volts.copy(), value), xy)
+
+    return make
+
+
+@_spoilt
+def _white(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    return volts + value * bench.rng().normal(size=volts.shape)
+
+
+@_spoilt
+def _gain(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    return volts * (1 + value * bench.rng().normal(size=volts.shape[-1]))
+
+
+@_spoilt
+def _common(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """An offset that all channels of a slot share."""
+    return volts + value * bench.rng().normal(size=(*volts.shape[:2], 1))
+
+
+@_spoilt
+def _impulses(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    rng = bench.rng()
+    hit = rng.random(volts.shape) < value
+    drive = float(bench.sensor.drive_voltage)
+    return np.where(hit, rng.uniform(-drive, drive, volts.shape), volts)
+
+
+def _channels(bench: Bench, value: float) -> np.ndarray:
+    return bench.rng().permutation(len(bench.electrodes))[: int(value)]
+
+
+@_spoilt
+def _dead(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """Channels that read 0, and nobody says so."""
+    volts[:, :, _channels(bench, value)] = 0
+    return volts
+
+
+@_spoilt
+def _missing(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """Channels that are known to say nothing: NaN."""
+    volts[:, :, _channels(bench, value)] = np.nan
+    return volts
+
+
+@_spoilt
+def _swapped(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """So many channels are plugged in a circle."""
+    chosen = _channels(bench, value)
+    volts[:, :, chosen] = volts[:, :, np.roll(chosen, 1)]
+    return volts
+
+
+@_spoilt
+def _wrong_ground(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """For the first corner, the electrode so many on was grounded."""
+    first = bench.corners[0]
+    volts[:, first] = volts[:, (first + int(value)) % len(bench.electrodes)]
+    return volts
+
+
+@_spoilt
+def _late(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """The ground is switched when so many channels are read already."""
+    first, second = bench.corners[:2]
+    before = np.full(len(bench.electrodes), first)
+    before[first] = second
+    count = int(value)
+    old = volts.copy()
+    volts[:, :, :count] = old[:, before, :count]
+    return volts
+
+
+@_spoilt
+def _saturated(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
+    """The converter's range ends at so much, V."""
+    return np.clip(volts, -value, value)
+
+
+def _sheet(bench: Bench, value: float) -> Scenes:
+    """What is told is so many times what it is."""
+    told = bench.sensor.sheet_resistance * value
+    return Scenes(*bench.lone, told=replace(bench.sensor, sheet_resistance=told))
+
+
+def _ground_path(bench: Bench, value: float) -> Scenes:
+    """Ω more on the way to ground than there are."""
+    told = bench.sensor.ground_resistance + value
+    return Scenes(*bench.lone, told=replace(bench.sensor, ground_resistance=told))
+
+
+def _misplaced(bench: Bench, value: float) -> Scenes:
+    """Electrodes are told so many mm from where they are, rms."""
+    moved = bench.electrodes + 1e-3 * value * bench.rng().normal(
+        size=bench.electrodes.shape
+    )
+    radius = 0.51 * float(np.asarray(bench.sensor.electrode_diameter))
+    moved = np.clip(moved, radius, bench.size - radius).astype(bench.sensor.dtype)
+    return Scenes(*bench.lone, told=replace(bench.sensor, electrode_xy=moved))
+
+
+def _lam(bench: Bench, value: float) -> Scenes:
+    return Scenes(*bench.lone, lam=value)
+
+
+_COUNTS = (0, 1, 2, 4, 8, 16, 32)
+_REGULAR = ("linear", "source", "positive")
+
+# Ways in which what is measured, or told, is wrong.
+SWEEPS = {
+    "white": Sweep("white noise, V rms", (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3), _white),
+    "gain": Sweep("channels' gain, rms", (1e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4), _gain),
+    "common": Sweep("offset of a slot, V rms", (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1), _common),
+    "impulses": Sweep("part of readings hit", (0, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), _impulses),
+    "dead": Sweep("channels at 0, not told", _COUNTS, _dead),
+    "missing": Sweep("channels missing, told", (*_COUNTS, 48, 56, 60, 62, 64), _missing),
+    "swapped": Sweep("channels swapped", (0, 2, 3, 4, 8, 16, 32), _swapped),
+    "wrong_ground": Sweep("ground is so many on", (0, 1, 2, 4, 16, 32), _wrong_ground),
+    "late": Sweep("channels read before the switch", _COUNTS, _late),
+    "saturated": Sweep("range, V", (5, 3, 2, 1, 0.5, 0.2, 0.05), _saturated),
+    "sheet_high": Sweep("told sheet resistance/true", (1, 1.1, 1.25, 1.5, 2, 5), _sheet),
+    "sheet_low": Sweep("told sheet resistance/true", (1, 0.9, 0.75, 0.5, 0.2), _sheet),
+    "ground_path": Sweep(
+        "told ground path, Ω too high", (0, 4, 20, 100, 500, 2000), _ground_path
+    ),
+    "misplaced": Sweep("electrodes off, mm rms", (0, 0.2, 0.5, 1, 2), _misplaced),
+    "lam_low": Sweep(
+        "λ of the method's own", (1, 1e-2, 1e-4, 1e-6, 1e-9, 1e-12, 1e-20), _lam,
+        False, _REGULAR,
+    ),
+    "lam_high": Sweep(
+        "λ of the method's own", (1, 10, 1e2, 1e3, 1e4, 1e6, 1e12, 1e30), _lam,
+        False, _REGULAR,
+    ),
+}  # fmt: skip
