@@ -4,7 +4,7 @@ It moves slots and knows no physics. `open_source` gives a source by its name, `
 the live loop, a `Recorder` writes recordings beside it; PROTOCOL.md is a rig's side.
 """
 
-from tomojax.hardware.loop import real_time as real_time, Ring as Ring, run as run
+from tomojax.hardware.loop import real_time as real_time, run as run, SlotRing as SlotRing
 from tomojax.hardware.sources import (
     Counters as Counters,
     Got as Got,

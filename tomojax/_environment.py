@@ -3,11 +3,11 @@
 import platform
 from importlib.metadata import version
 
-import jax
-
 
 def environment() -> dict[str, str]:
     """Device, machine and versions, for the JSON files."""
+    import jax  # half a second, which a command that writes no JSON need not spend
+
     packages = ("tomojax", "jax", "jaxlib", "equinox", "numpy")
     return {
         "device": str(jax.devices()[0].device_kind),

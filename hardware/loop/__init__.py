@@ -6,4 +6,4 @@ either works.
 
 from tomojax.hardware.loop._live import run as run
 from tomojax.hardware.loop._real_time import real_time as real_time
-from tomojax.hardware.loop._ring import Ring as Ring
+from tomojax.hardware.loop._ring import SlotRing as SlotRing

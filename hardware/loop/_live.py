@@ -7,7 +7,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from tomojax._require import require
-from tomojax.hardware.loop._ring import LONGEST, Ring
+from tomojax.hardware.loop._ring import LONGEST, SlotRing
 from tomojax.hardware.sources import SlotSource
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 def run(
     source: SlotSource,
     step: "tomojax.step.Step | None",
-    ring: Ring,
+    ring: SlotRing,
     *,
     policy: str | None = None,
     budget: float | None = None,
@@ -108,7 +108,7 @@ def _said(out: Any, latency: float, ground: int) -> dict[str, Any]:
     }
 
 
-def _draw(ring: Ring, step: "tomojax.step.Step", state: Any) -> None:
+def _draw(ring: SlotRing, step: "tomojax.step.Step", state: Any) -> None:
     image = np.asarray(step.image(state))
     shown = ring.head["image"]
     shown[: image.shape[0], : image.shape[1]] = image[: shown.shape[0], : shown.shape[1]]

@@ -52,8 +52,8 @@ def _row(electrodes: int, contacts: int) -> np.dtype:
     )
 
 
-class Ring:
-    """`Ring.create` makes one, `Ring(path)` opens it in another process.
+class SlotRing:
+    """`SlotRing.create` makes one, `SlotRing(path)` opens it in another process.
 
     `head` has numbers beside the rows, each an array that can be written into.
     """
@@ -73,7 +73,7 @@ class Ring:
     @classmethod
     def create(
         cls, electrodes: int, contacts: int = 2, length: int = 1 << 16, folder: Any = None
-    ) -> "Ring":
+    ) -> "SlotRing":
         """Of `length` slots, in memory where the system has a folder for that."""
         require(length >= 2, "length", length, "2 or more slots")
         shared = Path("/dev/shm")

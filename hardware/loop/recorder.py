@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from tomojax.hardware.loop._real_time import beside
-from tomojax.hardware.loop._ring import Ring
+from tomojax.hardware.loop._ring import SlotRing
 from tomojax.recordings import Rig, SCHEMA, VERSION
 
 # Between flushes, and until a recorder that died is started again, s.
@@ -109,7 +109,7 @@ def free_path(path: Path) -> Path:
     return found
 
 
-def write(ring: Ring, path: Path, told: dict[str, Any], file_seconds: float) -> None:
+def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float) -> None:
     """Until the ring's writer is done and all of it is on the disk."""
     file, began = None, 0.0
     while True:
@@ -138,7 +138,7 @@ class Recorder:
     """Starts the process, and another where it dies; `look` now and then, then `close`."""
 
     def __init__(
-        self, ring: Ring, path: Path, told: dict[str, Any], file_seconds: float = 3600.0
+        self, ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float = 3600.0
     ):
         self.path, self.deaths, self._died = path, 0, 0.0
         self._ring = ring
@@ -191,7 +191,7 @@ def main() -> None:
     if hasattr(signal, "SIGXFSZ"):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     beside()
-    ring, path = Ring(given.ring), Path(given.path)
+    ring, path = SlotRing(given.ring), Path(given.path)
     try:
         write(ring, path, json.loads(given.told), float(given.file_seconds))
     except (OSError, RuntimeError) as error:  # h5py raises either

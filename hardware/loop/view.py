@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tomojax.hardware.loop._real_time import beside
-from tomojax.hardware.loop._ring import Ring
+from tomojax.hardware.loop._ring import SlotRing
 from tomojax.kernels.flags import Flag
 
 _EVERY = 0.1  # s
@@ -30,7 +30,7 @@ def blocks(image: np.ndarray) -> list[str]:
     ]
 
 
-def lines(ring: Ring, last: np.ndarray | None, rate: float) -> list[str]:
+def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
     """What is said in words."""
     p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
     counted = {name: n for name, n in ring.counted().items() if n}
@@ -57,7 +57,7 @@ def lines(ring: Ring, last: np.ndarray | None, rate: float) -> list[str]:
     return found
 
 
-def watch(ring: Ring, terminal: bool) -> None:
+def watch(ring: SlotRing, terminal: bool) -> None:
     """Until the ring is done."""
     period = _EVERY if terminal else 1.0
     before, rows = time.monotonic(), int(ring.head["rows"])
@@ -90,7 +90,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
     beside()
     try:
-        watch(Ring(parser.parse_args().ring, writable=False), sys.stdout.isatty())
+        watch(SlotRing(parser.parse_args().ring, writable=False), sys.stdout.isatty())
     except BrokenPipeError:
         pass
 

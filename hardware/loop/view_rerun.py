@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from tomojax.hardware.loop._real_time import beside
-from tomojax.hardware.loop._ring import Ring
+from tomojax.hardware.loop._ring import SlotRing
 
 _EVERY = 0.1  # s
 
 
-def watch(ring: Ring, path: Path | None) -> None:
+def watch(ring: SlotRing, path: Path | None) -> None:
     """Until the ring is done; into the file at `path`, or a viewer that is started."""
     import rerun as rr
 
@@ -31,7 +31,7 @@ def watch(ring: Ring, path: Path | None) -> None:
     rr.disconnect()
 
 
-def _log(rr, ring: Ring, rows: np.ndarray) -> None:
+def _log(rr, ring: SlotRing, rows: np.ndarray) -> None:
     """The last of some slots, and how quick they were."""
     rr.set_time("time", duration=float(rows["time"][-1]))
     rr.log("slots/each_second", rr.Scalars(len(rows) / _EVERY))
@@ -61,7 +61,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
     beside()
     try:
-        watch(Ring(given.ring, writable=False), given.rrd)
+        watch(SlotRing(given.ring, writable=False), given.rrd)
     except ModuleNotFoundError as error:
         mend = "pip install 'tomojax[rerun]' brings it"
         sys.exit(f"tomojax: {error.name} is not installed; {mend}")

@@ -43,9 +43,9 @@ from tomojax.kernels.contacts._search import (
 )
 from tomojax.kernels.contacts._whiten import (
     currents as currents,
-    Frame as Frame,
     smooth_modes as smooth_modes,
     unwhitened as unwhitened,
     whiten as whiten,
     whitened_columns as whitened_columns,
+    WhitenedFrame as WhitenedFrame,
 )

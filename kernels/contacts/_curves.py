@@ -20,7 +20,7 @@ from tomojax.kernels.contacts._points import (
     Sheet,
     unpack,
 )
-from tomojax.kernels.contacts._whiten import currents, Frame, whitened_columns
+from tomojax.kernels.contacts._whiten import currents, whitened_columns, WhitenedFrame
 
 # Points on the axis of a bar, and around a ring; a mode's current is this part of the
 # mean's, about.
@@ -38,7 +38,7 @@ _STRENGTH, _STRENGTH_WIDTH = 30.0, 1.5
 
 
 def bar(
-    sheet: Sheet, frame: Frame, parameters: Float[Array, "6"]
+    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "6"]
 ) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Middle, from there to its end, half its width, strength; modes: Legendre's."""
     shape = jnp.concatenate([parameters[:2], parameters[4:5]])[None]
@@ -62,7 +62,7 @@ def bar(
 
 
 def ring(
-    sheet: Sheet, frame: Frame, parameters: Float[Array, "4"]
+    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "4"]
 ) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Middle, radius and strength of a rim; modes: cos, sin of the angle and its double."""
     place, _ = unpack(sheet, parameters[None, :3])
@@ -83,7 +83,7 @@ def ring(
 
 def _curve(
     sheet: Sheet,
-    frame: Frame,
+    frame: WhitenedFrame,
     at: Float[Array, "N 2"],
     weights: np.ndarray,
     modes: np.ndarray,

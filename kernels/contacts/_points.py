@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.contacts._field import Field, field_and_slope, slot_columns
-from tomojax.kernels.contacts._whiten import currents, Frame, whitened_columns
+from tomojax.kernels.contacts._whiten import currents, whitened_columns, WhitenedFrame
 from tomojax.kernels.sheet import rectangle_green
 
 # ln of the width of what is known of a contact's size beforehand.
@@ -55,7 +55,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]
 
 
 def discs(
-    sheet: Sheet, frame: Frame, parameters: Float[Array, "C 3"]
+    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 3"]
 ) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
     """Round contacts; each leans towards where its current flows, as metal would.
 
@@ -97,7 +97,7 @@ def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
 
 def drops(
     sheet: Sheet,
-    frame: Frame,
+    frame: WhitenedFrame,
     among: Float[Array, "C C"],
     potential: Float[Array, "C M"],
     current: Float[Array, "S C"],

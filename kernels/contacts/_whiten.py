@@ -12,7 +12,7 @@ from tomojax.kernels.algebra import solve_positive
 _WAVES = 4
 
 
-class Frame(NamedTuple):
+class WhitenedFrame(NamedTuple):
     """What S slots measured, whitened: errors are independent and of size 1. W = M + q."""
 
     grounds: Int[Array, " S"]
@@ -39,7 +39,7 @@ def whiten(
     grounds: Int[Array, " S"],
     own: Float[Array, "S M"],
     common: Float[Array, "S q M"],
-) -> Frame:
+) -> WhitenedFrame:
     """Errors of each channel's own, of size `own` (V; 0 where not used), and common ones.
 
     Of each of these `common` is what one standard deviation makes, V. Together they have
@@ -52,11 +52,11 @@ def whiten(
     normal = jnp.einsum("sqm,spm->sqp", common, common, precision="highest")
     normal = normal + jnp.eye(common.shape[1], dtype=common.dtype)
     found = solve_positive(normal, common)
-    frame = Frame(grounds, voltages, scale, common, found)
+    frame = WhitenedFrame(grounds, voltages, scale, common, found)
     return frame._replace(whitened=whitened_columns(frame, voltages))
 
 
-def whitened_columns(frame: Frame, columns: Float[Array, "*C S M"]) -> Array:
+def whitened_columns(frame: WhitenedFrame, columns: Float[Array, "*C S M"]) -> Array:
     """Columns as the frame's voltages are."""
     scaled = columns * frame.scale
     found = jnp.einsum("sqm,...sm->...sq", frame.filter, scaled, precision="highest")
@@ -64,7 +64,7 @@ def whitened_columns(frame: Frame, columns: Float[Array, "*C S M"]) -> Array:
     return jnp.concatenate([scaled - shared, found], -1)
 
 
-def unwhitened(frame: Frame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
+def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
     """From slopes of something by whitened voltages to those by voltages: the transpose."""
     count = frame.scale.shape[1]
     rest, found = slope[:, :count], slope[:, count:]
@@ -74,7 +74,7 @@ def unwhitened(frame: Frame, slope: Float[Array, "S W P"]) -> Float[Array, "S M 
 
 
 def currents(
-    frame: Frame, columns: Float[Array, "C S N"], ridge: Array | float = 0.0
+    frame: WhitenedFrame, columns: Float[Array, "C S N"], ridge: Array | float = 0.0
 ) -> tuple[Float[Array, "S C"], Float[Array, "S N"]]:
     """Each slot's currents, and what is left: least squares, all whitened."""
     normal = jnp.einsum("csm,dsm->scd", columns, columns, precision="highest")

@@ -59,7 +59,7 @@ def spreads(sensors: dict, count: int = 29, grid: int = 36) -> dict[str, np.ndar
 
 def scenes(
     sensor: tx.Sensor, kind: str, at: np.ndarray, variation: float, seed: int
-) -> tx.design.Scenes:
+) -> tx.design.SimulatedScenes:
     radius, conductance = CONTACTS[kind]
     nominal, volts = np.asarray(sensor.electrode_xy), []
     for k, place in enumerate(at):
@@ -67,7 +67,7 @@ def scenes(
             rng = np.random.default_rng(seed + k)
             rig = Rig(rng, variation=variation, nominal=nominal)
         volts.append(rig.measure(rig.scene((rig.disc(place, radius), conductance))[0]))
-    return tx.design.Scenes(jnp.asarray(at), jnp.asarray(np.stack(volts)))
+    return tx.design.SimulatedScenes(jnp.asarray(at), jnp.asarray(np.stack(volts)))
 
 
 def widths(sensor: tx.Sensor, kind: str, variation: float, side: int) -> dict:

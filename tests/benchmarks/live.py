@@ -47,7 +47,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
     import numpy as np
 
     import tomojax as tx
-    from tomojax.hardware import open_source, real_time, Ring, run
+    from tomojax.hardware import open_source, real_time, run, SlotRing
     from tomojax.hardware.loop.recorder import attributes, Recorder
     from tomojax.hardware.sources.virtual_rig import VirtualRig
 
@@ -55,7 +55,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
         places = scene(folder / "scene.npz")
         sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
         step = tx.make_step(sensor, "follow", "around_contacts")
-        ring = Ring.create(64)
+        ring = SlotRing.create(64)
         kept = []
         with (
             VirtualRig(folder / "scene.npz", rate=rate) as rig,

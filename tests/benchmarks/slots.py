@@ -156,7 +156,7 @@ def study(count: int) -> list[dict]:
     volts = {k: v for k, (_, v) in data.items()}
     objective = {
         k: tx.design.ImageError.of(
-            linear, tx.design.Scenes(jnp.asarray(places[k]), jnp.asarray(v)), WIDTH
+            linear, tx.design.SimulatedScenes(jnp.asarray(places[k]), jnp.asarray(v)), WIDTH
         )
         for k, v in volts.items()
     }

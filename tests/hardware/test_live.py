@@ -9,7 +9,7 @@ import pytest
 
 import tomojax as tx
 from tomojax import Flag
-from tomojax.hardware import open_source, Ring, run
+from tomojax.hardware import open_source, run, SlotRing
 from tomojax.hardware.sources.virtual_rig import VirtualRig
 
 # Slots a second: what a machine that is busy with other tests keeps up with.
@@ -24,7 +24,7 @@ def step():
 
 def looped(step, scene, tmp_path, seconds=1.5, **options):
     """Rows of a ring after so long, with the ring and the source."""
-    ring = Ring.create(64, 1, folder=tmp_path)
+    ring = SlotRing.create(64, 1, folder=tmp_path)
     with VirtualRig(scene, rate=RATE, **options) as rig, open_source(rig.where) as source:
         end = time.perf_counter() + seconds
         run(source, step, ring, until=lambda: time.perf_counter() > end, budget=1.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.hardware import Got, Ring
+from tomojax.hardware import Got, SlotRing
 from tomojax.hardware.loop.recorder import attributes, Recorder
 
 RATE, M = 10_000, 64
@@ -25,7 +25,7 @@ def told():
 
 @pytest.fixture
 def ring(tmp_path):
-    made = Ring.create(M, length=1 << 16, folder=tmp_path)
+    made = SlotRing.create(M, length=1 << 16, folder=tmp_path)
     yield made
     made.remove()
 
@@ -99,7 +99,7 @@ def test_all_of_it_and_gaps_are_records(ring, told, tmp_path):
 
 
 def test_a_late_recorder_loses_the_oldest_and_says_so(told, tmp_path):
-    ring = Ring.create(M, length=256, folder=tmp_path)
+    ring = SlotRing.create(M, length=256, folder=tmp_path)
     put(ring, range(1000))
     path = tmp_path / "late.h5"
     recorder = Recorder(ring, path, told)
@@ -165,11 +165,11 @@ def test_disk_full_once(ring, told, tmp_path):
 
 
 def test_the_ring_says_what_a_slow_reader_lost(tmp_path):
-    ring = Ring.create(4, length=16, folder=tmp_path)
+    ring = SlotRing.create(4, length=16, folder=tmp_path)
     codes = np.arange(4, dtype="i2")
     for number in range(40):
         ring.put(Got(1, 0, number, 0.0, 0.0), codes + number, NOTHING)
-    rows, row, gone = Ring(ring.path, writable=False).since(0)
+    rows, row, gone = SlotRing(ring.path, writable=False).since(0)
     assert rows["number"].tolist() == list(range(25, 40)) and (row, gone) == (40, 25)
     np.testing.assert_array_equal(rows["codes"][:, 0], np.arange(25, 40))
     rows, row, gone = ring.since(row)

@@ -14,7 +14,7 @@ from tomojax._require import require
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import least_squares, solve_positive
 from tomojax.kernels.contacts import field_at, slot_columns, smooth_modes, whitened_columns
-from tomojax.methods import method as make_method, Points, scene_of, TOLERANCE
+from tomojax.methods import fitting_of, method as make_method, Points, TOLERANCE
 from tomojax.sensor import Calibration, make_variation, Sensor
 
 # What is known of a rig beforehand, 1 σ: gains, zeros (V), the sheet's longest wave (which
@@ -156,7 +156,7 @@ def _frame(
     And the mean square of what the channels still have in common, of what nominal values
     leave.
     """
-    scene = scene_of(points, prepared, volts, 1)
+    scene = fitting_of(points, prepared, volts, 1)
     # Each channel's own errors alone: what they have in common is what is looked for.
     none = 0 * scene.frame.common
     alone = scene.frame._replace(common=none, filter=none)

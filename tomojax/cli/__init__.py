@@ -7,11 +7,14 @@ def main() -> None:
     """Entry point of `tomojax`."""
     try:
         from tomojax.cli import app
+
+        app.run()
     except ModuleNotFoundError as error:
         missing = error.name
+        if missing is None or missing.startswith("tomojax"):
+            raise  # a mistake of ours, which no package mends
         print(
             f"tomojax: {missing} is not installed; pip install 'tomojax[app]' brings it",
             file=sys.stderr,
         )
         raise SystemExit(2) from None
-    app.run()

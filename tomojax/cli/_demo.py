@@ -8,15 +8,24 @@ import sys
 from importlib.resources import as_file, files
 from pathlib import Path
 
-import h5py
-
-from tomojax.recordings import open_recording
-from tomojax.results import plots, reconstruct_recording, report, Settings
+import click
 
 
-def run(out: Path) -> None:
-    """Contacts printed; pictures, a clip and the results file in the folder `out`."""
+@click.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("tomojax-demo"),
+    show_default=True,
+    help="Folder for the pictures and the results.",
+)
+def demo(out: Path) -> None:
+    """Reconstruct a small recording that comes with the package; pictures and a clip."""
+    import h5py
     from tqdm import tqdm
+
+    from tomojax.recordings import open_recording
+    from tomojax.results import plots, reconstruct_recording, report, Settings
 
     out.mkdir(parents=True, exist_ok=True)
     results = out / "results.h5"

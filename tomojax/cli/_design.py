@@ -6,10 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import jax
-import numpy as np
-
-from tomojax._environment import environment
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -67,6 +63,10 @@ def design(
 
     Beside the paper's nine patterns, and a design of as many slots as each has.
     """
+    import jax
+    import numpy as np
+
+    from tomojax._environment import environment
     from tomojax.recordings import open_recording
     from tomojax.sensor import Sensor
 
@@ -99,6 +99,9 @@ def design(
 
 
 def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str, Any]:
+    import jax
+    import numpy as np
+
     from tomojax import design as d, design as problem
 
     if spots:
@@ -203,6 +206,7 @@ def _table(sensor: Any, path: Path, options: dict) -> None:
 
 
 def _draw(sensor: Any, report: dict[str, Any]) -> Any:
+    import numpy as np
     from matplotlib.figure import Figure
 
     s = report["summary"]

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from tomojax._environment import environment
 from tomojax.cli._study import begin, named, study_options
 
 
@@ -25,6 +24,7 @@ def frontier(
 
     On scenes whose voltages another model made: a resistor network with a rig's errors.
     """
+    from tomojax._environment import environment
     from tomojax.studies.frontier import jobs, KINDS, mark_front, report, run
 
     _peers_there()

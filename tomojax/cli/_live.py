@@ -1,5 +1,6 @@
 """Commands on rigs: `tomojax record` and `tomojax live`."""
 
+import math
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 _FILE = click.Path(path_type=Path)
 
@@ -87,6 +87,8 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
     A scan of the recording is one slot. What is on the disk stays readable whatever
     happens; a full disk or a crash begins a new file, OUT-1, OUT-2, ….
     """
+    import numpy as np
+
     from tomojax.paper import pattern as patterns_pattern
 
     def grounds(sensor: Any) -> list[int]:
@@ -164,7 +166,7 @@ class _Session:
         from tomojax.hardware import run
 
         view = subprocess.Popen(self._view) if self._view else None
-        end = np.inf if self._seconds is None else time.perf_counter() + self._seconds
+        end = math.inf if self._seconds is None else time.perf_counter() + self._seconds
         look = (lambda: None) if self.recorder is None else self.recorder.look
         with _recordings.interrupts() as stop:
             until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
@@ -201,12 +203,12 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
     """The view's command, if any."""
     if view == "none":
         return []
-    module = "_view" if view == "terminal" else "_view_rerun"
+    module = "view" if view == "terminal" else "view_rerun"
     if view == "rerun" and find_spec("rerun") is None:
         mend = "pip install 'tomojax[rerun]' brings it"
         raise ValueError(f"rerun is not installed; {mend}")
     words = [] if rrd is None or view != "rerun" else ["--rrd", str(rrd)]
-    return [sys.executable, "-m", f"tomojax.hardware.{module}", ring, *words]
+    return [sys.executable, "-m", f"tomojax.hardware.loop.{module}", ring, *words]
 
 
 @contextmanager
@@ -217,8 +219,10 @@ def _session(
 
     A rig that sends already, while a step is compiled, would lose slots.
     """
+    import numpy as np
+
     from tomojax import Sensor
-    from tomojax.hardware import open_source, Ring
+    from tomojax.hardware import open_source, SlotRing
     from tomojax.hardware.sources import ReplaySource
     from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
     from tomojax.recordings import open_recording, Rig
@@ -246,7 +250,7 @@ def _session(
             sensor = rig.sensor()
         prepared = prepare(sensor)
         stack.enter_context(slots)
-        ring = Ring.create(slots.electrodes, options.get("contacts") or 1)
+        ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)
         stack.callback(ring.remove)
         recorder = None
         if out is not None:

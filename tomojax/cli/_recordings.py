@@ -10,9 +10,6 @@ from threading import Event
 from typing import Any
 
 import click
-import numpy as np
-
-from tomojax._environment import environment
 
 _FILE = click.Path(path_type=Path)
 _REPORT = click.Path(dir_okay=False, path_type=Path)
@@ -99,6 +96,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     file. On several machines that share a folder, run one command on each, with the same
     --coordinator and --processes; one that was killed is started again with --resume.
     """
+    from tomojax._environment import environment
     from tomojax.recordings import open_recording
     from tomojax.results import distributed, reconstruct_recording, report, Settings
 
@@ -217,6 +215,8 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
             rows = info.faults(recording, progress)
     print(info.text(rec, summary, rows))
     if json_path:
+        from tomojax._environment import environment
+
         report = {"rows": rows, "summary": summary, "environment": environment()}
         json_path.write_text(json.dumps(report, indent=1) + "\n")
 
@@ -232,6 +232,8 @@ def calibrate(rec: Path, places: Path, out: Path | None, tdms: dict) -> None:
     PLACES has x and y in metres, of each slot or of each scan: `xy` in an .npz file, or a
     .csv file. `tomojax reconstruct --calibration` uses what comes out. Takes a minute.
     """
+    import numpy as np
+
     from tomojax.calibration import calibrate_recording, read_places
     from tomojax.recordings import open_recording
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from tomojax._environment import environment
 from tomojax.cli._study import begin, named, study_options
 
 
@@ -29,6 +28,7 @@ def stability(
 
     On scenes whose voltages another model made: a resistor network with a rig's errors.
     """
+    from tomojax._environment import environment
     from tomojax.studies.stability import (
         limits as stability_limits,
         numbers as stability_numbers,

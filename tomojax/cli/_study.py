@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 
 def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
@@ -49,6 +48,8 @@ def begin(
     **Raises:** `ValueError` for fewer scenes than `least`, or over 1000, and for a
     negative seed.
     """
+    import numpy as np
+
     from tomojax.recordings import open_recording
     from tomojax.sensor import Sensor
 

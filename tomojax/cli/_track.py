@@ -6,8 +6,6 @@ from typing import Any
 
 import click
 
-from tomojax._environment import environment
-
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
@@ -47,6 +45,7 @@ def track(results: Path, out: Path | None, **options: Any) -> None:
     A contact's place and conductance come from all rows that show it, and it has a number:
     when it began and ended is printed. Best with --rate slot.
     """
+    from tomojax._environment import environment
     from tomojax.results import track_file as work
 
     out = out or results.with_name(results.stem + ".track.h5")

@@ -42,7 +42,7 @@ from tomojax.design.objectives import (
     exploratory_voltages as exploratory_voltages,
     ImageError as ImageError,
     ImageVariance as ImageVariance,
-    Scenes as Scenes,
     score as score,
     simulate_scenes as simulate_scenes,
+    SimulatedScenes as SimulatedScenes,
 )

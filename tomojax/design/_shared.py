@@ -27,9 +27,8 @@ from tomojax.kernels.contacts import (
     tangents,
     weighed,
 )
-from tomojax.methods import Points
+from tomojax.methods import noise_of, sheet_of
 from tomojax.sensor import Sensor
-from tomojax.step import Follow
 
 # γ of a switch that is open, of one that is closed.
 _OPEN = 1e-5
@@ -67,10 +66,8 @@ def pairs_of(sensor: Sensor, places: Numbers, conductance: float = 1e-4) -> Pair
     require_shape("places", where, (None, 2, 2))
     require(len(where) > 0, "places", "none", "one pair at least")
     require_finite("places", where)
-    points = Points.of(sensor, (8, 8))
-    noise = Follow.of(points, 1, np.ones(points.electrode_count, bool)).noise
     resistance = jnp.asarray(1 / conductance, sensor.dtype)
-    return Pairs(points.sheet, noise, where, resistance)
+    return Pairs(sheet_of(sensor), noise_of(sensor), where, resistance)
 
 
 def closed(sensor: Sensor) -> Float[Array, ""]:

@@ -9,7 +9,6 @@ from tomojax.methods._batch import (
     Batch as Batch,
     check_limits as check_limits,
     frames_of as frames_of,
-    Rows as Rows,
 )
 from tomojax.methods._contract import (
     AbstractMethod as AbstractMethod,
@@ -18,9 +17,18 @@ from tomojax.methods._contract import (
     judge as judge,
     Rung as Rung,
 )
-from tomojax.methods._errors import TOLERANCE as TOLERANCE
+from tomojax.methods._errors import noise_of as noise_of, TOLERANCE as TOLERANCE
 from tomojax.methods._linear import Linear as Linear
 from tomojax.methods._names import method as method, METHODS as METHODS
 from tomojax.methods._pixels import pixel_divisions as pixel_divisions
+from tomojax.methods._rows import (
+    empty_rows as empty_rows,
+    fields_of_rows as fields_of_rows,
+    Rows as Rows,
+)
 from tomojax.methods._source import Source as Source
-from tomojax.methods.points import Points as Points, scene_of as scene_of
+from tomojax.methods.points import (
+    fitting_of as fitting_of,
+    Points as Points,
+    sheet_of as sheet_of,
+)

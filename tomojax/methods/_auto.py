@@ -13,25 +13,25 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
-from tomojax.methods._batch import Rows
 from tomojax.methods._conductance import (
     ALONE,
     Conductance,
-    Prepared as PreparedConductance,
+    PreparedConductance,
 )
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Rung
 from tomojax.methods._errors import (
     misfit_cost,
-    Prepared as PreparedErrors,
+    PreparedErrors,
     TOLERANCE,
     whitened,
 )
-from tomojax.methods._source import Prepared as PreparedSource, Source
+from tomojax.methods._rows import Rows
+from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
 from tomojax.sensor import Calibration, Sensor
 
 
-class Prepared(NamedTuple):
+class PreparedAuto(NamedTuple):
     """For S slots with their good channels."""
 
     errors: PreparedErrors
@@ -88,12 +88,14 @@ class Auto(AbstractMethod):
     def scale(self) -> float:
         return self.source.scale()
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedAuto:
         start = self.conductance.prepare(grounds, good, 1.0)
-        return Prepared(start.errors, self.source.prepare(grounds, good, lam), start.source)
+        return PreparedAuto(
+            start.errors, self.source.prepare(grounds, good, lam), start.source
+        )
 
     def estimate(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         points = self.points.estimate(prepared.errors, voltages, count)
         some = points.contacts.count > 0
@@ -104,7 +106,7 @@ class Auto(AbstractMethod):
         return jax.lax.cond(left, larger, lambda: points)
 
     def larger(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         """Of what `points` does not explain."""
         explained, source = self._source(prepared, voltages, count)
@@ -113,15 +115,15 @@ class Auto(AbstractMethod):
 
     def block(
         self,
-        prepared: Prepared,
+        prepared: PreparedAuto,
         voltages: Float[Array, "n S M"],
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
-    ) -> tuple:
+    ) -> Rows:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
         found = self.points.block(prepared.errors, voltages, grounds, count, images)
-        rows = Rows(*(None if a is None else np.array(a) for a in found))  # pyright: ignore
+        rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
             here = prepared
@@ -137,7 +139,7 @@ class Auto(AbstractMethod):
         return rows
 
     def _source(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> tuple[Bool[Array, ""], Estimate]:
         """`source`, and whether its image explains the slots, each with its own current."""
         estimate = self.source.estimate(prepared.source, voltages, count)
@@ -153,7 +155,7 @@ class Auto(AbstractMethod):
         return cost < TOLERANCE, estimate._replace(rung=rung)
 
     def _conductance(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         ready = PreparedConductance(prepared.start, prepared.errors)
         fitted = self.conductance.fitted(ready, voltages)
@@ -165,10 +167,10 @@ class Auto(AbstractMethod):
 @eqx.filter_jit
 def _larger(
     method: Auto,
-    prepared: Prepared,
+    prepared: PreparedAuto,
     voltages: Float[Array, "S M"],
     count: int,
     images: bool,
-) -> tuple:
+) -> Rows:
     estimate = method.larger(prepared, voltages, count)
-    return judged(method, estimate, voltages, count, images)
+    return judged(method, estimate, voltages, images)

@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax._require import require
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import AbstractMethod, Frame
+from tomojax.methods._rows import empty_rows, Rows
 
 # Calls that run side by side: the parts of one call are not all parallel.
 _WORKERS = 2
@@ -23,23 +24,6 @@ _FEW = 0.25
 
 # Ground sets whose preparation is kept: 2 MB each for 64 slots.
 _KEPT = 128
-
-
-class Rows(NamedTuple):
-    """Results of n frames, as in the results file; C contacts each, strongest first."""
-
-    contact_count: Integer[np.ndarray, " n"]
-    contact_xy: Float[np.ndarray, "n C 2"]  # m
-    contact_radius: Float[np.ndarray, "n C"]  # m
-    contact_angle: Float[np.ndarray, "n C"]  # rad
-    contact_current: Float[np.ndarray, "n C"]  # A
-    contact_conductance: Float[np.ndarray, "n C"]  # S
-    contact_covariance: Float[np.ndarray, "n C 3"]  # of the place: xx, yy, xy, m²
-    residual: Float[np.ndarray, " n"]  # V rms
-    flags: Integer[np.ndarray, " n"]  # bits of `Flag`
-    rung: Integer[np.ndarray, " n"]  # of `auto`: the model, see `tomojax.Rung`; else 0
-    image: Float[np.ndarray, "n nx ny"] | None
-    residual_by_electrode: Float[np.ndarray, "n M"] | None  # V rms; with images
 
 
 class Batch:
@@ -144,26 +128,7 @@ class Batch:
         require(finite.all() or finite[good].all(), "voltages", "NaN where good", "volts")
 
     def _empty(self, n: int) -> Rows:
-        c, kind = self.contacts, np.float32
-        nan = np.full((n, c), np.nan, kind)
-        image = each = None
-        if self.images:
-            image = np.full((n, *self.method.shape), np.nan, kind)
-            each = np.full((n, self.method.electrode_count), np.nan, kind)
-        return Rows(
-            np.zeros(n, np.uint8),
-            np.full((n, c, 2), np.nan, kind),
-            nan.copy(),
-            nan.copy(),
-            nan.copy(),
-            nan.copy(),
-            np.full((n, c, 3), np.nan, kind),
-            np.full(n, np.nan, kind),
-            np.zeros(n, np.uint32),
-            np.zeros(n, np.uint8),
-            image,
-            each,
-        )
+        return empty_rows(n, self.method.sizes(self.contacts, self.images))
 
     def _nothing(self, voltages, good, rows: Rows) -> Bool[np.ndarray, " n"]:
         """Fills in rows without data or contact; the others are for the method.
@@ -208,7 +173,7 @@ class Batch:
             np.resize(grounds[part], (size, grounds.shape[1])),
         )
         found = self.method.block(prepared, shared, under, self.contacts, self.images)
-        for name, values in zip(Rows._fields, found):
+        for name, values in found._asdict().items():
             if values is None:
                 continue
             values = np.asarray(values)[: len(part)]

@@ -41,13 +41,13 @@ from tomojax.methods._contract import (
 from tomojax.methods._errors import (
     Errors,
     misfit_cost,
-    Prepared as PreparedErrors,
+    PreparedErrors,
     seen,
     TOLERANCE,
     whitened,
 )
 from tomojax.methods._pixels import pixels_of
-from tomojax.methods._source import Prepared as PreparedSource, Source
+from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, NOISE, Sensor, sheet_on_mesh
 
 # What is known of ln g beforehand: its mean below the start's highest and its standard
@@ -75,7 +75,7 @@ _START = 1e-4
 ALONE = Lock()
 
 
-class Prepared(NamedTuple):
+class PreparedConductance(NamedTuple):
     """For S slots with their good channels."""
 
     source: PreparedSource  # for the start
@@ -158,12 +158,14 @@ class Conductance(AbstractMethod):
     def scale(self) -> float:
         return 1.0
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(
+        self, grounds: np.ndarray, good: np.ndarray, lam: float
+    ) -> PreparedConductance:
         start = self.source.prepare(grounds, good, _START * self.source.scale())
-        return Prepared(start, self.errors.prepare(grounds, good, lam))
+        return PreparedConductance(start, self.errors.prepare(grounds, good, lam))
 
     def estimate(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedConductance, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         fitted = self.fitted(prepared, voltages)
         area = jnp.prod(self.cell)
@@ -171,7 +173,7 @@ class Conductance(AbstractMethod):
 
     def block(
         self,
-        prepared: Prepared,
+        prepared: PreparedConductance,
         voltages: Float[Array, "n S M"],
         grounds: Integer[np.ndarray, "n S"],
         count: int,
@@ -186,7 +188,9 @@ class Conductance(AbstractMethod):
                 rows.append(jax.tree.map(np.asarray, row))
         return jax.tree.map(lambda *r: np.concatenate(r), *rows)
 
-    def fitted(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Fitted:
+    def fitted(
+        self, prepared: PreparedConductance, voltages: Float[Array, "S M"]
+    ) -> Fitted:
         """The image, and how well it fits."""
         errors, z, v0 = prepared.errors, self.ground_resistance, self.drive_voltage
         frame = whitened(errors, voltages).frame

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
+from tomojax.methods._rows import Rows
 from tomojax.sensor import Calibration
 
 # What noise and offsets of a converter leave in any case, V rms.
@@ -89,6 +90,13 @@ class AbstractMethod(eqx.Module):
     def electrode_count(self) -> int:
         """M."""
 
+    def sizes(self, contacts: int, images: bool) -> dict[str, int]:
+        """Sizes of the fields of a row, by their names in `Rows`."""
+        if not images:
+            return {"C": contacts}
+        nx, ny = self.shape
+        return {"C": contacts, "nx": nx, "ny": ny, "M": self.electrode_count}
+
     def calibrated(self, calibration: Calibration) -> "AbstractMethod":
         """With the noise and the model's error that a calibration states, where used."""
         return self
@@ -124,7 +132,7 @@ class AbstractMethod(eqx.Module):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
-    ) -> tuple:
+    ) -> Rows:
         """`estimate` of n frames, `judged`; a method may do it in several calls.
 
         The grounds are those prepared for, but where the method takes `any_grounds`.
@@ -139,9 +147,9 @@ def _block(
     voltages: Float[Array, "n S M"],
     count: int,
     images: bool,
-) -> tuple:
-    def one(v: Float[Array, "S M"]) -> tuple:
-        return judged(method, method.estimate(prepared, v, count), v, count, images)
+) -> Rows:
+    def one(v: Float[Array, "S M"]) -> Rows:
+        return judged(method, method.estimate(prepared, v, count), v, images)
 
     return jax.vmap(one)(voltages)
 
@@ -150,16 +158,19 @@ def judged(
     method: AbstractMethod,
     estimate: Estimate,
     voltages: Float[Array, "S M"],
-    count: int,
     images: bool,
-) -> tuple:
-    """A row of results: contacts, residual, flags, rung, images (or None)."""
-    contacts, image, residual, flags, rung, by_electrode = estimate
-    limit = method.residual_limit
-    contacts, flags = judge(contacts, residual, flags, voltages, limit)
-    rung = jnp.asarray(rung, jnp.uint8)
-    row = *contacts, residual, flags, rung
-    return *row, *((image, by_electrode) if images else (None, None))
+) -> Rows:
+    """A row of results, with images or without."""
+    limit, residual = method.residual_limit, estimate.residual
+    contacts, flags = judge(estimate.contacts, residual, estimate.flags, voltages, limit)
+    return Rows.of(
+        contacts,
+        residual=residual,
+        flags=flags,
+        rung=jnp.asarray(estimate.rung, jnp.uint8),
+        image=estimate.image if images else None,
+        residual_by_electrode=estimate.by_electrode if images else None,
+    )
 
 
 def judge(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts import Frame, smooth_modes, whiten
+from tomojax.kernels.contacts import Noise, smooth_modes, whiten, WhitenedFrame
 from tomojax.sensor import Calibration, NOISE, Sensor
 
 # What nominal values leave of measured voltages, as parts of them: each electrode's own
@@ -26,8 +26,12 @@ _SEEN = (25.0, 4.0)
 # Slots that stand for all.
 _SLOTS = 4
 
+# Waves of the sheet that one slot's voltages have in common: the longest. All fourteen are
+# no better in a step, three lose a second contact on the way to it.
+_LONGEST = 5
 
-class Prepared(NamedTuple):
+
+class PreparedErrors(NamedTuple):
     """For S slots with their good channels."""
 
     grounds: Int[Array, " S"]
@@ -44,7 +48,7 @@ class Prepared(NamedTuple):
 class Whitened(NamedTuple):
     """One frame, and its errors."""
 
-    frame: Frame
+    frame: WhitenedFrame
     own: Float[Array, "S M"]  # σ of a channel's own error but for noise, V
     common: Float[Array, "S q M"]  # and of what they have in common, V, the offset last
     offset: Float[Array, " S"]  # σ of what all channels of a slot may be off, V
@@ -71,7 +75,7 @@ class Errors(eqx.Module):
         )
         return replace(self, noise=noise, error=error)
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         """`lam` multiplies the variance of the model's error."""
         used = _common(good)
         channels = np.asarray(used.any(0))
@@ -83,7 +87,7 @@ class Errors(eqx.Module):
         # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
         spread = own * float(self.error)
         xy = np.asarray(self.electrode_xy, float)
-        return Prepared(
+        return PreparedErrors(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
             jnp.asarray(own * _OWN, dtype),
@@ -95,13 +99,26 @@ class Errors(eqx.Module):
             jnp.asarray(compared),
         )
 
+    def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
+        """What a step takes for the errors of one slot: of the waves the longest."""
+        ready = self.prepare(np.array([0]), good[None], 1.0)
+        strength = np.asarray((ready.smooth**2).mean(1))
+        longest = np.sort(np.argsort(-strength, kind="stable")[:_LONGEST])
+        smooth = ready.smooth[longest]
+        return Noise(ready.noise, ready.own, ready.bend, smooth, ready.offset)
+
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
         """What neighbours' relative errors have in common, 1 σ of each wave."""
         modes, strength = smooth_modes(places, self.size)
         return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
 
 
-def whitened(prepared: Prepared, voltages: Float[Array, "S M"]) -> Whitened:
+def noise_of(sensor: Sensor) -> Noise:
+    """Returns the errors of a slot of a rig with nominal values, every channel good."""
+    return Errors.of(sensor).in_slot(np.ones(sensor.electrode_count, bool))
+
+
+def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitened:
     """A frame whose errors are independent and of size 1."""
     used = prepared.used
     bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
@@ -121,7 +138,9 @@ def misfit_cost(misfits: Float[Array, " S"]) -> Float[Array, " S"]:
     return TOLERANCE * jnp.log1p(misfits / TOLERANCE)
 
 
-def seen(prepared: Prepared, frame: Frame, costs: Float[Array, " S"]) -> Bool[Array, ""]:
+def seen(
+    prepared: PreparedErrors, frame: WhitenedFrame, costs: Float[Array, " S"]
+) -> Bool[Array, ""]:
     """Whether a fit of these costs explains more than noise and channels' zeros would."""
     slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
     alone = misfit_cost((frame.whitened**2).sum(1))

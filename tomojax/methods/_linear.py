@@ -43,7 +43,7 @@ _SMALLEST = 1e-6
 _RELATIVE = 1.8e-3
 
 
-class Prepared(NamedTuple):
+class PreparedLinear(NamedTuple):
     """For one ground set with its good channels."""
 
     operator: Float[Array, "SM r"]  # coefficients of φ from the voltages
@@ -107,7 +107,7 @@ class Linear(AbstractMethod):
         """
         return _RELATIVE * self.scale()
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedLinear:
         dtype = self.cell.dtype
         scale = self.scale()
         fewer = _FEWER if lam >= _FROM * scale else _RANK
@@ -115,7 +115,7 @@ class Linear(AbstractMethod):
         rows = rows.reshape(-1, rows.shape[-1])
         operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
         current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
-        return Prepared(
+        return PreparedLinear(
             jnp.asarray(operator.T, dtype),
             jnp.asarray(rows, dtype),
             jnp.asarray(current, dtype),
@@ -124,14 +124,14 @@ class Linear(AbstractMethod):
         )
 
     def image(
-        self, prepared: Prepared, voltages: Float[Array, "S M"]
+        self, prepared: PreparedLinear, voltages: Float[Array, "S M"]
     ) -> tuple[Array, Array]:
         """φ per pixel (or element, for a J of elements) and its coefficients."""
         coefficients = matmul(voltages.ravel(), prepared.operator)
         return matmul(coefficients, self.basis[: len(coefficients)]), coefficients
 
     def estimate(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         phi, coefficients = self.image(prepared, voltages)
         image = phi.reshape(self.shape)
@@ -147,7 +147,7 @@ class Linear(AbstractMethod):
         return Estimate(contacts, image, residual, flags, by_electrode=each)
 
     def _unexplained(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], contacts: Contacts
+        self, prepared: PreparedLinear, voltages: Float[Array, "S M"], contacts: Contacts
     ) -> Int[Array, ""]:
         """Of a few of the slots; J(0)'s columns have T's shape, whatever the contact."""
         step = max(1, len(voltages) // _SOME)

@@ -7,7 +7,7 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -43,7 +43,7 @@ _SMOOTH, _PROJECTED = 0.375, 100
 _SLOTS, _RELATIVE = 64, 1e-4
 
 
-class Prepared(NamedTuple):
+class PreparedSource(NamedTuple):
     """For S slots with their good channels."""
 
     operators: Float[Array, "SM r"]  # coefficients of the mean image from the voltages
@@ -58,7 +58,7 @@ class Prepared(NamedTuple):
     lam: Float[Array, ""]
 
 
-class Source(AbstractMethod):
+class AbstractSource(AbstractMethod):
     """s^l = T^lᵀ(T^lT^lᵀ + λI)⁻¹V^l, in an orthonormal basis of T's row space (rank M).
 
     The minimum-norm image is highest at electrodes wherever the contact is. Contacts are
@@ -72,7 +72,8 @@ class Source(AbstractMethod):
     of ten, against 4 mm with G; λI's is narrower (35 mm against 45).
     """
 
-    positive: ClassVar[bool] = False
+    # Whether the image that is drawn is nowhere negative.
+    positive: eqx.AbstractClassVar[bool]
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
@@ -88,7 +89,7 @@ class Source(AbstractMethod):
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
 
     @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> Self:
         """On an image of `shape` pixels."""
         pixels = pixels_of(sensor, shape)
         # Of the pitch: half of the square that an electrode has to itself, as a Gaussian.
@@ -103,7 +104,7 @@ class Source(AbstractMethod):
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
-    ) -> "Source":
+    ) -> Self:
         """Of any T^l; the image is smooth over `length`, in pixels."""
         dtype = cell.dtype
         sides = [np.eye(n) for n in shape]
@@ -157,7 +158,7 @@ class Source(AbstractMethod):
             chosen.append(np.interp(np.log(target), np.log(misfit), np.log(lam)))
         return float(np.exp(np.median(chosen)))
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:
         used = good.any(1)
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
         lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
@@ -186,7 +187,7 @@ class Source(AbstractMethod):
         count = max(1, used.sum())
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * _NOISE * np.sqrt((noise / spread).max())
-        return Prepared(
+        return PreparedSource(
             jnp.asarray(np.concatenate([o.T for o in operators]) / count, dtype),
             jnp.asarray(through / count, dtype),
             jnp.asarray(np.stack(misfits), dtype),
@@ -199,17 +200,19 @@ class Source(AbstractMethod):
             jnp.asarray(lam, dtype),
         )
 
-    def image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
+    def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """The mean current image of the slots, A per pixel (or element of T)."""
         return self._image(prepared, voltages)[0]
 
     def _image(
-        self, prepared: Prepared, voltages: Float[Array, "S M"]
+        self, prepared: PreparedSource, voltages: Float[Array, "S M"]
     ) -> tuple[Array, Array]:
         coefficients = matmul(voltages.ravel(), prepared.operators)
         return matmul(coefficients, self.basis), coefficients
 
-    def smooth_image(self, prepared: Prepared, voltages: Float[Array, "S M"]) -> Array:
+    def smooth_image(
+        self, prepared: PreparedSource, voltages: Float[Array, "S M"]
+    ) -> Array:
         """The image that is drawn, A per pixel; nowhere negative where `positive`."""
         coefficients = matmul(voltages.ravel(), prepared.imaging)
         if not self.positive:  # one product, where a Gaussian of each image takes longer
@@ -219,7 +222,7 @@ class Source(AbstractMethod):
         return matmul(matmul(self.along, w.reshape(self.shape)), self.across.T)
 
     def estimate(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         source, coefficients = self._image(prepared, voltages)
         statistic = (source * prepared.spread).reshape(self.shape)
@@ -248,10 +251,16 @@ class Source(AbstractMethod):
         return Estimate(contacts, image, residual, flags, by_electrode=each)
 
 
-class PositiveSource(Source):
+class Source(AbstractSource):
+    """The image as Tikhonov's solve leaves it."""
+
+    positive: ClassVar[bool] = False  # pyright: ignore
+
+
+class PositiveSource(AbstractSource):
     """The same, with an image of currents that flow out of the object alone."""
 
-    positive: ClassVar[bool] = True
+    positive: ClassVar[bool] = True  # pyright: ignore
 
 
 def _row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:

@@ -22,41 +22,30 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.kernels.flags import Flag
-from tomojax.methods import Rows, Rung
+from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
 
 SCHEMA, VERSION = "tomojax-results", 1
 
 
 def fields(
-    contacts: int,
-    shape: tuple[int, int] | None,
+    sizes: dict[str, int],
     image_unit: str,
-    electrodes: int,
     covariance: bool,
     rung: bool = False,
     force: bool = False,
 ) -> dict:
-    """Name: (shape of a row, type, unit); the last three only where they are told."""
-    each: dict[str, tuple] = {
-        "t": ((), "<f8", "s"),
-        "contact_count": ((), "u1", "1"),
-        "contact_xy": ((contacts, 2), "<f4", "m"),
-        "contact_radius": ((contacts,), "<f4", "m"),
-        "contact_angle": ((contacts,), "<f4", "rad"),
-        "contact_current": ((contacts,), "<f4", "A"),
-        "contact_conductance": ((contacts,), "<f4", "S"),
-        "residual": ((), "<f4", "V"),
-        "flags": ((), "<u4", "1"),
-    }
-    if covariance:  # of the place: xx, yy, xy
-        each["contact_covariance"] = ((contacts, 3), "<f4", "m^2")
-    if force:
-        each["contact_force"] = ((contacts,), "<f4", "N")
-    if rung:
-        each["rung"] = ((), "u1", "1")
-    if shape:
-        each["image"] = (shape, "<f4", image_unit)
-        each["residual_by_electrode"] = ((electrodes,), "<f4", "V")
+    """Name: (shape of a row, type, unit); the last three only where they are told.
+
+    `sizes`: C contacts; with images also nx, ny and M electrodes.
+    """
+    each: dict[str, tuple] = {"t": ((), "<f8", "s")}
+    told = {"contact_covariance": covariance, "rung": rung}
+    for name, values in empty_rows(0, sizes)._asdict().items():
+        if values is not None and told.get(name, True):
+            field = fields_of_rows()[name]
+            each[name] = (values.shape[1:], field.kind, field.unit or image_unit)
+        if force and name == "contact_conductance":
+            each["contact_force"] = ((sizes["C"],), "<f4", "N")
     return each
 
 

@@ -150,12 +150,9 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
     from tomojax.results import _file
 
     rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
-    shape = model.shape if settings.images else None
     layout = _file.fields(
-        settings.contacts,
-        shape,
+        model.sizes(settings.contacts, settings.images),
         model.image_unit,
-        model.electrode_count,
         model.tells_covariance,
         model.tells_rung,
         calibration.pressure is not None,

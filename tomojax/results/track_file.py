@@ -11,19 +11,14 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
-from tomojax.methods import Rows
+from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output, SCHEMA
 from tomojax.results._track import Touch, touches, track, Tracks
 
 # Datasets that tracks replace or add, with their units.
-_UNITS = {
-    "contact_count": "1",
+_UNITS = {name: field.unit for name, field in fields_of_rows().items()} | {
     "contact_track": "1",
-    "contact_xy": "m",
-    "contact_covariance": "m^2",
-    "contact_conductance": "S",
     "contact_conductance_error": "1",
-    "contact_current": "A",
 }
 # What is about a contact by its place in the row, and so not the tracks'.
 _LEFT_OUT = (
@@ -72,7 +67,7 @@ def track_results(
         with h5py.File(building, "w") as new:
             new.attrs.update(attributes | {"tracked": json.dumps(options)})
             for name in file:
-                if name not in _UNITS and name not in _LEFT_OUT:
+                if name not in Tracks._fields and name not in _LEFT_OUT:
                     file.copy(name, new)
             for name, values in found._asdict().items():
                 new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
@@ -81,11 +76,9 @@ def track_results(
 
 
 def _rows(file: h5py.File) -> Rows:
-    n = len(file["t"])
-    empty = {"rung": np.zeros(n, np.uint8), "image": None}
-    names = [f for f in Rows._fields if f not in _LEFT_OUT and f in file]
-    some = {name: file[name][()] for name in names}
-    return Rows(**{name: some.get(name, empty.get(name)) for name in Rows._fields})
+    some = {f: file[f][()] for f in Rows._fields if f not in _LEFT_OUT and f in file}
+    none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(len(file["t"]), np.uint8)}
+    return Rows(**(none | some))  # pyright: ignore
 
 
 def text(found: list[Touch], most: int = 30) -> str:

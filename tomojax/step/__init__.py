@@ -5,7 +5,6 @@ rig that a slot comes from.
 """
 
 from tomojax.step._make import make_step as make_step
-from tomojax.step._methods import Follow as Follow
 from tomojax.step._policies import (
     ADAPTIVE as ADAPTIVE,
     Lookup as Lookup,

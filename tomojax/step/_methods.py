@@ -22,10 +22,6 @@ from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
 from tomojax.methods import AbstractMethod, Estimate, Points
 
-# Waves of the sheet that a slot's voltages have in common: the longest. All fourteen are no
-# better here, three lose a second contact on the way to it.
-_WAVES = 5
-
 # What is left of a slot's voltages where one more contact may hide: lone ones leave 5 % at
 # most, nineteen in twenty that hide another 6 % and more.
 _LIMIT = 0.06
@@ -89,17 +85,7 @@ class Follow(AbstractStepMethod):
         tangent = jax.jit(every)(points.sheet, points.candidates, none)
         potential = tangent[:, 0]
         candidates = Candidates(points.candidates, potential, potential**2, tangent)
-        prepared = points.prepare(np.array([0]), good[None], 1.0)
-        strength = np.asarray((prepared.smooth**2).mean(1))
-        longest = np.sort(np.argsort(-strength, kind="stable")[:_WAVES])
-        noise = Noise(
-            prepared.noise,
-            prepared.own,
-            prepared.bend,
-            prepared.smooth[longest],
-            prepared.offset,
-        )
-        return cls(count, points, candidates, noise)
+        return cls(count, points, candidates, points.errors.in_slot(good))
 
     @property
     def residual_limit(self) -> float:

@@ -15,7 +15,7 @@ from tomojax.design.objectives._problem import (
     exploratory_voltages as exploratory_voltages,
 )
 from tomojax.design.objectives._rigs import (
-    Scenes as Scenes,
     simulate_scenes as simulate_scenes,
+    SimulatedScenes as SimulatedScenes,
 )
 from tomojax.design.objectives._scores import score as score

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from tomojax._checks import require_shape
 from tomojax.design.objectives._contacts import blobs
 from tomojax.design.objectives._information import AbstractObjective
-from tomojax.design.objectives._rigs import Scenes
+from tomojax.design.objectives._rigs import SimulatedScenes
 from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.methods import Linear, Source
 
@@ -46,7 +46,11 @@ class ImageError(AbstractObjective):
 
     @classmethod
     def of(
-        cls, method: Linear | Source, scenes: Scenes, width: float, smooth: bool = False
+        cls,
+        method: Linear | Source,
+        scenes: SimulatedScenes,
+        width: float,
+        smooth: bool = False,
     ) -> "ImageError":
         """Through the images of `method`; contacts are Gaussians of `width` (σ), m."""
         rank = 128

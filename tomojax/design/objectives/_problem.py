@@ -27,11 +27,10 @@ from tomojax.design.objectives._information import (
 )
 from tomojax.design.objectives._scores import simulated_place_error
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import SIZE_WIDTH, slot_weights, weighed
-from tomojax.methods import Linear, Points, Source
+from tomojax.kernels.contacts import Noise, Sheet, SIZE_WIDTH, slot_weights, weighed
+from tomojax.methods import Linear, noise_of, sheet_of, Source
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
-from tomojax.step import Follow
 
 DesignMethod = Literal["points", "linear", "source"]
 
@@ -132,25 +131,24 @@ def design_objective(
     metal = 1.0 if rigs and method == "linear" else 1e-4
     conductance = metal if conductance is None else conductance
     # Where its contacts are is what `points` alone needs to know closely.
-    points = Points.of(sensor, (grid, grid)) if method != "linear" else None
+    sheet = sheet_of(sensor) if method != "linear" else None
     if method == "points":
-        assert points is not None
+        assert sheet is not None
+        contact = _contact(sheet, radius, conductance)
         if rigs:
-            contact = _contact(points, radius, conductance)
-            prior = place_prior(points.sheet.unit)
-            return simulated_place_error(sensor, points, where, *contact, prior)
-        return _of_points(points, where, criterion, precision, radius, conductance)
+            prior = place_prior(sheet.unit)
+            return simulated_place_error(sensor, sheet, where, *contact, prior)
+        noise = noise_of(sensor) if precision is None else precision
+        return _of_points(sheet, where, criterion, noise, *contact)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
     shares = None
-    if points is not None:
+    if sheet is not None:
         current = jax.vmap(
             jax.vmap(contact_current, (None, None, None, None, 0)),
             (None, 0, None, None, None),
         )
-        size, resistance = _contact(points, radius, conductance)
-        each = current(
-            points.sheet, where, size, resistance, jnp.arange(found.electrode_count)
-        )
+        size, resistance = _contact(sheet, radius, conductance)
+        each = current(sheet, where, size, resistance, jnp.arange(found.electrode_count))
         shares = (each / each.mean(1, keepdims=True)) ** 2
     value = _RELATIVE * found.scale() if lam is None else lam
     if rigs:
@@ -217,33 +215,32 @@ def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
 
 
 def _contact(
-    points: Points, radius: float | None, conductance: float
+    sheet: Sheet, radius: float | None, conductance: float
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Its size as `points` counts it, and its resistance."""
-    sheet, dtype = points.sheet, points.cell.dtype
+    dtype = sheet.size.dtype
     usual = sheet.size if radius is None else jnp.asarray(radius, dtype)
     return jnp.log(usual / sheet.size) / SIZE_WIDTH, jnp.asarray(1 / conductance, dtype)
 
 
 def _of_points(
-    points: Points,
+    sheet: Sheet,
     places: Float[Array, "P 2"],
     criterion: str,
-    precision: Float[Array, "M M"] | None,
-    radius: float | None,
-    conductance: float,
+    noise: Noise | Float[Array, "M M"],
+    size: Float[Array, ""],
+    resistance: Float[Array, ""],
 ) -> PlaceInformation:
-    m, sheet = points.electrode_count, points.sheet
-    noise = Follow.of(points, 1, np.ones(m, bool)).noise
-    size, resistance = _contact(points, radius, conductance)
+    """`noise` is that of `points`, or N⁻¹."""
+    m = len(sheet.field.electrodes)
 
     def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
         columns = contact_columns(sheet, place, size, resistance, ground)
-        if precision is None:
+        if isinstance(noise, Noise):
             weights = slot_weights(noise, columns[0], jnp.ones(m, bool))
             seen = weighed(weights, columns)
         else:
-            seen = matmul(columns, precision)
+            seen = matmul(columns, noise)
         gram = matmul(columns, seen.T)
         # The current is whatever fits: what it could explain says nothing of the place.
         return gram[1:, 1:] - gram[1:, :1] * gram[:1, 1:] / gram[0, 0]
@@ -268,8 +265,8 @@ def exploratory_voltages(
     conductance: float = 1e-4,
 ) -> Float[Array, "P 2 M"]:
     """What contacts make under the two exploratory grounds, V: `exploration`'s."""
-    points = Points.of(sensor, (8, 8))
-    size, resistance = _contact(points, radius, conductance)
-    one = lambda x, g: contact_columns(points.sheet, x, size, resistance, g)[0]  # noqa: E731
+    sheet = sheet_of(sensor)
+    size, resistance = _contact(sheet, radius, conductance)
+    one = lambda x, g: contact_columns(sheet, x, size, resistance, g)[0]  # noqa: E731
     grounds = exploration(sensor)
     return jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(places, grounds)

@@ -19,7 +19,7 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
 from tomojax.kernels.sheet import centroids
-from tomojax.methods import Points
+from tomojax.methods import sheet_of
 from tomojax.sensor import Converter, resistances, Sensor
 
 # Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (m), gains by 1 σ; and
@@ -75,7 +75,7 @@ def disc_shares(
     return jnp.asarray(inside / inside.sum(0), sensor.dtype)
 
 
-class Scenes(NamedTuple):
+class SimulatedScenes(NamedTuple):
     """Contacts and the voltages of all ground conditions."""
 
     places: Float[Array, "P ..."]  # (P, 2), or (P, C, 2), m
@@ -90,7 +90,7 @@ def simulate_scenes(
     conductance: float = 1.0,
     rigs: int = 4,
     seed: int = 0,
-) -> Scenes:
+) -> SimulatedScenes:
     """Contacts (discs, m and S) at `places` on `rigs` that are not as `sensor` says.
 
     Each has a sheet that varies by 2 % rms in waves of half a side and longer, electrodes
@@ -122,7 +122,7 @@ def simulate_scenes(
     away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
     reach = radii + np.asarray(sensor.electrode_diameter) / 2
     touched = jnp.asarray((away < reach[:, None, None]).any(1))
-    sheet, converter = Points.of(sensor, (8, 8)).sheet, Converter()
+    sheet, converter = sheet_of(sensor), Converter()
     found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
     keys = jax.random.split(jax.random.key(seed), rigs)
     split = jax.vmap(lambda key: jax.random.split(key, 3))(keys)
@@ -137,7 +137,7 @@ def simulate_scenes(
         gains = 1 + GAIN * jax.random.normal(split[number, 1], found.shape[1:2])
         seen = converter(gains.astype(sensor.dtype) * exact, split[number, 2])
         found[turns] = seen[: len(turns)]
-    return Scenes(given, jnp.asarray(found, sensor.dtype))
+    return SimulatedScenes(given, jnp.asarray(found, sensor.dtype))
 
 
 @jax.jit

@@ -17,10 +17,9 @@ from tomojax.design.objectives._contacts import contact_columns, contact_current
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import slot_weights, solve_small, weighed
-from tomojax.methods import Points
+from tomojax.kernels.contacts import Sheet, slot_weights, solve_small, weighed
+from tomojax.methods import noise_of
 from tomojax.sensor import Converter, Sensor
-from tomojax.step import Follow
 
 # Rigs that are simulated.
 _RIGS = 16
@@ -58,15 +57,14 @@ class SimulatedPlaceError(AbstractObjective):
 
 def simulated_place_error(
     sensor: Sensor,
-    points: Points,
+    sheet: Sheet,
     places: Float[Array, "P 2"],
     size: Array,
     resistance: Array,
     prior: Float[Array, "3 3"],
 ) -> SimulatedPlaceError:
     """Of discs at `places` on rigs as `simulate_scenes` has them."""
-    m, sheet = points.electrode_count, points.sheet
-    noise = Follow.of(points, 1, np.ones(m, bool)).noise
+    m, noise = sensor.electrode_count, noise_of(sensor)
     inside = disc_shares(sensor, np.asarray(places), float(sheet.size))
     keys = jax.random.split(jax.random.key(0), _RIGS)
     more = [(d.electrodes, d.elements @ inside) for d in differences(sensor, keys)]

@@ -12,9 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import least_squares, LeastSquares, solve_positive
-from tomojax.kernels.contacts import Frame, slot_columns, unwhitened, whitened_columns
+from tomojax.kernels.contacts import (
+    slot_columns,
+    unwhitened,
+    whitened_columns,
+    WhitenedFrame,
+)
 from tomojax.methods._contract import rms_by_electrode
-from tomojax.methods._errors import misfit_cost, Prepared, TOLERANCE, whitened
+from tomojax.methods._errors import misfit_cost, PreparedErrors, TOLERANCE, whitened
 
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 6, 30
@@ -39,12 +44,12 @@ class Found(NamedTuple):
     by_electrode: Float[Array, " M"]  # the same of each
 
 
-class Scene(NamedTuple):
+class Fitting(NamedTuple):
     """One frame, and what it is fitted with."""
 
     method: Any
-    prepared: Prepared
-    frame: Frame
+    prepared: PreparedErrors
+    frame: WhitenedFrame
     own: Float[Array, "S M"]  # these three as in `Whitened`
     common: Float[Array, "S q M"]
     offset: Float[Array, " S"]
@@ -52,35 +57,37 @@ class Scene(NamedTuple):
     most: int  # contacts
 
 
-def scene_of(method, prepared: Prepared, voltages: Float[Array, "S M"], most: int) -> Scene:
+def fitting_of(
+    method, prepared: PreparedErrors, voltages: Float[Array, "S M"], most: int
+) -> Fitting:
     """A frame, whitened."""
-    return Scene(method, prepared, *whitened(prepared, voltages), voltages, most)
+    return Fitting(method, prepared, *whitened(prepared, voltages), voltages, most)
 
 
-def candidates_of(scene: Scene) -> tuple[Array, Array]:
+def candidates_of(scene: Fitting) -> tuple[Array, Array]:
     """Of each candidate in some slots, and the frame in these; whitened."""
     some = scene.prepared.compared
-    part: Frame = jax.tree.map(lambda a: a[some], scene.frame)
+    part: WhitenedFrame = jax.tree.map(lambda a: a[some], scene.frame)
     sheet, potentials = scene.method.sheet, scene.method.potentials
     z = sheet.ground_resistance
     columns = slot_columns(sheet.field, potentials, part.grounds, z)
     return whitened_columns(part, columns), part.whitened
 
 
-def starts_at(scene: Scene, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
+def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
     lengths = places / scene.method.sheet.unit
     usual = jnp.zeros_like(lengths[..., :1])
     return jnp.concatenate([lengths, usual], -1).reshape(len(places), -1)
 
 
-def fit_of(scene: Scene, kind: Callable) -> Callable:
+def fit_of(scene: Fitting, kind: Callable) -> Callable:
     """That model, of a flat vector of parameters."""
     width = (-1, 3) if kind is model.discs else (-1,)
     return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
 
 
 def best_fit(
-    scene: Scene, kind: Callable, starts: Float[Array, "n P"]
+    scene: Fitting, kind: Callable, starts: Float[Array, "n P"]
 ) -> tuple[Found, LeastSquares]:
     """The best of the fits from `starts`, and how it ended."""
     # The search itself is not differentiated (its loop cannot be, in reverse): what it
@@ -127,7 +134,7 @@ def best_fit(
     return found, ended
 
 
-def _implicit(scene: Scene, kind: Callable, ended: LeastSquares) -> Array:
+def _implicit(scene: Fitting, kind: Callable, ended: LeastSquares) -> Array:
     """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
     rest, priors, _ = fit_of(scene, kind)(ended.parameters)
     weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
@@ -139,7 +146,7 @@ def _implicit(scene: Scene, kind: Callable, ended: LeastSquares) -> Array:
 
 
 def _uncertainty(
-    scene: Scene, ended: LeastSquares, count: int
+    scene: Fitting, ended: LeastSquares, count: int
 ) -> tuple[Float[Array, "C 3"], Bool[Array, ""]]:
     """Covariance of the places, and whether noise has the lesser part in it.
 
@@ -177,7 +184,7 @@ def _uncertainty(
     return by_noise + by_model, by_model[:, :2].sum() > by_noise[:, :2].sum()
 
 
-def _drop(scene: Scene, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
+def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
     """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
 
     What the channels have in common is there too, as the fit has found it.

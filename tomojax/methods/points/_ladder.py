@@ -28,8 +28,8 @@ from tomojax.methods.points._fit import (
     best_fit,
     candidates_of,
     fit_of,
+    Fitting,
     Found,
-    Scene,
     starts_at,
 )
 
@@ -68,7 +68,7 @@ def _due(ladder: Ladder, size: int) -> Any:
     return ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
 
 
-def first(scene: Scene) -> Ladder:
+def first(scene: Fitting) -> Ladder:
     """One disc, from the best candidate."""
     columns, compared = candidates_of(scene)
     places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
@@ -77,7 +77,7 @@ def first(scene: Scene) -> Ladder:
     return Ladder(found, found, found, _promise(scene, found, ended, 1))
 
 
-def _seen(scene: Scene, found: Found) -> Found:
+def _seen(scene: Fitting, found: Found) -> Found:
     """No contact where none is the better explanation: noise and channels' zeros."""
     used = scene.prepared.used
     towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
@@ -93,7 +93,7 @@ def _seen(scene: Scene, found: Found) -> Found:
     )
 
 
-def _larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
+def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
     best, one, discs, _ = ladder
     new, ended = _more_discs(scene, discs, size)
@@ -104,7 +104,7 @@ def _larger(scene: Scene, ladder: Ladder, size: int) -> Ladder:
     return Ladder(best, one, _choose(gained, new, discs), promise)
 
 
-def _longer(scene: Scene, ladder: Ladder) -> Ladder:
+def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     """A bar or a ring in the place of two discs, where it fits better yet."""
     best, one = ladder.best, ladder.one
     middle = one.parameters[0, :2]
@@ -124,7 +124,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     return found
 
 
-def _promise(scene: Scene, discs: Found, ended: LeastSquares, size: int) -> Array:
+def _promise(scene: Fitting, discs: Found, ended: LeastSquares, size: int) -> Array:
     """What the best candidate for one more would gain, per slot compared.
 
     The discs that there are may move a little then: each candidate is told apart from
@@ -147,7 +147,7 @@ def _score(found: Found) -> Array:
     return found.cost + _GAIN * extra.astype(found.cost.dtype)
 
 
-def _more_discs(scene: Scene, discs: Found, size: int) -> tuple[Found, LeastSquares]:
+def _more_discs(scene: Fitting, discs: Found, size: int) -> tuple[Found, LeastSquares]:
     """One more than there are; two also from pairs of candidates."""
     candidates = scene.method.candidates
     columns, compared = candidates_of(scene)
@@ -166,7 +166,7 @@ def _more_discs(scene: Scene, discs: Found, size: int) -> tuple[Found, LeastSqua
     return best_fit(scene, model.discs, starts)
 
 
-def _own_columns(scene: Scene, discs: Found, size: int) -> Float[Array, "C S M"]:
+def _own_columns(scene: Fitting, discs: Found, size: int) -> Float[Array, "C S M"]:
     """What the discs make per ampere."""
     sheet = scene.method.sheet
     each = jax.vmap(field_at, (None, 0, 0))
@@ -175,7 +175,7 @@ def _own_columns(scene: Scene, discs: Found, size: int) -> Float[Array, "C S M"]
     return slot_columns(sheet.field, own, grounds, z)
 
 
-def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
+def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     """Whether each slot fits better by enough, in the mean.
 
     Of which no slot may make out much more than its part: a contact shows in every slot,
@@ -190,7 +190,7 @@ def _gains(scene: Scene, old: Found, new: Found, size: int) -> Array:
     return gain > enough
 
 
-def _believed(scene: Scene, found: Found, size: int) -> Found:
+def _believed(scene: Fitting, found: Found, size: int) -> Found:
     """At infinite cost where two discs are one, or one is a ghost."""
     place, current = found.place[:size], found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
@@ -199,7 +199,7 @@ def _believed(scene: Scene, found: Found, size: int) -> Found:
     return found._replace(cost=jnp.where(near | weak, jnp.inf, found.cost))
 
 
-def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
+def _bar(scene: Fitting, middle: Float[Array, "2"]) -> Found:
     turn = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     ends = jnp.asarray(np.stack([np.cos(turn), np.sin(turn)], 1), middle.dtype)
     ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
@@ -211,7 +211,7 @@ def _bar(scene: Scene, middle: Float[Array, "2"]) -> Found:
     return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
 
 
-def _ring(scene: Scene, middle: Float[Array, "2"]) -> Found:
+def _ring(scene: Fitting, middle: Float[Array, "2"]) -> Found:
     sheet = scene.method.sheet
     wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
     starts = [jnp.array([*middle, w, 0]) for w in wide]

@@ -10,18 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 
-from tomojax.kernels import contacts as model
-from tomojax.kernels.contacts import field_at
+from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
-from tomojax.methods._errors import Errors, Prepared, TOLERANCE
-from tomojax.methods.points._fit import Found, scene_of
+from tomojax.methods._errors import Errors, PreparedErrors, TOLERANCE
+from tomojax.methods._rows import Rows
+from tomojax.methods.points._fit import fitting_of, Found
 from tomojax.methods.points._ladder import first, Ladder, steps
-from tomojax.sensor import Calibration, make_field, Sensor
-
-# Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
-_USUAL, _UNIT = 1.2, 0.2
+from tomojax.methods.points._sheet import sheet_of, UNIT
+from tomojax.sensor import Calibration, Sensor
 
 # Candidates along a side.
 _CANDIDATES = 20
@@ -51,7 +49,7 @@ class Points(AbstractMethod):
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
-    sheet: model.Sheet
+    sheet: Sheet
     candidates: Float[Array, "K 2"]
     potentials: Float[Array, "K M"]  # of a usual contact at each
     errors: Errors
@@ -59,15 +57,7 @@ class Points(AbstractMethod):
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
         """On an image of `shape` pixels."""
-        diameter = sensor.electrode_diameter
-        sheet = model.Sheet(
-            make_field(sensor),
-            jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
-            sensor.ground_resistance,
-            sensor.drive_voltage,
-            _UNIT * diameter,
-            _USUAL * diameter,
-        )
+        sheet = sheet_of(sensor)
         size = np.asarray(sensor.size)
         parts = (np.arange(_CANDIDATES) + 0.5) / _CANDIDATES
         grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
@@ -94,13 +84,13 @@ class Points(AbstractMethod):
     def scale(self) -> float:
         return 1.0
 
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Prepared:
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         return self.errors.prepare(grounds, good, lam)
 
     def estimate(
-        self, prepared: Prepared, voltages: Float[Array, "S M"], count: int
+        self, prepared: PreparedErrors, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        scene = scene_of(self, prepared, voltages, count)
+        scene = fitting_of(self, prepared, voltages, count)
         ladder = first(scene)
         for due, step in steps(count):
             ladder = jax.lax.cond(
@@ -110,12 +100,12 @@ class Points(AbstractMethod):
 
     def block(
         self,
-        prepared: Prepared,
+        prepared: PreparedErrors,
         voltages: Float[Array, "n S M"],
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
-    ) -> tuple:
+    ) -> Rows:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
         frames, slots = voltages.shape[:2]
         size = int(np.clip(_CALL // slots, 4, 32))
@@ -137,7 +127,7 @@ class Points(AbstractMethod):
         rows = []
         for b in blocks:
             found = jax.tree.map(lambda a, b=b: a[b], ladder.best)
-            rows.append(_described_all(self, found, voltages[b], count, images))
+            rows.append(_described_all(self, found, voltages[b], images))
         return jax.tree.map(lambda *p: np.concatenate(p)[:frames], *rows)
 
     def _described(self, found: Found) -> Estimate:
@@ -164,7 +154,7 @@ class Points(AbstractMethod):
         # Of all channels together: what is left of a part of them is little of the whole.
         high = found.cost > TOLERANCE
         flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-        limit = _UNCERTAIN / _UNIT * self.sheet.unit
+        limit = _UNCERTAIN / UNIT * self.sheet.unit
         vague = (largest_variance(found.covariance) > limit**2).any()
         flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
         each = found.by_electrode
@@ -174,7 +164,7 @@ class Points(AbstractMethod):
 @eqx.filter_jit
 def _first(method, prepared, voltages, grounds: Int[Array, "n S"], count: int) -> Ladder:
     def one(v: Array, grounds: Array) -> Ladder:
-        return first(scene_of(method, prepared._replace(grounds=grounds), v, count))
+        return first(fitting_of(method, prepared._replace(grounds=grounds), v, count))
 
     return jax.vmap(one)(voltages, grounds)
 
@@ -184,15 +174,15 @@ def _step(
     method, prepared, voltages, grounds, ladder: Ladder, count: int, number: int
 ) -> Ladder:
     def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
-        scene = scene_of(method, prepared._replace(grounds=grounds), v, count)
+        scene = fitting_of(method, prepared._replace(grounds=grounds), v, count)
         return steps(count)[number][1](scene, ladder=ladder)
 
     return jax.vmap(one)(voltages, grounds, ladder)
 
 
 @eqx.filter_jit
-def _described_all(method, found: Found, voltages, count: int, images: bool) -> tuple:
-    def one(found: Found, v: Array) -> tuple:
-        return judged(method, method._described(found), v, count, images)
+def _described_all(method, found: Found, voltages, images: bool) -> Rows:
+    def one(found: Found, v: Array) -> Rows:
+        return judged(method, method._described(found), v, images)
 
     return jax.vmap(one)(found, voltages)

@@ -168,17 +168,18 @@ def _read(images: np.ndarray, loops: np.ndarray, sensor: Sensor) -> Rows:
     pixels = images.reshape(n, *shape, 2).mean(-1)
     currents = (images / loops).reshape(n, *shape, 2).mean(-1)
     both = (jnp.asarray(a, jnp.float32) for a in (pixels, currents))
-    contacts: Any = map(np.asarray, jax.vmap(read)(*both))
-    nothing = np.zeros(n)
-    flags, rung = np.zeros(n, np.uint32), np.zeros(n, np.uint8)
-    told: list[Any] = [*contacts, nothing, flags, rung, pixels, None]
-    return Rows(*told)
+    return Rows.of(
+        jax.tree.map(np.asarray, jax.vmap(read)(*both)),
+        residual=np.zeros(n),
+        flags=np.zeros(n, np.uint32),
+        rung=np.zeros(n, np.uint8),
+        image=pixels,
+    )
 
 
 def _scores(rows: Rows, trials: Trials, sensor: Sensor) -> dict[str, dict]:
     found = {}
     for kind in KINDS:
         at = np.flatnonzero(trials.kind == kind)
-        some = Rows(*(None if a is None else a[at] for a in rows))  # pyright: ignore
-        found[kind] = score(some, trials.of(at), np.asarray(sensor.size))
+        found[kind] = score(rows.take(at), trials.of(at), np.asarray(sensor.size))
     return found

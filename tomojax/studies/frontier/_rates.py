@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tomojax.methods import Batch, Linear, method as make_method, Rows, Source
+from tomojax.methods import Batch, Linear, method as make_method, Source
 from tomojax.sensor import NOISE, Sensor
 from tomojax.studies.frontier._measure import grounds_of, Job, repeated
 from tomojax.studies.frontier._scenes import score, Trials
@@ -139,8 +139,8 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
             start, figures = 0, {}
             for kind, some in chosen.items():
                 end = start + len(some)
-                told: list = [None if a is None else a[start:end] for a in rows]
-                figures[kind] = score(Rows(*told), trials.of(some), np.asarray(sensor.size))
+                told = rows.take(slice(start, end))
+                figures[kind] = score(told, trials.of(some), np.asarray(sensor.size))
                 start = end
             false = int((rows.contact_count[start:] > 0).sum())
             yield {

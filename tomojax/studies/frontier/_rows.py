@@ -20,7 +20,7 @@ from tomojax.methods import (
     Rows,
 )
 from tomojax.sensor import Sensor
-from tomojax.step import make_step
+from tomojax.step import make_step, Output
 from tomojax.studies.frontier._measure import grounds_of, Job, kinds_of, repeated, timing
 from tomojax.studies.frontier._scenes import score, Trials
 
@@ -160,13 +160,8 @@ def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
             }
 
 
-def rows_of_steps(outs: list[Any]) -> Rows:
-    """Of outputs of a step, as a batch has them; without images."""
-    fields = zip(*(out.contacts for out in outs))
-    count, xy, radius, angle, current, conductance, covariance = map(np.array, fields)
-    residual, flags = (
-        np.array([getattr(o, n) for o in outs]) for n in ("residual", "flags")
-    )
+def rows_of_steps(outs: list[Output]) -> Rows:
+    """Outputs of a step, as a batch has them; without images."""
+    told = jax.tree.map(lambda *values: np.array(values), *outs)
     none = np.zeros(len(outs), np.uint8)
-    shape = count, xy, radius, angle, current, conductance, covariance
-    return Rows(*shape, residual, flags, none, None, None)
+    return Rows.of(told.contacts, residual=told.residual, flags=told.flags, rung=none)

@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from tomojax.studies.stability._scenes import Bench, Scenes, Sweep
+from tomojax.studies.stability._scenes import Bench, Sweep, SweptScenes
 
 
 def _spoilt(change: Callable[[Bench, np.ndarray, float], np.ndarray]):
     """A sweep's `make` of what is done to voltages (n, M, M)."""
 
-    def make(bench: Bench, value: float) -> Scenes:
+    def make(bench: Bench, value: float) -> SweptScenes:
         volts, xy = bench.lone
-        return Scenes(change(bench, volts.copy(), value), xy)
+        return SweptScenes(change(bench, volts.copy(), value), xy)
 
     return make
 
@@ -98,30 +98,30 @@ def _saturated(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
     return np.clip(volts, -value, value)
 
 
-def _sheet(bench: Bench, value: float) -> Scenes:
+def _sheet(bench: Bench, value: float) -> SweptScenes:
     """What is told is so many times what it is."""
     told = bench.sensor.sheet_resistance * value
-    return Scenes(*bench.lone, told=replace(bench.sensor, sheet_resistance=told))
+    return SweptScenes(*bench.lone, told=replace(bench.sensor, sheet_resistance=told))
 
 
-def _ground_path(bench: Bench, value: float) -> Scenes:
+def _ground_path(bench: Bench, value: float) -> SweptScenes:
     """Ω more on the way to ground than there are."""
     told = bench.sensor.ground_resistance + value
-    return Scenes(*bench.lone, told=replace(bench.sensor, ground_resistance=told))
+    return SweptScenes(*bench.lone, told=replace(bench.sensor, ground_resistance=told))
 
 
-def _misplaced(bench: Bench, value: float) -> Scenes:
+def _misplaced(bench: Bench, value: float) -> SweptScenes:
     """Electrodes are told so many mm from where they are, rms."""
     moved = bench.electrodes + 1e-3 * value * bench.rng().normal(
         size=bench.electrodes.shape
     )
     radius = 0.51 * float(np.asarray(bench.sensor.electrode_diameter))
     moved = np.clip(moved, radius, bench.size - radius).astype(bench.sensor.dtype)
-    return Scenes(*bench.lone, told=replace(bench.sensor, electrode_xy=moved))
+    return SweptScenes(*bench.lone, told=replace(bench.sensor, electrode_xy=moved))
 
 
-def _lam(bench: Bench, value: float) -> Scenes:
-    return Scenes(*bench.lone, lam=value)
+def _lam(bench: Bench, value: float) -> SweptScenes:
+    return SweptScenes(*bench.lone, lam=value)
 
 
 _COUNTS = (0, 1, 2, 4, 8, 16, 32)

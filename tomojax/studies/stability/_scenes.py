@@ -1,4 +1,4 @@
-"""Scenes for `tomojax stability`: one thing gets worse, everything else stays.
+"""SweptScenes for `tomojax stability`: one thing gets worse, everything else stays.
 
 Voltages are a resistor network's (`_network`), with the errors of a rig; a reconstruction
 is told nominal values. What a value of a sweep makes of a scene uses the same draws at
@@ -24,7 +24,7 @@ CONDUCTANCE, _RADIUS, _MARGIN = 1e-4, 0.03, 0.15
 NEAR = 0.010
 
 
-class Scenes(NamedTuple):
+class SweptScenes(NamedTuple):
     """n scenes at one value of a sweep."""
 
     volts: Float[np.ndarray, "n M M"]  # as measured under every ground, V
@@ -35,7 +35,7 @@ class Scenes(NamedTuple):
     whole: bool = False  # one large contact: its place is the mean of what is found
     before: Float[np.ndarray, "n M M"] | None = None  # of another contact, until now
 
-    def first(self, count: int | None) -> "Scenes":
+    def first(self, count: int | None) -> "SweptScenes":
         """So many of them; None is all."""
         before = None if self.before is None else self.before[:count]
         return self._replace(volts=self.volts[:count], xy=self.xy[:count], before=before)
@@ -108,10 +108,12 @@ class Bench:
         volts, truth = (rig or self.rig).scene(*contacts)
         return volts, np.array([xy for xy, _ in truth])
 
-    def scenes(self, contacts: list[list[Contact]], rig: Network | None = None) -> Scenes:
+    def scenes(
+        self, contacts: list[list[Contact]], rig: Network | None = None
+    ) -> SweptScenes:
         """As measured."""
         volts, xy = zip(*(self.scene(some, rig) for some in contacts))
-        return Scenes(self.measured(np.array(volts), rig), np.array(xy))
+        return SweptScenes(self.measured(np.array(volts), rig), np.array(xy))
 
 
 class Sweep(NamedTuple):
@@ -119,16 +121,16 @@ class Sweep(NamedTuple):
 
     title: str  # with the unit of the values
     values: tuple[float, ...]
-    make: Callable[[Bench, float], Scenes]
+    make: Callable[[Bench, float], SweptScenes]
     follows: bool = True  # whether the scenes mean something to a step
     only: tuple[str, ...] = ()  # methods; none: all
 
 
-def _conductance(bench: Bench, value: float) -> Scenes:
+def _conductance(bench: Bench, value: float) -> SweptScenes:
     return bench.scenes([[bench.disc(p, None, value)] for p in bench.places])
 
 
-def _size(bench: Bench, value: float) -> Scenes:
+def _size(bench: Bench, value: float) -> SweptScenes:
     """Of the same conductance per area, within reason: ever larger metal."""
     radius = value * 1e-3
     total = CONDUCTANCE * max(1.0, (radius / bench.radius) ** 2)
@@ -136,7 +138,7 @@ def _size(bench: Bench, value: float) -> Scenes:
     return found._replace(whole=True)
 
 
-def _from_electrode(bench: Bench, value: float) -> Scenes:
+def _from_electrode(bench: Bench, value: float) -> SweptScenes:
     """So many mm from an electrode's centre, any but those that are grounded first."""
     rng = bench.rng()
     inner = np.setdiff1d(np.arange(len(bench.electrodes)), bench.corners)
@@ -147,7 +149,7 @@ def _from_electrode(bench: Bench, value: float) -> Scenes:
     return bench.scenes([[bench.disc(p, bench.radius / 2)] for p in places])
 
 
-def _from_ground(bench: Bench, value: float) -> Scenes:
+def _from_ground(bench: Bench, value: float) -> SweptScenes:
     """So many mm from the electrode that is grounded first, towards the middle."""
     ground = bench.electrodes[bench.corners[0]]
     inwards = np.arctan2(*(bench.size / 2 - ground)[::-1])
@@ -156,21 +158,21 @@ def _from_ground(bench: Bench, value: float) -> Scenes:
     return bench.scenes([[bench.disc(ground + a, bench.radius / 2)] for a in away])
 
 
-def _from_edge(bench: Bench, value: float) -> Scenes:
+def _from_edge(bench: Bench, value: float) -> SweptScenes:
     """So many mm from an edge; what of the disc is off the sheet is not there."""
     along = bench.rng().uniform(0.2, 0.8, bench.count) * bench.size[1]
     places = [np.array([1e-3 * value, y]) for y in along]
     return bench.scenes([[bench.disc(p)] for p in places])
 
 
-def _from_corner(bench: Bench, value: float) -> Scenes:
+def _from_corner(bench: Bench, value: float) -> SweptScenes:
     """So many mm from both edges, in a corner that is not explored."""
     steps = np.linspace(0, 1e-3, bench.count)
     places = [np.array([1e-3 * value + s, bench.size[1] - 1e-3 * value]) for s in steps]
     return bench.scenes([[bench.disc(p)] for p in places])
 
 
-def _contacts(bench: Bench, value: float) -> Scenes:
+def _contacts(bench: Bench, value: float) -> SweptScenes:
     """So many, an eighth of the side apart at least, of the same conductance."""
     rng, made = bench.rng(), []
     for _ in range(bench.count):
@@ -183,7 +185,7 @@ def _contacts(bench: Bench, value: float) -> Scenes:
     return bench.scenes(made)
 
 
-def _apart(bench: Bench, value: float) -> Scenes:
+def _apart(bench: Bench, value: float) -> SweptScenes:
     """Two, so many mm apart; told apart where each is within a third of that."""
     angles = bench.rng().uniform(0, np.pi, bench.count)
     half = 0.5e-3 * value * np.stack([np.cos(angles), np.sin(angles)], 1)
@@ -193,12 +195,12 @@ def _apart(bench: Bench, value: float) -> Scenes:
     return bench.scenes(made)._replace(near=1e-3 * value / 3)
 
 
-def _uneven(bench: Bench, value: float) -> Scenes:
+def _uneven(bench: Bench, value: float) -> SweptScenes:
     rig = Network(bench.sensor, bench.rng(), variation=value)
     return bench.scenes([[bench.disc(p, None, rig=rig)] for p in bench.places], rig)
 
 
-def _tear(bench: Bench, value: float) -> Scenes:
+def _tear(bench: Bench, value: float) -> SweptScenes:
     """A slit of so many mm, from an edge inwards across the middle of the sheet."""
     rig = Network(bench.sensor, bench.rng())
     x, y = rig.cells.T
@@ -207,7 +209,7 @@ def _tear(bench: Bench, value: float) -> Scenes:
     return bench.scenes([[bench.disc(p, None, rig=rig)] for p in bench.places], rig)
 
 
-def _motion(bench: Bench, value: float) -> Scenes:
+def _motion(bench: Bench, value: float) -> SweptScenes:
     """At so many m/s while a scan of all grounds goes on at 10 kHz."""
     slots, lasting = np.array([0, 1, 2, 4, 8, 16, 32, 64]), 1e-4
     made, xy = [], []
@@ -225,7 +227,7 @@ def _motion(bench: Bench, value: float) -> Scenes:
         ground = np.arange(len(order))
         made.append((1 - part) * volts[upper - 1, ground] + part * volts[upper, ground])
         xy.append(path[:1])
-    return Scenes(bench.measured(np.array(made)), np.array(xy))
+    return SweptScenes(bench.measured(np.array(made)), np.array(xy))
 
 
 def _scan_order(bench: Bench) -> np.ndarray:
@@ -234,7 +236,7 @@ def _scan_order(bench: Bench) -> np.ndarray:
     return np.concatenate([bench.corners, np.setdiff1d(every, bench.corners)])
 
 
-def _jump(bench: Bench, value: float) -> Scenes:
+def _jump(bench: Bench, value: float) -> SweptScenes:
     """What followed a contact finds it so many mm from where it was."""
     volts, xy = bench.lone
     angle = bench.rng().uniform(0, 2 * np.pi, bench.count)
@@ -242,7 +244,7 @@ def _jump(bench: Bench, value: float) -> Scenes:
     margin = 0.05 * bench.side
     places = np.clip(bench.places + away, margin, bench.size - margin)
     before = bench.scenes([[bench.disc(p)] for p in places])
-    return Scenes(volts, xy, before=before.volts)
+    return SweptScenes(volts, xy, before=before.volts)
 
 
 # Ways in which a scene itself gets hard.

@@ -20,7 +20,7 @@ from tomojax.step import make_step, Step
 from tomojax.studies.frontier import DOUBT, FAR, identity, rows_of_steps, same_run
 from tomojax.studies.stability import _faults, _scenes
 from tomojax.studies.stability._numbers import gradient_rows, solver_rows
-from tomojax.studies.stability._scenes import Bench, Scenes, Sweep
+from tomojax.studies.stability._scenes import Bench, Sweep, SweptScenes
 from tomojax.studies.stability._starts import resistance_rows, start_rows, STARTS
 
 SWEEPS = {
@@ -52,7 +52,7 @@ class Trial:
         self.bench = bench
         self._models: dict[tuple[str, Any], AbstractMethod] = {}
 
-    def found(self, name: str, scenes: Scenes, dtype: Any = np.float32) -> Rows:
+    def found(self, name: str, scenes: SweptScenes, dtype: Any = np.float32) -> Rows:
         """Rows of a method; `linear` has every ground, the others two.
 
         In float64 where that is enabled: `jax.enable_x64`.
@@ -84,7 +84,7 @@ class Trial:
     def step(self) -> Step:
         return make_step(self.bench.sensor, contacts=CONTACTS)
 
-    def _followed(self, scenes: Scenes) -> Rows:
+    def _followed(self, scenes: SweptScenes) -> Rows:
         """After so many slots, each grounded as the step asks."""
         outs = []
         for k, volts in enumerate(scenes.volts):
@@ -99,7 +99,7 @@ class Trial:
 
 
 def trial_row(
-    trial: Trial, method: str, scenes: Scenes, both: bool = True
+    trial: Trial, method: str, scenes: SweptScenes, both: bool = True
 ) -> dict[str, Any]:
     """How right, how far off and how doubted a method is on scenes of one value.
 
@@ -184,7 +184,7 @@ def sweep_rows(trial: Trial, name: str, methods: tuple[str, ...]) -> list[dict[s
     return rows
 
 
-def takes_part(sweep: Sweep, method: str, scenes: Scenes) -> bool:
+def takes_part(sweep: Sweep, method: str, scenes: SweptScenes) -> bool:
     """A step is made for one sensor, and has no scans."""
     if sweep.only and method not in sweep.only:
         return False

@@ -1,0 +1,90 @@
+"""Keeps the programs that commands compile: JAX's cache, in the user's cache folder."""
+
+import hashlib
+import os
+import platform
+import sys
+from contextlib import suppress
+from itertools import takewhile
+from pathlib import Path
+
+# Bytes of all folders together; a method's programs take 1 to 10 MB. JAX's own limit
+# (jax_compilation_cache_max_size) needs the package `filelock`, and reads the times of all
+# files again for each program that it writes.
+LIMIT = 512 << 20
+
+# The lines of /proc/cpuinfo that name the processor and its features, on x86 and ARM.
+_PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
+
+
+def keep_compiled() -> None:
+    """Makes JAX, which nobody has imported yet, keep programs for later commands.
+
+    The settings are environment variables, so that processes of a command share them. A
+    JAX_COMPILATION_CACHE_DIR of the user stays, and then this function sets nothing. A
+    folder that cannot be made or written stops no command: its programs are not kept.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    # RuntimeError: the user has no home folder.
+    with suppress(OSError, RuntimeError):
+        folder = _folder()
+        if folder is None:
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(0o700)  # JAX runs what lies there: nobody else may write it
+        if not os.access(folder, os.W_OK):
+            return
+        _drop_oldest(folder.parent)
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        # By default JAX leaves out what compiles in under a second: nearly all programs.
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        # XLA prints two false alarms for each program that it loads: jax#36294, and
+        # jax#38445 on processors with AVX-512. JAX raises real errors in Python as well.
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
+def _folder() -> Path | None:
+    """Names the folder after the versions and the processor; None where JAX crashes."""
+    from importlib.metadata import version
+
+    versions = {name: version(name) for name in ("jax", "jaxlib", "tomojax")}
+    if sys.platform == "darwin" and versions["jaxlib"].startswith(("0.8.", "0.9.")):
+        return None  # on macOS they run out of stack as they load a large program
+    made_with = "\n".join([*map(" ".join, versions.items()), *_processor()])
+    key = hashlib.sha256(made_with.encode()).hexdigest()[:12]
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    cache = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
+    return cache / "tomojax" / f"compiled-{key}"
+
+
+def _processor() -> list[str]:
+    """Lists the processor's name and features, and the number of cores.
+
+    A program would crash on a processor without a feature that XLA compiled it for. XLA
+    also splits loops among the cores: a program compiled on one core stays on one core.
+    """
+    cores = os.cpu_count()
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    told = [platform.machine(), platform.processor(), f"{cores} cores"]
+    with suppress(OSError), open("/proc/cpuinfo") as file:
+        first = takewhile(str.strip, file)  # up to the blank line after the first core
+        told += [line for line in first if line.split("\t")[0] in _PROCESSOR]
+    return told
+
+
+def _drop_oldest(cache: Path) -> None:
+    """Removes the programs that were used longest ago, until the rest is under `LIMIT`."""
+    found = []
+    for path in cache.glob("compiled-*/*"):
+        with suppress(OSError):  # another command may have removed the file
+            about = path.stat()
+            found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
+    size = sum(size for _, size, _ in found)
+    for _, bytes_there, path in sorted(found):
+        if size <= LIMIT:
+            break
+        with suppress(OSError):
+            path.unlink()
+        size -= bytes_there

@@ -1,0 +1,84 @@
+"""The fields of a row of results: name, shape, type and unit of each, said here alone."""
+
+from functools import cache
+from typing import Annotated, Any, get_args, get_type_hints, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from tomojax.kernels.images import Contacts
+
+
+class Column(NamedTuple):
+    """How a field is stored."""
+
+    kind: str  # NumPy's type
+    unit: str
+
+
+class Field(NamedTuple):
+    """A field of `Rows`: the sizes of one row by name, and how it is stored."""
+
+    sizes: tuple[str, ...]
+    kind: str
+    unit: str
+
+
+_Number = np.ndarray
+
+
+class Rows(NamedTuple):
+    """Results of n frames, as in the results file; C contacts each, strongest first."""
+
+    contact_count: Annotated[Integer[_Number, " n"], Column("<u1", "1")]
+    contact_xy: Annotated[Float[_Number, "n C 2"], Column("<f4", "m")]
+    contact_radius: Annotated[Float[_Number, "n C"], Column("<f4", "m")]
+    contact_angle: Annotated[Float[_Number, "n C"], Column("<f4", "rad")]
+    contact_current: Annotated[Float[_Number, "n C"], Column("<f4", "A")]
+    contact_conductance: Annotated[Float[_Number, "n C"], Column("<f4", "S")]
+    # of the place: xx, yy, xy
+    contact_covariance: Annotated[Float[_Number, "n C 3"], Column("<f4", "m^2")]
+    residual: Annotated[Float[_Number, " n"], Column("<f4", "V")]  # rms
+    flags: Annotated[Integer[_Number, " n"], Column("<u4", "1")]  # bits of `Flag`
+    rung: Annotated[Integer[_Number, " n"], Column("<u1", "1")]  # see `Rung`; else 0
+    # With images alone; the unit of an image is its method's.
+    image: Annotated[Float[_Number, "n nx ny"] | None, Column("<f4", "")] = None
+    residual_by_electrode: Annotated[Float[_Number, "n M"] | None, Column("<f4", "V")] = (
+        None
+    )
+
+    @classmethod
+    def of(cls, contacts: Contacts, **others: Any) -> "Rows":
+        """Rows of `contacts`, of one frame or n, and the fields beside them."""
+        named = {f"contact_{name}": value for name, value in contacts._asdict().items()}
+        return cls(**named, **others)
+
+    def take(self, index: Any) -> "Rows":
+        """Selects rows by an index, a slice or a mask."""
+        return Rows(*(None if a is None else a[index] for a in self))  # pyright: ignore
+
+
+@cache
+def fields_of_rows() -> dict[str, Field]:
+    """The fields of `Rows` in order, read off its annotations."""
+    found = {}
+    for name, hint in get_type_hints(Rows, include_extras=True).items():
+        kind, column = get_args(hint)
+        shape = (get_args(kind) or (kind,))[0].dim_str.split()
+        found[name] = Field(tuple(shape[1:]), *column)
+    return found
+
+
+def empty_rows(n: int, sizes: dict[str, int]) -> Rows:
+    """Rows that say nothing: NaN, and 0 in whole numbers.
+
+    `sizes` of the names in `Field.sizes`; a field whose size is not given is None.
+    """
+    made = {}
+    for name, field in fields_of_rows().items():
+        shape = [sizes.get(size, size) for size in field.sizes]
+        shape = [int(size) if str(size).isdigit() else None for size in shape]
+        if None not in shape:
+            nothing = np.nan if np.dtype(field.kind).kind == "f" else 0
+            made[name] = np.full((n, *shape), nothing, field.kind)
+    return Rows(**made)
