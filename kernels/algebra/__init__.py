@@ -3,6 +3,7 @@
 The room has no physics: a matrix here may be of anything. It imports no other room.
 """
 
+from tomojax.kernels.algebra._adam import adam as adam
 from tomojax.kernels.algebra._blocktri import (
     BlockTri as BlockTri,
     factor as factor,

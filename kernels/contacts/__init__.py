@@ -43,7 +43,6 @@ from tomojax.kernels.contacts._search import (
 )
 from tomojax.kernels.contacts._whiten import (
     currents as currents,
-    smooth_modes as smooth_modes,
     unwhitened as unwhitened,
     whiten as whiten,
     whitened_columns as whitened_columns,

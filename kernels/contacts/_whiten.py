@@ -3,13 +3,9 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import solve_positive
-
-# Waves along x and y that a sheet's variation is told in: at most so many together.
-_WAVES = 4
 
 
 class WhitenedFrame(NamedTuple):
@@ -20,18 +16,6 @@ class WhitenedFrame(NamedTuple):
     scale: Float[Array, "S M"]  # 1/V; 0 where not used
     common: Float[Array, "S q M"]  # what one σ of each common error makes, times scale
     filter: Float[Array, "S q M"]  # finds them
-
-
-def smooth_modes(
-    places: Float[Array, "n 2"], size: Float[Array, "2"]
-) -> tuple[Float[Array, "q n"], Float[np.ndarray, " q"]]:
-    """cos(πix/a)·cos(πjy/b) at places, of mean square 1, and 1/(i² + j²)."""
-    pairs = [(i, j) for i in range(_WAVES + 1) for j in range(_WAVES + 1 - i) if i + j]
-    waves = np.array(pairs)
-    angles = jnp.asarray(np.pi * waves, places.dtype)[:, None] * (places / size)
-    height = np.sqrt(2.0 ** (waves > 0).sum(1))[:, None]
-    modes = jnp.asarray(height, places.dtype) * jnp.prod(jnp.cos(angles), -1)
-    return modes, 1 / (waves**2).sum(1)
 
 
 def whiten(

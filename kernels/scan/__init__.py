@@ -11,7 +11,7 @@ from tomojax.kernels.scan._adaptive import (
     cop_line as cop_line,
     electrode_currents as electrode_currents,
     nearest_electrodes as nearest_electrodes,
-    pitch as pitch,
     point as point,
     Region as Region,
+    smallest_pitch as smallest_pitch,
 )

@@ -128,7 +128,7 @@ def contact_regions(
     summed = voltages.sum(0)
     good = jnp.isfinite(voltages).all()
     square = jnp.sum((electrode_xy[:, None] - electrode_xy) ** 2, -1)
-    touching = square < (1.5 * pitch(electrode_xy)) ** 2
+    touching = square < (1.5 * smallest_pitch(electrode_xy)) ** 2
 
     def group_of(seed: Array, allowed: Array) -> Array:
         def spread(_, group: Array) -> Array:
@@ -153,7 +153,7 @@ def contact_regions(
     return lax.scan(take, jnp.ones_like(summed, bool), length=count)[1]
 
 
-def pitch(electrode_xy: Float[Array, "M 2"]) -> Float[Array, ""]:
+def smallest_pitch(electrode_xy: Float[Array, "M 2"]) -> Float[Array, ""]:
     """The smallest distance between two electrodes, m."""
     square = jnp.sum((electrode_xy[:, None] - electrode_xy) ** 2, -1)
     apart = jnp.where(jnp.eye(len(square), dtype=bool), jnp.inf, square)
@@ -167,7 +167,7 @@ def around(region: Region, electrode_xy: Float[Array, "M 2"]) -> Int[Array, "8"]
     the array; each corner or midpoint takes the nearest electrode not yet taken. Of
     fewer than eight electrodes, all are taken.
     """
-    size = jnp.maximum(region.high - region.low, 2 * pitch(electrode_xy))
+    size = jnp.maximum(region.high - region.low, 2 * smallest_pitch(electrode_xy))
     low, high = electrode_xy.min(0), electrode_xy.max(0)
     size = jnp.minimum(size, high - low)
     centre = jnp.clip((region.low + region.high) / 2, low + size / 2, high - size / 2)
@@ -202,7 +202,9 @@ def cop_line(
     away = electrode_xy - electrode_xy[region.centre]
     on_line = matmul(away, along)
     across = away[:, 1] * along[0] - away[:, 0] * along[1]
-    reach = 0.5 * pitch(electrode_xy) * (1 - 1e-3)  # half-way between two lines is neither
+    reach = (
+        0.5 * smallest_pitch(electrode_xy) * (1 - 1e-3)
+    )  # half-way between two lines is neither
     tier = jnp.where(
         jnp.abs(across) <= reach, 0, jnp.where(jnp.abs(on_line) <= reach, 1, 2)
     )

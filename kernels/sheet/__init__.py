@@ -13,6 +13,7 @@ from tomojax.kernels.sheet._fem import (
     site_conductance as site_conductance,
 )
 from tomojax.kernels.sheet._mesh import (
+    cell_centres as cell_centres,
     cell_sides as cell_sides,
     centroids as centroids,
     element_area as element_area,
@@ -41,3 +42,7 @@ from tomojax.kernels.sheet._slots import (
     slot_map as slot_map,
 )
 from tomojax.kernels.sheet._table import Resistances as Resistances
+from tomojax.kernels.sheet._waves import (
+    cosine_waves as cosine_waves,
+    smooth_modes as smooth_modes,
+)

@@ -67,6 +67,13 @@ def nodes(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "nodes 2"]:
     return jnp.asarray(_node_index(shape) / np.array(shape), size.dtype) * size
 
 
+@lru_cache
+def cell_centres(shape: Shape) -> Float[np.ndarray, "cells 2"]:
+    """Centres of a grid's cells on the unit square, those along y next to each other."""
+    x, y = ((np.arange(n) + 0.5) / n for n in shape)
+    return np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+
+
 def cell_sides(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "2"]:
     """Sides of a cell, m."""
     return size / np.array(shape, size.dtype)

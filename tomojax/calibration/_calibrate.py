@@ -13,7 +13,8 @@ from tomojax._custom_types import Numbers
 from tomojax._require import require
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import least_squares, solve_positive
-from tomojax.kernels.contacts import field_at, slot_columns, smooth_modes, whitened_columns
+from tomojax.kernels.contacts import field_at, slot_columns, whitened_columns
+from tomojax.kernels.sheet import smooth_modes
 from tomojax.methods import fitting_of, method as make_method, Points, TOLERANCE
 from tomojax.sensor import Calibration, make_variation, Sensor
 

@@ -15,6 +15,7 @@ from tomojax.design.objectives._information import AbstractObjective
 from tomojax.design.objectives._problem import design_objective
 from tomojax.design.objectives._rigs import simulate_scenes
 from tomojax.kernels.algebra import heaviest
+from tomojax.kernels.sheet import cell_centres
 from tomojax.methods import Linear, Source
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
@@ -70,8 +71,7 @@ def design_policy(
     require(not whole, "criterion", "'d' of an image", "one with a figure for each place")
     nx, ny = shape or _SHAPES.get(method, (16, 16))
     size = np.asarray(sensor.size, float)
-    parts = [(np.arange(n) + 0.5) / n * s for n, s in zip((nx, ny), size)]
-    places = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    places = cell_centres((nx, ny)) * size
     if method != "source" and options.get("noise") is None:
         options.setdefault("criterion", "rigs")
     objective = design_objective(sensor, places, method, **options)

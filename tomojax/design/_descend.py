@@ -10,7 +10,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from tomojax.design.objectives import ImageError
-from tomojax.kernels.algebra import draw_subset, drawn_weights, heaviest
+from tomojax.kernels.algebra import adam, draw_subset, drawn_weights, heaviest
 
 # Sets that are drawn in the end.
 _LAST = 64
@@ -111,22 +111,11 @@ def descend_sets(
         one = lambda key: now.value(drawn_weights(key, logits, n))  # noqa: E731
         return jax.vmap(one)(keys).mean()
 
-    def step(state: tuple, key: Array) -> tuple[tuple, None]:
-        parameters, mean, square, k = state
-        slope = jax.grad(value)(parameters, jax.random.split(key, draws))
-        mean = jax.tree.map(lambda m, s: 0.9 * m + 0.1 * s, mean, slope)
-        square = jax.tree.map(lambda q, s: 0.99 * q + 0.01 * s**2, square, slope)
+    def slope(parameters: tuple[Array, Array], key: Array) -> tuple[Array, Array]:
+        return jax.grad(value)(parameters, jax.random.split(key, draws))
 
-        def moved(p: Array, m: Array, q: Array) -> Array:
-            return p - rate * (m / (1 - 0.9**k)) / (jnp.sqrt(q / (1 - 0.99**k)) + 1e-12)
-
-        return (jax.tree.map(moved, parameters, mean, square), mean, square, k + 1), None
-
-    start = logits, objective.log_lam
-    nothing = jax.tree.map(jnp.zeros_like, start)
     keys = jax.random.split(jax.random.key(seed), steps)
-    first = start, nothing, nothing, jnp.ones((), logits.dtype)
-    (logits, log_lam), *_ = jax.jit(lambda f, k: jax.lax.scan(step, f, k)[0])(first, keys)
+    logits, log_lam = adam(slope, (logits, objective.log_lam), keys, rate)
     now = replace(objective, log_lam=log_lam)
     keys = jax.random.split(jax.random.key(seed), _LAST)
     sets = (

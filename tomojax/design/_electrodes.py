@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import float_array, require, require_positive, require_shape
 from tomojax._custom_types import Numbers
-from tomojax.design.objectives._problem import pitch
 from tomojax.kernels.sheet import (
+    cell_centres,
     contact_jacobian,
     loop_resistance,
     rectangle_fields,
@@ -105,7 +105,7 @@ def design_electrodes(
     scale, rng = before.max(), np.random.default_rng(seed)
     best = np.asarray(sensor.electrode_xy), np.asarray(before)
     for number in range(starts):
-        off = (number > 0) * _JITTER * pitch(sensor) * rng.normal(size=best[0].shape)
+        off = (number > 0) * _JITTER * sensor.mean_pitch * rng.normal(size=best[0].shape)
         part = (sensor.electrode_xy + off - low) / (high - low)
         xy = at(_descended(value, jax.scipy.special.logit(jnp.clip(part, 0.01, 0.99))))
         after = jax.jit(figures)(xy)
@@ -143,7 +143,7 @@ def image_spread(
     """
     cells = _cells(sensor, grid)
     apart = ((places[:, None] - cells) ** 2).sum(-1)
-    blob = jnp.exp(-apart / (2 * (_BLOB * pitch(sensor)) ** 2))
+    blob = jnp.exp(-apart / (2 * (_BLOB * sensor.mean_pitch) ** 2))
     blob = blob / blob.sum(1, keepdims=True)
     gram = _gram(sensor, electrode_xy, grid, contact_resistance)
     lower = jnp.linalg.cholesky(gram + lam * jnp.eye(len(gram), dtype=gram.dtype))
@@ -161,8 +161,7 @@ def image_scale(
 
 def _cells(sensor: Sensor, grid: int) -> Float[Array, "K 2"]:
     """Their middles, m."""
-    parts = [(jnp.arange(grid, dtype=s.dtype) + 0.5) / grid * s for s in sensor.size]
-    return jnp.stack(jnp.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+    return jnp.asarray(cell_centres((grid, grid)), sensor.dtype) * sensor.size
 
 
 def _gram(sensor: Sensor, xy: Array, grid: int, contact: float) -> Float[Array, "K K"]:

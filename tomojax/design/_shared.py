@@ -4,7 +4,6 @@ The unknowns are conductances γ (S) to ground, slots × electrodes: the exact m
 differentiable in them. They begin between open and closed and end as switches.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -17,7 +16,7 @@ from tomojax._custom_types import Numbers
 from tomojax.design._design import design
 from tomojax.design.objectives._information import PlaceInformation
 from tomojax.design.objectives._problem import place_prior
-from tomojax.kernels.algebra import matmul
+from tomojax.kernels.algebra import adam, matmul
 from tomojax.kernels.contacts import (
     green_of,
     Noise,
@@ -174,11 +173,15 @@ def design_shared(
         between = (part * (1 - part)).sum(1).mean()
         return jnp.log(rated(gamma(part, most))) + cost * between
 
+    # Nothing in the first third; then more and more.
+    turns = jnp.arange(1, steps + 1, dtype=sensor.dtype)
+    costs = jnp.clip(1.5 * turns / steps - 0.5, 0) ** 2
     alone = np.zeros((slots, m))
     alone[np.arange(slots), best.grounds] = float(most)
     found = [(best.value, best.value, alone)]
     for start in starts:
-        part = jax.nn.sigmoid(_adam(value, jnp.asarray(start, sensor.dtype), steps))
+        free = adam(jax.grad(value), jnp.asarray(start, sensor.dtype), costs, _RATE)
+        part = jax.nn.sigmoid(free)
         # A slot without any ground floats: its most closed switch is closed.
         switches = (part > 0.5) | (part == part.max(1, keepdims=True))
         to_ground = jnp.where(switches, most, 0)
@@ -191,20 +194,3 @@ def design_shared(
 def gamma(part: Float[Array, "L M"], most: Float[Array, ""]) -> Float[Array, "L M"]:
     """S: from open (0) to closed (1), its logarithm in proportion."""
     return most * jnp.asarray(_OPEN, part.dtype) ** (1 - part)
-
-
-def _adam(value: Callable, start: Array, steps: int) -> Array:
-    slope = jax.grad(value)
-
-    def step(state: tuple, k: Array) -> tuple[tuple, None]:
-        free, mean, square = state
-        # Nothing in the first third; then more and more.
-        cost = jnp.clip(1.5 * k / steps - 0.5, 0) ** 2
-        g = slope(free, cost)
-        mean, square = 0.9 * mean + 0.1 * g, 0.99 * square + 0.01 * g**2
-        down = mean / (1 - 0.9**k) / (jnp.sqrt(square / (1 - 0.99**k)) + 1e-12)
-        return (free - _RATE * down, mean, square), None
-
-    first = start, jnp.zeros_like(start), jnp.zeros_like(start)
-    numbers = jnp.arange(1, steps + 1, dtype=start.dtype)
-    return jax.jit(lambda s: jax.lax.scan(step, s, numbers)[0][0])(first)

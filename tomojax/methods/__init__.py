@@ -15,6 +15,7 @@ from tomojax.methods._contract import (
     Estimate as Estimate,
     Frame as Frame,
     judge as judge,
+    rms as rms,
     Rung as Rung,
 )
 from tomojax.methods._errors import noise_of as noise_of, TOLERANCE as TOLERANCE

@@ -76,7 +76,7 @@ class Batch:
         if lams is not None:
             fits = lams.shape == voltages.shape[:1] and bool((lams > 0).all())
             require(fits, "lams", f"shape {lams.shape}", "a λ above 0 for each frame")
-        rows = self._empty(len(voltages))
+        rows = self.empty(len(voltages))
         if flags is not None:
             rows.flags[:] = flags
         usable = self._nothing(voltages, good, rows)
@@ -127,7 +127,8 @@ class Batch:
         finite = np.isfinite(voltages)
         require(finite.all() or finite[good].all(), "voltages", "NaN where good", "volts")
 
-    def _empty(self, n: int) -> Rows:
+    def empty(self, n: int) -> Rows:
+        """Rows of n frames that say nothing yet."""
         return empty_rows(n, self.method.sizes(self.contacts, self.images))
 
     def _nothing(self, voltages, good, rows: Rows) -> Bool[np.ndarray, " n"]:

@@ -36,6 +36,7 @@ from tomojax.methods._contract import (
     AbstractMethod,
     Estimate,
     Frame,
+    rms,
     rms_by_electrode,
 )
 from tomojax.methods._errors import (
@@ -216,13 +217,12 @@ class Conductance(AbstractMethod):
         mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
         volts = ground_voltages(contact, frame.grounds, z, v0)
         misfit = jnp.where(errors.used, volts - voltages, 0)
-        channels = jnp.maximum(errors.used.sum(), 1).astype(drop.dtype)
         return Fitted(
             fit.values,
             fit.values * mean.reshape(self.shape),
             fit.cost / n,
             seen(errors, frame, misfit_cost(fit.misfits)),
-            jnp.sqrt((misfit**2).sum() / channels),
+            rms(misfit, errors.used),
             rms_by_electrode(misfit, errors.used),
             jnp.abs(voltages).max(),
         )

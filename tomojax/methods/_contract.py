@@ -19,8 +19,8 @@ from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
 from tomojax.sensor import Calibration
 
-# What noise and offsets of a converter leave in any case, V rms.
-NOISE = 1e-3
+# Residual that a converter's noise and zeros may leave in any case, V rms: twice `NOISE`.
+_FLOOR = 1e-3
 
 # So many channels of a slot, or one in so many, do not share the highest value by chance.
 _SHARED = 8
@@ -52,6 +52,14 @@ class Frame(NamedTuple):
     voltages: Float[np.ndarray, "S M"]
     grounds: Integer[np.ndarray, " S"]
     good: Bool[np.ndarray, "S M"]
+
+
+def rms(
+    values: Float[Array, "*slots M"], used: Bool[Array, "*slots M"]
+) -> Float[Array, ""]:
+    """Over the voltages that are used; 0 where none is."""
+    count = jnp.maximum(used.sum(), 1).astype(values.dtype)
+    return jnp.sqrt((jnp.where(used, values, 0) ** 2).sum() / count)
 
 
 def rms_by_electrode(
@@ -186,7 +194,7 @@ def judge(
     """
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
-    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + NOISE
+    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _FLOOR
     none = no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
@@ -206,4 +214,4 @@ def cut_off(voltages: Float[Array, "*slots M"]) -> Bool[Array, ""]:
     highest = size.max(-1, keepdims=True)
     shared = (size == highest).sum(-1)
     many = max(_SHARED, voltages.shape[-1] // _SHARED)
-    return ((shared > many) & (highest[..., 0] > 10 * NOISE)).any()
+    return ((shared > many) & (highest[..., 0] > 10 * _FLOOR)).any()

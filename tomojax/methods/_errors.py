@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts import Noise, smooth_modes, whiten, WhitenedFrame
+from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
+from tomojax.kernels.sheet import smooth_modes
 from tomojax.sensor import Calibration, NOISE, Sensor
 
 # What nominal values leave of measured voltages, as parts of them: each electrode's own

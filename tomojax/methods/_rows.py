@@ -53,6 +53,12 @@ class Rows(NamedTuple):
         named = {f"contact_{name}": value for name, value in contacts._asdict().items()}
         return cls(**named, **others)
 
+    def put(self, index: Any, rows: "Rows") -> None:
+        """Overwrites the rows at `index` (NumPy)."""
+        for mine, theirs in zip(self, rows):
+            if mine is not None:
+                mine[index] = theirs
+
     def take(self, index: Any) -> "Rows":
         """Selects rows by an index, a slice or a mask."""
         return Rows(*(None if a is None else a[index] for a in self))  # pyright: ignore

@@ -7,7 +7,7 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,7 +23,8 @@ from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.sensor import resistances, Sensor
 
 # What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9
-# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py). And the converter's noise.
+# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py). And `NOISE`,
+# rounded up, as it was when the limits below were set.
 _MODEL_ERROR, _NOISE = 0.015, 5e-4
 
 # A peak stands out of that noise by this factor of its standard deviation; offsets do not
@@ -89,12 +90,11 @@ class AbstractSource(AbstractMethod):
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
 
     @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> Self:
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "AbstractSource":
         """On an image of `shape` pixels."""
         pixels = pixels_of(sensor, shape)
-        # Of the pitch: half of the square that an electrode has to itself, as a Gaussian.
-        pitch = np.sqrt(float(jnp.prod(sensor.size)) / sensor.electrode_count)
-        length = _SMOOTH * pitch / np.asarray(pixels.cell, float)
+        # Half of the square that an electrode has to itself, as a Gaussian.
+        length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
         return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length)
 
     @classmethod
@@ -104,7 +104,7 @@ class AbstractSource(AbstractMethod):
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
-    ) -> Self:
+    ) -> "AbstractSource":
         """Of any T^l; the image is smooth over `length`, in pixels."""
         dtype = cell.dtype
         sides = [np.eye(n) for n in shape]

@@ -18,9 +18,9 @@ from tomojax.kernels.scan import (
     cop_line,
     electrode_currents,
     nearest_electrodes,
-    pitch,
     point,
     Region,
+    smallest_pitch,
 )
 from tomojax.sensor import resistances, Sensor
 
@@ -187,7 +187,7 @@ def _corners(sensor: Sensor) -> Int[Array, "4"]:
 
 def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     xy = np.asarray(sensor.electrode_xy, float)
-    near = 0.1 * float(pitch(sensor.electrode_xy))
+    near = 0.1 * float(smallest_pitch(sensor.electrode_xy))
     if name == "all":
         return sensor.all_grounds()
     if name == "edge":

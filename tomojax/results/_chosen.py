@@ -1,9 +1,10 @@
 """Of a recording's slots those that a design by place asks for, with its λ."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from tomojax._require import require
 from tomojax.methods import Batch, method as make_method
@@ -13,6 +14,17 @@ from tomojax.step import load_policy
 
 # Methods whose λ/σ₁² a table has.
 _WITH_LAMBDA = "linear", "source"
+
+
+class Slots(NamedTuple):
+    """Frames of a chunk that use as many slots each."""
+
+    frames: Int[np.ndarray, " k"]
+    slots: Int[np.ndarray, "k s"]  # of each frame, in order
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """The slots' part of values (n, S, …)."""
+        return values[self.frames[:, None], self.slots]
 
 
 class Chosen:
@@ -51,8 +63,8 @@ class Chosen:
 
     def __call__(
         self, chunk: Chunk, volts: Float[np.ndarray, "n S M"]
-    ) -> tuple[Bool[np.ndarray, "n S M"], Float[np.ndarray, " n"] | None]:
-        """What of a chunk is used, and λ/σ₁² of each frame."""
+    ) -> tuple[list[Slots], Float[np.ndarray, " n"] | None]:
+        """The slots to use of a chunk's frames, and λ/σ₁² of each frame."""
         explores = np.isin(chunk.grounds, self.corners)
         order = np.argsort(~explores, 1, kind="stable")[:, : len(self.corners)]
         at = np.arange(len(order))[:, None], order
@@ -69,4 +81,10 @@ class Chosen:
             used[k] = np.isin(chunk.grounds[k], each[turn % some, turn])
             if lams is not None and self.lam is not None:
                 lams[k] = self.lam[cells[0, 0], cells[0, 1]]
-        return chunk.good & used[:, :, None], lams
+        counts = used.sum(1)
+        parts = []
+        for count in np.unique(counts):
+            frames = np.flatnonzero(counts == count)
+            slots = np.nonzero(used[frames])[1].reshape(-1, count)
+            parts.append(Slots(frames, slots))
+        return parts, lams

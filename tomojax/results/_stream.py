@@ -234,13 +234,7 @@ def _work(
             for chunk, frames in _read_ahead(reader, read, [int(c) for c in todo]):
                 if file.finished(chunk):
                     continue
-                _, voltages, grounds, good, flags = frames
-                volts, lams = calibration.voltages(voltages), None
-                if chosen is not None:
-                    good, lams = chosen(frames, volts)
-                    own = settings.lam is None and lams is not None
-                    lams = lams * batch.method.scale() if own else None
-                rows = batch(volts, grounds, good, flags, lams)
+                rows = _solved(settings, calibration, chosen, batch, frames)
                 if writing:
                     writing.result()
                 writing = behind.submit(write, chunk, frames.t, rows)
@@ -250,6 +244,22 @@ def _work(
             if writing:
                 writing.result()
             writer.mark()
+
+
+def _solved(settings, calibration, chosen, batch: Batch, frames: Chunk) -> Rows:
+    """Rows of a chunk; from the slots alone that a table has chosen, where there is one."""
+    _, voltages, grounds, good, flags = frames
+    volts = calibration.voltages(voltages)
+    if chosen is None:
+        return batch(volts, grounds, good, flags)
+    parts, lams = chosen(frames, volts)
+    own = settings.lam is None and lams is not None
+    rows = batch.empty(len(volts))
+    for part in parts:
+        some = part.of(volts), part.of(grounds), part.of(good), flags[part.frames]
+        each = lams[part.frames] * batch.method.scale() if own else None
+        rows.put(part.frames, batch(*some, each))
+    return rows
 
 
 def _read_ahead(reader, read, todo) -> Iterator[tuple[int, Any]]:

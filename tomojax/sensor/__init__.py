@@ -4,8 +4,8 @@ The room states what is there and computes what would be measured. It knows noth
 contacts are found.
 """
 
-from tomojax.sensor._calibration import Calibration as Calibration, NOISE as NOISE
-from tomojax.sensor._converter import Converter as Converter
+from tomojax.sensor._calibration import Calibration as Calibration
+from tomojax.sensor._converter import Converter as Converter, NOISE as NOISE
 from tomojax.sensor._field import make_field as make_field, make_variation as make_variation
 from tomojax.sensor._forward import (
     contact_conductance as contact_conductance,

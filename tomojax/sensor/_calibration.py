@@ -10,13 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from tomojax._require import require
-from tomojax.kernels.contacts import smooth_modes
+from tomojax.kernels.sheet import cell_centres, smooth_modes
+from tomojax.sensor._converter import NOISE
 from tomojax.sensor._sensor import Sensor
 
 SCHEMA, VERSION = "tomojax-calibration", 1
 
-# Noise and zeros of the paper's converter, V; and a sheet's waves, see `smooth_modes`.
-NOISE, _WAVES = 4.5e-4, 14
+# Waves of a sheet, see `smooth_modes`.
+_WAVES = 14
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,4 @@ class Calibration:
 
 def element_centres(size: np.ndarray, divisions: tuple[int, int]) -> np.ndarray:
     """Of a mesh's two elements per cell, (K, 2), m: of their cells."""
-    x, y = ((np.arange(n) + 0.5) * s / n for n, s in zip(divisions, size))
-    cells = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    return np.repeat(cells, 2, axis=0)
+    return np.repeat(cell_centres(divisions) * size, 2, axis=0)

@@ -157,6 +157,11 @@ class Sensor(eqx.Module):
         """Of every array of this sensor and of what is computed from it."""
         return self.electrode_xy.dtype
 
+    @property
+    def mean_pitch(self) -> float:
+        """The pitch of a square grid with as many electrodes on the sheet, m."""
+        return float(np.sqrt(np.prod(np.asarray(self.size)) / self.electrode_count))
+
     def all_grounds(self) -> np.ndarray:
         """Each electrode grounded once, in order: the paper's *All*."""
         return np.arange(self.electrode_count)

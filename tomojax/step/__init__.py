@@ -10,5 +10,6 @@ from tomojax.step._policies import (
     Lookup as Lookup,
     POLICIES as POLICIES,
 )
-from tomojax.step._step import Output as Output, Step as Step
+from tomojax.step._state import Output as Output
+from tomojax.step._step import Step as Step
 from tomojax.step._tables import load_policy as load_policy, save_policy as save_policy

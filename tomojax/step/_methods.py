@@ -20,7 +20,7 @@ from tomojax.kernels.contacts import (
 )
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
-from tomojax.methods import AbstractMethod, Estimate, Points
+from tomojax.methods import AbstractMethod, Estimate, Points, rms
 
 # What is left of a slot's voltages where one more contact may hide: lone ones leave 5 % at
 # most, nineteen in twenty that hide another 6 % and more.
@@ -106,8 +106,7 @@ class Follow(AbstractStepMethod):
         now, rest = follow(
             sheet, self.candidates, memory, voltages, used, ground, elapsed, self.noise
         )
-        channels = jnp.maximum(used.sum(), 1).astype(rest.dtype)
-        residual = jnp.sqrt((rest**2).sum() / channels)
+        residual = rms(rest, used)
         radius = radius_of(sheet, now.size)
         c = now.covariance * sheet.unit**2
         covariance = jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1)

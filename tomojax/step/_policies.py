@@ -9,13 +9,13 @@ from typing import Any, cast, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._require import require
 from tomojax.kernels.contacts import in_slot, slot_weights, solve_small, weighed
 from tomojax.kernels.images import Contacts
 from tomojax.kernels.scan import around, Region
+from tomojax.kernels.sheet import cell_centres
 from tomojax.paper import AdaptivePattern, AdaptiveScan, exploration, pattern, PATTERNS
 from tomojax.sensor import Sensor
 
@@ -54,8 +54,6 @@ class Plan(NamedTuple):
     at: Int[Array, ""]
     exploring: Bool[Array, ""]  # whether these are the corners
     explored: Float[Array, "2 M"]
-    doubted: Bool[Array, ""]  # as in `Seen`
-    held: Int[Array, ""]  # slots that an earlier doubt still counts in
 
 
 class AbstractPolicy(eqx.Module):
@@ -168,8 +166,7 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
 
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
     """*Around* a small contact anywhere: its grounds by place."""
-    parts = (np.arange(_PLACES) + 0.5) / _PLACES
-    grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
+    grid = cell_centres((_PLACES, _PLACES))
     places = jnp.asarray(grid, sensor.dtype) * sensor.size
     xy = sensor.electrode_xy
     zero = jnp.zeros((), int)

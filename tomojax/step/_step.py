@@ -1,6 +1,7 @@
 """The step of a robot: one slot in, contacts and the next ground out, compiled once."""
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,37 +15,10 @@ from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods import judge
 from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
-from tomojax.step._methods import AbstractStepMethod
+from tomojax.step._methods import AbstractStepMethod, Told
 from tomojax.step._packing import Packed, Packing
 from tomojax.step._policies import AbstractPolicy, Plan, Seen
-
-
-class Slot(NamedTuple):
-    """What came of one ground condition."""
-
-    voltages: Any  # (M,) V; NaN where a channel gave nothing
-    ground: Any  # the electrode that was grounded, whichever was asked for
-    lost: Any  # slots lost since the one before
-    hurried: Any  # bool: whether the cheaper method is to answer
-
-
-class Output(NamedTuple):
-    """What a step says."""
-
-    contacts: Contacts
-    residual: Float[Array, ""]  # V rms
-    flags: Int[Array, ""]  # bits of `Flag`
-    ground: Int[Array, ""]  # to be grounded next
-
-
-class Remembered(NamedTuple):
-    """All that a step remembers; outside, packed into two arrays."""
-
-    memory: Any
-    cheaper: Any
-    plan: Plan
-    last: Slot
-    used: Bool[Array, " M"]
+from tomojax.step._state import Doubt, Output, Read, Remembered, Slot
 
 
 class Step:
@@ -146,11 +120,11 @@ class Step:
         volts = jnp.zeros(m, self.dtype)
         corners = whole.at[:2].set(self._corners)
         two = jnp.zeros((2, m), self.dtype)
-        no = jnp.array(False)
-        plan = Plan(none, corners, none + 2, none, jnp.array(True), two, no, none)
+        plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
+        doubt = Doubt(jnp.array(False), none)
         cheaper = () if self._cheaper is None else self._cheaper.first()
         last = Slot(volts, none, none, jnp.array(False))
-        return Remembered(self._method.first(), cheaper, plan, last, whole > 0)
+        return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
 
     def _counted(self, state: Packed, volts: Array, whole: Array) -> tuple:
         """`_packed` as one turn of a loop.
@@ -177,45 +151,29 @@ class Step:
         return lax.scan(lambda s, slot: self._packed(s, *slot), state, (volts, whole))
 
     def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
-        voltages, used, ok, flags = self._checked(slot)
-        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
-        ground = jnp.clip(slot.ground, 0, self.electrode_count - 1)
-        asked = voltages, used, ground, elapsed
-        memory, cheaper, told, late = self._told(state, slot, asked)
-        flags = flags | jnp.where(late, Flag.HURRIED.value, 0)
-        limit = self._method.residual_limit
-        contacts, residual, bits = told
-        contacts, bits = judge(contacts, residual, bits, voltages, limit)
-        bits = bits.astype(jnp.int32)
-        none = no_contacts(len(contacts.radius), voltages.dtype)
-
-        def kept(new: Any, old: Any) -> Any:
-            return jax.tree.map(lambda a, b: jnp.where(ok, a, b), new, old)
-
-        memory, cheaper = kept(memory, state.memory), kept(cheaper, state.cheaper)
-        contacts, bits = kept(contacts, none), kept(bits, jnp.zeros_like(bits))
-        flags = flags | bits | jnp.where(ok, 0, Flag.NO_DATA.value)
-        high = (bits & Flag.HIGH_RESIDUAL.value) > 0
-        # Slots of a stretch see a hidden contact or not: what one has shown holds for all,
-        # and for longer where no contact can be added that would explain it.
-        doubted = state.plan.doubted | high
-        left = jnp.maximum(state.plan.held - ok.astype(jnp.int32), 0)
-        held = jnp.where(high, self.electrode_count // 2, left)
-        full = (contacts.count == len(contacts.radius)) & (held > 0)
-        flags = flags | jnp.where((doubted | full) & ok, Flag.HIGH_RESIDUAL.value, 0)
-        found = contacts, doubted, ground.astype(jnp.int32)
-        plan = self._planned(state.plan, slot, voltages, found, ok)._replace(held=held)
-        output = Output(
-            contacts,
-            jnp.where(ok, residual, jnp.nan),
-            flags,
-            plan.grounds[plan.at],
+        read = self._checked(slot)
+        memory, cheaper, told, late = self._told(state, slot, read)
+        contacts, bits = self._judged(told, read)
+        doubt, doubted = self._doubted(state.doubt, contacts, bits, read.ok)
+        seen = Seen(
+            self._explored(state.plan, slot, read), contacts, doubt.stretch, read.ground
         )
-        last = Slot(voltages, ground, slot.lost, slot.hurried)
-        return Remembered(memory, cheaper, plan, last, used & ok), output
+        plan, over = self._planned(state.plan, seen)
+        flags = (
+            (late, Flag.HURRIED),
+            (~read.ok, Flag.NO_DATA),
+            (doubted & read.ok, Flag.HIGH_RESIDUAL),
+        )
+        residual = jnp.where(read.ok, told.residual, jnp.nan)
+        flags = read.flags | bits | _bits(flags)
+        output = Output(contacts, residual, flags, plan.grounds[plan.at])
+        kept = _where(read.ok, (memory, cheaper), (state.memory, state.cheaper))
+        doubt = doubt._replace(stretch=doubt.stretch & ~over)
+        last = Slot(read.voltages, read.ground, slot.lost, slot.hurried)
+        return Remembered(*kept, plan, doubt, last, read.used & read.ok), output
 
-    def _checked(self, slot: Slot) -> tuple[Array, Array, Array, Array]:
-        """Voltages (0 where not used), channels used, whether there are enough, flags."""
+    def _checked(self, slot: Slot) -> Read:
+        """Corrects the voltages, and says which channels can be used."""
         finite = jnp.isfinite(slot.voltages)
         size = jnp.abs(jnp.where(finite, slot.voltages, 0))
         high = size > self._highest
@@ -223,17 +181,20 @@ class Step:
         voltages = jnp.where(used, (slot.voltages - self._zero) / self._gain, 0)
         known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
         enough = 2 * used.sum() >= self._good.sum()
-        bits = (
+        flags = (
             ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
             ((self._good & high).any(), Flag.SATURATED),
             (~known, Flag.UNKNOWN_GROUND),
             (slot.lost > 0, Flag.GAP),
             (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
         )
-        each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in bits]
-        return voltages, used, known & enough, jnp.stack(each).sum(dtype=jnp.int32)
+        ground = jnp.clip(slot.ground, 0, self.electrode_count - 1).astype(jnp.int32)
+        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
+        return Read(voltages, used, ground, elapsed, known & enough, _bits(flags))
 
-    def _told(self, state: Remembered, slot: Slot, asked: tuple) -> tuple:
+    def _told(self, state: Remembered, slot: Slot, read: Read) -> tuple:
+        """Memories after the slot, what is said of it, and whether in a hurry."""
+        asked = read.voltages, read.used, read.ground, read.elapsed
         if self._cheaper is None:
             memory, told = self._method(state.memory, *asked)
             return memory, (), told, jnp.array(False)
@@ -246,18 +207,36 @@ class Step:
         )
         return memory, cheaper, told, slot.hurried
 
-    def _planned(
-        self,
-        plan: Plan,
-        slot: Slot,
-        voltages: Array,
-        found: tuple[Contacts, Array, Array],
-        ok: Array,
-    ) -> Plan:
-        corner = (slot.ground == self._corners) & ok
-        explored = jnp.where(corner[:, None], voltages, plan.explored)
-        contacts, doubted, ground = found
-        seen = Seen(explored, contacts, doubted, ground)
+    def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
+        """Contacts and flags; none of a slot that cannot be used."""
+        contacts, residual, bits = told
+        limit = self._method.residual_limit
+        contacts, bits = judge(contacts, residual, bits, read.voltages, limit)
+        none = no_contacts(len(contacts.radius), read.voltages.dtype)
+        bits = bits.astype(jnp.int32)
+        return _where(read.ok, (contacts, bits), (none, jnp.zeros_like(bits)))
+
+    def _doubted(
+        self, doubt: Doubt, contacts: Contacts, bits: Array, ok: Array
+    ) -> tuple[Doubt, Array]:
+        """The doubt after a slot, and whether the slot is told of with it.
+
+        Slots of a stretch see a hidden contact or not: what one has shown holds for all,
+        and for longer where no contact can be added that would explain it.
+        """
+        high = (bits & Flag.HIGH_RESIDUAL.value) > 0
+        left = jnp.maximum(doubt.held - ok.astype(jnp.int32), 0)
+        held = jnp.where(high, self.electrode_count // 2, left)
+        stretch = doubt.stretch | high
+        full = (contacts.count == len(contacts.radius)) & (held > 0)
+        return Doubt(stretch, held), stretch | full
+
+    def _explored(self, plan: Plan, slot: Slot, read: Read) -> Array:
+        corner = (slot.ground == self._corners) & read.ok
+        return jnp.where(corner[:, None], read.voltages, plan.explored)
+
+    def _planned(self, plan: Plan, seen: Seen) -> tuple[Plan, Array]:
+        """The plan for the next slot, and whether a new stretch begins with that."""
         at, m = plan.at + 1, self.electrode_count
         corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
 
@@ -280,11 +259,20 @@ class Step:
         over = at >= plan.length
         grounds, length, exploring = lax.cond(over, anew, same)
         at = jnp.where(over, 0, at)
-        still = doubted & ~over
-        return Plan(plan.policy, grounds, length, at, exploring, explored, still, plan.held)
+        return Plan(plan.policy, grounds, length, at, exploring, seen.explored), over
 
     def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
         remembered = self._packing.unpack(state)
         last = remembered.last
         image = self._method.image(remembered.memory, last.voltages, last.ground)
         return jnp.where(remembered.used.any(), image, jnp.nan)
+
+
+def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:
+    """Of flags that are apart from each other, those that are on."""
+    each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in flags]
+    return jnp.stack(each).sum(dtype=jnp.int32)
+
+
+def _where(condition: Array, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)

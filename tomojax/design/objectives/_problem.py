@@ -57,7 +57,7 @@ def design_places(
     whole = isinstance(count, int | np.integer) and count >= 1
     require(whole, "count", repr(count), "a whole number above 0")
     size = np.asarray(sensor.size, float)
-    margin = pitch(sensor) / 2
+    margin = sensor.mean_pitch / 2
     given = [margin, margin, *(size - margin)] if region is None else region
     box = np.asarray(float_array("region", given), float)
     require(box.shape == (4,), "region", f"shape {box.shape}", "x0, y0, x1, y1")
@@ -155,15 +155,10 @@ def design_objective(
         assert isinstance(found, Linear)
         disc = _DISC if radius is None else radius
         return simulated_image(
-            sensor, found, where, value, disc, conductance, pitch(sensor)
+            sensor, found, where, value, disc, conductance, sensor.mean_pitch
         )
-    width = _BLOB * pitch(sensor) if radius is None else radius
+    width = _BLOB * sensor.mean_pitch if radius is None else radius
     return image_objective(found, where, criterion, value, precision, width, shares)
-
-
-def pitch(sensor: Sensor) -> float:
-    """Of a square grid with as many electrodes, m."""
-    return float(np.sqrt(np.prod(np.asarray(sensor.size)) / sensor.electrode_count))
 
 
 def _precision(sensor: Sensor, noise: Numbers) -> Float[Array, "M M"]:

@@ -18,7 +18,7 @@ from tomojax._checks import (
 )
 from tomojax._custom_types import Numbers
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
-from tomojax.kernels.sheet import centroids
+from tomojax.kernels.sheet import centroids, cosine_waves
 from tomojax.methods import sheet_of
 from tomojax.sensor import Converter, resistances, Sensor
 
@@ -31,13 +31,10 @@ def varied(sensor: Sensor, key: Array) -> Sensor:
     """A rig that is nearly so: its sheet in long waves, its electrodes' places."""
     sheet, places = jax.random.split(key)
     middles = centroids(sensor.divisions, sensor.size).astype(sensor.dtype)
-    order = jnp.arange(_WAVES, dtype=sensor.dtype)
-    along, across = (
-        jnp.cos(jnp.pi * order * middles[:, k : k + 1] / sensor.size[k]) for k in (0, 1)
-    )
-    length = jnp.hypot(order[:, None], order).at[0, 0].set(jnp.inf)
-    strength = jax.random.normal(sheet, length.shape, sensor.dtype) / length
-    waves = ((along @ strength) * across).sum(1)
+    orders = np.indices((_WAVES, _WAVES)).reshape(2, -1).T
+    length = jnp.asarray(np.hypot(*orders.T), sensor.dtype).at[0].set(jnp.inf)
+    strength = jax.random.normal(sheet, (_WAVES, _WAVES), sensor.dtype).ravel() / length
+    waves = strength @ cosine_waves(middles, sensor.size, orders)
     part = 1 + _SHEET * waves / waves.std()
     off = _OFF * jax.random.normal(places, sensor.electrode_xy.shape, sensor.dtype)
     return replace(

@@ -18,7 +18,7 @@ from tomojax.kernels.contacts import (
     whitened_columns,
     WhitenedFrame,
 )
-from tomojax.methods._contract import rms_by_electrode
+from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import misfit_cost, PreparedErrors, TOLERANCE, whitened
 
 # Fits from several starts: the best, after a few steps, is gone on with.
@@ -105,7 +105,6 @@ def best_fit(
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
     misfit = jnp.where(prepared.used, fitted.voltages - scene.voltages, 0)
-    channels = jnp.maximum(prepared.used.sum(), 1).astype(cost.dtype)
     current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
@@ -128,7 +127,7 @@ def best_fit(
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
         limited=limited,
-        residual=jnp.sqrt((misfit**2).sum() / channels),
+        residual=rms(misfit, prepared.used),
         by_electrode=rms_by_electrode(misfit, prepared.used),
     )
     return found, ended

@@ -22,7 +22,7 @@ from tomojax.kernels.contacts import (
     slot_columns,
     whitened_columns,
 )
-from tomojax.methods._contract import rms_by_electrode
+from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen, TOLERANCE
 from tomojax.methods.points._fit import (
     best_fit,
@@ -82,13 +82,12 @@ def _seen(scene: Fitting, found: Found) -> Found:
     used = scene.prepared.used
     towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
     there = seen(scene.prepared, scene.frame, found.misfits) & (towards > 0)
-    channels = jnp.maximum(used.sum(), 1).astype(found.cost.dtype)
     volts = jnp.where(used, scene.voltages, 0)
     return found._replace(
         count=jnp.where(there, found.count, 0),
         current=jnp.where(there, found.current, 0),
         limited=found.limited & there,
-        residual=jnp.where(there, found.residual, jnp.sqrt((volts**2).sum() / channels)),
+        residual=jnp.where(there, found.residual, rms(volts, used)),
         by_electrode=jnp.where(there, found.by_electrode, rms_by_electrode(volts, used)),
     )
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Integer
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
+from tomojax.kernels.sheet import cell_centres
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
 from tomojax.methods._errors import Errors, PreparedErrors, TOLERANCE
 from tomojax.methods._rows import Rows
@@ -59,8 +60,7 @@ class Points(AbstractMethod):
         """On an image of `shape` pixels."""
         sheet = sheet_of(sensor)
         size = np.asarray(sensor.size)
-        parts = (np.arange(_CANDIDATES) + 0.5) / _CANDIDATES
-        grid = np.stack(np.meshgrid(parts, parts, indexing="ij"), -1).reshape(-1, 2)
+        grid = cell_centres((_CANDIDATES, _CANDIDATES))
         candidates = jnp.asarray(grid * size, sensor.dtype)
         each = jax.vmap(field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)

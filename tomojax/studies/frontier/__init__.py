@@ -24,6 +24,7 @@ from tomojax.studies.frontier._scenes import (
     KINDS as KINDS,
     load_trials as load_trials,
     make_trials as make_trials,
+    place_error as place_error,
     save_trials as save_trials,
     score as score,
     Trials as Trials,

@@ -175,8 +175,12 @@ def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
     which nothing was found counts as infinite.
     """
     kind = str(trials.kind[0])
-    errors = 1e3 * np.array([_error(kind, rows, k, trials) for k in range(len(trials.xy))])
-    true_count = np.isfinite(trials.conductance).sum(1)
+    there, whole = np.isfinite(trials.conductance), kind in ("bar", "large")
+    places = [xy[some] for xy, some in zip(trials.xy, there)]
+    errors = 1e3 * np.array(
+        [place_error(rows, k, xy, whole) for k, xy in enumerate(places)]
+    )
+    true_count = there.sum(1)
     doubted = (rows.flags & DOUBT) > 0
     found = {
         "place_median_mm": _finite(np.median(errors)),
@@ -196,17 +200,22 @@ def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
     return found | _image_figures(kind, rows, trials, size)
 
 
-def _error(kind: str, rows: Rows, k: int, trials: Trials) -> float:
+def place_error(
+    rows: Rows, k: int, places: Float[np.ndarray, "C 2"], whole: bool = False
+) -> float:
+    """How far the worst of the contacts at `places` is from the nearest found in row k, m.
+
+    `whole`: the contacts found are parts of one, and count by their currents.
+    """
     count = int(rows.contact_count[k])
-    places = trials.xy[k][np.isfinite(trials.conductance[k])]
     if not count:
         return np.inf
     found = rows.contact_xy[k, :count]
-    if kind in ("bar", "large"):
-        weight = np.nan_to_num(np.maximum(rows.contact_current[k, :count], 0)) + 1e-30
+    if whole:
+        weight = np.maximum(np.nan_to_num(rows.contact_current[k, :count]), 1e-30)
         found = (weight[:, None] * found).sum(0, keepdims=True) / weight.sum()
-    ways = np.sqrt(((found[:, None] - places) ** 2).sum(-1))
-    return float(ways.min(0).max())
+    ways = np.hypot(*np.moveaxis(found[:, None] - places, -1, 0))
+    return float(np.nan_to_num(ways, nan=np.inf).min(0).max())
 
 
 def _told_apart(rows: Rows, k: int, trials: Trials) -> bool:

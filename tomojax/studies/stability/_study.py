@@ -17,7 +17,14 @@ import numpy as np
 from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
 from tomojax.sensor import Sensor
 from tomojax.step import make_step, Step
-from tomojax.studies.frontier import DOUBT, FAR, identity, rows_of_steps, same_run
+from tomojax.studies.frontier import (
+    DOUBT,
+    FAR,
+    identity,
+    place_error,
+    rows_of_steps,
+    same_run,
+)
 from tomojax.studies.stability import _faults, _scenes
 from tomojax.studies.stability._numbers import gradient_rows, solver_rows
 from tomojax.studies.stability._scenes import Bench, Sweep, SweptScenes
@@ -110,7 +117,8 @@ def trial_row(
         rows = trial.found(method, some)
     except ValueError as error:
         return {"scenes": len(some.volts), "raised": str(error)}
-    errors = np.array([_error(rows, k, xy, some.whole) for k, xy in enumerate(some.xy)])
+    places = [xy[np.isfinite(xy).all(1)] for xy in some.xy]
+    errors = np.array([place_error(rows, k, xy, some.whole) for k, xy in enumerate(places)])
     doubted = (rows.flags & DOUBT) > 0
     far = errors > 1e-3 * FAR
     near = errors <= some.near
@@ -146,20 +154,6 @@ def _beside_float64(rows: Rows, wide: Rows) -> dict[str, Any]:
         "dtypes_apart_mm": 1e3 * float(apart.max()) if len(apart) else 0.0,
         "dtypes_other_count": int((sound & ~same).sum()),
     }
-
-
-def _error(rows: Rows, k: int, xy: np.ndarray, whole: bool = False) -> float:
-    """Of the worst contact to the nearest that was found, m."""
-    count = int(rows.contact_count[k])
-    if not count:
-        return np.inf
-    places = xy[np.isfinite(xy).all(1)]
-    found = rows.contact_xy[k, :count]
-    if whole:
-        weight = np.maximum(np.nan_to_num(rows.contact_current[k, :count]), 1e-30)
-        found = (weight[:, None] * found).sum(0, keepdims=True) / weight.sum()
-    ways = np.hypot(*np.moveaxis(found[:, None] - places, -1, 0))
-    return float(np.nan_to_num(ways, nan=np.inf).min(0).max())
 
 
 def _not_numbers(rows: Rows) -> np.ndarray:

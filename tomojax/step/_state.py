@@ -1,0 +1,55 @@
+"""What goes into a step, what it remembers and what it says."""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.images import Contacts
+from tomojax.step._policies import Plan
+
+
+class Slot(NamedTuple):
+    """What came of one ground condition."""
+
+    voltages: Any  # (M,) V; NaN where a channel gave nothing
+    ground: Any  # the electrode that was grounded, whichever was asked for
+    lost: Any  # slots lost since the one before
+    hurried: Any  # bool: whether the cheaper method is to answer
+
+
+class Output(NamedTuple):
+    """What a step says."""
+
+    contacts: Contacts
+    residual: Float[Array, ""]  # V rms
+    flags: Int[Array, ""]  # bits of `Flag`
+    ground: Int[Array, ""]  # to be grounded next
+
+
+class Read(NamedTuple):
+    """A slot as it can be used."""
+
+    voltages: Float[Array, " M"]  # corrected, V; 0 where not used
+    used: Bool[Array, " M"]
+    ground: Int[Array, ""]  # an electrode, whatever came
+    elapsed: Float[Array, ""]  # slots since the one before
+    ok: Bool[Array, ""]  # whether it says anything
+    flags: Int[Array, ""]
+
+
+class Doubt(NamedTuple):
+    """Whether contacts leave something unexplained, kept from slot to slot."""
+
+    stretch: Bool[Array, ""]  # in a slot of this stretch of grounds
+    held: Int[Array, ""]  # slots that an earlier doubt still counts in
+
+
+class Remembered(NamedTuple):
+    """All that a step remembers; outside, packed into two arrays."""
+
+    memory: Any
+    cheaper: Any
+    plan: Plan
+    doubt: Doubt
+    last: Slot
+    used: Bool[Array, " M"]
