@@ -23,7 +23,7 @@ sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 from benchmarks.physics import environment  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax.sensor import _forward  # noqa: E402
+from tomojax.sensor import compiled_resistances  # noqa: E402
 from tomojax.studies.frontier import repeated  # noqa: E402
 from tomojax.studies.network import Network  # noqa: E402
 
@@ -63,7 +63,7 @@ def grid(side: int) -> tx.Sensor:
 
 
 def tables(sensor):
-    return lambda: jax.block_until_ready(_forward._resistances(sensor, "fem"))
+    return lambda: jax.block_until_ready(compiled_resistances(sensor, "fem"))
 
 
 def points_of(slots: int, contacts: int):

@@ -125,7 +125,7 @@ def peak_kb() -> int:
 def table_of(route: str, n: int, dtype: str, repeats: int) -> dict:
     """One size in this process: run apart, so that the peak memory is its own."""
     import tomojax as tx
-    from tomojax.sensor import _forward
+    from tomojax.sensor import compiled_resistances
 
     diameter = max(0.005, 1.001 * 0.16 / n)
     make = lambda: tx.Sensor.grid(  # noqa: E731
@@ -133,7 +133,7 @@ def table_of(route: str, n: int, dtype: str, repeats: int) -> dict:
     )
     sensor = make()
     before = peak_kb()
-    run = lambda: jax.block_until_ready(_forward._resistances(sensor, route))  # noqa: E731
+    run = lambda: jax.block_until_ready(compiled_resistances(sensor, route))  # noqa: E731
     first = seconds(run)
     times = [seconds(run) for _ in range(repeats)]
     peak = peak_kb()

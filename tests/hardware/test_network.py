@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tomojax.hardware import sources as frames, UdpSource
-from tomojax.hardware.sources import _wire
 
 M = 64
 
@@ -59,6 +58,6 @@ def test_only_the_rig_is_listened_to_and_only_on_this_machine(sockets):
 def test_a_rig_that_is_not_there_is_one_error(sockets, monkeypatch):
     port = sockets[0].getsockname()[1]
     sockets[0].close()
-    monkeypatch.setattr(_wire, "_NO_ANSWER", 0.3)
+    monkeypatch.setattr("tomojax.hardware.sources._wire._NO_ANSWER", 0.3)
     with pytest.raises(TimeoutError, match="no rig answers"):
         UdpSource("127.0.0.1", port).start()

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import tomojax as tx
+from tomojax.kernels.sheet import centroids
 from tomojax.methods import Frame
 from tomojax.studies.stability import (
-    _centres,
     gradient_rows,
     pipeline,
     random_points,
@@ -42,9 +42,10 @@ def test_symmetric_points_are():
 def test_the_pipeline_is_a_measure_of_an_image():
     """Of a blurred one it is larger."""
     sensor = small(np.float64)
+    middles = centroids(sensor.divisions, sensor.size)
     point = {k: jax.numpy.asarray(v[0]) for k, v in random_points(1).items()}
     sharp, blurred = (
-        float(pipeline(sensor, _centres(sensor), point | {"log_lam": jax.numpy.log(lam)}))
+        float(pipeline(sensor, middles, point | {"log_lam": jax.numpy.log(lam)}))
         for lam in (1e-6, 10.0)
     )
     assert 0 < sharp < blurred

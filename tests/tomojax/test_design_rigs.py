@@ -11,7 +11,7 @@ import pytest
 
 import tomojax as tx
 from tomojax.design import contact_columns, designs_by_place, score
-from tomojax.design.objectives import _rigs as rigs
+from tomojax.design.objectives import exact_on_rig
 from tomojax.methods import Points
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -35,7 +35,7 @@ def test_scenes_of_soft_contacts_are_a_mesh_s(sensor, count):
     none = jnp.zeros((1, count, 16)), jnp.zeros((1, 16), bool), jnp.zeros((16, 16))
     sheet = Points.of(sensor, (8, 8)).sheet
     at = jnp.asarray(places)[None], jnp.asarray([0.006])
-    got = rigs._exact(sheet, *at, *none, conductance)[0]
+    got = exact_on_rig(sheet, *at, *none, conductance)[0]
     density = conductance / (np.pi * 0.006**2)
     wanted = tx.voltages(sensor, tx.Scene(*(tx.Disc(p, 0.006, density) for p in places)))
     assert np.abs(got - wanted).max() < 0.025 * np.abs(wanted).max()

@@ -136,9 +136,8 @@ def test_grounds_that_change_from_frame_to_frame(sensor, volts, rng):
 
 def test_more_ground_sets_than_are_kept(sensor, monkeypatch):
     """Each frame its own grounds: prepared, forgotten, prepared again."""
-    from tomojax.methods import _batch
 
-    monkeypatch.setattr(_batch, "_KEPT", 2)
+    monkeypatch.setattr("tomojax.methods._batch._KEPT", 2)
     method = tx.method(sensor, "source", 16)
     run, again = tx.Batch(method, 1e8), tx.Batch(method, 1e8)
     v = np.random.default_rng(0).uniform(1, 2, (9, 1, 64)).astype(np.float32)

@@ -123,14 +123,14 @@ def test_float32_in_float32_out() -> None:
 
 
 def test_no_retracing_for_new_values(small_sensor) -> None:
-    from tomojax.sensor import _forward
+    from tomojax.sensor import exact_voltages
 
     traces = 0
 
     def counted(g, grounds):
         nonlocal traces
         traces += 1
-        return _forward._voltages(small_sensor, g, grounds)
+        return exact_voltages(small_sensor, g, grounds)
 
     run = jax.jit(counted)
     for seed in range(3):

@@ -14,7 +14,6 @@ from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
 from tomojax.methods._conductance import (
-    ALONE,
     Conductance,
     PreparedConductance,
 )
@@ -130,12 +129,7 @@ class Auto(AbstractMethod):
             if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
                 good, lam = np.asarray(prepared.errors.used), prepared.source.lam
                 here = self.prepare(grounds[k], good, float(lam))
-            # One frame at a time: `conductance` factors.
-            with ALONE:
-                row = _larger(self, here, voltages[k], count, images)
-                for values, value in zip(rows, jax.block_until_ready(row)):
-                    if values is not None:
-                        values[k] = value
+            rows.put(k, _larger(self, here, voltages[k], count, images))
         return rows
 
     def _source(

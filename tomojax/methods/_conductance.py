@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from threading import Lock
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -48,6 +47,7 @@ from tomojax.methods._errors import (
     whitened,
 )
 from tomojax.methods._pixels import pixels_of
+from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, NOISE, Sensor, sheet_on_mesh
 
@@ -71,9 +71,6 @@ _WIDE = 1.1
 
 # The start's λ, of σ₁².
 _START = 1e-4
-
-# Concurrent factorisations stop for ever on few cores: one frame at a time.
-ALONE = Lock()
 
 
 class PreparedConductance(NamedTuple):
@@ -179,14 +176,13 @@ class Conductance(AbstractMethod):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
-    ) -> tuple:
-        """As `estimate`, frame by frame."""
+    ) -> Rows:
+        """As `estimate`, frame by frame: each ends after steps of its own."""
         rows = []
         for k in range(len(voltages)):
-            with ALONE:
-                one = voltages[k : k + 1], grounds[k : k + 1]
-                row = super().block(prepared, *one, count, images)
-                rows.append(jax.tree.map(np.asarray, row))
+            one = voltages[k : k + 1], grounds[k : k + 1]
+            row = super().block(prepared, *one, count, images)
+            rows.append(jax.tree.map(np.asarray, row))
         return jax.tree.map(lambda *r: np.concatenate(r), *rows)
 
     def fitted(

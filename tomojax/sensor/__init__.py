@@ -8,7 +8,9 @@ from tomojax.sensor._calibration import Calibration as Calibration
 from tomojax.sensor._converter import Converter as Converter, NOISE as NOISE
 from tomojax.sensor._field import make_field as make_field, make_variation as make_variation
 from tomojax.sensor._forward import (
+    compiled_resistances as compiled_resistances,
     contact_conductance as contact_conductance,
+    exact_voltages as exact_voltages,
     ground_set as ground_set,
     jacobian as jacobian,
     resistances as resistances,

@@ -61,11 +61,11 @@ def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
     if route == "series":
         shape = sensor.sheet_resistance.shape
         require(shape == (), "sheet_resistance", f"shape {shape}", "one value for 'series'")
-    return _resistances(sensor, route)
+    return compiled_resistances(sensor, route)
 
 
 @eqx.filter_jit
-def _resistances(sensor: Sensor, route: Route) -> Resistances:
+def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
     if route == "series":
         return rectangle_resistances(
             sensor.sheet_resistance,
@@ -226,19 +226,19 @@ def voltages(
         )
         exact = _moving_voltages(sensor, cast(Callable, scene), checked, when)
     elif isinstance(scene, AbstractShape):
-        exact = _voltages(sensor, contact_conductance(sensor, scene), checked)
+        exact = exact_voltages(sensor, contact_conductance(sensor, scene), checked)
     elif callable(scene):
         raise ValueError("times: got None, expected the time of each slot")
     else:
         g = float_array("scene", scene, sensor.dtype)
         require_shape("scene", g, (sensor.element_count,))
         require_not_negative("scene", g)
-        exact = _voltages(sensor, g, checked)
+        exact = exact_voltages(sensor, g, checked)
     return exact if converter is None else converter(exact, key)
 
 
 @eqx.filter_jit
-def _voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
+def exact_voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
     fem = sheet_on_mesh(sensor)
     sites = site_conductance(fem, g, sensor.divisions)
     contact = fem_contact(fem, sites, sensor.divisions)
@@ -255,6 +255,6 @@ def _moving_voltages(
     def slot(ground_and_time: tuple[Array, Array]) -> Array:
         ground, time = ground_and_time
         g = contact_conductance(sensor, scene(time))
-        return _voltages(sensor, g, ground[None])[0]
+        return exact_voltages(sensor, g, ground[None])[0]
 
     return jax.lax.map(slot, (grounds, times))

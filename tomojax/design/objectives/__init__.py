@@ -15,6 +15,7 @@ from tomojax.design.objectives._problem import (
     exploratory_voltages as exploratory_voltages,
 )
 from tomojax.design.objectives._rigs import (
+    exact_on_rig as exact_on_rig,
     simulate_scenes as simulate_scenes,
     SimulatedScenes as SimulatedScenes,
 )

@@ -130,7 +130,7 @@ def simulate_scenes(
         shares = disc_shares(sensor, at[some].reshape(-1, 2), float(radii.mean()))
         there = (more.elements @ shares).T.reshape(*at[some].shape[:2], -1)
         drawn = jnp.asarray(at[some]), jnp.asarray(radii[some]), there, touched[some]
-        exact = _exact(sheet, *drawn, more.electrodes, conductance)
+        exact = exact_on_rig(sheet, *drawn, more.electrodes, conductance)
         gains = 1 + GAIN * jax.random.normal(split[number, 1], found.shape[1:2])
         seen = converter(gains.astype(sensor.dtype) * exact, split[number, 2])
         found[turns] = seen[: len(turns)]
@@ -138,7 +138,7 @@ def simulate_scenes(
 
 
 @jax.jit
-def _exact(
+def exact_on_rig(
     sheet: Sheet,
     places: Float[Array, "n C 2"],
     radii: Float[Array, " n"],

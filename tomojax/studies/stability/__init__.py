@@ -4,7 +4,6 @@ The study uses the library as any caller would.
 """
 
 from tomojax.studies.stability._numbers import (
-    _centres as _centres,
     gradient_rows as gradient_rows,
     pipeline as pipeline,
     random_points as random_points,

@@ -15,12 +15,11 @@ from jaxtyping import Array, Float
 
 from tomojax.kernels.inverse import tikhonov
 from tomojax.kernels.sheet import (
+    centroids,
     contact_jacobian,
     loop_resistance,
-    nodes as mesh_nodes,
     Resistances,
     slot_map,
-    triangles,
 )
 from tomojax.sensor import resistances, Sensor, voltages
 
@@ -154,20 +153,13 @@ def pipeline(
     return (((middle - place) ** 2).sum() + spread) / side**2
 
 
-def _centres(sensor: Sensor) -> Float[Array, "K 2"]:
-    """Of the elements."""
-    points = np.asarray(mesh_nodes(sensor.divisions, sensor.size))
-    corners = np.asarray(triangles(sensor.divisions))
-    return jnp.asarray(points[corners].mean(1), sensor.dtype)
-
-
 def gradient_rows(
     count: int = 10_000, symmetric: int = 100, seed: int = 0
 ) -> list[dict[str, Any]]:
     """Whether the pipeline's gradient is finite, and its largest difference from
     differences, at random and at symmetric points. Needs float64 to be enabled."""
     sensor = small(np.float64)
-    value = partial(pipeline, sensor, _centres(sensor))
+    value = partial(pipeline, sensor, centroids(sensor.divisions, sensor.size))
     # One after another: of several at once, jaxlib 0.10 factors matrices side by side on
     # the CPU, and hangs.
     both = jax.jit(partial(lax.map, jax.value_and_grad(value)))

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from tomojax.design import descend_sets, design_places, ImageError, simulate_scenes, tune
+from tomojax.kernels.sheet import centroids
 from tomojax.methods import Linear
 from tomojax.paper import reconstruct
 from tomojax.sensor import jacobian
 from tomojax.studies.network import Network
-from tomojax.studies.stability._numbers import _centres, small
+from tomojax.studies.stability._numbers import small
 
 # ρ that J(ρ) is told, in sheet resistances; the contacts' own is about one.
 RESISTANCES = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 1e2, 1e4, 1e8, float("inf"))
@@ -46,7 +47,11 @@ def resistance_rows(dtype: Any = np.float32, seed: int = 0) -> list[dict[str, An
         except ValueError as error:
             rows.append(told | {"raised": str(error), "place_median_mm": None, "silent": 0})
             continue
-        away = _away(np.asarray(found.image, float), np.asarray(_centres(sensor)), truth)
+        away = _away(
+            np.asarray(found.image, float),
+            np.asarray(centroids(sensor.divisions, sensor.size)),
+            truth,
+        )
         silent = ~np.isfinite(away) & (np.asarray(found.flags) == 0)
         median = 1e3 * float(np.median(away)) if np.isfinite(away).all() else None
         rows.append(told | {"place_median_mm": median, "silent": int(silent.sum())})
