@@ -1,17 +1,16 @@
 """Tests run in float64 with strict promotion; float32 is asked for where it is tested."""
 
 import os
-import tempfile
 from pathlib import Path
 
 # Before JAX starts its CPU backend: xdist's workers share the cores.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-# What one process compiles serves the others of this run: workers, and commands that tests
-# start. Made anew each time: nothing depends on what an earlier run left.
+# What one process compiles serves the others, workers and commands that tests start, and
+# later runs: a folder of the user's, by versions and processor.
 if "PYTEST_XDIST_WORKER" not in os.environ:
-    _cache = tempfile.TemporaryDirectory(prefix="tomojax-compiled-")
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache.name
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+    from tomojax.cli.compiled import keep_compiled
+
+    keep_compiled("tests", 2 << 30)
 
 import jax
 import numpy as np

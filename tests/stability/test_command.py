@@ -5,10 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from recordings import write
 
 import tomojax as tx
 from tomojax.cli.app import run as run_command
-from tomojax.studies.stability import Bench, limits, report, run, SWEEPS
+from tomojax.studies.stability import Bench, HOLDS, limits, report, run, SWEEPS
 
 
 def row(value, near, far=0, undoubted=0, method="points", raised=None, **more):
@@ -104,7 +105,35 @@ def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
         run(sensor, tmp_path, True, seed=1)
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_the_command_from_end_to_end(tmp_path, monkeypatch, capsys):
+    """One sweep of one method on two scenes of a small rig, told by its recording."""
+    near = np.array([[0.01, 0.01], [0.05, 0.01], [0.03, 0.03], [0.01, 0.05], [0.05, 0.05]])
+    codes = np.zeros((4, 2, 5), np.int16)
+    told = {"electrode_xy": near, "size": [0.06, 0.06], "settle_delay": 2e-5}
+    write(tmp_path / "rig.h5", codes, [0, 4], **told)
+    monkeypatch.setattr("tomojax.studies.stability._study.QUICK", ("source",))
+    words = ["tomojax", "stability", "--quick", "--only", "saturated", "--scenes", "2"]
+    words += ["--like", str(tmp_path / "rig.h5"), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stop:
+        run_command()
+    assert not stop.value.code
+    said = capsys.readouterr().out
+    told = json.loads((tmp_path / "out" / "stability.json").read_text())
+    (limit,), values = told["rows"], told["summary"]["values"]
+    assert [row["value"] for row in values] == list(SWEEPS["saturated"].values)
+    assert all(row["scenes"] == 2 and row["raised"] is None for row in values)
+    assert all(row["method"] == "source" for row in values)
+    # Clipped at 0.05 V nothing is left of a place; below the drive nothing is clipped.
+    assert values[0]["near"] == 1 and values[-1]["near"] < HOLDS
+    assert values[-1]["place_p90_mm"] is None or values[-1]["place_p90_mm"] > 10
+    assert f"{limit['limit']:g} of 0.05" in said and told["summary"]["numbers"] is None
+    assert (tmp_path / "out" / "stability.png").stat().st_size > 10_000
+    kept = json.loads((tmp_path / "out" / "stability-saturated.json").read_text())
+    assert kept == values
+
+
+def test_the_command_draws_and_says(tmp_path, monkeypatch, capsys):
     values = SWEEPS["white"].values
     made = [row(v, 1.0 if v < 0.1 else 0.0, 2 * (v > 0.2)) for v in values]
     monkeypatch.setattr("tomojax.studies.stability._study.sweep_rows", lambda *_: made)

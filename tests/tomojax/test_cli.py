@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import recordings
 from click.testing import CliRunner
+from PIL import Image
 
 from tomojax.cli import app
 
@@ -20,43 +21,59 @@ def test_demo_prints_and_draws(tmp_path) -> None:
     assert "64 electrodes" in result.output and "contacts  rows" in result.output
     for name in ("contacts.png", "contacts.gif", "results.h5"):
         assert (tmp_path / "pictures" / name).stat().st_size > 10_000
+    with Image.open(tmp_path / "pictures" / "contacts.gif") as film:
+        assert film.n_frames == 100 and film.size == (384, 336)
     # One finger and, while it taps, another: never a third.
     with h5py.File(tmp_path / "pictures" / "results.h5") as file:
         assert np.bincount(file["contact_count"][:]).tolist()[1] > 100
         assert file["contact_count"][:].max() == 2
 
 
+def line_of(monkeypatch, capsys, *arguments) -> str:
+    """What a command that fails prints: exactly one line, and status 2."""
+    monkeypatch.setattr(sys, "argv", ["tomojax", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        app.run()
+    assert stop.value.code == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def test_the_command_as_a_process() -> None:
+    code = "from tomojax.cli import main; main()"
+    run = subprocess.run(
+        [sys.executable, "-c", code, "paint"], capture_output=True, text=True
+    )
+    assert run.returncode == 2
+    assert len(run.stderr.strip().splitlines()) == 1 and "paint" in run.stderr
+
+
 @pytest.mark.parametrize(
     "arguments, word", [(["paint"], "paint"), (["demo", "--out"], "--out")]
 )
-def test_mistakes_are_one_line_and_status_2(arguments, word) -> None:
-    code = "from tomojax.cli import main; main()"
-    run = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True
-    )
-    assert run.returncode == 2
-    assert len(run.stderr.strip().splitlines()) == 1 and word in run.stderr
+def test_mistakes_are_one_line_and_status_2(monkeypatch, capsys, arguments, word) -> None:
+    assert word in line_of(monkeypatch, capsys, *arguments)
 
 
 def test_output_folder_that_is_a_file(tmp_path, monkeypatch, capsys) -> None:
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(sys, "argv", ["tomojax", "demo", "--out", str(tmp_path / "file")])
-    with pytest.raises(SystemExit) as stop:
-        app.run()
-    assert stop.value.code == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    line_of(monkeypatch, capsys, "demo", "--out", tmp_path / "file")
 
 
-def test_missing_extra_is_named(monkeypatch, capsys) -> None:
+@pytest.mark.parametrize("package", ["click", "h5py"])
+def test_missing_extra_is_named(monkeypatch, capsys, tmp_path, package) -> None:
     from tomojax import cli
 
-    monkeypatch.setitem(sys.modules, "click", None)
+    monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delitem(sys.modules, "tomojax.cli.app", raising=False)
     monkeypatch.delattr("tomojax.cli.app", raising=False)
+    monkeypatch.setattr(sys, "argv", ["tomojax", "demo", "--out", str(tmp_path)])
     with pytest.raises(SystemExit) as stop:
         cli.main()
     assert stop.value.code == 2
-    assert "tomojax[app]" in capsys.readouterr().err
+    line = capsys.readouterr().err
+    assert package in line and "tomojax[app]" in line
 
 
 @pytest.fixture(scope="module")
@@ -88,17 +105,6 @@ def test_reconstruct_and_info(recording_path, tmp_path) -> None:
     assert slots.exit_code == 0, slots.output
     with h5py.File(tmp_path / "s.h5") as file:
         assert len(file["t"]) == 60 and "image" not in file
-
-
-def line_of(monkeypatch, capsys, *arguments) -> str:
-    """What a command that fails prints: exactly one line, and status 2."""
-    monkeypatch.setattr(sys, "argv", ["tomojax", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        app.run()
-    assert stop.value.code == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1, lines
-    return lines[0]
 
 
 def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_path) -> None:

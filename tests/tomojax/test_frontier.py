@@ -10,6 +10,7 @@ import references
 import tomojax as tx
 from tomojax.cli.app import run
 from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
+from tomojax.sensor import NOISE
 from tomojax.studies.frontier import (
     beside_peers,
     DAY,
@@ -307,13 +308,61 @@ def test_rates_stay_below_the_machine_s(kept, monkeypatch):
 
 
 def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
+    """Two quick methods stand in; frames and figures are compared with the trials."""
     sensor, trials = load_trials(kept, "float32")
-    made = tx.method(sensor, "source", 16)
-    monkeypatch.setattr("tomojax.studies.frontier._rates.make_method", lambda *_: made)
-    job = Job("day", ("corners",))
-    auto, largest = day_rows(job, sensor, trials)
-    assert auto["kinds"] == largest["kinds"] and auto["frames"] == 100
+    quick = {
+        "auto": tx.method(sensor, "source", 16),
+        "conductance": tx.method(sensor, "linear", 16),
+    }
+    rates, given, told = "tomojax.studies.frontier._rates", [], []
+
+    def watched(model, *options):
+        batch = tx.Batch(model, *options)
+
+        def call(volts, grounds):
+            given.append((volts, grounds))
+            told.append(batch(volts, grounds))
+            return told[-1]
+
+        return call
+
+    monkeypatch.setattr(f"{rates}.make_method", lambda _, name, pixels: quick[name])
+    monkeypatch.setattr(f"{rates}.Batch", watched)
+    # A process of its own runs a job; here others' programs stay compiled.
+    monkeypatch.setattr("jax.clear_caches", lambda: None)
+    auto, largest = day_rows(Job("day", ("corners",)), sensor, trials)
+    assert auto["frames"] == largest["frames"] == 100
+    volts, grounds = given[0]
+    for more, same in given[1:]:
+        np.testing.assert_array_equal(more, volts)
+        np.testing.assert_array_equal(same, grounds)
+    assert len(given) == 6 and (grounds == [0, 63]).all()
+
+    # First the scenes of each kind, then frames of nothing but noise.
+    chosen, start = [], 0
+    for kind, count in DAY.items():
+        of_kind = np.flatnonzero(trials.kind == kind)
+        some = volts[start : start + count, None]
+        same = (some == trials.volts[of_kind][:, [0, 63]].astype("f4")).all((2, 3))
+        assert (same.sum(1) == 1).all()
+        chosen.append(of_kind[same.argmax(1)])
+        start += count
+    assert len(volts) == start + 70
+    assert np.std(volts[start:]) == pytest.approx(NOISE, rel=0.1)
+
+    # Places of single contacts, once more from what each method told.
+    ones = trials.xy[chosen[0], 0]
+    for said, rows in ((auto, told[0]), (largest, told[3])):
+        away = np.full(len(ones), np.inf)
+        for k, place in enumerate(ones):
+            found = rows.contact_xy[k, : rows.contact_count[k]]
+            away[k] = min(np.linalg.norm(found - place, axis=1), default=np.inf)
+        figures = said["kinds"]["one"]
+        assert figures["place_median_mm"] == pytest.approx(1e3 * np.median(away))
+        assert {k: v["scenes"] for k, v in said["kinds"].items()} == DAY
+        nothing = int((rows.contact_count[start:] > 0).sum())
+        assert said["contacts_where_nothing_is"] == nothing
     assert auto["contacts_where_nothing_is"] == 0
-    assert {k: v["scenes"] for k, v in auto["kinds"].items()} == DAY
+    assert auto["kinds"]["one"] != largest["kinds"]["one"]
     (line,) = report.machine_lines([], [auto])
     assert "a day of frames, auto" in line

@@ -5,7 +5,6 @@ import sys
 
 import click
 
-from tomojax.cli._compiled import keep_compiled
 from tomojax.cli._demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._frontier import frontier
@@ -14,6 +13,7 @@ from tomojax.cli._recordings import calibrate, info, reconstruct
 from tomojax.cli._stability import stability
 from tomojax.cli._table1 import table1
 from tomojax.cli._track import track
+from tomojax.cli.compiled import keep_compiled
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

@@ -100,6 +100,8 @@ def clip(
     progress: Callable[[int], object] = lambda n: None,
 ) -> None:
     """Writes the images as a film (GIF), with contacts and their directions drawn in."""
+    from PIL import Image
+
     with h5py.File(path, "r") as file:
         step = max(1, -(-len(file["t"]) // most))
         names = ("t", "image", "contact_xy", "contact_radius", "contact_angle")
@@ -135,9 +137,10 @@ def clip(
         canvas.restore_region(still)
         for artist in moving:
             axes.draw_artist(artist)
-        frames.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
         progress(step)
-    _write_gif(out, frames)
+    first, *rest = frames
+    first.save(out, save_all=True, append_images=rest, duration=1000 // 12, loop=0)
 
 
 def _still(figure: Figure, moving: list):
@@ -146,24 +149,10 @@ def _still(figure: Figure, moving: list):
     Matplotlib lays a figure out anew for each drawing, in 0.4 s: here it does so once.
     """
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    for _ in range(2):  # the second layout starts from the sizes that the first one found
+        canvas.draw()
     figure.set_layout_engine("none")  # what is laid out stays where it is
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()
     return canvas, canvas.copy_from_bbox(figure.bbox)
-
-
-def _write_gif(out: Path, frames: list[np.ndarray], fps: int = 12) -> None:
-    """Writes frames (height, width, 3) in the 256 colours that suit a few of them."""
-    from PIL import Image
-
-    some = np.concatenate(frames[:: -(-len(frames) // 8)])
-    # Not the median cut: it would leave out the few pixels of the contacts' marks.
-    palette = Image.fromarray(some).quantize(method=Image.Quantize.MAXCOVERAGE)
-    first, *rest = (
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    )
-    duration = 1000 // fps  # ms
-    first.save(out, save_all=True, append_images=rest, duration=duration, loop=0)

@@ -8,17 +8,19 @@ from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
 
-# Bytes of all folders together; a method's programs take 1 to 10 MB. JAX's own limit
+# Bytes of all folders together; a method's programs take about 1 MB. JAX's own limit
 # (jax_compilation_cache_max_size) needs the package `filelock`, and reads the times of all
 # files again for each program that it writes.
-LIMIT = 512 << 20
+LIMIT = 256 << 20
 
 # The lines of /proc/cpuinfo that name the processor and its features, on x86 and ARM.
 _PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
 
 
-def keep_compiled() -> None:
+def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
     """Makes JAX, which nobody has imported yet, keep programs for later commands.
+
+    `kind` begins the folder's name; folders of one kind hold `limit` bytes at most.
 
     The settings are environment variables, so that processes of a command share them. A
     JAX_COMPILATION_CACHE_DIR of the user stays, and then this function sets nothing. A
@@ -28,14 +30,14 @@ def keep_compiled() -> None:
         return
     # RuntimeError: the user has no home folder.
     with suppress(OSError, RuntimeError):
-        folder = _folder()
+        folder = _folder(kind)
         if folder is None:
             return
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(0o700)  # JAX runs what lies there: nobody else may write it
         if not os.access(folder, os.W_OK):
             return
-        _drop_oldest(folder.parent)
+        _drop_oldest(folder.parent, kind, limit)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         # By default JAX leaves out what compiles in under a second: nearly all programs.
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -44,7 +46,7 @@ def keep_compiled() -> None:
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 
-def _folder() -> Path | None:
+def _folder(kind: str) -> Path | None:
     """Names the folder after the versions and the processor; None where JAX crashes."""
     from importlib.metadata import version
 
@@ -55,7 +57,7 @@ def _folder() -> Path | None:
     key = hashlib.sha256(made_with.encode()).hexdigest()[:12]
     home = os.environ.get("XDG_CACHE_HOME", "")
     cache = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
-    return cache / "tomojax" / f"compiled-{key}"
+    return cache / "tomojax" / f"{kind}-{key}"
 
 
 def _processor() -> list[str]:
@@ -74,16 +76,16 @@ def _processor() -> list[str]:
     return told
 
 
-def _drop_oldest(cache: Path) -> None:
-    """Removes the programs that were used longest ago, until the rest is under `LIMIT`."""
+def _drop_oldest(cache: Path, kind: str, limit: int) -> None:
+    """Removes the programs that were used longest ago, until the rest is under `limit`."""
     found = []
-    for path in cache.glob("compiled-*/*"):
+    for path in cache.glob(f"{kind}-*/*"):
         with suppress(OSError):  # another command may have removed the file
             about = path.stat()
             found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
     size = sum(size for _, size, _ in found)
     for _, bytes_there, path in sorted(found):
-        if size <= LIMIT:
+        if size <= limit:
             break
         with suppress(OSError):
             path.unlink()

@@ -1,0 +1,138 @@
+"""What a command loads before it works, and where compiled programs are kept."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import recordings
+from click.testing import CliRunner
+
+from tomojax.cli import app, compiled
+
+# The process tells at its end what it imported and what other processes would inherit.
+_COMMAND = """
+import atexit, json, os, sys
+
+def tell():
+    print(json.dumps([sorted({m.split(".")[0] for m in sys.modules}), dict(os.environ)]))
+
+atexit.register(tell)
+from tomojax.cli import main
+main()
+"""
+_HEAVY = {"jax", "jaxlib", "scipy", "matplotlib"}
+_LIGHT = _HEAVY | {"numpy", "h5py", "tqdm"}
+
+
+def process(tmp_path: Path, code: str, *arguments: object) -> subprocess.CompletedProcess:
+    """Runs `code` with an empty cache folder that is the user's, and without settings."""
+    set_by_us = ("JAX_", "TF_CPP", "OPENBLAS", "TOMOJAX")
+    own = {k: v for k, v in os.environ.items() if not k.startswith(set_by_us)}
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=own | {"XDG_CACHE_HOME": str(tmp_path / "cache")},
+    )
+
+
+@pytest.mark.parametrize("option", ["--help", "--version", "--wrong"])
+def test_nothing_heavy_is_loaded_to_say_what_there_is(tmp_path, option) -> None:
+    run = process(tmp_path, _COMMAND, option)
+    loaded, _ = json.loads(run.stdout.splitlines()[-1])
+    assert not _LIGHT & set(loaded)
+    assert run.returncode == (2 if option == "--wrong" else 0)
+
+
+def test_info_loads_no_jax_and_sets_the_cache(tmp_path) -> None:
+    path = recordings.write(tmp_path / "rec.h5", recordings.touched(scans=3)[0])
+    run = process(tmp_path, _COMMAND, "info", path)
+    assert "can be read" in run.stdout, run.stderr
+    loaded, settings = json.loads(run.stdout.splitlines()[-1])
+    assert "numpy" in loaded and not _HEAVY & set(loaded)
+    folder = Path(settings["JAX_COMPILATION_CACHE_DIR"])
+    assert folder.parent == tmp_path / "cache" / "tomojax"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert settings["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] == "0"
+    assert settings["OPENBLAS_NUM_THREADS"] == "1"
+
+
+def test_programs_are_kept_and_loaded_without_a_word(tmp_path) -> None:
+    code = """
+from tomojax.cli.compiled import keep_compiled
+keep_compiled()
+import jax, jax.numpy as jnp
+print(jax.jit(lambda x: jnp.sin(x).sum())(jnp.arange(4.0)))
+"""
+    first = process(tmp_path, code)
+    programs = sorted((tmp_path / "cache").glob("tomojax/compiled-*/*"))
+    again = process(tmp_path, code)
+    assert first.stdout == again.stdout and first.stderr == again.stderr == ""
+    assert programs == sorted((tmp_path / "cache").glob("tomojax/compiled-*/*"))
+    assert programs
+
+
+@pytest.fixture
+def environment(monkeypatch, tmp_path) -> dict[str, str]:
+    """Stands for `os.environ`, of a user who has set nothing but the cache folder."""
+    settings = {"PATH": os.environ["PATH"], "XDG_CACHE_HOME": str(tmp_path)}
+    monkeypatch.setattr(os, "environ", settings)
+    return settings
+
+
+@pytest.mark.parametrize(
+    ("arguments", "more", "kept", "threads"),
+    [
+        (["info", "absent"], {}, True, "1"),
+        (["--no-cache", "info", "absent"], {}, False, "1"),
+        (["info", "absent"], {"TOMOJAX_NO_CACHE": "1"}, False, "1"),
+        (["info", "absent"], {"OPENBLAS_NUM_THREADS": "4"}, True, "4"),
+        (["frontier", "--help"], {}, False, None),  # what compiles is timed there
+    ],
+)
+def test_options_of_the_cache(environment, arguments, more, kept, threads) -> None:
+    environment |= more
+    CliRunner().invoke(app.app, arguments)
+    assert ("JAX_COMPILATION_CACHE_DIR" in environment) == kept
+    assert environment.get("OPENBLAS_NUM_THREADS") == threads
+
+
+def test_settings_of_the_user_stay(environment, tmp_path) -> None:
+    environment["JAX_COMPILATION_CACHE_DIR"] = "mine"
+    before = dict(environment)
+    compiled.keep_compiled()
+    assert environment == before and not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_made_is_left(environment, tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    environment["XDG_CACHE_HOME"] = str(tmp_path / "file")
+    before = dict(environment)
+    compiled.keep_compiled()
+    assert environment == before
+
+
+def test_others_cannot_write_the_folder(environment) -> None:
+    compiled.keep_compiled()
+    folder = Path(environment.pop("JAX_COMPILATION_CACHE_DIR"))
+    folder.chmod(0o777)
+    compiled.keep_compiled()
+    assert environment["JAX_COMPILATION_CACHE_DIR"] == str(folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_programs_used_longest_ago_go_first(environment, tmp_path, monkeypatch) -> None:
+    limit = 2500
+    times = {"a": 30, "b": 10, "c": 20, "d": 40}
+    for name, seconds in times.items():
+        path = tmp_path / "tomojax" / f"compiled-{name}" / "program"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(np.zeros(1000, np.uint8))
+        os.utime(path, (seconds, seconds))
+    compiled.keep_compiled(limit=limit)
+    left = {path.parent.name[-1] for path in tmp_path.glob("tomojax/*/program")}
+    assert left == {"a", "d"}
