@@ -141,7 +141,7 @@ def smooth_levels(
     ends = jnp.concatenate([begins[1:], jnp.ones(1, bool)])[::-1]
     backward = Levels(*(a[::-1] for a in filter_levels(z, r, here, ends, drift)))
 
-    def one(ahead_of: Levels, behind_it: Levels, z, r, here) -> Levels:
+    def one(ahead_of: Levels, behind_it: Levels, z: Array, r: Array, here: Array) -> Levels:
         (fm, fc, likely), (bm, bc, _) = ahead_of, behind_it
         apart = fm - bm
         unlikely = jnp.vdot(apart, solve_positive(fc + bc, apart[:, None])[:, 0])

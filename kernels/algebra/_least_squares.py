@@ -100,7 +100,7 @@ def least_squares(
         (rest, priors), (along, along_priors) = slopes(trial)
         misfit = (rest**2).sum(1) / tolerance
         weight = jax.lax.rsqrt(1 + misfit)[:, None]
-        cost = tolerance * jnp.log1p(misfit).sum() + (priors**2).sum()
+        cost: Array = tolerance * jnp.log1p(misfit).sum() + (priors**2).sum()
         a = jnp.concatenate([(along * weight).reshape(count, -1), along_priors], 1)
         b = jnp.concatenate([(rest * weight).ravel(), priors])
         normal = jnp.matmul(a, a.T, precision="highest")

@@ -140,7 +140,13 @@ def metallic(sheet: Sheet, conductance: Array | float) -> Array:
     return strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
 
 
-def _lean(sheet, radius, current, drop, pull) -> Float[Array, "S C 2"]:
+def _lean(
+    sheet: Sheet,
+    radius: Float[Array, " C"],
+    current: Float[Array, "S C"],
+    drop: Float[Array, "S C"],
+    pull: Float[Array, "S C 2"],
+) -> Float[Array, "S C 2"]:
     """How far the centre of a contact's current is from the contact's, m."""
     least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
     forward = jnp.sign(sheet.drive_voltage)

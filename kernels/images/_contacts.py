@@ -101,7 +101,9 @@ def _measure(count: int, level: float):
     rule for batches takes all frames for one contact, then those that have more again.
     """
 
-    def one(image, current, i, j, height, group) -> Float[Array, "C 7"]:
+    def one(
+        image: Array, current: Array, i: Array, j: Array, height: Array, group: Array
+    ) -> Float[Array, "C 7"]:
         flat, carried = image.ravel(), current.ravel()
         places = powers(image.shape, image.dtype)
 
@@ -173,7 +175,7 @@ def _highest_peaks(
     place = jnp.arange(size, dtype=jnp.int32).reshape(nx, ny)
     packed = jnp.where(is_peak, (bits >> place_bits << place_bits) | place, -1)
     # Made once: fused into each pass below it would be made again in each.
-    packed = lax.optimization_barrier(packed)
+    packed: Array = lax.optimization_barrier(packed)
     found = []
     below = jnp.array(jnp.iinfo(jnp.int32).max, jnp.int32)
     for _ in range(count):

@@ -60,8 +60,8 @@ def points_image(
             extent[0] * extent[1] / 3,
         )
         u, v = (x - place[0])[:, None], (y - place[1])[None]
-        form = (b * u**2 - 2 * c * u * v + a * v**2) / (a * b - c**2)
-        rim = (jnp.sqrt(u**2 + v**2) - ring) ** 2 / across
+        form: Array = (b * u**2 - 2 * c * u * v + a * v**2) / (a * b - c**2)
+        rim: Array = (jnp.sqrt(u**2 + v**2) - ring) ** 2 / across
         density = jnp.exp(-jnp.where(ring > 0, rim, form) / 2)
         return current * density / (density.sum() * cell.prod())
 

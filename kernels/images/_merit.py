@@ -116,7 +116,9 @@ def two_point_dip(
     """
     along = jnp.linspace(-0.25, 1.25, samples).astype(image.dtype)
     places = one + along[:, None] * (other - one)
-    line = map_coordinates(image, list((places / cell - 0.5).T), order=1, mode="nearest")
+    line: Array = map_coordinates(
+        image, list((places / cell - 0.5).T), order=1, mode="nearest"
+    )
     half = samples // 2
     peaks = jnp.argmax(line[: half + 1]), half + jnp.argmax(line[half:])
     index = jnp.arange(samples)

@@ -183,7 +183,7 @@ def fem_site_resistances(
     ports = _ports(fem, fields[:, : m + dipoles])
     shunt = ports.answer(ports.feed_dipole.T)
     site_shunt = ports.answer(matmul(fem.dipoles.T, fields[:, m + dipoles :]))
-    same = jnp.arange(n, n + m)[:, None] == sites
+    same = jnp.arange(n, n + m, dtype=sites.dtype)[:, None] == sites
     ec = matmul(fem.feeds.T, fields[:, m + dipoles :]) - matmul(shunt.T, site_shunt)
     ec = ec + jnp.where(same, fem.series[:, None], 0)
     own = jnp.where(is_node, 0, fem.series[jnp.clip(sites - n, 0)])

@@ -157,7 +157,9 @@ def test_the_command_draws_and_says(tmp_path, monkeypatch, capsys):
         ],
     }
     monkeypatch.setattr("tomojax.studies.stability.numbers", lambda *_: numbers)
-    monkeypatch.setattr("tomojax.studies.stability.SWEEPS", {"white": SWEEPS["white"]})
+    monkeypatch.setattr(
+        "tomojax.studies.stability._study.SWEEPS", {"white": SWEEPS["white"]}
+    )
     words = ["tomojax", "stability", "--quick", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as stop:

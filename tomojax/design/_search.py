@@ -98,7 +98,7 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
         weights = s.weights + part * towards
         value, slope, linear = both(weights)
         moved, changed = weights - s.weights, slope - s.slope
-        curved = (moved * changed).sum()
+        curved: Array = (moved * changed).sum()
         length = jnp.where(curved > 0, (moved**2).sum() / curved, 4 * s.length)
         longest = 1e6 / (jnp.abs(slope).max() + 1e-30)
         bound = jnp.maximum(s.bound, bounded(weights, slope, linear))
@@ -128,7 +128,7 @@ def greedy(value: Callable, slots: int, n: int, dtype=None) -> Float[Array, " L"
     each = jnp.eye(slots, dtype=dtype)
 
     def add(_: Array, chosen: Array) -> Array:
-        values = lax.map(lambda one: value(jnp.minimum(chosen + one, 1)), each)
+        values: Array = lax.map(lambda one: value(jnp.minimum(chosen + one, 1)), each)
         return chosen + each[jnp.argmin(jnp.where(chosen > 0, jnp.inf, values))]
 
     return lax.fori_loop(0, n, add, jnp.zeros(slots, dtype))
@@ -162,7 +162,7 @@ def exchange(
         def swapped(pair: Array) -> Array:
             return chosen.at[inside[pair[0]]].set(0).at[outside[pair[1]]].set(1)
 
-        values = lax.map(lambda pair: value(swapped(pair)), some)
+        values: Array = lax.map(lambda pair: value(swapped(pair)), some)
         best = jnp.argmin(values)
         helps = values[best] < now * (1 - 1e-6)
         return (

@@ -82,9 +82,9 @@ def empty_rows(n: int, sizes: dict[str, int]) -> Rows:
     """
     made = {}
     for name, field in fields_of_rows().items():
-        shape = [sizes.get(size, size) for size in field.sizes]
-        shape = [int(size) if str(size).isdigit() else None for size in shape]
-        if None not in shape:
+        # A size is a number, or a name of one that may not be known.
+        shape = [int(sizes.get(s, s if s.isdigit() else -1)) for s in field.sizes]
+        if min(shape, default=0) >= 0:
             nothing = np.nan if np.dtype(field.kind).kind == "f" else 0
             made[name] = np.full((n, *shape), nothing, field.kind)
     return Rows(**made)

@@ -7,7 +7,7 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -59,6 +59,9 @@ class PreparedSource(NamedTuple):
     lam: Float[Array, ""]
 
 
+_S = TypeVar("_S", bound="AbstractSource")  # typing.Self, which beartype cannot check here
+
+
 class AbstractSource(AbstractMethod):
     """s^l = T^lᵀ(T^lT^lᵀ + λI)⁻¹V^l, in an orthonormal basis of T's row space (rank M).
 
@@ -90,7 +93,7 @@ class AbstractSource(AbstractMethod):
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
 
     @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "AbstractSource":
+    def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
         """On an image of `shape` pixels."""
         pixels = pixels_of(sensor, shape)
         # Half of the square that an electrode has to itself, as a Gaussian.
@@ -99,12 +102,12 @@ class AbstractSource(AbstractMethod):
 
     @classmethod
     def from_maps(
-        cls,
+        cls: type[_S],
         maps: Float[np.ndarray, "L M pixels"],
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
-    ) -> "AbstractSource":
+    ) -> _S:
         """Of any T^l; the image is smooth over `length`, in pixels."""
         dtype = cell.dtype
         sides = [np.eye(n) for n in shape]
@@ -123,7 +126,8 @@ class AbstractSource(AbstractMethod):
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
         smoothed = jnp.asarray(smoothed.reshape(drawn.shape), dtype)
         whole = drawn, drawn_factors, smoothed
-        return cls(shape, cell, basis, factors, along, across, *whole)
+        # pyright takes `positive`, a ClassVar by its meaning, for a field.
+        return cls(shape, cell, basis, factors, along, across, *whole)  # pyright: ignore
 
     @property
     def electrode_count(self) -> int:

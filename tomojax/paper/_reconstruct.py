@@ -156,12 +156,14 @@ def _slots(grounds: Numbers | None, count: int) -> Int[Array, " S"]:
 
 
 @eqx.filter_jit
-def _reconstruct(slots, v, grounds, lam, w, noise, rule, per_recording, route):
+def _reconstruct(
+    slots, voltages: Array, grounds, lam, w, noise, rule, per_recording, route
+):
     reduced = isinstance(slots, ReducedSlots)
     maps = slots.factors if reduced else slots
     rows = maps[grounds]
     # What has no weight may be anything.
-    v = jnp.where(w > 0, v, 0)
+    v: Array = jnp.where(w > 0, voltages, 0)
     frames = v if v.ndim == 3 else v[None]
     if rule is not None:
         shared = per_recording or v.ndim == 2

@@ -253,11 +253,14 @@ def _solved(settings, calibration, chosen, batch: Batch, frames: Chunk) -> Rows:
     if chosen is None:
         return batch(volts, grounds, good, flags)
     parts, lams = chosen(frames, volts)
-    own = settings.lam is None and lams is not None
     rows = batch.empty(len(volts))
     for part in parts:
         some = part.of(volts), part.of(grounds), part.of(good), flags[part.frames]
-        each = lams[part.frames] * batch.method.scale() if own else None
+        each = (
+            lams[part.frames] * batch.method.scale()
+            if lams is not None and settings.lam is None
+            else None
+        )
         rows.put(part.frames, batch(*some, each))
     return rows
 

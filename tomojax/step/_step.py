@@ -164,21 +164,24 @@ class Step:
             (~read.ok, Flag.NO_DATA),
             (doubted & read.ok, Flag.HIGH_RESIDUAL),
         )
-        residual = jnp.where(read.ok, told.residual, jnp.nan)
+        residual: Array = jnp.where(read.ok, told.residual, jnp.nan)
         flags = read.flags | bits | _bits(flags)
         output = Output(contacts, residual, flags, plan.grounds[plan.at])
-        kept = _where(read.ok, (memory, cheaper), (state.memory, state.cheaper))
+        kept = state.memory, state.cheaper
+        memory, cheaper = _where(read.ok, (memory, cheaper), kept)
         doubt = doubt._replace(stretch=doubt.stretch & ~over)
         last = Slot(read.voltages, read.ground, slot.lost, slot.hurried)
-        return Remembered(*kept, plan, doubt, last, read.used & read.ok), output
+        used = read.used & read.ok
+        return Remembered(memory, cheaper, plan, doubt, last, used), output
 
     def _checked(self, slot: Slot) -> Read:
         """Corrects the voltages, and says which channels can be used."""
         finite = jnp.isfinite(slot.voltages)
-        size = jnp.abs(jnp.where(finite, slot.voltages, 0))
+        volts: Array = slot.voltages
+        size: Array = jnp.where(finite, jnp.abs(volts), 0)
         high = size > self._highest
         used = self._good & finite & ~high
-        voltages = jnp.where(used, (slot.voltages - self._zero) / self._gain, 0)
+        voltages: Array = jnp.where(used, (volts - self._zero) / self._gain, 0)
         known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
         enough = 2 * used.sum() >= self._good.sum()
         flags = (
@@ -192,7 +195,9 @@ class Step:
         elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
         return Read(voltages, used, ground, elapsed, known & enough, _bits(flags))
 
-    def _told(self, state: Remembered, slot: Slot, read: Read) -> tuple:
+    def _told(
+        self, state: Remembered, slot: Slot, read: Read
+    ) -> tuple[Any, Any, Told, Array]:
         """Memories after the slot, what is said of it, and whether in a hurry."""
         asked = read.voltages, read.used, read.ground, read.elapsed
         if self._cheaper is None:

@@ -170,7 +170,7 @@ def exact_on_rig(
             loop = among - at_ground - at_ground[:, None] + own[ground]
             drive = jnp.broadcast_to(sheet.drive_voltage, (len(place), 1))
             current = solve_small(loop, drive)[:, 0]
-            volts = current @ (potential - at_ground[:, None] + columns[ground])
+            volts: Array = current @ (potential - at_ground[:, None] + columns[ground])
             return jnp.where(touched[ground] & (metal > 0.5), short[ground], volts)
 
         return jax.vmap(slot)(jnp.arange(len(each)))

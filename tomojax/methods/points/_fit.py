@@ -97,15 +97,17 @@ def best_fit(
     )
     fit, prepared = fit_of(still, kind), scene.prepared
     starts = lax.stop_gradient(starts)
-    ended = least_squares(fit, starts, TOLERANCE, _MOST, _FEW)
-    ended = jax.tree.map(lax.stop_gradient, ended)
+    search = least_squares(fit, starts, TOLERANCE, _MOST, _FEW)
+    ended: LeastSquares = jax.tree.map(lax.stop_gradient, search)
     cost = jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
     parameters = _implicit(scene, kind, ended)
     rest, _, fitted = fit_of(scene, kind)(parameters)
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
-    misfit = jnp.where(prepared.used, fitted.voltages - scene.voltages, 0)
-    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
+    volts: Array = fitted.voltages
+    misfit = jnp.where(prepared.used, volts - scene.voltages, 0)
+    currents: Array = fitted.current
+    current = jnp.where(slots[:, None], currents, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
     # What is long is not added to.
