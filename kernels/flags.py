@@ -4,7 +4,17 @@ import enum
 
 
 class Flag(enum.IntFlag):
-    """Bits of a flag. 0 is a good frame."""
+    """Bits of a flag. 0 is a good frame.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> flags = 16384 + 1  # as a row of results has it
+    >>> bool(flags & tx.Flag.HIGH_RESIDUAL)
+    True
+    >>> [flag.name for flag in tx.Flag(flags)]
+    ['NO_CONTACT', 'HIGH_RESIDUAL']
+    """
 
     NO_CONTACT = 1  # no voltage above the threshold
     BAD_VOLTAGES = 2  # NaN or infinite

@@ -15,3 +15,13 @@ from tomojax.calibration._recording import (
     read_places as read_places,
     tare as tare,
 )
+
+__all__ = [
+    "calibrate",
+    "calibrate_presses",
+    "calibrate_recording",
+    "force",
+    "pressure",
+    "read_places",
+    "tare",
+]

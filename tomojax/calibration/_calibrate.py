@@ -66,6 +66,18 @@ def calibrate(
     `tare`, for one), nominal by default.
     **Raises:** `ValueError` for shapes that do not fit, values that are no numbers or
     places off the sheet.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(2, 2, divisions=(8, 8), dtype=np.float32)
+    >>> places = np.random.default_rng(0).uniform(0.015, 0.025, (16, 2))
+    >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.005, 1.0)) for xy in places])
+    >>> frames, grounds = volts.reshape(64, 1, 4), np.tile(np.arange(4), 16)[:, None]
+    >>> known = tx.calibration.calibrate(sensor, frames, grounds, places.repeat(4, 0))
+    >>> len(known.gain), len(known.sheet), known.error <= 1
+    (4, 14, True)
     """
     known = _checked(sensor, voltages, grounds, places)
     before = calibration or Calibration()

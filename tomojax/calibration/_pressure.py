@@ -23,6 +23,16 @@ def calibrate_presses(
 
     **Raises:** `ValueError` for fewer than two presses, equal ones, and numbers that are
     not above 0.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> force, area = np.array([1.0, 2.0, 4.0]), 1e-4  # N and m²
+    >>> siemens = 0.02 * np.sqrt(force / area) * area
+    >>> c, k = tx.calibration.calibrate_presses(siemens, force, area).pressure
+    >>> print(f"g = {c:.2f}·p^{k:.2f}")
+    g = 0.02·p^0.50
     """
     g, f = (np.asarray(a, float) for a in (conductance, force))
     require(g.ndim == 1 and len(g) > 1, "conductance", f"shape {g.shape}", "two or more")
@@ -45,6 +55,14 @@ def pressure(
     """p = (g/c)^(1/k), Pa, of conductances in S/m²: an image of `conductance`, for one.
 
     **Raises:** `ValueError` without a power law.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> known = tx.Calibration(pressure=(0.02, 0.5))  # of `calibrate_presses`
+    >>> print(np.round(tx.calibration.pressure(known, np.array([1.0, 2.0]))))  # Pa
+    [ 2500. 10000.]
     """
     law = calibration.pressure
     if law is None:
@@ -57,6 +75,16 @@ def force(
     conductance: Float[np.ndarray, "*n"],
     radius: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
-    """F = p·πr², N, of contacts that press evenly."""
+    """F = p·πr², N, of contacts that press evenly.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> known = tx.Calibration(pressure=(0.02, 0.5))  # of `calibrate_presses`
+    >>> siemens, radius = np.array([1e-4]), np.array([0.005])
+    >>> print(np.round(tx.calibration.force(known, siemens, radius), 2))  # N
+    [0.32]
+    """
     area = np.pi * radius**2
     return pressure(calibration, conductance / area) * area

@@ -46,3 +46,30 @@ from tomojax.design.objectives import (
     simulate_scenes as simulate_scenes,
     SimulatedScenes as SimulatedScenes,
 )
+
+# The rest serves other rooms.
+__all__ = [
+    "AbstractObjective",
+    "descend_sets",
+    "Design",
+    "design",
+    "design_electrodes",
+    "design_objective",
+    "design_places",
+    "design_policy",
+    "design_shared",
+    "ElectrodeDesign",
+    "exploratory_voltages",
+    "image_scale",
+    "image_spread",
+    "ImageError",
+    "ImageVariance",
+    "patterns_beside",
+    "PlaceDesigns",
+    "relax",
+    "Relaxed",
+    "SharedDesign",
+    "simulate_scenes",
+    "SimulatedScenes",
+    "tune",
+]

@@ -37,7 +37,18 @@ _SMOOTH, _PASSES = 0.02, 4
 
 
 class PlaceDesigns(NamedTuple):
-    """A set of its own for each of nx × ny places."""
+    """A set of its own for each of nx × ny places.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> found = tx.design.design_policy(sensor, slots=2, shape=(2, 2), criterion="place")
+    >>> found.policy.table.shape, found.value.shape
+    ((2, 2, 2), (2, 2))
+    >>> bool((found.bound <= found.value).all())
+    True
+    """
 
     policy: Lookup
     value: Float[np.ndarray, "nx ny"]  # of the objective
@@ -63,6 +74,15 @@ def design_policy(
     default (32, 32), (24, 24) of "linear" and (16, 16) of "source", which take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
     1 to the electrodes'.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> found = tx.design.design_policy(sensor, slots=2, shape=(2, 2), criterion="place")
+    >>> found.policy.table.shape  # two grounds for each of 2 × 2 places
+    (2, 2, 2)
+    >>> tx.step.save_policy(found.policy, "table.npz")  # for `make_step` or `tomojax live`
     """
     m = sensor.electrode_count
     whole = isinstance(slots, int | np.integer) and 1 <= slots <= m

@@ -43,6 +43,19 @@ def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
 
     The best λ of a few, a decade apart, about the one that it has (and on, while the best
     is the last of them); from there BFGS.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> scenes = tx.design.simulate_scenes(sensor, places, rigs=1)
+    >>> method = tx.method(sensor, "linear", grid=16)
+    >>> objective = tx.design.ImageError.of(method, scenes, width=0.008)
+    >>> tuned = tx.design.tune(objective, jnp.ones(16))
+    >>> bool(tuned.value <= objective.value(jnp.ones(16))), tuned.objective.lam > 0
+    (True, True)
     """
     objective = _in_reach(objective)
 
@@ -101,6 +114,19 @@ def descend_sets(
 
     Sets come from `subset_marginals`' distribution, gradients by SIMPLE (`drawn_weights`),
     steps by Adam (Kingma and Ba, ICLR 2015). Ends with the best of some last ones.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> scenes = tx.design.simulate_scenes(sensor, places, rigs=1)
+    >>> method = tx.method(sensor, "linear", grid=16)
+    >>> objective = tx.design.ImageError.of(method, scenes, width=0.008)
+    >>> found = tx.design.descend_sets(objective, 2, steps=4, draws=2)
+    >>> int(found.weights.sum()), found.weights.shape
+    (2, (16,))
     """
     objective = _in_reach(objective)
     logits = jnp.zeros(objective.slots, objective.log_lam.dtype)

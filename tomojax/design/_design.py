@@ -21,7 +21,18 @@ _DRAWN = 4
 
 
 class Design(NamedTuple):
-    """A set of ground conditions, and what it was chosen among."""
+    """A set of ground conditions, and what it was chosen among.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "points", "place")
+    >>> found = tx.design.design(objective, slots=2)
+    >>> found.value <= found.greedy, found.weights.shape, found.unit
+    (True, (16,), 'm')
+    """
 
     grounds: Int[np.ndarray, " n"]  # each adds most to those before it
     value: float  # of the objective
@@ -40,6 +51,16 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     relaxed weights, all improved by exchanges: the best of them. `bound` says how far from
     the best possible that can be at most.
     **Raises:** `ValueError` for a number of slots outside 1 to the objective's.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "points", "place")
+    >>> found = tx.design.design(objective, slots=2)
+    >>> found.grounds.shape, found.bound <= found.value
+    ((2,), True)
     """
     most = objective.slots
     whole = isinstance(slots, int | np.integer) and 1 <= slots <= most
@@ -119,6 +140,17 @@ def patterns_beside(
 
     Adaptive ones have a set of their own for each of the P contacts, from its `explored`
     voltages; their two exploratory slots are not counted, as the paper does not.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "points", "place")
+    >>> explored = tx.design.exploratory_voltages(sensor, places)
+    >>> rows = tx.design.patterns_beside(sensor, objective, explored)
+    >>> [(row["name"], row["slots"]) for row in rows[:3]]
+    [('all', 16), ('around', 8), ('cop_line', 8)]
     """
     rows = []
     for name in PATTERNS:

@@ -42,7 +42,18 @@ _EDGE, _APART, _COST = 0.6, 1.4, 1e2
 
 
 class ElectrodeDesign(NamedTuple):
-    """Electrodes' places, m, and the spread of images at the places asked for, m."""
+    """Electrodes' places, m, and the spread of images at the places asked for, m.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = [[0.02, 0.04], [0.04, 0.04], [0.06, 0.06]]
+    >>> found = tx.design.design_electrodes(sensor, places, grid=8, starts=1)
+    >>> moved = tx.Sensor(sensor.size, found.electrode_xy, divisions=(16, 16))
+    >>> moved.electrode_count, found.spread.shape
+    (16, (3,))
+    """
 
     electrode_xy: Float[np.ndarray, "M 2"]
     spread: Float[np.ndarray, " P"]
@@ -70,6 +81,15 @@ def design_electrodes(
     `contact_resistance` ρ, Ω; `starts` of the search, the first at the sensor's own places,
     the others beside them (a symmetric start ends symmetric).
     **Raises:** `ValueError` for a sheet with a value per element, and wrong arguments.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = [[0.02, 0.04], [0.04, 0.04], [0.06, 0.06]]
+    >>> found = tx.design.design_electrodes(sensor, places, grid=8, starts=1)
+    >>> found.electrode_xy.shape, bool(found.spread.max() <= found.spread_before.max())
+    ((16, 2), True)
     """
     even = sensor.sheet_resistance.ndim == 0
     require(even, "sensor", "a sheet with a value per element", "an even one")
@@ -140,6 +160,18 @@ def image_spread(
     Gilbert (Phil. Trans. R. Soc. A 266, 1970), σ of an image that is a Gaussian. J is
     Eq. 1's of all ground conditions, on an even sheet with electrodes at `electrode_xy`, m;
     differentiable in those.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = jnp.array([[0.02, 0.04], [0.04, 0.04], [0.06, 0.06]], sensor.dtype)
+    >>> lam = 1e-5 * tx.design.image_scale(sensor, grid=8)
+    >>> xy = sensor.electrode_xy
+    >>> spread = tx.design.image_spread(sensor, places, xy, lam=lam, grid=8)
+    >>> spread.shape, bool((spread < 0.02).all())  # m
+    ((3,), True)
     """
     cells = _cells(sensor, grid)
     apart = ((places[:, None] - cells) ** 2).sum(-1)
@@ -154,7 +186,15 @@ def image_spread(
 def image_scale(
     sensor: Sensor, grid: int = 32, contact_resistance: float = _RESISTANCE
 ) -> float:
-    """σ₁², the largest eigenvalue of JᵀJ: what λ of `image_spread` is relative to."""
+    """σ₁², the largest eigenvalue of JᵀJ: what λ of `image_spread` is relative to.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.design.image_scale(sensor, grid=8) > 0
+    True
+    """
     gram = _gram(sensor, sensor.electrode_xy, grid, contact_resistance)
     return float(jnp.linalg.eigvalsh(gram)[-1])
 

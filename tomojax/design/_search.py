@@ -24,7 +24,17 @@ _STEPS, _GAP, _MEMORY = 200, 1e-4, 5
 
 
 class Relaxed(NamedTuple):
-    """The best weights found, their value, and a bound below all sets' values."""
+    """The best weights found, their value, and a bound below all sets' values.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> tells = jnp.array([1.0, 2.0, 3.0, 4.0])  # of each slot
+    >>> found = tx.design.relax(lambda w: 1 / (w @ tells)[None], slots=4, n=2)
+    >>> print(f"{float(found.value):.3f}, no set is below {float(found.bound):.3f}")
+    0.143, no set is below 0.143
+    """
 
     weights: Float[Array, " L"]
     value: Float[Array, ""]
@@ -52,6 +62,16 @@ def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None)
     Spectral projected gradients (Birgin, Martínez, Raydan, SIAM J. Optim. 10, 2000). The
     bound is Σ_k π_k f_k(w) + min_v Σ_k π_k ∇f_k·(v − w) over sets v, true for convex
     figures f_k and any π: the mean's, or those of a soft maximum.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> tells = jnp.array([1.0, 2.0, 3.0, 4.0])  # of each slot
+    >>> found = tx.design.relax(lambda w: 1 / (w @ tells)[None], slots=4, n=2)
+    >>> print(np.round(np.abs(found.weights), 2))
+    [0. 0. 1. 1.]
     """
     start = jnp.full(slots, n / slots, dtype)
     scale = figures(start).max()

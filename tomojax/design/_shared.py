@@ -47,7 +47,17 @@ class Pairs(NamedTuple):
 
 
 class SharedDesign(NamedTuple):
-    """Conductances to ground, beside the best set of single grounds that was found."""
+    """Conductances to ground, beside the best set of single grounds that was found.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> pairs = [[[0.035, 0.04], [0.045, 0.04]]]  # two contacts, 10 mm apart
+    >>> found = tx.design.design_shared(sensor, pairs, slots=2, steps=4)
+    >>> found.grounds.shape, found.to_ground.shape  # single ones; S, of each electrode
+    ((2,), (2, 16))
+    """
 
     to_ground: Float[np.ndarray, "L M"]  # S: 0 or 1/z
     value: float  # standard deviation of the contacts' distance, mean over pairs, m
@@ -153,6 +163,17 @@ def design_shared(
     cost on what is neither open nor closed. The switches that come out, not γ, are what is
     rated; where single grounds are better, those are the design.
     **Raises:** `ValueError` for wrong places and a number of slots outside 1 to M.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> pairs = [[[0.035, 0.04], [0.045, 0.04]]]  # two contacts, 10 mm apart
+    >>> found = tx.design.design_shared(sensor, pairs, slots=2, steps=4)
+    >>> found.to_ground.shape  # S, of each slot's electrodes
+    (2, 16)
+    >>> found.value <= found.single  # m; or the best single grounds are the design
+    True
     """
     pairs = pairs_of(sensor, places, conductance)
     m, most = sensor.electrode_count, closed(sensor)

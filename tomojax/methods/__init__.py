@@ -33,3 +33,20 @@ from tomojax.methods.points import (
     Points as Points,
     sheet_of as sheet_of,
 )
+
+# The rest serves other rooms.
+__all__ = [
+    "AbstractMethod",
+    "Batch",
+    "empty_rows",
+    "Estimate",
+    "fields_of_rows",
+    "Frame",
+    "Linear",
+    "method",
+    "METHODS",
+    "Points",
+    "Rows",
+    "Rung",
+    "Source",
+]

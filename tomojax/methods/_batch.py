@@ -34,6 +34,19 @@ class Batch:
     method's own by default);
     `devices` that share the frames (all of this process by default), by
     `jax.sharding` along the scan axis.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
+    >>> batch = tx.Batch(method, method.choose_lambda([]), contacts=2)
+    >>> rows = batch(volts[None], np.array([[0, 15]]))  # one frame of two slots
+    >>> print(rows.contact_count, np.round(1e3 * rows.contact_xy[0, 0]))  # mm
+    [1] [30. 50.]
     """
 
     def __init__(

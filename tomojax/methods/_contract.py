@@ -27,7 +27,14 @@ _SHARED = 8
 
 
 class Rung(IntEnum):
-    """Which model a row is of."""
+    """Which model a row is of.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.methods.Rung(2).name  # as `rung` of a row of "auto" has it
+    'SOURCE'
+    """
 
     NOTHING = 0
     POINTS = 1
@@ -36,7 +43,23 @@ class Rung(IntEnum):
 
 
 class Estimate(NamedTuple):
-    """What a method says of one frame."""
+    """What a method says of one frame.
+
+    **Example:**
+
+    >>> import jax
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
+    >>> lam = method.choose_lambda([])
+    >>> prepared = method.prepare(np.array([0, 15]), np.isfinite(volts), lam)
+    >>> estimate = jax.jit(lambda v: method.estimate(prepared, v, 1))(volts)
+    >>> int(estimate.contacts.count), estimate.image.shape
+    (1, (16, 16))
+    """
 
     contacts: Contacts
     image: Float[Array, "nx ny"]
@@ -47,7 +70,20 @@ class Estimate(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """One scan, or one slot of it, as measured (NumPy)."""
+    """One scan, or one slot of it, as measured (NumPy).
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
+    >>> frame = tx.methods.Frame(volts, np.array([0, 15]), np.isfinite(volts))
+    >>> method.choose_lambda([frame]) > 0
+    True
+    """
 
     voltages: Float[np.ndarray, "S M"]
     grounds: Integer[np.ndarray, " S"]
@@ -70,7 +106,18 @@ def rms_by_electrode(
 
 
 class AbstractMethod(eqx.Module):
-    """From the voltages of one frame to contacts and an image."""
+    """From the voltages of one frame to contacts and an image.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> isinstance(method, tx.methods.AbstractMethod)
+    True
+    >>> method.shape, method.image_unit, method.tells_covariance
+    ((16, 16), 'A/m^2', False)
+    """
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m

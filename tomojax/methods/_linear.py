@@ -54,7 +54,16 @@ class PreparedLinear(NamedTuple):
 
 
 class Linear(AbstractMethod):
-    """φ = (J_sᵀJ_s + λI)⁻¹J_sᵀV_s with J(0) in a basis of its strongest rows."""
+    """φ = (J_sᵀJ_s + λI)⁻¹J_sᵀV_s with J(0) in a basis of its strongest rows.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "linear", grid=16)
+    >>> isinstance(method, tx.methods.Linear), method.image_unit
+    (True, 'V')
+    """
 
     image_unit: ClassVar[str] = "V"  # pyright: ignore
     # Strong contacts draw another current in every slot; J(0) has one for all.

@@ -40,6 +40,18 @@ def method(
     "conductance" fits the contact's conductance at every pixel, in the exact model.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> method.shape, method.electrode_count
+    ((16, 16), 16)
+    >>> tx.method(sensor, "guess")
+    Traceback (most recent call last):
+        ...
+    ValueError: method: got 'guess', expected one of auto, source, ...
     """
     require(name in METHODS, "method", repr(name), f"one of {', '.join(METHODS)}")
     whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512

@@ -28,7 +28,25 @@ _Number = np.ndarray
 
 
 class Rows(NamedTuple):
-    """Results of n frames, as in the results file; C contacts each, strongest first."""
+    """Results of n frames, as in the results file; C contacts each, strongest first.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
+    >>> batch = tx.Batch(method, method.choose_lambda([]), contacts=2)
+    >>> rows = batch(np.stack([volts, 0 * volts]), np.array([[0, 15], [0, 15]]))
+    >>> print(rows.contact_count, rows.image.shape)
+    [1 0] (2, 16, 16)
+    >>> tx.Flag(int(rows.flags[1])).name
+    'NO_CONTACT'
+    >>> rows.take(rows.contact_count > 0).contact_xy.shape
+    (1, 2, 2)
+    """
 
     contact_count: Annotated[Integer[_Number, " n"], Column("<u1", "1")]
     contact_xy: Annotated[Float[_Number, "n C 2"], Column("<f4", "m")]
@@ -66,7 +84,15 @@ class Rows(NamedTuple):
 
 @cache
 def fields_of_rows() -> dict[str, Field]:
-    """The fields of `Rows` in order, read off its annotations."""
+    """The fields of `Rows` in order, read off its annotations.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> field = tx.methods.fields_of_rows()["contact_xy"]
+    >>> field.sizes, field.kind, field.unit
+    (('C', '2'), '<f4', 'm')
+    """
     found = {}
     for name, hint in get_type_hints(Rows, include_extras=True).items():
         kind, column = get_args(hint)
@@ -79,6 +105,13 @@ def empty_rows(n: int, sizes: dict[str, int]) -> Rows:
     """Rows that say nothing: NaN, and 0 in whole numbers.
 
     `sizes` of the names in `Field.sizes`; a field whose size is not given is None.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> rows = tx.methods.empty_rows(2, {"C": 3})
+    >>> rows.contact_xy.shape, rows.image is None, int(rows.contact_count.sum())
+    ((2, 3, 2), True, 0)
     """
     made = {}
     for name, field in fields_of_rows().items():

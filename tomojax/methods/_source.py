@@ -256,7 +256,16 @@ class AbstractSource(AbstractMethod):
 
 
 class Source(AbstractSource):
-    """The image as Tikhonov's solve leaves it."""
+    """The image as Tikhonov's solve leaves it.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> isinstance(method, tx.methods.Source), method.image_unit
+    (True, 'A/m^2')
+    """
 
     positive: ClassVar[bool] = False  # pyright: ignore
 

@@ -22,3 +22,18 @@ from tomojax.paper._reconstruct import (
     Reconstruction as Reconstruction,
     reduce_jacobian as reduce_jacobian,
 )
+
+__all__ = [
+    "AdaptivePattern",
+    "AdaptiveScan",
+    "cell_size",
+    "exploration",
+    "Figures",
+    "figures_of_merit",
+    "pattern",
+    "PATTERNS",
+    "pixels",
+    "reconstruct",
+    "Reconstruction",
+    "reduce_jacobian",
+]

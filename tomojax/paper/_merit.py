@@ -20,7 +20,18 @@ from tomojax.sensor import Sensor
 
 
 class Figures(NamedTuple):
-    """Of one image, or with a leading axis of a batch."""
+    """Of one image, or with a leading axis of a batch.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> truth = tx.sensor.contact_conductance(sensor, tx.Disc([0.03, 0.05], 0.01, 1.0))
+    >>> figures = tx.paper.figures_of_merit(sensor, truth, truth)
+    >>> print(np.round(1e3 * figures.place), np.round(1e3 * figures.half_width))  # mm
+    [30. 50.] 10.0
+    """
 
     half_width: Float[Array, "*frames"]  # m, half the width at half the maximum
     half_area_radius: Float[Array, "*frames"]  # m, of the area above half the maximum
@@ -30,7 +41,16 @@ class Figures(NamedTuple):
 
 
 def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
-    """Values per element (…, K) as an image (…, nx, ny): the mean of each cell's two."""
+    """Values per element (…, K) as an image (…, nx, ny): the mean of each cell's two.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.paper.pixels(sensor, jnp.arange(512.0)).shape
+    (16, 16)
+    """
     array = float_array("image", image)
     k = sensor.element_count
     require_shape("image", array, (k,), (None, k))
@@ -38,7 +58,16 @@ def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
 
 
 def cell_size(sensor: Sensor) -> Float[Array, "2"]:
-    """Sides of a pixel, m."""
+    """Sides of a pixel, m.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> print(np.round(1e3 * tx.paper.cell_size(sensor)))  # mm
+    [5. 5.]
+    """
     return cell_sides(sensor.divisions, sensor.size)
 
 
@@ -49,6 +78,18 @@ def figures_of_merit(sensor: Sensor, image: Numbers, truth: Numbers) -> Figures:
     `image_place`, `image_error` and `greit_figures` for the definitions. Distances
     between an estimated and a true place are differences of `place`.
     **Raises:** `ValueError` for shapes that do not fit and values that are not numbers.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.01, 1.0)
+    >>> volts = tx.voltages(sensor, touch, [0, 15])
+    >>> image = tx.reconstruct(tx.jacobian(sensor, [0, 15]), volts).image
+    >>> truth = tx.sensor.contact_conductance(sensor, touch)
+    >>> figures = tx.paper.figures_of_merit(sensor, image, truth)
+    >>> bool(figures.half_width > 0.005), bool(figures.image_error > 0)  # it is blurred
+    (True, True)
     """
     images, truths = pixels(sensor, image), pixels(sensor, truth)
     require_finite("image", images)

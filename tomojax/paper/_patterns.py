@@ -72,6 +72,17 @@ def pattern(
     `alpha` and `threshold` as in `AdaptiveScan`.
     **Raises:** `ValueError` for an unknown name, missing or NaN voltages, α outside
     (0, 100], and a random pattern of more electrodes than there are.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> print(tx.pattern(sensor, "edge"))
+    [0 1 2 3]
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> explored = tx.voltages(sensor, touch, tx.paper.exploration(sensor))  # two slots
+    >>> tx.pattern(sensor, "around", explored).shape
+    (8,)
     """
     names = (*PATTERNS, "around_each", *PURPOSES)
     require(name in names, "name", repr(name), f"one of {', '.join(names)}")
@@ -100,7 +111,15 @@ def pattern(
 
 
 def exploration(sensor: Sensor) -> Int[Array, "2"]:
-    """The two exploratory grounds: opposite corners of the array (the paper's 1 and 64)."""
+    """The two exploratory grounds: opposite corners of the array (the paper's 1 and 64).
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> print(tx.paper.exploration(sensor))
+    [ 0 15]
+    """
     return _corners(sensor)[jnp.array([0, 3])]
 
 
@@ -117,6 +136,19 @@ class AdaptiveScan(eqx.Module):
     of the electrodes in contact: on a recorded spanner at 35° that gives 36° where the
     electrodes give 18°. Without a contact, or with NaN voltages, the scan is that around
     the array's middle, and the region's flags say so.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> scan = tx.paper.AdaptiveScan(sensor, "around")
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> grounds, region = scan(tx.voltages(sensor, touch, tx.paper.exploration(sensor)))
+    >>> grounds.shape
+    (8,)
+    >>> int(region.centre)  # the electrode next to the contact
+    6
     """
 
     electrode_xy: Float[Array, "M 2"]

@@ -35,7 +35,19 @@ from tomojax.kernels.inverse import (
 
 
 class Reconstruction(NamedTuple):
-    """Images of one frame, or of a batch with a leading axis."""
+    """Images of one frame, or of a batch with a leading axis.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15])
+    >>> result = tx.reconstruct(tx.jacobian(sensor, [0, 15]), volts)
+    >>> tx.paper.pixels(sensor, result.image).shape
+    (16, 16)
+    >>> bool(result.residual < volts.max()), int(result.flags)
+    (True, 0)
+    """
 
     image: Float[Array, "*frames K"]  # φ per element, V; NaN where a flag is set
     lam: Float[Array, "*frames"]  # λ that was used
@@ -49,6 +61,17 @@ def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> ReducedSlots:
     `rank` 256 holds J(0) of the paper's sensor to 8e-4 of its norm; an image at
     λ = 2.5e-3·σ₁² then differs by 2e-4 from the full one, at 1e-6·σ₁² by 7e-3.
     **Raises:** `ValueError` for a rank outside 1 to the number of rows and columns.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> reduced = tx.paper.reduce_jacobian(tx.jacobian(sensor, [0, 15]), rank=24)
+    >>> reduced.factors.shape, reduced.basis.shape
+    ((2, 16, 24), (24, 512))
+    >>> volts = tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15])
+    >>> tx.reconstruct(reduced, volts[:1], [0], lam=0.1).image.shape  # one of the slots
+    (512,)
     """
     array = float_array("jacobian", jacobian)
     require_shape("jacobian", array, (None, None, None))
@@ -96,6 +119,15 @@ def reconstruct(
     be an error here is a flag and an image of NaN.
     **Raises:** `ValueError` for shapes that do not fit, NaN voltages, empty or repeated
     grounds, λ ≤ 0, an unknown rule, or "discrepancy" without `noise`.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15])
+    >>> result = tx.reconstruct(tx.jacobian(sensor, [0, 15]), volts)  # or lam=0.1
+    >>> result.image.shape, bool(result.lam > 0), int(result.flags)
+    ((512,), True, 0)
     """
     reduced = isinstance(jacobian, ReducedSlots)
     slots = jacobian if reduced else float_array("jacobian", cast(Numbers, jacobian))

@@ -19,3 +19,18 @@ from tomojax.recordings._recording import (
     SCHEMA as SCHEMA,
     VERSION as VERSION,
 )
+
+__all__ = [
+    "ArrayRecording",
+    "Chunk",
+    "CHUNK_SLOTS",
+    "Faults",
+    "find_faults",
+    "open_recording",
+    "Rate",
+    "read_chunk",
+    "Recording",
+    "Rig",
+    "SCHEMA",
+    "VERSION",
+]

@@ -18,7 +18,20 @@ _LATE = 1.5
 
 
 class Chunk(NamedTuple):
-    """Frames of a stretch of a recording, judged."""
+    """Frames of a stretch of a recording, judged.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = np.full((3, 2, 16), 0.1)  # three scans of two slots, V
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
+    >>> chunk = tx.recordings.read_chunk(recording, 0, 3)
+    >>> chunk.voltages.shape, chunk.good.shape, chunk.flags.shape
+    ((3, 2, 16), (3, 2, 16), (3,))
+    """
 
     t: np.ndarray  # (n,) s
     voltages: np.ndarray  # (n, S, M); S is 1 with a row per slot
@@ -28,7 +41,21 @@ class Chunk(NamedTuple):
 
 
 def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan") -> Chunk:
-    """Scans `start` to `stop` as frames, with their faults."""
+    """Scans `start` to `stop` as frames, with their faults.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = np.full((3, 2, 16), 0.1)  # three scans of two slots, V
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
+    >>> tx.recordings.read_chunk(recording, 1, 3).voltages.shape  # frames are scans
+    (2, 2, 16)
+    >>> tx.recordings.read_chunk(recording, 1, 3, "slot").voltages.shape
+    (4, 1, 16)
+    """
     # As many scans around as the rules for faults look at.
     halo = -(-HALO // recording.slots) + 1
     first, last = max(0, start - halo), min(recording.scans, stop + halo)

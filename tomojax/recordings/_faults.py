@@ -23,7 +23,17 @@ _BEYOND = 0.1
 
 
 class Faults(NamedTuple):
-    """Of n scans of S slots of M channels."""
+    """Of n scans of S slots of M channels.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> volts = np.random.default_rng(0).uniform(0, 4, (1, 2, 16))
+    >>> faults = tx.find_faults(volts, np.array([[0, 99]]), drive_voltage=4.5)
+    >>> print(faults.good.all(2), [tx.Flag(int(f)).name for f in faults.flags[0] if f])
+    [[ True False]] ['UNKNOWN_GROUND']
+    """
 
     good: Bool[np.ndarray, "n S M"]  # voltages to use
     flags: Integer[np.ndarray, "n S"]  # bits of `Flag` per slot
@@ -44,6 +54,16 @@ def find_faults(
 
     Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
     STUCK_SCAN.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> volts = np.random.default_rng(0).uniform(0, 4, (3, 2, 16))  # scans, slots, channels
+    >>> volts[1, 0, 5] = np.nan
+    >>> faults = tx.find_faults(volts, np.array([[0, 15]] * 3), drive_voltage=4.5)
+    >>> int((~faults.good).sum()), tx.Flag(int(faults.flags[1, 0])).name
+    (1, 'BAD_VOLTAGES')
     """
     scans, slots, channels = voltages.shape
     finite = np.isfinite(voltages)

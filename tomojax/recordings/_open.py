@@ -13,6 +13,15 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
     **Arguments:** `options` are those of `TdmsRecording`, for .tdms files alone.
     **Raises:** `ValueError`, one line with the file, the field, what came and what was
     expected, also for a file that cannot be opened.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> import tomojax as tx
+    >>> path = Path(tx.__file__).with_name("demo.h5")  # comes with the package
+    >>> with tx.open_recording(path) as recording:
+    ...     print(recording.scans, recording.slots, recording.electrodes)
+    200 3 64
     """
     path = Path(path)
     try:

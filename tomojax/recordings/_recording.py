@@ -42,7 +42,18 @@ class Scans(NamedTuple):
 
 @dataclass(frozen=True)
 class Rig:
-    """What a recording says of the sensor and the converter; SI."""
+    """What a recording says of the sensor and the converter; SI.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rig = tx.recordings.Rig.of(sensor, f_switch=1000.0)
+    >>> rig.drive_voltage, rig.electrode_xy.shape
+    (4.5, (16, 2))
+    >>> rig.sensor().divisions  # the coarsest mesh that its electrodes allow
+    (16, 16)
+    """
 
     f_switch: float
     drive_voltage: float
@@ -100,6 +111,20 @@ class Recording(ABC):
 
     `scans`, `slots` (a scan), `electrodes`: its shape; `gaps` (n, 2): [scan number, scans
     lost], where numbers count lost scans too.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> volts = np.zeros((3, 2, 16))  # three scans of two slots
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
+    >>> isinstance(recording, tx.recordings.Recording)
+    True
+    >>> with recording as opened:
+    ...     print(opened.read(0, 2).voltages.shape, f"{opened.interval:.4f} s a scan")
+    (2, 2, 16) 0.0002 s a scan
     """
 
     path: Path
@@ -139,7 +164,22 @@ class Recording(ABC):
 
 
 class ArrayRecording(Recording):
-    """Voltages (n, S, M) in memory, of a `Rig`."""
+    """Voltages (n, S, M) in memory, of a `Rig`.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> volts = np.zeros((3, 2, 16))  # three scans of two slots
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
+    >>> recording.scans, recording.slots, recording.electrodes
+    (3, 2, 16)
+    >>> print(recording.read(1, 3).grounds)
+    [[ 0 15]
+     [ 0 15]]
+    """
 
     def __init__(self, rig: Rig, voltages: Any, grounds: Any, t0: Any = None):
         v, g = np.asarray(voltages), np.asarray(grounds)

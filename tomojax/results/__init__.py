@@ -14,3 +14,13 @@ from tomojax.results._track import (
     track as track,
     Tracks as Tracks,
 )
+
+# The rest serves other rooms.
+__all__ = [
+    "reconstruct_recording",
+    "Settings",
+    "Touch",
+    "touches",
+    "track",
+    "Tracks",
+]

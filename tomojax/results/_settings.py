@@ -20,6 +20,13 @@ class Settings:
     memory; `threshold` None is the method's own. `calibration`: a file of
     `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are;
     `policy`: a file of `save_policy`, whose slots alone are used, with its λ.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> settings = tx.results.Settings(method="linear", rate="slot", contacts=1)
+    >>> settings.pixels, settings.lam  # of a side of the image; None: the method's own λ
+    (24, None)
     """
 
     method: str = "source"

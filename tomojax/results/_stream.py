@@ -69,6 +69,21 @@ def reconstruct_recording(
     work on the same file; `progress` is told the chunks done and their number.
     **Returns:** the path of the finished file.
     **Raises:** `ValueError`; `KeyboardInterrupt` leaves OUT.partial to be resumed.
+
+    **Example:**
+
+    >>> import h5py
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = np.asarray(tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15]))
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts[None], [0, 15])
+    >>> settings = tx.results.Settings(grid=16, contacts=2)
+    >>> path = tx.reconstruct_recording(recording, "out.h5", settings, overwrite=True)
+    >>> with h5py.File(path) as results:
+    ...     print(results["contact_xy"].shape, results["image"].shape)
+    (1, 2, 2) (1, 16, 16)
     """
     from tomojax.results import _file
 

@@ -28,7 +28,22 @@ _DRIFTS = ((0.0, 0.0), (1e-5, 0.003), (3e-5, 0.01), (1e-4, 0.03), (3e-4, 0.1))
 
 
 class Tracks(NamedTuple):
-    """n rows of up to C contacts, NaN-padded, strongest first."""
+    """n rows of up to C contacts, NaN-padded, strongest first.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rows = tx.methods.empty_rows(6, {"C": 1})  # as "points" fills them: 6 frames
+    >>> rows.contact_count[:], rows.residual[:] = 1, 0
+    >>> rows.contact_xy[:] = [0.03, 0.05]  # m
+    >>> rows.contact_covariance[:] = [1e-8, 1e-8, 0]  # xx, yy, xy, m²
+    >>> rows.contact_current[:], rows.contact_radius[:] = 1e-4, 0.005
+    >>> rows.contact_conductance[:] = 1e-4
+    >>> tracks = tx.track(rows, drive_voltage=4.5, sheet_resistance=10e3)
+    >>> print(tracks.contact_count, np.round(1e3 * tracks.contact_xy[-1, 0]))  # mm
+    [1 1 1 1 1 1] [30. 50.]
+    """
 
     contact_count: Integer[np.ndarray, " n"]
     contact_track: Integer[np.ndarray, "n C"]  # a contact's number, from 1; 0: none
@@ -69,6 +84,20 @@ def track(
     (what fewer show are ghosts); `drift`: standard deviations per row of
     place (m) and ln g, those that are likeliest by default.
     **Raises:** `ValueError` for rows without covariances and values out of range.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rows = tx.methods.empty_rows(6, {"C": 1})  # as "points" fills them: 6 frames
+    >>> rows.contact_count[:], rows.residual[:] = 1, 0
+    >>> rows.contact_xy[:] = [0.03, 0.05]  # m
+    >>> rows.contact_covariance[:] = [1e-8, 1e-8, 0]  # xx, yy, xy, m²
+    >>> rows.contact_current[:], rows.contact_radius[:] = 1e-4, 0.005
+    >>> rows.contact_conductance[:] = 1e-4
+    >>> tracks = tx.track(rows, drive_voltage=4.5, sheet_resistance=10e3)
+    >>> print(tracks.contact_track[:, 0])
+    [1 1 1 1 1 1]
     """
     _check(rows, drive_voltage, sheet_resistance, hold, least, drift)
     # Of a larger model of auto's, that tells none.
@@ -233,7 +262,23 @@ def _arranged(rows: Rows, paths: _Paths, place, height) -> Tracks:
 
 
 class Touch(NamedTuple):
-    """One contact from its first row to its last."""
+    """One contact from its first row to its last.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rows = tx.methods.empty_rows(6, {"C": 1})  # as "points" fills them: 6 frames
+    >>> rows.contact_count[:], rows.residual[:] = 1, 0
+    >>> rows.contact_xy[:] = [0.03, 0.05]  # m
+    >>> rows.contact_covariance[:] = [1e-8, 1e-8, 0]  # xx, yy, xy, m²
+    >>> rows.contact_current[:], rows.contact_radius[:] = 1e-4, 0.005
+    >>> rows.contact_conductance[:] = 1e-4
+    >>> tracks = tx.track(rows, drive_voltage=4.5, sheet_resistance=10e3)
+    >>> touch, = tx.results.touches(tracks, t=0.1 * np.arange(6))
+    >>> touch.rows, round(touch.end, 1), [round(1e3 * x) for x in touch.xy]  # s, mm
+    (6, 0.5, [30, 50])
+    """
 
     track: int
     start: float  # s
@@ -244,7 +289,23 @@ class Touch(NamedTuple):
 
 
 def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:
-    """Every contact of a recording, in order; `t` the rows' times, s."""
+    """Every contact of a recording, in order; `t` the rows' times, s.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rows = tx.methods.empty_rows(6, {"C": 1})  # as "points" fills them: 6 frames
+    >>> rows.contact_count[:], rows.residual[:] = 1, 0
+    >>> rows.contact_xy[:] = [0.03, 0.05]  # m
+    >>> rows.contact_covariance[:] = [1e-8, 1e-8, 0]  # xx, yy, xy, m²
+    >>> rows.contact_current[:], rows.contact_radius[:] = 1e-4, 0.005
+    >>> rows.contact_conductance[:] = 1e-4
+    >>> tracks = tx.track(rows, drive_voltage=4.5, sheet_resistance=10e3)
+    >>> for touch in tx.results.touches(tracks, t=0.1 * np.arange(6)):
+    ...     print(touch.track, touch.rows, f"{touch.start:.1f} to {touch.end:.1f} s")
+    1 6 0.0 to 0.5 s
+    """
     row, column = np.nonzero(tracks.contact_track)
     names = tracks.contact_track[row, column]
     order = np.argsort(names, kind="stable")

@@ -17,6 +17,12 @@ from tomojax.sensor._forward import (
     sheet_on_mesh as sheet_on_mesh,
     voltages as voltages,
 )
+from tomojax.sensor._scene import (
+    Mask as Mask,
+    Moving as Moving,
+    Scene as Scene,
+    Shifted as Shifted,
+)
 from tomojax.sensor._sensor import Sensor as Sensor
 from tomojax.sensor._shapes import (
     AbstractOutline as AbstractOutline,
@@ -24,10 +30,31 @@ from tomojax.sensor._shapes import (
     Bar as Bar,
     Disc as Disc,
     Ellipse as Ellipse,
-    Mask as Mask,
-    Moving as Moving,
     Polygon as Polygon,
     Ring as Ring,
-    Scene as Scene,
-    Shifted as Shifted,
 )
+
+# The rest serves other rooms.
+__all__ = [
+    "AbstractOutline",
+    "AbstractShape",
+    "Bar",
+    "Calibration",
+    "contact_conductance",
+    "Converter",
+    "Disc",
+    "Ellipse",
+    "ground_set",
+    "jacobian",
+    "Mask",
+    "Moving",
+    "NOISE",
+    "Polygon",
+    "resistances",
+    "Ring",
+    "Scene",
+    "Sensor",
+    "sheet_on_mesh",
+    "Shifted",
+    "voltages",
+]

@@ -31,6 +31,17 @@ class Calibration:
     corrected reading, V rms, with what is left of zeros. `error`: of what the channels
     have in common with these values, as a part of what nominal values leave. `pressure`:
     c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> known = tx.Calibration(offset=0.01, gain=2.0)
+    >>> print(known.voltages(np.array([2.01, 0.01])))
+    [1. 0.]
+    >>> known.save("rig.json")
+    >>> tx.Calibration.load("rig.json") == known
+    True
     """
 
     offset: tuple[float, ...] | float = 0.0

@@ -24,6 +24,18 @@ class Converter(eqx.Module):
 
     **Arguments:** `noise` V rms; `full_scale` V; `bits` of the converter, None for no
     quantisation. The gradient passes through the rounding as if it were not there.
+
+    **Example:**
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> converter = tx.Converter(noise=0.0, full_scale=5.0, bits=12)
+    >>> print(f"{float(converter(jnp.array(1.0))):.4f}")  # steps of 10 V/2¹²
+    1.0010
+    >>> noisy = tx.Converter(noise=1e-3)
+    >>> noisy(jnp.ones(16), jax.random.key(0)).shape
+    (16,)
     """
 
     noise: Float[Array, ""]

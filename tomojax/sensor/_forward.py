@@ -56,6 +56,16 @@ def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
     R_kk differs by about 0.7·(sheet resistance)/2π, all else agrees to the mesh's error.
 
     **Raises:** `ValueError` for "series" on a sheet with a value per element.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> table = tx.sensor.resistances(sensor)
+    >>> table.electrodes.shape, table.elements.shape, table.own.shape
+    ((16, 16), (16, 512), (512,))
+    >>> bool(abs(table.electrodes - table.electrodes.T).max() < 1.0)  # reciprocity
+    True
     """
     require(route in ("fem", "series"), "route", repr(route), "'fem' or 'series'")
     if route == "series":
@@ -79,7 +89,17 @@ def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
 
 
 def sheet_on_mesh(sensor: Sensor) -> FemSheet:
-    """The sheet and its electrodes on the sensor's mesh."""
+    """The sheet and its electrodes on the sensor's mesh.
+
+    **Example:**
+
+    >>> import jax
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> sheet = jax.jit(tx.sensor.sheet_on_mesh)(sensor)
+    >>> sheet.sheet.shape, sheet.feeds.shape  # (K,) S and (nodes, M)
+    ((512,), (289, 16))
+    """
     return fem_sheet(
         1 / element_values(sensor, sensor.sheet_resistance),
         sensor.electrode_xy,
@@ -99,6 +119,19 @@ def ground_set(
 
     **Raises:** `ValueError` for an empty set, numbers out of range, negative or NaN
     conductances, or a shape that does not fit.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> print(tx.sensor.ground_set(sensor, [0, 15]))
+    [ 0 15]
+    >>> tx.sensor.ground_set(sensor, None).shape  # every electrode once
+    (16,)
+    >>> tx.sensor.ground_set(sensor, [16])
+    Traceback (most recent call last):
+        ...
+    ValueError: grounds: got 16 to 16, expected 0 to 15
     """
     if grounds is None:
         return jnp.asarray(sensor.all_grounds())
@@ -150,6 +183,16 @@ def jacobian(
     one (5 mm on the default sensor) a small ρ makes J leave [0, 1], as no contact on
     the metal would. `voltages` puts such contacts on the metal.
     **Raises:** `ValueError` as `ground_set`, and for a negative or NaN ρ.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.jacobian(sensor, [0, 15]).shape  # slots, electrodes, elements
+    (2, 16, 512)
+    >>> soft = tx.jacobian(sensor, [0, 15], 2e5)  # behind 200 kΩ
+    >>> bool(soft.max() < 0.5)
+    True
     """
     rho = float_array("contact_resistance", contact_resistance, sensor.dtype)
     require_shape("contact_resistance", rho, (), (sensor.element_count,))
@@ -173,7 +216,18 @@ def _jacobian(
 
 @eqx.filter_jit
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
-    """Conductance (S) of a scene on each element: S/m² at 16 points, times the area."""
+    """Conductance (S) of a scene on each element: S/m² at 16 points, times the area.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, tx.Disc([0.03, 0.05], 0.006, 0.5))
+    >>> siemens.shape
+    (512,)
+    >>> print(f"{1e6 * float(siemens.sum()):.0f} µS")  # 0.5 S/m² on π·(6 mm)²
+    57 µS
+    """
     points = subpoints(sensor.divisions, sensor.size, _LEVEL)
     area = element_area(sensor.divisions, sensor.size)
     blur = jnp.sqrt(area / points.shape[1])
@@ -212,6 +266,20 @@ def voltages(
     - `converter`: noise and quantisation, with a `key` where it has noise.
 
     **Returns:** (L, M). **Raises:** `ValueError` that names the argument.
+
+    **Example:**
+
+    >>> import jax
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = tx.voltages(sensor, touch, [0, 15])  # two slots
+    >>> print(volts.argmax(1))  # the electrode next to the contact, in both
+    [6 6]
+    >>> key = jax.random.key(0)
+    >>> read = tx.voltages(sensor, touch, [0, 15], converter=tx.Converter(), key=key)
+    >>> bool(0 < abs(read - volts).max() < 3e-3)  # its noise
+    True
     """
     checked = ground_set(sensor, grounds)
     if times is not None:

@@ -46,6 +46,16 @@ class Sensor(eqx.Module):
 
     **Raises:** `ValueError` for electrodes that overlap or leave the sheet, a mesh
     whose cells are wider than an electrode, values that are not positive or not numbers.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> corners = [[0.02, 0.02], [0.02, 0.06], [0.06, 0.02], [0.06, 0.06]]
+    >>> sensor = tx.Sensor([0.08, 0.08], corners, divisions=(16, 16))
+    >>> sensor.electrode_count, sensor.element_count
+    (4, 512)
+    >>> tx.Sensor.grid().electrode_count  # the paper's, 8 × 8
+    64
     """
 
     size: Float[Array, "2"]

@@ -1,4 +1,4 @@
-"""What touches the sheet: shapes with a conductance per area, at rest or moving.
+"""What touches the sheet: shapes with a conductance per area.
 
 A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are
 signed distances (negative inside); across an outline the conductance falls over the
@@ -8,7 +8,6 @@ distance between two sample points, so that it is smooth in the shape's place an
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -27,7 +26,19 @@ Density = Float[Array, "*points"]
 
 
 class AbstractShape(eqx.Module):
-    """A contact."""
+    """A contact.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> class Everywhere(tx.sensor.AbstractShape):
+    ...     def density(self, points, blur, size):
+    ...         return jnp.full(points.shape[:-1], 0.1, points.dtype)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.voltages(sensor, Everywhere(), [0, 15]).shape
+    (2, 16)
+    """
 
     @abstractmethod
     def density(
@@ -37,7 +48,22 @@ class AbstractShape(eqx.Module):
 
 
 class AbstractOutline(AbstractShape):
-    """A contact of even conductance inside an outline."""
+    """A contact of even conductance inside an outline.
+
+    **Example:**
+
+    >>> import jax
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> class Square(tx.sensor.AbstractOutline):
+    ...     conductance: jax.Array
+    ...     def distance(self, points):  # to a square of 20 mm at the sheet's corner
+    ...         return points.max(-1) - 0.02
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, Square(jnp.array(2.0))).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")  # 2 S/m² on 400 mm²
+    800 µS
+    """
 
     conductance: eqx.AbstractVar[Float[Array, ""]]
 
@@ -88,7 +114,17 @@ def _conductance(value: Numbers) -> Array:
 
 
 class Disc(AbstractOutline):
-    """A round contact: `center` (2,) m, `radius` m, `conductance` S/m²."""
+    """A round contact: `center` (2,) m, `radius` m, `conductance` S/m².
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> disc = tx.Disc([0.03, 0.05], radius=0.006, conductance=0.5)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, disc).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")  # 0.5 S/m² on π·(6 mm)²
+    57 µS
+    """
 
     center: Float[Array, "2"]
     radius: Float[Array, ""]
@@ -104,7 +140,17 @@ class Disc(AbstractOutline):
 
 
 class Ellipse(AbstractOutline):
-    """`semi_axes` (2,) m, the first turned by `angle` (rad) from the x axis."""
+    """`semi_axes` (2,) m, the first turned by `angle` (rad) from the x axis.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> flat = tx.Ellipse([0.04, 0.04], [0.03, 0.01], angle=0.0, conductance=1.0)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, flat).sum()
+    >>> print(f"{1e3 * float(siemens):.2f} mS")  # 1 S/m² on π·(30 mm)·(10 mm)
+    0.94 mS
+    """
 
     center: Float[Array, "2"]
     semi_axes: Float[Array, "2"]
@@ -140,7 +186,17 @@ class Ellipse(AbstractOutline):
 
 
 class Bar(AbstractOutline):
-    """A rectangle, `length` m along `angle` (rad) from the x axis and `width` m across."""
+    """A rectangle, `length` m along `angle` (rad) from the x axis and `width` m across.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> bar = tx.Bar([0.04, 0.04], length=0.06, width=0.01, angle=0.0, conductance=1.0)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, bar).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")  # 1 S/m² on 60 mm × 10 mm
+    600 µS
+    """
 
     center: Float[Array, "2"]
     length: Float[Array, ""]
@@ -169,7 +225,17 @@ class Bar(AbstractOutline):
 
 
 class Ring(AbstractOutline):
-    """A rim between the radii `inner` and `outer`, m."""
+    """A rim between the radii `inner` and `outer`, m.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> ring = tx.Ring([0.04, 0.04], inner=0.015, outer=0.025, conductance=1.0)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> image = tx.paper.pixels(sensor, tx.sensor.contact_conductance(sensor, ring))
+    >>> float(image[7, 7]), bool(image[3, 7] > 0)  # its middle is open
+    (0.0, True)
+    """
 
     center: Float[Array, "2"]
     inner: Float[Array, ""]
@@ -196,7 +262,17 @@ class Ring(AbstractOutline):
 
 
 class Polygon(AbstractOutline):
-    """`vertices` (n, 2) m in order around the outline, either way round."""
+    """`vertices` (n, 2) m in order around the outline, either way round.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> corner = tx.sensor.Polygon([[0, 0], [0.04, 0], [0, 0.04]], conductance=1.0)
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, corner).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")  # 1 S/m² on 800 mm²
+    800 µS
+    """
 
     vertices: Float[Array, "n 2"]
     conductance: Float[Array, ""]
@@ -221,93 +297,3 @@ class Polygon(AbstractOutline):
         crossing = start[:, 0] + (y - start[:, 1]) / rise * edge[:, 0]
         inside = (spans & (x < crossing)).sum(-1) % 2 == 1
         return jnp.where(inside, -nearest, nearest)
-
-
-class Mask(AbstractShape):
-    """Any contact: conductance per area (nx, ny), S/m², on even cells over the sheet."""
-
-    conductance: Float[Array, "nx ny"]
-
-    def __init__(self, conductance: Numbers):
-        self.conductance = float_array("conductance", conductance)
-        require_shape("conductance", self.conductance, (None, None))
-        require_not_negative("conductance", self.conductance)
-
-    def density(
-        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
-    ) -> Density:
-        cells = jnp.array(self.conductance.shape)
-        index = jnp.floor(points / size * cells.astype(size.dtype)).astype(int)
-        on_sheet = ((index >= 0) & (index < cells)).all(-1)
-        i, j = jnp.moveaxis(jnp.clip(index, 0, cells - 1), -1, 0)
-        return jnp.where(on_sheet, self.conductance[i, j], 0)
-
-
-class Scene(AbstractShape):
-    """Several contacts on the sheet at once; none is an untouched sheet."""
-
-    shapes: tuple[AbstractShape, ...]
-
-    def __init__(self, *shapes: AbstractShape):
-        for shape in shapes:
-            require(isinstance(shape, AbstractShape), "shapes", repr(shape), "shapes")
-        self.shapes = shapes
-
-    def density(
-        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
-    ) -> Density:
-        zero = jnp.zeros(points.shape[:-1], points.dtype)
-        return sum((s.density(points, blur, size) for s in self.shapes), zero)
-
-
-class Shifted(AbstractShape):
-    """A shape displaced by `offset` (2,) m, its conductance times `factor`."""
-
-    shape: AbstractShape
-    offset: Float[Array, "2"]
-    factor: Float[Array, ""]
-
-    def density(
-        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
-    ) -> Density:
-        return self.factor * self.shape.density(points - self.offset, blur, size)
-
-
-class Moving(eqx.Module):
-    """A shape that moves and changes its pressure, linearly between given times.
-
-    **Arguments:** `shape`; `times` (n,) s, increasing; `offsets` (n, 2) m from where
-    the shape stands; `factors` (n,) on its conductance. Calling it with a time gives
-    the shape then; any function of time that returns a shape does as well.
-    """
-
-    shape: AbstractShape
-    times: Float[Array, " n"]
-    offsets: Float[Array, "n 2"]
-    factors: Float[Array, " n"]
-
-    def __init__(
-        self,
-        shape: AbstractShape,
-        times: Numbers,
-        offsets: Numbers,
-        factors: Numbers = 1.0,
-    ):
-        require(isinstance(shape, AbstractShape), "shape", repr(shape), "a shape")
-        self.shape = shape
-        self.times = float_array("times", times)
-        require_shape("times", self.times, (None,))
-        require_finite("times", self.times)
-        require_positive("steps between times", self.times[1:] - self.times[:-1])
-        self.offsets = float_array("offsets", offsets)
-        require_shape("offsets", self.offsets, (len(self.times), 2))
-        require_finite("offsets", self.offsets)
-        given = float_array("factors", factors)
-        require_shape("factors", given, (), self.times.shape)
-        require_not_negative("factors", given)
-        self.factors = jnp.broadcast_to(given, self.times.shape)
-
-    def __call__(self, time: Float[Array, ""]) -> Shifted:
-        at = lambda values: jnp.interp(time, self.times, values)  # noqa: E731
-        offset = jax.vmap(at, 1)(self.offsets)
-        return Shifted(self.shape, offset, at(self.factors))

@@ -13,3 +13,14 @@ from tomojax.step._policies import (
 from tomojax.step._state import Output as Output
 from tomojax.step._step import Step as Step
 from tomojax.step._tables import load_policy as load_policy, save_policy as save_policy
+
+__all__ = [
+    "ADAPTIVE",
+    "load_policy",
+    "Lookup",
+    "make_step",
+    "Output",
+    "POLICIES",
+    "save_policy",
+    "Step",
+]

@@ -42,6 +42,17 @@ def make_step(
     `good` (M,): channels that are used; `highest`: |V| that no channel can have.
     **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
     wrong shape.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = tx.voltages(sensor, touch, [0, 15])
+    >>> step = tx.make_step(sensor, "source", ["boundary", "all"], contacts=1, grid=8)
+    >>> state, out = step(step.state, volts[0], 0)  # electrode 0 was grounded
+    >>> int(out.contacts.count), int(out.ground)  # the next to be grounded
+    (1, 15)
     """
     whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
     require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")

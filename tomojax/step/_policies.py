@@ -92,6 +92,22 @@ class Lookup(AbstractPolicy):
     Without a contact `idle` (L,) is grounded; one electrode after another where the
     contacts do not explain what is measured, as there may be one more. `lam`, of designs
     for images: the λ of each place, of σ₁²; a step has its own.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> left_and_right = jnp.array([[[0, 3]], [[12, 15]]])  # grounds of 2 × 1 places
+    >>> policy = tx.step.Lookup(left_and_right, jnp.array([0, 15]), sensor.size)
+    >>> step = tx.make_step(
+    ...     sensor, "source", "mine", tables={"mine": policy}, contacts=1, grid=8
+    ... )
+    >>> volts = tx.voltages(sensor, tx.Disc([0.07, 0.05], 0.006, 1.0), [0, 15])
+    >>> state, out = step(step.state, volts[0], 0)
+    >>> state, out = step(state, volts[1], int(out.ground))
+    >>> int(out.ground)  # of the right
+    12
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore

@@ -18,7 +18,19 @@ class Slot(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What a step says."""
+    """What a step says.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = tx.voltages(sensor, touch, [0, 15])
+    >>> step = tx.make_step(sensor, "source", ["boundary", "all"], contacts=1, grid=8)
+    >>> out = step(step.state, volts[0], 0)[1]
+    >>> out.contacts.xy.shape, bool(out.residual < 0.1)
+    ((1, 2), True)
+    """
 
     contacts: Contacts
     residual: Float[Array, ""]  # V rms

@@ -30,6 +30,18 @@ class Step:
     of it can raise or compile anew: what is wrong with it is in the flags. `replay` is the
     same under `lax.scan`, for slots that are there already; `image(state)` the image after
     a slot, on request. Made by `make_step`.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = tx.voltages(sensor, touch, [0, 15])
+    >>> step = tx.make_step(sensor, "source", ["boundary", "all"], contacts=1, grid=8)
+    >>> state = step.switch(step.state, "all")
+    >>> state, out = step(state, volts[0], 0)
+    >>> step.policies, step.image(state).shape
+    (('boundary', 'all'), (8, 8))
     """
 
     def __init__(

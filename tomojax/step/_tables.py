@@ -11,7 +11,19 @@ from tomojax.step._policies import Lookup
 
 
 def save_policy(policy: Lookup, path: Path | str) -> None:
-    """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one."""
+    """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> left_and_right = jnp.array([[[0, 3]], [[12, 15]]])  # grounds of 2 × 1 places
+    >>> policy = tx.step.Lookup(left_and_right, jnp.array([0, 15]), sensor.size)
+    >>> tx.step.save_policy(policy, "table.npz")
+    >>> tx.step.load_policy("table.npz", sensor).table.shape
+    (2, 1, 2)
+    """
     arrays = {name: getattr(policy, name) for name in ("table", "idle", "size", "lam")}
     with open(path, "wb") as file:
         given = {k: np.asarray(v) for k, v in arrays.items() if v is not None}
@@ -22,6 +34,21 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
     """What `save_policy` has written, for that `sensor`.
 
     **Raises:** `ValueError` for a file that is none, or of another sensor.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> left_and_right = jnp.array([[[0, 3]], [[12, 15]]])  # grounds of 2 × 1 places
+    >>> policy = tx.step.Lookup(left_and_right, jnp.array([0, 15]), sensor.size)
+    >>> tx.step.save_policy(policy, "table.npz")
+    >>> print(tx.step.load_policy("table.npz", sensor).idle)
+    [ 0 15]
+    >>> tx.step.load_policy("table.npz", tx.Sensor.grid())
+    Traceback (most recent call last):
+        ...
+    ValueError: table.npz: size: got [0.08 0.08], expected [0.16 0.16]
     """
     try:
         with np.load(path, allow_pickle=False) as file:

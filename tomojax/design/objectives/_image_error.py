@@ -31,6 +31,19 @@ class ImageError(AbstractObjective):
     φ = GGᵀBᵀc, Tikhonov's under a prior that is smooth over ℓ (G a Gaussian), of the slots
     with their weights; differentiable in the weights, ln λ and ln ℓ, by the rule of the
     linear solve. 0 is an image like the contact, 1 one that has nothing of it.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> scenes = tx.design.simulate_scenes(sensor, places, rigs=1)
+    >>> method = tx.method(sensor, "linear", grid=16)
+    >>> objective = tx.design.ImageError.of(method, scenes, width=0.008)
+    >>> errors = objective(jnp.ones(16))
+    >>> errors.shape, bool(((errors > 0) & (errors < 1)).all())
+    ((4,), True)
     """
 
     grams: Float[Array, "L r r"]

@@ -24,6 +24,20 @@ class AbstractObjective(eqx.Module):
 
     `convex` in the weights: then there is a bound. `swaps` are looked at for an exchange,
     those that the slope says most of; without it all.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "points", "place")
+    >>> isinstance(objective, tx.design.AbstractObjective)
+    True
+    >>> objective(jnp.ones(objective.slots)).shape  # a figure for each place
+    (4,)
+    >>> objective.slots, objective.unit, objective.convex
+    (16, 'm', True)
     """
 
     convex: ClassVar[bool] = True
@@ -112,6 +126,19 @@ class ImageVariance(AbstractObjective):
     part that these leave open. c_l² is how much more current the contact feeds in slot l
     than in the mean of all ("source"; Eq. 3's J has that in it). "d": the geometric mean
     over the directions that the contacts span.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "source", "place", grid=16)
+    >>> isinstance(objective, tx.design.ImageVariance)
+    True
+    >>> few, all_slots = jnp.zeros(16).at[:4].set(1), jnp.ones(16)
+    >>> bool(objective.value(all_slots) < objective.value(few))
+    True
     """
 
     criterion: str = eqx.field(static=True)

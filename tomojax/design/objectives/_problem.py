@@ -53,6 +53,14 @@ def design_places(
 
     By default all of the sheet but a margin of half the electrodes' pitch.
     **Raises:** `ValueError` for an empty region, one off the sheet, and a `count` below 1.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, region=(0.02, 0.02, 0.06, 0.06), count=4)
+    >>> places.shape, bool((places > 0.02).all())  # m
+    ((4, 2), True)
     """
     whole = isinstance(count, int | np.integer) and count >= 1
     require(whole, "count", repr(count), "a whole number above 0")
@@ -105,6 +113,17 @@ def design_objective(
 
     **Raises:** `ValueError` for places off the sheet or none, unknown names, λ ≤ 0, and a
     noise that is NaN, not symmetric or not positive.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> objective = tx.design.design_objective(sensor, places, "points", "place")
+    >>> few, all_slots = jnp.zeros(16).at[:4].set(1), jnp.ones(16)
+    >>> bool(objective.value(all_slots) < objective.value(few)), objective.unit
+    (True, 'm')
     """
     for name, value, among in (
         ("method", method, get_args(DesignMethod)),
@@ -259,7 +278,16 @@ def exploratory_voltages(
     radius: float | None = None,
     conductance: float = 1e-4,
 ) -> Float[Array, "P 2 M"]:
-    """What contacts make under the two exploratory grounds, V: `exploration`'s."""
+    """What contacts make under the two exploratory grounds, V: `exploration`'s.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> tx.design.exploratory_voltages(sensor, places).shape
+    (4, 2, 16)
+    """
     sheet = sheet_of(sensor)
     size, resistance = _contact(sheet, radius, conductance)
     one = lambda x, g: contact_columns(sheet, x, size, resistance, g)[0]  # noqa: E731

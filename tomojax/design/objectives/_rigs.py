@@ -73,7 +73,18 @@ def disc_shares(
 
 
 class SimulatedScenes(NamedTuple):
-    """Contacts and the voltages of all ground conditions."""
+    """Contacts and the voltages of all ground conditions.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> scenes = tx.design.simulate_scenes(sensor, places, rigs=1)
+    >>> volts = scenes.voltages[:, tx.paper.exploration(sensor)]
+    >>> volts.shape
+    (4, 2, 16)
+    """
 
     places: Float[Array, "P ..."]  # (P, 2), or (P, C, 2), m
     voltages: Float[Array, "P L M"]  # V
@@ -103,6 +114,15 @@ def simulate_scenes(
     one for each scene (P,).
     **Raises:** `ValueError` for other shapes, places off the sheet, radii and conductances
     that are not above 0, and a number of rigs outside 1 to the scenes'.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> places = tx.design.design_places(sensor, count=4)
+    >>> scenes = tx.design.simulate_scenes(sensor, places, rigs=1)
+    >>> scenes.places.shape, scenes.voltages.shape  # scenes, slots, channels
+    ((4, 2), (4, 16, 16))
     """
     given = float_array("places", places, sensor.dtype)
     require_shape("places", given, (None, 2), (None, None, 2))

@@ -39,6 +39,14 @@ class Points(AbstractMethod):
     The model grows while it gains: one disc, two discs or a bar or a ring, three discs, …
     Slots share places and sizes, not currents. λ multiplies the variance of the model's
     error: 1 for nominal values.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "points", grid=16)
+    >>> isinstance(method, tx.methods.Points), method.image_unit
+    (True, 'A/m^2')
     """
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore

@@ -20,6 +20,7 @@ from tomojax.studies.stability._starts import (
 from tomojax.studies.stability._study import (
     CONTACTS as CONTACTS,
     FLAGGED as FLAGGED,
+    holds as holds,
     HOLDS as HOLDS,
     limits as limits,
     numbers as numbers,

@@ -185,12 +185,25 @@ def takes_part(sweep: Sweep, method: str, scenes: SweptScenes) -> bool:
     return method != "follow" or (sweep.follows and scenes.told is None)
 
 
+def holds(row: dict[str, Any]) -> bool:
+    """Whether a method is right in enough scenes of one value.
+
+    An image of Eq. 3 with J(0) blurs a place and tells the nearest electrode: `linear` is
+    right where it is not far off.
+    """
+    if row["raised"] is not None:
+        return False
+    if row["method"] == "linear":
+        return row["scenes"] - row["far"] >= HOLDS * row["scenes"]
+    return row["near"] >= HOLDS
+
+
 def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Of each sweep and method: the limit, and what the user gets beyond it."""
     found = []
     for name, method in dict.fromkeys((r["sweep"], r["method"]) for r in rows):
         some = [r for r in rows if (r["sweep"], r["method"]) == (name, method)]
-        held = [bool(r["raised"] is None and r["near"] >= HOLDS) for r in some]
+        held = [holds(r) for r in some]
         count = held.index(False) if False in held else len(held)
         beyond = some[count:]
         far, undoubted = (

@@ -1,0 +1,155 @@
+"""Scenes of shapes: any contact on cells, several at once, displaced, moving."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax._checks import (
+    float_array,
+    require,
+    require_finite,
+    require_not_negative,
+    require_positive,
+    require_shape,
+)
+from tomojax._custom_types import Numbers
+from tomojax.sensor._shapes import AbstractShape, Density, Points
+
+
+class Mask(AbstractShape):
+    """Any contact: conductance per area (nx, ny), S/m², on even cells over the sheet.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> cells = np.zeros((4, 4))
+    >>> cells[1, 2] = 1.0  # one sixteenth of the sheet: 400 mm²
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, tx.sensor.Mask(cells)).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")
+    400 µS
+    """
+
+    conductance: Float[Array, "nx ny"]
+
+    def __init__(self, conductance: Numbers):
+        self.conductance = float_array("conductance", conductance)
+        require_shape("conductance", self.conductance, (None, None))
+        require_not_negative("conductance", self.conductance)
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        cells = jnp.array(self.conductance.shape)
+        index = jnp.floor(points / size * cells.astype(size.dtype)).astype(int)
+        on_sheet = ((index >= 0) & (index < cells)).all(-1)
+        i, j = jnp.moveaxis(jnp.clip(index, 0, cells - 1), -1, 0)
+        return jnp.where(on_sheet, self.conductance[i, j], 0)
+
+
+class Scene(AbstractShape):
+    """Several contacts on the sheet at once; none is an untouched sheet.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> two = tx.Scene(tx.Disc([0.02, 0.06], 0.005, 1.0), tx.Disc([0.06, 0.02], 0.005, 1.0))
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.voltages(sensor, two, [0, 15]).shape
+    (2, 16)
+    >>> float(tx.voltages(sensor, tx.Scene(), [0, 15]).max())  # nothing touches
+    0.0
+    """
+
+    shapes: tuple[AbstractShape, ...]
+
+    def __init__(self, *shapes: AbstractShape):
+        for shape in shapes:
+            require(isinstance(shape, AbstractShape), "shapes", repr(shape), "shapes")
+        self.shapes = shapes
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        zero = jnp.zeros(points.shape[:-1], points.dtype)
+        return sum((s.density(points, blur, size) for s in self.shapes), zero)
+
+
+class Shifted(AbstractShape):
+    """A shape displaced by `offset` (2,) m, its conductance times `factor`.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> disc = tx.Disc([0.03, 0.03], 0.006, 1.0)
+    >>> lighter = tx.sensor.Shifted(disc, jnp.array([0.02, 0.0]), jnp.array(0.5))
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> before, after = (
+    ...     tx.sensor.contact_conductance(sensor, shape).sum() for shape in (disc, lighter)
+    ... )
+    >>> print(f"{float(after / before):.2f}")
+    0.50
+    """
+
+    shape: AbstractShape
+    offset: Float[Array, "2"]
+    factor: Float[Array, ""]
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        return self.factor * self.shape.density(points - self.offset, blur, size)
+
+
+class Moving(eqx.Module):
+    """A shape that moves and changes its pressure, linearly between given times.
+
+    **Arguments:** `shape`; `times` (n,) s, increasing; `offsets` (n, 2) m from where
+    the shape stands; `factors` (n,) on its conductance. Calling it with a time gives
+    the shape then; any function of time that returns a shape does as well.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> disc = tx.Disc([0.02, 0.04], 0.006, 1.0)
+    >>> slide = tx.sensor.Moving(disc, times=[0.0, 1.0], offsets=[[0, 0], [0.04, 0]])
+    >>> halfway = slide(jnp.array(0.5))
+    >>> print(np.round(1e3 * halfway.offset))  # mm
+    [20.  0.]
+    """
+
+    shape: AbstractShape
+    times: Float[Array, " n"]
+    offsets: Float[Array, "n 2"]
+    factors: Float[Array, " n"]
+
+    def __init__(
+        self,
+        shape: AbstractShape,
+        times: Numbers,
+        offsets: Numbers,
+        factors: Numbers = 1.0,
+    ):
+        require(isinstance(shape, AbstractShape), "shape", repr(shape), "a shape")
+        self.shape = shape
+        self.times = float_array("times", times)
+        require_shape("times", self.times, (None,))
+        require_finite("times", self.times)
+        require_positive("steps between times", self.times[1:] - self.times[:-1])
+        self.offsets = float_array("offsets", offsets)
+        require_shape("offsets", self.offsets, (len(self.times), 2))
+        require_finite("offsets", self.offsets)
+        given = float_array("factors", factors)
+        require_shape("factors", given, (), self.times.shape)
+        require_not_negative("factors", given)
+        self.factors = jnp.broadcast_to(given, self.times.shape)
+
+    def __call__(self, time: Float[Array, ""]) -> Shifted:
+        at = lambda values: jnp.interp(time, self.times, values)  # noqa: E731
+        offset = jax.vmap(at, 1)(self.offsets)
+        return Shifted(self.shape, offset, at(self.factors))
