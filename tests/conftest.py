@@ -3,8 +3,10 @@
 import os
 from pathlib import Path
 
-# Before JAX starts its CPU backend: xdist's workers share the cores.
+# Before JAX starts its CPU backend: xdist's workers share the cores, and threads that wait
+# for each other in OpenBLAS spin on them.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # What one process compiles serves the others, workers and commands that tests start, and
 # later runs: a folder of the user's, by versions and processor.
 if "PYTEST_XDIST_WORKER" not in os.environ:

@@ -143,10 +143,10 @@ def read_places(path: Path) -> Float[np.ndarray, "n 2"]:
     **Example:**
 
     >>> from pathlib import Path
+    >>> import numpy as np
     >>> import tomojax as tx
-    >>> path = Path("places.csv")
-    >>> _ = path.write_text("x,y\n0.030,0.050\n0.040,0.040\n")
-    >>> print(tx.calibration.read_places(path))
+    >>> np.savetxt("places.csv", [[0.03, 0.05], [0.04, 0.04]], delimiter=",")
+    >>> print(tx.calibration.read_places(Path("places.csv")))
     [[0.03 0.05]
      [0.04 0.04]]
     """

@@ -240,7 +240,8 @@ def _test(sweep: str, method: str) -> str | None:
     if method in _FEW and sweep not in SLOW_TESTS:
         return None
     tested = "source" if method == "positive" else method
-    return f"tests/stability/test_sweeps.py::test_{tested}[{sweep}]"
+    file = "slow" if method in _FEW else tested
+    return f"tests/stability/test_sweeps_{file}.py::test_{tested}[{sweep}]"
 
 
 def _beyond(rows: list[dict[str, Any]], far: int, undoubted: int) -> str:

@@ -1,0 +1,15 @@
+"""`points`: its stated limits, and what it says beyond them."""
+
+import pytest
+from sweeps import check, stated
+
+from tomojax.studies.stability import SWEEPS
+
+
+@pytest.mark.parametrize("name", stated("points"))
+def test_points(name):
+    check("points", name)
+
+
+def test_every_sweep_is_stated():
+    assert stated("points") == [name for name, sweep in SWEEPS.items() if not sweep.only]
