@@ -13,6 +13,9 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     from tomojax.cli.compiled import keep_compiled
 
     keep_compiled("tests", 2 << 30)
+    # Plugins import JAX before this file: it has set 1 by now, with which two false
+    # alarms for each program fill the pipes of commands that nobody reads yet.
+    os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
 import jax
 import numpy as np

@@ -12,4 +12,6 @@ def test_points(name):
 
 
 def test_every_sweep_is_stated():
-    assert stated("points") == [name for name, sweep in SWEEPS.items() if not sweep.only]
+    assert stated("points") == [
+        name for name, sweep in SWEEPS.items() if not sweep.only or "points" in sweep.only
+    ]

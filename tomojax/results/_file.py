@@ -184,6 +184,14 @@ def nothing_left(out: Path) -> bool:
     return not marks.exists() or all(marks.read_bytes())
 
 
+def chunks_done(out: Path) -> int | None:
+    """How many chunks have been done so far; None of a file that is not in the making."""
+    try:
+        return sum(_marks(partial_path(out)).read_bytes())
+    except FileNotFoundError:
+        return None
+
+
 def _marks(partial: Path) -> Path:
     return partial.with_name(partial.name + ".done")
 

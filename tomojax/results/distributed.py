@@ -9,13 +9,14 @@ from pathlib import Path
 from time import monotonic, sleep
 
 from tomojax._require import require
-from tomojax.results._file import nothing_left, partial_path
+from tomojax.results._file import chunks_done, nothing_left, partial_path
 
 # Hosts of a cluster do not start at the same time.
 _PATIENCE = 300.0
 
-# Until those that were killed are given up, s.
-_FAREWELL = 10.0
+# Until those that were killed are given up, s without a chunk done: as long as one that
+# comes back takes to start and to compile on a machine that does something else.
+_FAREWELL = 30.0
 
 
 def join(
@@ -44,6 +45,8 @@ def join(
     _left(out, process).unlink(missing_ok=True)
     # A process that comes back may find all done, and nobody to join.
     if resume and nothing_left(out):
+        if process and _listens(host, int(port)):  # process 0 waits for it
+            _left(out, process).touch()
         return process, processes
     if process and not _answers(host, int(port), out if resume else None):
         return process, processes
@@ -70,9 +73,11 @@ def leave(share: tuple[int, int], out: Path) -> None:
         jax.distributed.shutdown()
         _left(out, share[0]).touch()
         return
-    end = monotonic() + _FAREWELL
+    done, end = chunks_done(out), monotonic() + _FAREWELL
     while not all(path.exists() for path in others) and monotonic() < end:
         sleep(0.1)
+        if chunks_done(out) != done:
+            done, end = chunks_done(out), monotonic() + _FAREWELL
     jax.distributed.shutdown()
     for path in others:
         path.unlink(missing_ok=True)
@@ -89,11 +94,17 @@ def _answers(host: str, port: int, out: Path | None) -> bool:
     while monotonic() < end:
         if out and nothing_left(out):
             return False
-        try:
-            socket.create_connection((host, port), 2.0).close()
+        if _listens(host, port):
             return True
-        except OSError:
-            sleep(0.2)
+        sleep(0.2)
     raise ValueError(
         f"--coordinator: nobody answers at {host}:{port}; start --process 0 there"
     )
+
+
+def _listens(host: str, port: int) -> bool:
+    try:
+        socket.create_connection((host, port), 2.0).close()
+        return True
+    except OSError:
+        return False

@@ -20,8 +20,8 @@ from tomojax.studies.stability._starts import (
 from tomojax.studies.stability._study import (
     CONTACTS as CONTACTS,
     FLAGGED as FLAGGED,
-    holds as holds,
     HOLDS as HOLDS,
+    holds as holds,
     limits as limits,
     numbers as numbers,
     run as run,
