@@ -14,9 +14,10 @@
 #
 # From a committed run of `tomojax stability`: one thing gets worse from value to value,
 # until each method fails. The limit is the last value up to which four scenes in five are
-# within 10 mm of the truth (of `linear`, whose image tells the nearest electrode: within
-# 20 mm, one pitch). Beyond it a place that is over 20 mm off has to come with a flag:
-# HIGH_RESIDUAL, CONTACTS_UNEXPLAINED, NO_CONTACT, NO_DATA or SOLVE_FAILED.
+# within 10 mm of the truth (of `linear`, whose image tells an electrode near the contact:
+# nine in ten within one and a half pitches, 30 mm). Beyond it a place that is over 20 mm
+# off has to come with a flag: HIGH_RESIDUAL, CONTACTS_UNEXPLAINED, NO_CONTACT, NO_DATA or
+# SOLVE_FAILED.
 #
 # `linear` has all 64 grounds, the others the two corners; `follow` grounds as it likes.
 

@@ -2,7 +2,7 @@
 
 Each sweep at the stated limit and at its last value. A limit that moves in, or places far
 off that come without a flag, fail here. `tests/stability/state.py` writes stated.json, from
-the committed run and a seed of its own; this seed is neither's.
+the committed run and seeds of its own; this seed is none of theirs.
 """
 
 import json
@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 
 import tomojax as tx
-from tomojax.studies.stability import Bench, FLAGGED, holds, SWEEPS, Trial, trial_row
+from tomojax.studies.stability import Bench, FLAGGED, right, SWEEPS, Trial, trial_row
 
 STATED = json.loads((Path(__file__).parent / "stability" / "stated.json").read_text())
-SCENES, SEED = 5, 4711
+SCENES, SEED = 5, 577
+
+# Where four scenes in five are right, five others have fewer than three once in 17 draws.
+_RIGHT = 3 / 5
 
 # Where the committed run has unflagged places far off: of those so many are flagged still.
 _UNFLAGGED = 0.5
@@ -45,7 +48,7 @@ def check(method: str, name: str) -> None:
     values, said = SWEEPS[name].values, STATED[name][method]
     if said["limit"] is not None:
         found = row(method, name, said["limit"])
-        assert holds(found) and found["silent"] == 0, found
+        assert right(found) >= _RIGHT - 1e-9 and found["silent"] == 0, found
     if values[-1] != said["limit"]:
         found = row(method, name, values[-1])
         if "error" in said["beyond"]:

@@ -24,6 +24,7 @@ from tomojax.studies.stability._study import (
     holds as holds,
     limits as limits,
     numbers as numbers,
+    right as right,
     run as run,
     SLOW_TESTS as SLOW_TESTS,
     SWEEPS as SWEEPS,

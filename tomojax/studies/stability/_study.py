@@ -51,6 +51,9 @@ CONTACTS, _SLOTS, _PIXELS = 3, 60, 32
 # part that is flagged where it may be trusted to flag.
 HOLDS, FLAGGED = 0.8, 0.95
 
+# mm: one and a half of the paper's pitches.
+_BLURRED = 30.0
+
 
 class Trial:
     """Methods made once for a bench, and applied to scenes."""
@@ -185,17 +188,23 @@ def takes_part(sweep: Sweep, method: str, scenes: SweptScenes) -> bool:
     return method != "follow" or (sweep.follows and scenes.told is None)
 
 
-def holds(row: dict[str, Any]) -> bool:
-    """Whether a method is right in enough scenes of one value.
+def right(row: dict[str, Any]) -> float:
+    """The part of the scenes of one value in which a method is right.
 
-    An image of Eq. 3 with J(0) blurs a place and tells the nearest electrode: `linear` is
-    right where it is not far off.
+    An image of Eq. 3 with J(0) blurs a place and tells an electrode near it: `linear` is
+    right where nine in ten are within one and a half pitches.
     """
     if row["raised"] is not None:
-        return False
+        return 0.0
     if row["method"] == "linear":
-        return row["scenes"] - row["far"] >= HOLDS * row["scenes"]
-    return row["near"] >= HOLDS
+        ninth = row["place_p90_mm"]
+        return float(ninth is not None and ninth <= _BLURRED)
+    return float(row["near"])
+
+
+def holds(row: dict[str, Any]) -> bool:
+    """Whether that is enough; of whole scenes, rounding apart."""
+    return right(row) >= HOLDS - 1e-9
 
 
 def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
