@@ -3,7 +3,7 @@
 Each sweep at the stated limit and at its last value. A limit that moves in, or places far
 off that come without a flag, fail here. `tests/stability/state.py` writes stated.json, from
 the committed run and seeds of its own; this seed is none of theirs.
-Two limits that failed here were moved in by one value: gains of `linear`, tears of `points`.
+Two limits that failed here were moved in by a value: gains of `linear`, tears of `points`.
 """
 
 import json
