@@ -26,7 +26,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import tomojax as tx
-from tomojax.hardware import open_source, Ring, run
+from tomojax.hardware import open_source, run, SlotRing
 from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
 
 folder = Path(tempfile.mkdtemp())
@@ -65,7 +65,7 @@ with VirtualRig(folder / "scene.npz", link="udp", rate=1000) as rig:
 # %%
 def live(policy, seconds=3.0, **faults):
     """Rows of the ring, and what was counted."""
-    ring = Ring.create(64, contacts=1)
+    ring = SlotRing.create(64, contacts=1)
     with VirtualRig(folder / "scene.npz", link="udp", rate=1000, **faults) as rig:
         with open_source(rig.where) as source:
             end = time.perf_counter() + seconds

@@ -7,6 +7,8 @@ Two limits that failed here were moved in by a value: gains of `linear`, tears o
 """
 
 import json
+import os
+import pickle
 from functools import cache
 from pathlib import Path
 
@@ -31,9 +33,21 @@ def trial(seed: int = SEED) -> Trial:
     return Trial(Bench(sensor, SCENES, seed))
 
 
+# Scenes of this run of the tests, where its workers share them: tests/stability/conftest.py.
+SHARED: list[Path] = []
+
+
 @cache
 def scenes(name: str, value: float, seed: int = SEED):
-    return SWEEPS[name].make(trial(seed).bench, value)
+    if not SHARED:
+        return SWEEPS[name].make(trial(seed).bench, value)
+    path = SHARED[0] / f"{name}_{value}_{seed}.pickle"
+    if not path.exists():
+        made = SWEEPS[name].make(trial(seed).bench, value)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(pickle.dumps(made))
+        part.replace(path)
+    return pickle.loads(path.read_bytes())
 
 
 def row(method: str, name: str, value: float, seed: int = SEED) -> dict:

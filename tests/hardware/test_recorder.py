@@ -151,11 +151,17 @@ def test_disk_full_once(ring, told, tmp_path):
     """A limit on a file's size does what a full disk does: writes fail."""
     path = tmp_path / "full.h5"
     recorder = Recorder(ring, path, told)
-    number = feed(ring, 4.0, 0, recorder.look)
+    number, began = 0, time.monotonic()
+    while int(ring.head["recorded"]) < RATE // 2:  # however late its process starts
+        number = feed(ring, 0.3, number, recorder.look)
+        assert time.monotonic() - began < 120
     pid = recorder.process.pid
     size = path.stat().st_size
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (size + 20_000, resource.RLIM_INFINITY))
-    number = feed(ring, 5.0, number, recorder.look)
+    while recorder.deaths == 0:
+        number = feed(ring, 0.3, number, recorder.look)
+        assert time.monotonic() - began < 120
+    number = feed(ring, 1.0, number, recorder.look)
     assert recorder.deaths == 1
     ring.head["done"][...] = 1
     recorder.close()

@@ -90,6 +90,14 @@ def test_reciprocity(data) -> None:
     np.testing.assert_allclose(among.mean(), table.own[40], atol=1e-10 * scale)
 
 
+def on_an_electrode(sensor: tx.Sensor, g) -> bool:
+    """Whether a contact has an element on a disc or at its rim."""
+    at = np.asarray(centroids(sensor.divisions, sensor.size))[np.asarray(g) > 0]
+    side = float(np.max(np.asarray(sensor.size) / sensor.divisions))
+    apart = np.linalg.norm(at[:, None] - np.asarray(sensor.electrode_xy), axis=-1)
+    return bool((apart < float(sensor.electrode_diameter) / 2 + side).any())
+
+
 @property_test
 @given(st.data())
 def test_currents_balance_and_voltages_are_bounded(data) -> None:
@@ -97,7 +105,10 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
     scene = data.draw(scenes(sensor))
     g = tx.sensor.contact_conductance(sensor, scene)
     volts = tx.voltages(sensor, scene)
-    assert float(volts.min()) >= -1e-6 and float(volts.max()) <= 4.5 + 1e-6
+    # A short within the grounded electrode's disc, whose current enters uniformly over it:
+    # the disc's mean is held at 0, and parts of it are below.
+    least = -0.1 * 4.5 if on_an_electrode(sensor, g) else -1e-6
+    assert float(volts.min()) >= least and float(volts.max()) <= 4.5 + 1e-6
     fem = sheet_on_mesh(sensor)
     sites = site_conductance(fem, g, sensor.divisions)
     contact = reduction(fem, sites, sensor.divisions)
