@@ -33,7 +33,7 @@ def trial(seed: int = SEED) -> Trial:
     return Trial(Bench(sensor, SCENES, seed))
 
 
-# Scenes of this run of the tests, where its workers share them: tests/stability/conftest.py.
+# Scenes of this run, where its workers share them: tests/stability/conftest.py.
 SHARED: list[Path] = []
 
 
