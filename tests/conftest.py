@@ -1,5 +1,6 @@
 """Tests run in float64 with strict promotion; float32 is asked for where it is tested."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -25,6 +26,11 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 import tomojax as tx
+
+# Tracing makes millions of objects that live on: looking through them all again and again
+# is a quarter of the tests' time.
+gc.freeze()
+gc.set_threshold(100_000, 50, 50)
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
 
@@ -65,10 +71,13 @@ def small_sensor() -> tx.Sensor:
     return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def _little_compiled_code():
-    """Before a process has as many mappings as Linux allows it (65 530): then it dies."""
+    """Before a process has as many mappings as Linux allows it (65 530): then it dies.
+
+    A file of tests adds 13 000 at most.
+    """
     yield
     maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > 50_000:
+    if maps.exists() and maps.read_bytes().count(b"\n") > 45_000:
         jax.clear_caches()
