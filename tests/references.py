@@ -1,6 +1,7 @@
 """Independent answers to compare with: dense NumPy and scikit-fem, nothing of ours
 but the mesh's numbering and the electrodes' feeds, which are inputs to the problem."""
 
+import jax
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
@@ -77,7 +78,7 @@ def network_voltages(
     """
     from tomojax.sensor import sheet_on_mesh
 
-    fem, shape = sheet_on_mesh(sensor), sensor.divisions
+    fem, shape = jax.jit(sheet_on_mesh)(sensor), sensor.divisions
     k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()
     b, p, dipole = (
         element_functionals(shape),

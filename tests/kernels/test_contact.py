@@ -54,17 +54,18 @@ def sensor(request, small_sensor, rng) -> tx.Sensor:
 
 
 # Op by op the scans would compile anew for every case.
+on_mesh = jax.jit(sheet_on_mesh)
 reduce_mesh = jax.jit(fem_contact, static_argnums=2)
 site_resistances = jax.jit(fem_site_resistances, static_argnums=2)
 
 
 def mesh_reduction(sensor: tx.Sensor, g) -> ContactReduction:
-    return reduce_mesh(sheet_on_mesh(sensor), jnp.asarray(g), SHAPE)
+    return reduce_mesh(on_mesh(sensor), jnp.asarray(g), SHAPE)
 
 
 def dense_reduction(sensor: tx.Sensor, g) -> ContactReduction:
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
+    ec, cc = site_resistances(on_mesh(sensor), sites, SHAPE)
     ee = tx.sensor.resistances(sensor).electrodes
     return reduce_contact(ee, ec, cc, jnp.asarray(g)[sites])
 
@@ -97,7 +98,7 @@ def test_voltages_of_a_scene_are_those_of_its_sites(sensor) -> None:
         tx.Disc([0.03, 0.029], 0.006, 3.0), tx.Bar([0.05, 0.015], 0.02, 0.005, 1.0, 9.0)
     )
     g = tx.sensor.contact_conductance(sensor, scene)
-    sites = site_conductance(sheet_on_mesh(sensor), g, SHAPE)
+    sites = site_conductance(on_mesh(sensor), g, SHAPE)
     np.testing.assert_allclose(sites.sum(), g.sum(), rtol=1e-12)
     assert float(sites.min()) >= 0 and float(sites[NODES:].max()) > 0
     got = tx.voltages(sensor, scene)
@@ -145,7 +146,7 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     """The same with the currents g(V0 − u) that a real contact drives."""
     g = patchy(rng)
     sites = jnp.flatnonzero(jnp.asarray(g))
-    ec, cc = site_resistances(sheet_on_mesh(sensor), sites, SHAPE)
+    ec, cc = site_resistances(on_mesh(sensor), sites, SHAPE)
     table = Resistances(tx.sensor.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
@@ -215,7 +216,7 @@ def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     nothing = mesh_reduction(sensor, 0 * g)
     at_rest = voltage_sensitivity(nothing, grounds, z, v0)
     everywhere = jnp.arange(len(g))
-    ec, cc = site_resistances(sheet_on_mesh(sensor), everywhere, SHAPE)
+    ec, cc = site_resistances(on_mesh(sensor), everywhere, SHAPE)
     table = Resistances(tx.sensor.resistances(sensor).electrodes, ec, jnp.diag(cc))
     t = slot_map(table, grounds, z)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))

@@ -62,8 +62,9 @@ def scenes(draw, sensor: tx.Sensor) -> tx.sensor.AbstractShape:
     )
 
 
+# Op by op each would be a hundred programs for every shape.
+on_mesh = jax.jit(sheet_on_mesh)
 site_resistances = jax.jit(fem_site_resistances, static_argnums=2)
-
 reduction = jax.jit(fem_contact, static_argnums=2)
 
 property_test = settings(
@@ -79,7 +80,7 @@ def test_reciprocity(data) -> None:
     table = tx.sensor.resistances(sensor)
     vertices = triangles(sensor.divisions)[40]
     at_vertices, among = site_resistances(
-        sheet_on_mesh(sensor), jnp.asarray(vertices), sensor.divisions
+        on_mesh(sensor), jnp.asarray(vertices), sensor.divisions
     )
     scale = float(table.own.max())
     # An element is a third of each vertex. The table has fed the electrodes and read the
@@ -109,7 +110,7 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
     # the disc's mean is held at 0, and parts of it are below.
     least = -0.1 * 4.5 if on_an_electrode(sensor, g) else -1e-6
     assert float(volts.min()) >= least and float(volts.max()) <= 4.5 + 1e-6
-    fem = sheet_on_mesh(sensor)
+    fem = on_mesh(sensor)
     sites = site_conductance(fem, g, sensor.divisions)
     contact = reduction(fem, sites, sensor.divisions)
     grounds = jnp.arange(sensor.electrode_count)
