@@ -12,6 +12,7 @@ import argparse
 import ctypes
 import json
 import os
+import signal
 import socket
 import sys
 import time
@@ -266,6 +267,8 @@ def main() -> None:
     else:
         link = Udp(chosen.port)
     rig = Firmware(link, chosen)
+    # A job in a shell's background ignores Ctrl-C, and so would all that it starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         print(json.dumps({"where": link.where, "electrodes": rig.electrodes}), flush=True)
         wake_in_time()

@@ -23,8 +23,7 @@ def solve_positive(
 ) -> Float[Array, "*batch n k"]:
     """A⁻¹B of a few unknowns, A symmetric and positive: Gauss and Jordan's elimination.
 
-    Without LAPACK, whose batches share out to XLA's few CPU threads and wait for them:
-    two such calls at once stop for ever on two cores. It is faster for small n, too.
+    For small n faster than LAPACK, which is called for each of a batch.
     """
 
     def eliminate(k: Array, both: Array) -> Array:

@@ -112,7 +112,7 @@ def lambda_scores(
         risk = jnp.maximum(risk, _ALIKE * risk.min())
         if rule == "estimated_risk":
             return risk
-        return jnp.concatenate([lax.map(score, _after(risk, grid)), risk], 1)
+        return jnp.concatenate([lax.map(score, grid), risk], 1)
     return lax.map(score, grid)
 
 
@@ -133,18 +133,7 @@ def choose_lambda(
     return jnp.where(usable.any(), largest, jnp.nan)
 
 
-def _after(earlier: Array, value: Array) -> Array:
-    """`value`, but not before `earlier` is there.
-
-    Factorisations that do not depend on each other run side by side on XLA's CPU pool,
-    and each may hold a thread while it waits for another: with jaxlib 0.10.2 on two cores
-    that hangs for good. An optimization_barrier does not order them; a dependence does.
-    """
-    return value + 0 * jnp.nan_to_num(earlier.ravel()[0])
-
-
-# Block by block (batched calls are no faster here), also when a caller batches frames:
-# see `_after`.
+# Block by block, also when a caller batches frames: batched calls are no faster here.
 @sequential_vmap
 def _left_out_errors(
     left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
@@ -161,7 +150,7 @@ def _left_out_errors(
         return jnp.sum(cho_solve((jnp.linalg.cholesky(rest), True), r) ** 2)
 
     by_electrode = lax.map(squared_error, (jnp.swapaxes(left, 0, 1), residual.T))
-    by_slot = lax.map(squared_error, (left, _after(by_electrode, residual)))
+    by_slot = lax.map(squared_error, (left, residual))
     return jnp.stack([by_electrode.sum(), by_slot.sum()])
 
 

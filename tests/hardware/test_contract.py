@@ -1,5 +1,6 @@
 """What every source promises, on every source."""
 
+import signal
 import time
 
 import numpy as np
@@ -156,3 +157,14 @@ def test_names_of_no_source(where):
 def test_options_that_a_source_has_not():
     with pytest.raises(ValueError, match="baud"):
         open_source("udp://127.0.0.1:4000", baud=9600)
+
+
+def test_a_virtual_rig_ends_where_ctrl_c_is_ignored(scene):
+    """As in what a script starts with &."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with VirtualRig(scene, link="udp") as rig:
+            pass
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert rig.slots is not None

@@ -160,8 +160,7 @@ def gradient_rows(
     differences, at random and at symmetric points. Needs float64 to be enabled."""
     sensor = small(np.float64)
     value = partial(pipeline, sensor, centroids(sensor.divisions, sensor.size))
-    # One after another: of several at once, jaxlib 0.10 factors matrices side by side on
-    # the CPU, and hangs.
+    # One after another: `vmap` takes 1.5 times as long on the CPU, to compile too.
     both = jax.jit(partial(lax.map, jax.value_and_grad(value)))
     plain = jax.jit(partial(lax.map, value))
     rows = []
