@@ -91,6 +91,8 @@ class Hdf5Recording(Recording):
         rails = sorted(
             self._scale * float(c) + self._offset for c in (codes.min, codes.max)
         )
+        finite = bool(np.isfinite(rails).all())
+        require(finite, "scale", self._scale, "V per code, and readings that are numbers")
         numbers = {n: _number(field, n) for n in _NUMBERS if n not in ("scale", "offset")}
         self.rig = Rig(
             size=(_number(field, "size", 2, 0), _number(field, "size", 2, 1)),
