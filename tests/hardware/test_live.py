@@ -43,8 +43,8 @@ def test_the_loop_is_closed(step, scene, places, tmp_path, link):
     rows, counted, _ = looped(step, scene, tmp_path, link=link)
     assert step.traces == 1
     done = np.isfinite(rows["latency"])
-    # A machine that is busy with other tests may not keep up with all.
-    assert done.mean() > 0.3
+    # A machine that is busy with other work keeps up with some of them only.
+    assert done.sum() > 30
     assert counted["skipped"] == (~done).sum()
     # What was asked for is grounded in the next slot or the one after.
     asked, grounds = rows["next"][:-2].astype(int), rows["ground"].astype(int)
