@@ -5,107 +5,168 @@ reconstruction is not told: its sheet varies, its electrodes are off their place
 channels have gains, zeros and noise. For trials of accuracy (`tomojax frontier`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Integer
 
 from tomojax.sensor import Sensor
 
 # Sides of a square, of an electrode's diameter: the disc is 31 squares of 0.8 mm.
 _SQUARE = 0.16
 
-# The converter's: 16 bits over ±5 V.
-_CODES_PER_VOLT, _LARGEST = 6553.6, 32768
+# The paper's converter: 16 bits over ±5 V, of a drive of 4.5 V.
+_CODES, _RANGE = 1 << 16, 5 / 4.5
 
-Contact = tuple[Bool[np.ndarray, " cells"], float]
+# Noise and zeros, of the drive (0.3 mV); electrodes off their places, of their diameter.
+_NOISE, _OFFSET = 3e-4 / 4.5, 0.03
+
+# Relative conductance per cell, and the total, S.
+Contact = tuple[Bool[np.ndarray, " cells"] | Float[np.ndarray, " cells"], float]
 
 
 class Network:
-    """`variation` of the sheet, rms; `offset` of electrodes at most, m; `noise` and zeros,
-    V; `gain` of channels, rms; of a sensor with one sheet resistance."""
+    """A rig with errors that are drawn, of a sensor with one sheet resistance.
+
+    **Arguments:** `variation` of the sheet, rms; `offset` of electrodes at most, m;
+    `noise` and zeros, V; `gain` of channels, rms. `offset` and `noise` follow the
+    electrodes' diameter and the drive by default. The `rigs` beside this module draw
+    more: they fill in `sheet`, `place`, `radius`, `contact` and `ground` by `built`.
+    """
 
     def __init__(
         self,
         sensor: Sensor,
         rng: np.random.Generator,
         variation: float | int = 0.02,
-        offset: float | int = 1.5e-4,
-        noise: float | int = 3e-4,
+        offset: float | int | None = None,
+        noise: float | int | None = None,
         gain: float | int = 5e-4,
     ):
-        self.rng, self.noise = rng, noise
         size = np.asarray(sensor.size, float)
         nominal = np.asarray(sensor.electrode_xy, float)
-        radius = float(sensor.electrode_diameter) / 2
-        self.drive, self.ground = float(sensor.drive_voltage), _one(sensor)
-        self.cells, shape = _squares(size, 2 * _SQUARE * radius)
+        diameter = float(sensor.electrode_diameter)
+        self.drive = float(sensor.drive_voltage)
+        offset = _OFFSET * diameter if offset is None else offset
+        noise = _NOISE * abs(self.drive) if noise is None else noise
+        self.rng, self.noise = rng, noise
+        self.cells, shape = _squares(size, _SQUARE * diameter)
         waves = np.zeros(len(self.cells))
         for i, j in np.ndindex(4, 4):
             if i + j:
                 wave = np.cos(np.pi * np.array([i, j]) / size * self.cells).prod(1)
                 waves += rng.normal() / np.hypot(i, j) * wave
         resistance = float(np.mean(np.asarray(sensor.sheet_resistance)))
-        self.sheet = resistance * (1 + variation * waves / waves.std())
-        m = self.electrodes = len(nominal)
+        sheet = resistance * (1 + variation * waves / waves.std())
+        m = len(nominal)
         places = nominal + np.clip(rng.normal(0, offset / 2, (m, 2)), -offset, offset)
         self.gain = 1 + gain * rng.normal(size=m)
         self.zero = noise * rng.normal(size=m)
-        # All cells within an electrode are one node; those are the first m.
+        self.full_scale, self.codes = _RANGE * abs(self.drive), _CODES
+        ground = np.broadcast_to(np.asarray(sensor.ground_resistance, float), m)
+        self._build(shape, sheet, places, np.full(m, diameter / 2), np.zeros(m), ground)
+
+    @classmethod
+    def built(
+        cls,
+        sensor: Sensor,
+        sheet: Callable[[np.ndarray], np.ndarray],
+        place: Float[np.ndarray, "m 2"],
+        radius: Float[np.ndarray, " m"],
+        contact: Float[np.ndarray, " m"],
+        ground: Float[np.ndarray, " m"],
+    ) -> "Network":
+        """A rig of given parts: `sheet` resistance by place, Ω/sq; centres and radii of the
+        faces that touch it, m; resistances between them and the sheet, and of the ground
+        paths, Ω. It is not told how voltages are read: `measure` is not for it."""
+        new = cls.__new__(cls)
+        new.drive = float(sensor.drive_voltage)
+        side = _SQUARE * float(sensor.electrode_diameter)
+        new.cells, shape = _squares(np.asarray(sensor.size, float), side)
+        new._build(shape, sheet(new.cells), place, radius, contact, ground)
+        return new
+
+    def _build(self, shape, sheet, place, radius, contact, ground) -> None:
+        self.shape, self.sheet, self.ground = shape, sheet, ground
+        m = self.electrodes = len(place)
+        # All cells below a face are its node, the first m; below one with a resistance
+        # of its own they stay apart and are joined to it.
         node = np.full(len(self.cells), -1)
-        for e, place in enumerate(places):
-            node[((self.cells - place) ** 2).sum(1) <= radius**2] = e
+        below = np.full(len(self.cells), -1)
+        for e in range(m):
+            away = ((self.cells - place[e]) ** 2).sum(1)
+            inside = away <= max(radius[e] ** 2, away.min())
+            (below if contact[e] > 0 else node)[inside] = e
         free = np.flatnonzero(node < 0)
         node[free] = m + np.arange(len(free))
         self.node, self.count = node, m + len(free)
-        self.shape = shape
-        self.network = _joined(self.sheet, node, shape, self.count)
+        covered = np.flatnonzero(below >= 0)
+        face = below[covered]
+        each = np.bincount(face, minlength=m)[face] * contact[face]
+        self._faces = node[covered], face, 1 / each
+        self.network = _joined(sheet, node, shape, self.count, self._faces)
 
     def resist(self, inside: Bool[np.ndarray, " cells"], factor: float | int) -> None:
         """The sheet's resistance there, so many times what it was: a tear, wear."""
         self.sheet = np.where(inside, factor, 1) * self.sheet
-        self.network = _joined(self.sheet, self.node, self.shape, self.count)
+        self.network = _joined(self.sheet, self.node, self.shape, self.count, self._faces)
 
     def scene(
         self, *contacts: Contact
     ) -> tuple[Float[np.ndarray, "m m"], list[tuple[Float[np.ndarray, "2"], float]]]:
         """Exact voltages (m grounds, m) and, of each contact, centre and conductance.
 
-        A contact is (inside, S): a mask of the cells and its total conductance.
+        A contact is (inside, S): a mask of the cells, or how much of the conductance each
+        has, and the total.
         """
-        u, driven = self._loaded(contacts)
-        current = driven / (self.ground + np.diagonal(u))
-        truth = [(self.cells[inside].mean(0), total) for inside, total in contacts]
-        return driven - current[:, None] * u, truth
+        volts = self.under(np.arange(self.electrodes), *contacts)
+        truth = [
+            (np.average(self.cells, 0, np.asarray(inside, float)), total)
+            for inside, total in contacts
+        ]
+        return volts, truth
+
+    def under(
+        self, grounds: Integer[np.ndarray, " n"], *contacts: Contact, series: float = 0.0
+    ) -> Float[np.ndarray, "n m"]:
+        """Exact voltages under some grounds, `series` Ω between the drive and the object."""
+        u, driven = self._loaded(contacts, grounds, series)
+        own = np.arange(len(grounds)), grounds
+        current = driven[grounds] / (self.ground[grounds] + u[own])
+        return driven - current[:, None] * u
 
     def shared(
         self, to_ground: Float[np.ndarray, "slots m"], *contacts: Contact
     ) -> Float[np.ndarray, "slots m"]:
         """Exact voltages with conductances, S, to ground."""
-        u, driven = self._loaded(contacts)
+        u, driven = self._loaded(contacts, np.arange(self.electrodes))
         unit = np.eye(self.electrodes)
         return np.stack([np.linalg.solve(unit + u * g, driven) for g in to_ground])
 
-    def _loaded(self, contacts: Sequence[Contact]) -> tuple[np.ndarray, np.ndarray]:
-        """Of currents into electrodes (m, m), and of the drive (m,); nothing grounded."""
+    def _loaded(
+        self, contacts: Sequence[Contact], grounds: np.ndarray, series: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of currents into the grounds (n, m), and of the drive (m,); nothing grounded."""
         g = np.zeros(self.count)
         for inside, total in contacts:
-            np.add.at(g, self.node[inside], total / inside.sum())
-        m = self.electrodes
-        loads = np.zeros((self.count, m + 1))
-        loads[np.arange(m), np.arange(m)] = 1
-        loads[:, m] = g * self.drive
-        u = spla.splu((self.network + sp.diags_array(g)).tocsc()).solve(loads)[:m]
-        return u[:, :m], u[:, m]
+            np.add.at(g, self.node, total * (inside / inside.sum()))
+        n = len(grounds)
+        loads = np.zeros((self.count, n + 1))
+        loads[grounds, np.arange(n)] = 1
+        loads[:, n] = g
+        u = spla.splu((self.network + sp.diags_array(g)).tocsc()).solve(loads)
+        u = u[: self.electrodes].T
+        # A current out of the ground comes through what is in series with the object, too.
+        return u[:n] + series, self.drive * u[n]
 
     def measure(self, volts: np.ndarray) -> np.ndarray:
         """As the converter reads them."""
         read = volts * self.gain + self.zero
         read = read + self.noise * self.rng.normal(size=volts.shape)
-        codes = np.clip(np.round(read * _CODES_PER_VOLT), -_LARGEST, _LARGEST - 1)
-        return codes / _CODES_PER_VOLT
+        per_volt, half = self.codes / (2 * self.full_scale), self.codes // 2
+        return np.clip(np.round(read * per_volt), -half, half - 1) / per_volt
 
     def disc(self, xy: Sequence[float] | np.ndarray, radius: float | int) -> np.ndarray:
         """The cells in a disc."""
@@ -124,10 +185,6 @@ class Network:
         return (along <= length / 2) & (across <= width / 2)
 
 
-def _one(sensor: Sensor) -> float:
-    return float(np.mean(np.asarray(sensor.ground_resistance)))
-
-
 def _squares(size: np.ndarray, side: float) -> tuple[np.ndarray, tuple[int, int]]:
     """Centres of squares that fill the sheet, and how many along each side."""
     nx, ny = (max(8, round(float(length) / side)) for length in size)
@@ -136,9 +193,12 @@ def _squares(size: np.ndarray, side: float) -> tuple[np.ndarray, tuple[int, int]
 
 
 def _joined(
-    sheet: np.ndarray, node: np.ndarray, shape: tuple[int, int], count: int
+    sheet: np.ndarray, node: np.ndarray, shape: tuple[int, int], count: int, more: tuple
 ) -> sp.csc_array:
-    """The network's matrix: neighbours joined by the mean of their resistances."""
+    """The network's matrix: neighbours joined by the mean of their resistances.
+
+    `more`: two ends and the conductance of what is joined beside.
+    """
     index = np.arange(len(sheet)).reshape(shape)
     pairs = np.concatenate(
         [
@@ -150,6 +210,7 @@ def _joined(
     c = 2 / sheet[pairs].sum(0)
     a, b = node[pairs]
     a, b, c = (v[a != b] for v in (a, b, c))
+    a, b, c = (np.concatenate([v, w]) for v, w in zip((a, b, c), more))
     rows, columns = np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a])
     values = np.concatenate([c, c, -c, -c])
     return sp.csc_array((values, (rows, columns)), (count,) * 2)

@@ -1,0 +1,17 @@
+"""Rigs to try methods on, wider than what methods assume; two models that share no code.
+
+A rig is a description (`Rig`), drawn from stated distributions by a seed; a model makes
+the exact voltages of it. The room knows nothing of methods.
+"""
+
+from tomojax.studies.rigs._family import (
+    draw_touch as draw_touch,
+    FAMILY as FAMILY,
+    JUDGING as JUDGING,
+    lone_contacts as lone_contacts,
+    LoneContacts as LoneContacts,
+    make_rig as make_rig,
+    network_of as network_of,
+)
+from tomojax.studies.rigs._rig import Chain as Chain, draw_rig as draw_rig, Rig as Rig
+from tomojax.studies.rigs._shapes import Touch as Touch
