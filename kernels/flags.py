@@ -33,7 +33,8 @@ class Flag(enum.IntFlag):
     STUCK_SCAN = 8192  # every voltage repeats the scan before or after
     HIGH_RESIDUAL = 16384  # the model leaves too much of the voltages unexplained
     NO_DATA = 32768  # too few good channels: no result
-    MODEL_LIMITED = 65536  # of what a place is uncertain by, noise is the lesser part
+    MODEL_LIMITED = 65536  # voltages err more than nominal values let them: σ is wider
     HURRIED = 131072  # a cheaper method answered, to keep a step's deadline
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
     PLACE_UNCERTAIN = 524288  # a place is no better known than to some 10 mm
+    CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told

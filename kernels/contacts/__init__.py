@@ -28,6 +28,7 @@ from tomojax.kernels.contacts._one_slot import (
     weighed as weighed,
 )
 from tomojax.kernels.contacts._points import (
+    DISC as DISC,
     discs as discs,
     Fitted as Fitted,
     green_of as green_of,

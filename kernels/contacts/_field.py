@@ -28,19 +28,51 @@ def field_at(
     Once differentiable. Radii beyond the table's are taken as its last; beyond the edges
     the sheet is mirrored.
     """
+    part, nearby = _nearby(field, place)
+    along = cubic(part)
+    return _mixed(field, radius, along[0][:, None] * along[1], nearby)
+
+
+def elongated_field_at(
+    field: Field,
+    place: Float[Array, "2"],
+    radius: Float[Array, ""],
+    moment: Float[Array, "2"],
+) -> Float[Array, " M"]:
+    """The same of a contact that is longer than wide: R + ½m₁(R_xx − R_yy) + m₂R_xy.
+
+    `moment`: (xx − yy)/2 and xy of the current's second moments about its centre, m². Of
+    their sum nothing is seen but beside electrodes: R is harmonic.
+    """
+    part, nearby = _nearby(field, place)
+    cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
+    per = (cells / field.size)[:, None]  # of cells, 1/m
+    along, slope, bend = cubic(part), cubic_slope(part) * per, cubic_bend(part) * per**2
+    both = bend[0][:, None] * along[1] - along[0][:, None] * bend[1]
+    mixed = slope[0][:, None] * slope[1]
+    weights = along[0][:, None] * along[1] + moment[0] / 2 * both + moment[1] * mixed
+    return _mixed(field, radius, weights, nearby)
+
+
+def _nearby(field: Field, place: Float[Array, "2"]) -> tuple[Array, Array]:
+    """How far the place is within its cell (2,), and the sixteen points around it."""
     nx, ny = field.values.shape[:2]
     cells = jnp.array([nx - 1, ny - 1], place.dtype)
     at = place / field.size * cells
     low = jnp.clip(jnp.floor(at), 0, cells - 1)
-    part = at - low
     steps = jnp.arange(-1, 3)
     i = mirrored(low[0].astype(int) + steps, nx - 1)
     j = mirrored(low[1].astype(int) + steps, ny - 1)
-    nearby = field.values[i[:, None], j[None]].reshape(16, -1, field.values.shape[-1])
-    along = cubic(part)
-    weights = (along[0][:, None] * along[1]).ravel()
+    nearby = field.values[i[:, None], j[None]]
+    return at - low, nearby.reshape(16, -1, field.values.shape[-1])
+
+
+def _mixed(
+    field: Field, radius: Array, weights: Float[Array, "4 4"], nearby: Array
+) -> Float[Array, " M"]:
     by_size = lagrange(field.radii**2, jnp.minimum(radius, field.radii[-1]) ** 2)
-    return jnp.einsum("n,a,nam->m", weights, by_size, nearby, precision="highest")
+    flat = weights.ravel()
+    return jnp.einsum("n,a,nam->m", flat, by_size, nearby, precision="highest")
 
 
 def mirrored(index: Array, last: int) -> Array:
@@ -58,6 +90,19 @@ def cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
         (t - 1) * t**2,
     ]
     return jnp.concatenate(terms, 1) / 2
+
+
+def cubic_slope(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
+    """Their derivatives by `part`."""
+    t = part[:, None]
+    terms = [(4 - 3 * t) * t - 1, (9 * t - 10) * t, (8 - 9 * t) * t + 1, (3 * t - 2) * t]
+    return jnp.concatenate(terms, 1) / 2
+
+
+def cubic_bend(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
+    """Their second derivatives."""
+    t = part[:, None]
+    return jnp.concatenate([2 - 3 * t, 9 * t - 5, 4 - 9 * t, 3 * t - 1], 1)
 
 
 def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " A"]:
@@ -87,7 +132,13 @@ def slot_columns(
 
 
 def field_and_slope(
-    field: Field, place: Float[Array, "2"], radius: Float[Array, ""]
+    field: Field,
+    place: Float[Array, "2"],
+    radius: Float[Array, ""],
+    moment: Float[Array, "2"] | None = None,
 ) -> tuple[Float[Array, " M"], Float[Array, "M 2"]]:
-    """R(x, a) and its gradient along x."""
-    return field_at(field, place, radius), jax.jacfwd(field_at, 1)(field, place, radius)
+    """R(x, a) and its gradient along x; of a long contact with its `moment`."""
+    if moment is None:
+        return field_at(field, place, radius), jax.jacfwd(field_at, 1)(field, place, radius)
+    long = elongated_field_at(field, place, radius, moment)
+    return long, jax.jacfwd(field_at, 1)(field, place, radius)

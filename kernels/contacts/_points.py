@@ -18,6 +18,13 @@ from tomojax.kernels.sheet import rectangle_green
 # ln of the width of what is known of a contact's size beforehand.
 SIZE_WIDTH = 0.5
 
+# Parameters of a contact: place, size, and how much longer it is than wide (see `LONG`).
+DISC = 5
+
+# What is known beforehand of (a² − b²)/8, half the difference of the second moments of an
+# even ellipse: 1 σ, of the usual radius squared. And τ, see `longness`.
+LONG, LONGEST = 0.08, 3.0
+
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
 
@@ -45,7 +52,7 @@ class Fitted(NamedTuple):
     voltages: Float[Array, "S M"]  # what they make, V
 
 
-def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]:
+def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]:
     """Places (C, 2) and radii (C,), m; beyond an edge is mirrored to this side of it."""
     size = sheet.field.size
     place = parameters[:, :2] * sheet.unit
@@ -55,15 +62,17 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C 3"]) -> tuple[Array, Array]
 
 
 def discs(
-    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 3"]
+    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]
 ) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
-    """Round contacts; each leans towards where its current flows, as metal would.
+    """Contacts about as long as wide; each leans towards where its current flows, as metal would.
 
     A disc of radius a whose contact is better than the sheet below it is polarised: its
     current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
     """
     place, radius = unpack(sheet, parameters)
-    potential, slope = jax.vmap(field_and_slope, (None, 0, 0))(sheet.field, place, radius)
+    moment = LONG * sheet.size**2 * parameters[:, 3:5]
+    each = jax.vmap(field_and_slope, (None, 0, 0, 0))
+    potential, slope = each(sheet.field, place, radius, moment)
     z = sheet.ground_resistance
     columns = slot_columns(sheet.field, potential, frame.grounds, z)
     whitened = whitened_columns(frame, columns)
@@ -78,9 +87,17 @@ def discs(
     none = jnp.zeros_like(place)
     return (
         rest,
-        parameters[:, 2],
+        jnp.concatenate([parameters[:, 2], longness(parameters[:, 3:5]).ravel()]),
         Fitted(place, none, none[:, 0], radius, current, drop, volts),
     )
+
+
+def longness(long: Float[Array, "C 2"]) -> Float[Array, "C 2"]:
+    """What is known beforehand of how long a contact is: about round, or not at all so.
+
+    q/√(1 + |q|²/τ²): its square is q²'s near 0 and τ² at most.
+    """
+    return long * jax.lax.rsqrt(1 + (long**2).sum(-1, keepdims=True) / LONGEST**2)
 
 
 def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:

@@ -16,7 +16,7 @@ from tomojax.sensor import Calibration, NOISE, Sensor
 # error (place, gain, detail of the sheet), of which this part of how its voltage differs
 # from its neighbours'; what they have in common, the longest waves over the sheet; and a
 # slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
-_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 0.02
+_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 1.0
 
 # A slot's misfit (64 channels) beyond which it counts little.
 TOLERANCE = 64.0
@@ -121,13 +121,14 @@ def noise_of(sensor: Sensor) -> Noise:
 
 def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitened:
     """A frame whose errors are independent and of size 1."""
-    used = prepared.used
+    channels = jnp.arange(voltages.shape[1])
+    used = prepared.used & (channels != prepared.grounds[:, None])
     bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
     own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
     each = jnp.sqrt(own**2 + prepared.noise**2)
     high = jnp.where(used, jnp.abs(voltages), 0)
-    channels = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
-    offset = prepared.offset * high.sum(1) / channels
+    count = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
+    offset = prepared.offset * high.sum(1) / count
     flat = jnp.broadcast_to(offset[:, None], voltages.shape)
     common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
     frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)

@@ -21,6 +21,13 @@ from tomojax.kernels.contacts import (
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import misfit_cost, PreparedErrors, TOLERANCE, whitened
 
+# What is left of whitened voltages for each that is free, usually: the errors that are told
+# of are nearly the largest of what is usual. Beyond so many times that they are unusual.
+_LEFT, _UNUSUAL = 0.4, 2.0
+
+# σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
+_VAGUE = 0.25
+
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 6, 30
 
@@ -31,7 +38,7 @@ class Found(NamedTuple):
     cost: Float[Array, ""]  # per slot
     misfits: Float[Array, " S"]  # of each slot
     count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
-    parameters: Float[Array, "C 3"]
+    parameters: Float[Array, "C P"]
     place: Float[Array, "C 2"]
     extent: Float[Array, "C 2"]
     ring: Float[Array, " C"]
@@ -39,7 +46,8 @@ class Found(NamedTuple):
     current: Float[Array, " C"]  # A, the mean over the slots
     conductance: Float[Array, " C"]
     covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
-    limited: Bool[Array, ""]  # by the model's error rather than noise
+    vague: Bool[Array, " C"]  # whether a conductance is hardly told
+    limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]  # the same of each
 
@@ -74,15 +82,16 @@ def candidates_of(scene: Fitting) -> tuple[Array, Array]:
     return whitened_columns(part, columns), part.whitened
 
 
-def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n C3"]:
+def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n CP"]:
+    """Usual contacts there."""
     lengths = places / scene.method.sheet.unit
-    usual = jnp.zeros_like(lengths[..., :1])
-    return jnp.concatenate([lengths, usual], -1).reshape(len(places), -1)
+    usual = ((0, 0), (0, 0), (0, model.DISC - 2))
+    return jnp.pad(lengths, usual).reshape(len(places), -1)
 
 
 def fit_of(scene: Fitting, kind: Callable) -> Callable:
     """That model, of a flat vector of parameters."""
-    width = (-1, 3) if kind is model.discs else (-1,)
+    width = (-1, model.DISC) if kind is model.discs else (-1,)
     return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
 
 
@@ -105,23 +114,28 @@ def best_fit(
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
     volts: Array = fitted.voltages
-    misfit = jnp.where(prepared.used, volts - scene.voltages, 0)
+    # All that a slot's channels may be off is its ground's: the fit has found it.
+    common = rest[:, -1] * scene.offset
+    used = scene.frame.scale > 0
+    misfit = jnp.where(used, volts + common[:, None] - scene.voltages, 0)
     currents: Array = fitted.current
     current = jnp.where(slots[:, None], currents, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
+    known, of_size, limited = _uncertainty(still, ended, count)
+    vague = _drop_deviation(scene, fitted.current, of_size) > _VAGUE * jnp.abs(drop)
     # What is long is not added to.
-    of_discs = parameters if kind is model.discs else jnp.zeros(3 * count, cost.dtype)
-    spread, limited = _uncertainty(still, ended, count)
+    of_discs = parameters if kind is model.discs else jnp.zeros(model.DISC * count, cost.dtype)
     values = (
-        of_discs.reshape(count, 3),
+        of_discs.reshape(count, -1),
         fitted.place,
         fitted.extent,
         fitted.ring,
         fitted.radius,
         current,
         current / drop,
-        spread,
+        known,
+        vague,
     )
     found = Found(
         cost / n,
@@ -129,8 +143,8 @@ def best_fit(
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
         limited=limited,
-        residual=rms(misfit, prepared.used),
-        by_electrode=rms_by_electrode(misfit, prepared.used),
+        residual=rms(misfit, used),
+        by_electrode=rms_by_electrode(misfit, used),
     )
     return found, ended
 
@@ -148,17 +162,20 @@ def _implicit(scene: Fitting, kind: Callable, ended: LeastSquares) -> Array:
 
 def _uncertainty(
     scene: Fitting, ended: LeastSquares, count: int
-) -> tuple[Float[Array, "C 3"], Bool[Array, ""]]:
-    """Covariance of the places, and whether noise has the lesser part in it.
+) -> tuple[Float[Array, "C 3"], Float[Array, " C"], Bool[Array, ""]]:
+    """Covariance of the places, variance of the sizes, and whether errors are unusual.
 
-    N⁻¹(ΣGᵀσ²G + Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
+    N⁻¹(ΣGᵀσ²G + κ²Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
     another in each slot, the model's errors e_k are the same ones. So more slots average
-    the one and not the other.
+    the one and not the other. κ² ≥ 1: how much more is left of the voltages than nominal
+    values leave.
     """
     normal, parameters = ended.normal, ended.parameters
-    used, frame = scene.prepared.used, scene.frame
+    frame = scene.frame
+    used = frame.scale > 0
     slope = ended.slope.transpose(1, 2, 0)
-    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
+    left = (ended.rest**2).sum(1)
+    weight = 1 / (1 + left / TOLERANCE)
     by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
     noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
     own = jnp.where(used, scene.own, 0)
@@ -170,19 +187,31 @@ def _uncertainty(
             jnp.einsum("smp,sm->sp", by_voltage, scene.common[:, -1]),
         ]
     )
-    # Of each contact the first two parameters are its place.
-    blocks = len(parameters) // count * np.arange(count)
+    # Of each contact the first two parameters are its place, then comes its size.
+    each = len(parameters) // count
+    blocks = each * np.arange(count)
     unit = jnp.eye(len(parameters), dtype=normal.dtype)
-    inverse = solve_positive(normal, unit) * scene.method.sheet.unit
+    inverse = solve_positive(normal, unit)
+    free = jnp.maximum(used.sum() - len(parameters), 1).astype(normal.dtype)
+    unusual = left.sum() / (_LEFT * free)
+    more = jnp.matmul(shared.T, shared) * jnp.maximum(1, unusual)
+    whole = jnp.matmul(inverse.T, jnp.matmul(noise + more, inverse))
+    whole = whole * scene.method.sheet.unit**2
+    places = jnp.stack(
+        [whole[blocks + i, blocks + j] for i, j in ((0, 0), (1, 1), (0, 1))], 1
+    )
+    of_size = jnp.diagonal(inverse)[blocks + 2] if each == model.DISC else 1.0
+    return places, jnp.broadcast_to(of_size, (count,)), unusual > _UNUSUAL
 
-    def of_places(middle: Array) -> Float[Array, "C 3"]:
-        whole = jnp.matmul(inverse.T, jnp.matmul(middle, inverse))
-        return jnp.stack(
-            [whole[blocks + i, blocks + j] for i, j in ((0, 0), (1, 1), (0, 1))], 1
-        )
 
-    by_noise, by_model = of_places(noise), of_places(jnp.matmul(shared.T, shared))
-    return by_noise + by_model, by_model[:, :2].sum() > by_noise[:, :2].sum()
+def _drop_deviation(
+    scene: Fitting, current: Float[Array, "S C"], of_size: Float[Array, " C"]
+) -> Float[Array, " C"]:
+    """σ of V0 − u, V: a contact's own potential is Iρ/2π·ln(1/a), a as far as it is known."""
+    slots = scene.prepared.used.any(1)
+    most = jnp.where(slots[:, None], jnp.abs(current), 0).max(0)
+    per_size = model.SIZE_WIDTH * scene.method.sheet.sheet_resistance / (2 * np.pi)
+    return most * per_size * jnp.sqrt(of_size)
 
 
 def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:

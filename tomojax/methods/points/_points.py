@@ -165,6 +165,8 @@ class Points(AbstractMethod):
         limit = _UNCERTAIN / UNIT * self.sheet.unit
         vague = (largest_variance(found.covariance) > limit**2).any()
         flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
+        vague = found.vague.any()
+        flags = flags | jnp.where(vague, Flag.CONDUCTANCE_UNCERTAIN.value, 0)
         each = found.by_electrode
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 
