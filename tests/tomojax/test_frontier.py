@@ -10,7 +10,7 @@ import references
 import tomojax as tx
 from tomojax.cli.app import run
 from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
-from tomojax.sensor import NOISE
+from tomojax.sensor import nominal_noise
 from tomojax.studies.frontier import (
     beside_peers,
     DAY,
@@ -348,7 +348,7 @@ def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
         chosen.append(of_kind[same.argmax(1)])
         start += count
     assert len(volts) == start + 70
-    assert np.std(volts[start:]) == pytest.approx(NOISE, rel=0.1)
+    assert np.std(volts[start:]) == pytest.approx(nominal_noise(tx.Sensor.grid()), rel=0.1)
 
     # Places of single contacts, once more from what each method told.
     ones = trials.xy[chosen[0], 0]

@@ -51,7 +51,7 @@ class Auto(AbstractMethod):
     tells_covariance: ClassVar[bool] = True
     tells_rung: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
-    threshold: ClassVar[float] = Points.threshold
+    stands_out: ClassVar[float] = Points.stands_out
     padded: ClassVar[bool] = False
     cells_per_diameter: ClassVar[int] = Conductance.cells_per_diameter
 
@@ -75,6 +75,10 @@ class Auto(AbstractMethod):
     def source(self) -> Source:
         """The rung between."""
         return self.conductance.source
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.points.noise
 
     @property
     def electrode_count(self) -> int:

@@ -58,7 +58,7 @@ class Batch:
         threshold: float | None = None,
         devices: list[Any] | None = None,
     ):
-        threshold = method.threshold if threshold is None else threshold
+        threshold = float(method.threshold) if threshold is None else threshold
         check_limits(lam, contacts, threshold)
         self.method, self.lam = method, float(lam)
         self.contacts, self.images, self.threshold = int(contacts), images, threshold

@@ -49,7 +49,7 @@ from tomojax.methods._errors import (
 from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
-from tomojax.sensor import Calibration, NOISE, Sensor, sheet_on_mesh
+from tomojax.sensor import Calibration, Sensor, sheet_on_mesh
 
 # What is known of ln g beforehand: its mean below the start's highest and its standard
 # deviation; and the length over which it is alike, of the electrodes' diameter.
@@ -102,7 +102,7 @@ class Conductance(AbstractMethod):
 
     image_unit: ClassVar[str] = "S/m^2"  # pyright: ignore
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
-    threshold: ClassVar[float] = 0.0015
+    stands_out: ClassVar[float] = 3.3
     cells_per_diameter: ClassVar[int] = 2
     padded: ClassVar[bool] = False
 
@@ -141,9 +141,13 @@ class Conductance(AbstractMethod):
 
     def calibrated(self, calibration: Calibration) -> "Conductance":
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
-        errors = self.errors.calibrated(calibration)
+        errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
         resistance = self.ground_resistance + ground
-        return replace(self, errors=errors, ground_resistance=resistance)
+        return replace(self, errors=errors, source=source, ground_resistance=resistance)
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.errors.noise
 
     @property
     def electrode_count(self) -> int:
@@ -250,7 +254,7 @@ class Conductance(AbstractMethod):
         contacts = contacts._replace(
             count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
         )
-        faint = fitted.seen & (fitted.highest < _FAINT * NOISE)
+        faint = fitted.seen & (fitted.highest < _FAINT * self.noise)
         bits = (
             (fitted.cost > TOLERANCE, Flag.HIGH_RESIDUAL),
             (more, Flag.CONTACTS_UNEXPLAINED),

@@ -19,8 +19,9 @@ from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
 from tomojax.sensor import Calibration
 
-# Residual that a converter's noise and zeros may leave in any case, V rms: twice `NOISE`.
-_FLOOR = 1e-3
+# Residual that a converter's noise and zeros may leave in any case, and what a range that
+# ended is at least, in the noise.
+_FLOOR, _RANGE = 2.0, 20.0
 
 # So many channels of a slot, or one in so many, do not share the highest value by chance.
 _SHARED = 8
@@ -121,6 +122,7 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
+    noise: eqx.AbstractVar[Float[Array, ""]]  # of a reading, V rms
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -130,8 +132,8 @@ class AbstractMethod(eqx.Module):
     tells_rung: ClassVar[bool] = False
     # Whether a call may have frames of different grounds.
     any_grounds: ClassVar[bool] = False
-    # V that no channel exceeds without a contact: such frames are not worked on.
-    threshold: ClassVar[float] = 0.005
+    # What no channel exceeds without a contact, in the noise.
+    stands_out: ClassVar[float] = 11.0
     # How fine a mesh is needed beside the electrodes.
     cells_per_diameter: ClassVar[int] = 1
     # Frames of a compiled call: as many as keep the working set in the cache. What is left
@@ -144,6 +146,11 @@ class AbstractMethod(eqx.Module):
     @abstractmethod
     def electrode_count(self) -> int:
         """M."""
+
+    @property
+    def threshold(self) -> Float[Array, ""]:
+        """V that no channel exceeds without a contact: such frames are not worked on."""
+        return self.stands_out * self.noise
 
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
         """Sizes of the fields of a row, by their names in `Rows`."""
@@ -216,8 +223,15 @@ def judged(
     images: bool,
 ) -> Rows:
     """A row of results, with images or without."""
-    limit, residual = method.residual_limit, estimate.residual
-    contacts, flags = judge(estimate.contacts, residual, estimate.flags, voltages, limit)
+    residual = estimate.residual
+    contacts, flags = judge(
+        estimate.contacts,
+        residual,
+        estimate.flags,
+        voltages,
+        method.residual_limit,
+        method.noise,
+    )
     return Rows.of(
         contacts,
         residual=residual,
@@ -234,24 +248,26 @@ def judge(
     flags: Int[Array, ""] | int,
     voltages: Float[Array, "*slots M"],
     limit: float,
+    noise: Float[Array, ""],
 ) -> tuple[Contacts, Int[Array, ""]]:
     """Contacts and flags: nothing is said of a frame whose residual is no number.
 
-    `limit`: the part of the voltages' rms beyond which a residual is high.
+    `limit`: the part of the voltages' rms beyond which a residual is high; `noise` of a
+    reading, V.
     """
     failed = ~jnp.isfinite(residual)
     # A channel that is not good is 0: the limit is the lower for it.
-    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _FLOOR
+    high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _FLOOR * noise
     none = no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-    flags = flags | jnp.where(cut_off(voltages), Flag.SATURATED.value, 0)
+    flags = flags | jnp.where(cut_off(voltages, noise), Flag.SATURATED.value, 0)
     flags = flags | jnp.where(contacts.count == 0, Flag.NO_CONTACT.value, 0)
     return contacts, flags
 
 
-def cut_off(voltages: Float[Array, "*slots M"]) -> Bool[Array, ""]:
+def cut_off(voltages: Float[Array, "*slots M"], noise: Float[Array, ""]) -> Bool[Array, ""]:
     """Whether many channels of a slot share the highest value: a range that ended there.
 
     Of a converter whose rails nobody told. An eighth of the channels do not read the same
@@ -261,4 +277,4 @@ def cut_off(voltages: Float[Array, "*slots M"]) -> Bool[Array, ""]:
     highest = size.max(-1, keepdims=True)
     shared = (size == highest).sum(-1)
     many = max(_SHARED, voltages.shape[-1] // _SHARED)
-    return ((shared > many) & (highest[..., 0] > 10 * _FLOOR)).any()
+    return ((shared > many) & (highest[..., 0] > _RANGE * noise)).any()

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
 from tomojax.kernels.sheet import smooth_modes
-from tomojax.sensor import Calibration, NOISE, Sensor
+from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # What nominal values leave of measured voltages, as parts of them: each electrode's own
 # error (place, gain, detail of the sheet), of which this part of how its voltage differs
@@ -66,15 +66,14 @@ class Errors(eqx.Module):
     @classmethod
     def of(cls, sensor: Sensor) -> "Errors":
         """With nominal values."""
-        noise, error = (jnp.asarray(a, sensor.dtype) for a in (NOISE, 1.0))
+        noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
+        error = jnp.ones((), sensor.dtype)
         return cls(sensor.electrode_xy, sensor.size, noise, error)
 
     def calibrated(self, calibration: Calibration) -> "Errors":
         """As the calibration states them."""
-        noise, error = (
-            jnp.asarray(a, self.noise.dtype) for a in (calibration.noise, calibration.error)
-        )
-        return replace(self, noise=noise, error=error)
+        error = jnp.asarray(calibration.error, self.error.dtype)
+        return replace(self, noise=noise_as(calibration, self.noise), error=error)
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         """`lam` multiplies the variance of the model's error."""
@@ -112,6 +111,12 @@ class Errors(eqx.Module):
         """What neighbours' relative errors have in common, 1 σ of each wave."""
         modes, strength = smooth_modes(places, self.size)
         return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
+
+
+def noise_as(calibration: Calibration, nominal: Float[Array, ""]) -> Float[Array, ""]:
+    """Returns the noise that the calibration states, V; the nominal one where it has none."""
+    told = calibration.noise
+    return nominal if told is None else jnp.asarray(told, nominal.dtype)
 
 
 def noise_of(sensor: Sensor) -> Noise:

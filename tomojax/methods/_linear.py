@@ -1,5 +1,6 @@
 """`linear`: the paper's Eq. 3 with J(0), prepared once for a ground set."""
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
@@ -23,9 +24,10 @@ from tomojax.methods._contract import (
     Frame,
     rms_by_electrode,
 )
+from tomojax.methods._errors import noise_as
 from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
-from tomojax.sensor import resistances, Sensor
+from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
 # Rows of the basis that stands for J, and how many of them are used from which λ/σ₁² on:
 # an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see `reduce_jacobian`).
@@ -74,6 +76,7 @@ class Linear(AbstractMethod):
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
+    noise: Float[Array, ""]
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
@@ -85,20 +88,29 @@ class Linear(AbstractMethod):
         z = sensor.ground_resistance
         loop = loop_resistance(table, grounds, z)
         maps = _pixel_jacobian(pixels, table, grounds)
-        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell)
+        noise = nominal_noise(sensor)
+        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell, noise)
 
     @classmethod
     def from_maps(
-        cls, maps: Array, conductance: Array, shape: tuple[int, int], cell: Array
+        cls,
+        maps: Array,
+        conductance: Array,
+        shape: tuple[int, int],
+        cell: Array,
+        noise: float = 0.0,
     ) -> "Linear":
-        """Of any J (L, M, pixels)."""
+        """Of any J (L, M, pixels); `noise` of a reading, V."""
         rank = min(_RANK, maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
         turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
         turn = jnp.asarray(turn.copy(), maps.dtype)
         basis, factors = matmul(turn.T, reduced.basis), matmul(reduced.factors, turn)
-        return cls(shape, cell, basis, factors, conductance)
+        return cls(shape, cell, basis, factors, conductance, jnp.asarray(noise, cell.dtype))
+
+    def calibrated(self, calibration: Calibration) -> "Linear":
+        return replace(self, noise=noise_as(calibration, self.noise))
 
     @property
     def electrode_count(self) -> int:

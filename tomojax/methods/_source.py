@@ -7,6 +7,7 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -19,13 +20,13 @@ from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import point_sources, read_contacts, unexplained
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame
+from tomojax.methods._errors import noise_as
 from tomojax.methods._pixels import Pixels, pixels_of
-from tomojax.sensor import resistances, Sensor
+from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
 # What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9
-# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py). And `NOISE`,
-# rounded up, as it was when the limits below were set.
-_MODEL_ERROR, _NOISE = 0.015, 5e-4
+# to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py).
+_MODEL_ERROR = 0.015
 
 # A peak stands out of that noise by this factor of its standard deviation; offsets do not
 # average out over slots, so that no number of them lowers it.
@@ -91,6 +92,8 @@ class AbstractSource(AbstractMethod):
     drawn: Float[Array, "r pixels"]  # an orthonormal basis of the rows of TG
     drawn_factors: Float[Array, "L M r"]
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
+    noise: Float[Array, ""]  # of a reading, V rms
+    error: Float[Array, ""]  # of the model, as a part of that of nominal values
 
     @classmethod
     def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
@@ -98,7 +101,8 @@ class AbstractSource(AbstractMethod):
         pixels = pixels_of(sensor, shape)
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
-        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length)
+        noise = nominal_noise(sensor)
+        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise)
 
     @classmethod
     def from_maps(
@@ -107,8 +111,9 @@ class AbstractSource(AbstractMethod):
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
+        noise: float = 0.0,
     ) -> _S:
-        """Of any T^l; the image is smooth over `length`, in pixels."""
+        """Of any T^l; the image is smooth over `length`, in pixels; `noise` V."""
         dtype = cell.dtype
         sides = [np.eye(n) for n in shape]
         if length is not None:
@@ -125,9 +130,15 @@ class AbstractSource(AbstractMethod):
         rows = np.asarray(drawn, float).reshape(-1, *shape)
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
         smoothed = jnp.asarray(smoothed.reshape(drawn.shape), dtype)
-        whole = drawn, drawn_factors, smoothed
+        errors = jnp.asarray(noise, dtype), jnp.ones((), dtype)
+        whole = drawn, drawn_factors, smoothed, *errors
         # pyright takes `positive`, a ClassVar by its meaning, for a field.
         return cls(shape, cell, basis, factors, along, across, *whole)  # pyright: ignore
+
+    def calibrated(self: _S, calibration: Calibration) -> _S:
+        noise = noise_as(calibration, self.noise)
+        error = jnp.asarray(calibration.error, self.error.dtype)
+        return replace(self, noise=noise, error=error)
 
     @property
     def electrode_count(self) -> int:
@@ -143,7 +154,7 @@ class AbstractSource(AbstractMethod):
         highest = [np.abs(frame.voltages).max() for frame in frames]
         enough = max(highest, default=0.0) / 2
         slots = [
-            (v[g].astype(float), factors[ground][g])
+            (v.astype(float), ground, g)
             for frame in frames
             for v, ground, g in zip(*frame)
             if g.any() and np.abs(v).max() >= enough
@@ -151,14 +162,17 @@ class AbstractSource(AbstractMethod):
         if not slots:
             return _RELATIVE * self.scale()
         chosen = []
-        for v, rows in slots[:: max(1, len(slots) // _SLOTS)]:
+        noise, error = float(self.noise), _MODEL_ERROR * float(self.error)
+        for v, ground, g in slots[:: max(1, len(slots) // _SLOTS)]:
+            centre = _without_offset(g, ground)
+            target = g.sum() * noise**2 + error**2 * (v[g] @ v[g])
+            v, rows = centre @ v, centre @ factors[ground]
             left, s, _ = np.linalg.svd(rows, full_matrices=False)
             beta = left.T @ v
             outside = max(0.0, float(v @ v - beta @ beta))
             lam = s[0] ** 2 * np.logspace(-9, 0, 37)
             rest = lam[:, None] / (s**2 + lam[:, None]) * beta
             misfit = (rest**2).sum(1) + outside
-            target = len(v) * _NOISE**2 + _MODEL_ERROR**2 * (v @ v)
             chosen.append(np.interp(np.log(target), np.log(misfit), np.log(lam)))
         return float(np.exp(np.median(chosen)))
 
@@ -179,18 +193,19 @@ class AbstractSource(AbstractMethod):
                 imaging.append(np.zeros_like(factors[0].T))
                 misfits.append(np.zeros((good.shape[1],) * 2))
                 continue
-            operator, rows = _operator(factors[ground], channels, lam)
+            centre = _without_offset(channels, ground)
+            operator, rows = _operator(centre @ factors[ground], lam)
             operators.append(operator)
             through += operator @ rows
-            to_image, seen = _operator(drawn[ground], channels, drawn_lam)
+            to_image, seen = _operator(centre @ drawn[ground], drawn_lam)
             imaging.append(to_image)
             total += seen.T @ seen
-            misfits.append(rows @ operator - np.diag(channels.astype(float)))
+            misfits.append(rows @ operator - centre)
             spread += ((operator @ rows @ basis).T * basis.T).sum(1)
             noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
         count = max(1, used.sum())
         spread = np.maximum(spread, 1e-30)
-        lowest = _STANDS_OUT * _NOISE * np.sqrt((noise / spread).max())
+        lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
         return PreparedSource(
             jnp.asarray(np.concatenate([o.T for o in operators]) / count, dtype),
             jnp.asarray(through / count, dtype),
@@ -282,9 +297,19 @@ def _row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
     return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
 
 
-def _operator(rows: np.ndarray, channels: np.ndarray, lam: float):
-    """(AᵀA + λI)⁻¹Aᵀ of a slot's good channels, and A."""
-    rows = np.where(channels[:, None], rows, 0)
+def _without_offset(good: Bool[np.ndarray, " M"], ground: int) -> Float[np.ndarray, "M M"]:
+    """From voltages to what they are beside their mean, of the good channels that are not
+    grounded.
+
+    A ground path, or an electrode's own resistance to the sheet, is hardly known and lifts
+    all of them alike.
+    """
+    used = good & (np.arange(len(good)) != ground)
+    return np.diag(used.astype(float)) - np.outer(used, used) / max(1, used.sum())
+
+
+def _operator(rows: np.ndarray, lam: float):
+    """(AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
     return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows
 
 

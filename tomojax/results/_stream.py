@@ -43,7 +43,8 @@ def choose_lambda(
         chunk = read_chunk(recording, start, min(start + size, recording.scans))
         height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
         # Not the edges of a contact, where it lasts for a part of the scan.
-        least = method.threshold if settings.threshold is None else settings.threshold
+        own, given = float(method.threshold), settings.threshold
+        least = own if given is None else given
         touched = (height > least) & (height >= height.max() / 2)
         if touched.any():
             volts = calibration.voltages(chunk.voltages)

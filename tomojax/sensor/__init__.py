@@ -5,7 +5,7 @@ contacts are found.
 """
 
 from tomojax.sensor._calibration import Calibration as Calibration
-from tomojax.sensor._converter import Converter as Converter, NOISE as NOISE
+from tomojax.sensor._converter import Converter as Converter
 from tomojax.sensor._field import make_field as make_field, make_variation as make_variation
 from tomojax.sensor._forward import (
     compiled_resistances as compiled_resistances,
@@ -23,7 +23,7 @@ from tomojax.sensor._scene import (
     Scene as Scene,
     Shifted as Shifted,
 )
-from tomojax.sensor._sensor import Sensor as Sensor
+from tomojax.sensor._sensor import nominal_noise as nominal_noise, Sensor as Sensor
 from tomojax.sensor._shapes import (
     AbstractOutline as AbstractOutline,
     AbstractShape as AbstractShape,
@@ -48,7 +48,7 @@ __all__ = [
     "jacobian",
     "Mask",
     "Moving",
-    "NOISE",
+    "nominal_noise",
     "Polygon",
     "resistances",
     "Ring",

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from tomojax._require import require
 from tomojax.kernels.sheet import cell_centres, smooth_modes
-from tomojax.sensor._converter import NOISE
 from tomojax.sensor._sensor import Sensor
 
 SCHEMA, VERSION = "tomojax-calibration", 1
@@ -28,7 +27,7 @@ class Calibration:
     1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4, in the
     order of j within i, of mean square 1. `ground`: what a grounded
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
-    corrected reading, V rms, with what is left of zeros. `error`: of what the channels
+    corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of what the channels
     have in common with these values, as a part of what nominal values leave. `pressure`:
     c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
 
@@ -46,7 +45,7 @@ class Calibration:
 
     offset: tuple[float, ...] | float = 0.0
     gain: tuple[float, ...] | float = 1.0
-    noise: float = NOISE
+    noise: float | None = None
     sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
     ground: tuple[float, ...] | float = 0.0
     error: float = 1.0
@@ -54,11 +53,13 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name in ("offset", "gain", "noise", "sheet", "ground", "error"):
-            values = np.asarray(getattr(self, name), float)
+            value = getattr(self, name)
+            values = np.asarray(1.0 if value is None else value, float)
             require(np.isfinite(values).all(), name, getattr(self, name), "numbers")
         require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
         for name in ("noise", "error"):
-            require(getattr(self, name) > 0, name, getattr(self, name), "above 0")
+            value = getattr(self, name)
+            require(value is None or value > 0, name, value, "above 0")
         law = np.asarray(self.pressure or (1, 1), float)
         fine = law.shape == (2,) and bool(np.isfinite(law).all() and (law > 0).all())
         require(fine, "pressure", self.pressure, "c and k, above 0")

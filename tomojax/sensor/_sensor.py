@@ -20,6 +20,7 @@ from tomojax._checks import (
 )
 from tomojax._custom_types import Numbers
 from tomojax._require import check_electrodes
+from tomojax.sensor._converter import NOISE
 
 
 class Sensor(eqx.Module):
@@ -205,3 +206,16 @@ def _check_mesh(sensor: Sensor) -> None:
 def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
     """One value per element from one value or K."""
     return jnp.broadcast_to(values, (sensor.element_count,))
+
+
+def nominal_noise(sensor: Sensor) -> float:
+    """Returns the noise of a reading where nothing tells it, V rms: 10⁻⁴ of the drive.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> print(f"{1e3 * tx.sensor.nominal_noise(tx.Sensor.grid()):.2f} mV")
+    0.45 mV
+    """
+    # Without a drive there is nothing to see; the noise divides, so that it is not 0.
+    return NOISE * (abs(float(sensor.drive_voltage)) or 1.0)

@@ -47,6 +47,11 @@ class AbstractStepMethod(eqx.Module):
     def residual_limit(self) -> float:
         """As of `AbstractMethod`."""
 
+    @property
+    @abstractmethod
+    def noise(self) -> Float[Array, ""]:
+        """Of a reading, V rms."""
+
     @abstractmethod
     def image(
         self, memory: Any, voltages: Float[Array, " M"], ground: Int[Array, ""]
@@ -75,7 +80,7 @@ class Follow(AbstractStepMethod):
     count: int = eqx.field(static=True)
     points: Points
     candidates: Candidates
-    noise: Noise
+    errors: Noise
 
     @classmethod
     def of(cls, points: Points, count: int, good: Bool[np.ndarray, " M"]) -> "Follow":
@@ -91,6 +96,10 @@ class Follow(AbstractStepMethod):
     def residual_limit(self) -> float:
         return _LIMIT
 
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.errors.converter
+
     def first(self) -> Followed:
         return nothing_followed(self.points.sheet.field.size, self.count)
 
@@ -104,7 +113,7 @@ class Follow(AbstractStepMethod):
     ) -> tuple[Followed, Told]:
         sheet = self.points.sheet
         now, rest = follow(
-            sheet, self.candidates, memory, voltages, used, ground, elapsed, self.noise
+            sheet, self.candidates, memory, voltages, used, ground, elapsed, self.errors
         )
         residual = rms(rest, used)
         radius = radius_of(sheet, now.size)
@@ -116,7 +125,7 @@ class Follow(AbstractStepMethod):
             none, now.place, radius, nan, now.current, now.conductance, covariance
         )
         contacts = strongest_first(found, now.there)
-        faint = (jnp.abs(voltages).max() < _FAINT * self.noise.converter) & now.there.any()
+        faint = (jnp.abs(voltages).max() < _FAINT * self.noise) & now.there.any()
         flags = jnp.where(faint, Flag.PLACE_UNCERTAIN.value, 0)
         return now, Told(contacts, residual, flags)
 
@@ -156,6 +165,10 @@ class EachSlot(AbstractStepMethod):
     @property
     def residual_limit(self) -> float:
         return self.method.residual_limit
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.method.noise
 
     def first(self) -> tuple:
         return ()

@@ -198,7 +198,7 @@ def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
 
 def _information(follow: Any) -> Float[Array, "K M 3"]:
     """What a slot of each ground says of a usual contact's place, 1/m²."""
-    sheet, noise = follow.points.sheet, follow.noise
+    sheet, noise = follow.points.sheet, follow.errors
     tangent, unit = follow.candidates.tangent, sheet.unit
     # A current that makes a tenth of the drive, so that noise is the lesser part.
     current = 0.1 * sheet.drive_voltage / sheet.sheet_resistance

@@ -227,8 +227,8 @@ class Step:
     def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
         """Contacts and flags; none of a slot that cannot be used."""
         contacts, residual, bits = told
-        limit = self._method.residual_limit
-        contacts, bits = judge(contacts, residual, bits, read.voltages, limit)
+        limit, noise = self._method.residual_limit, self._method.noise
+        contacts, bits = judge(contacts, residual, bits, read.voltages, limit, noise)
         none = no_contacts(len(contacts.radius), read.voltages.dtype)
         bits = bits.astype(jnp.int32)
         return _where(read.ok, (contacts, bits), (none, jnp.zeros_like(bits)))

@@ -53,7 +53,7 @@ class Points(AbstractMethod):
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
     tells_covariance: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
-    threshold: ClassVar[float] = 0.0015
+    stands_out: ClassVar[float] = 3.3
     padded: ClassVar[bool] = False
 
     shape: tuple[int, int] = eqx.field(static=True)
@@ -80,6 +80,10 @@ class Points(AbstractMethod):
         resistance = self.sheet.ground_resistance + ground
         sheet = self.sheet._replace(ground_resistance=resistance)
         return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.errors.noise
 
     @property
     def electrode_count(self) -> int:

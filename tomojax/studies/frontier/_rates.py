@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tomojax.methods import Batch, Linear, method as make_method, Source
-from tomojax.sensor import NOISE, Sensor
+from tomojax.sensor import nominal_noise, Sensor
 from tomojax.studies.frontier._measure import grounds_of, Job, repeated
 from tomojax.studies.frontier._scenes import score, Trials
 
@@ -122,7 +122,7 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
         at = np.concatenate(list(chosen.values()))
         grounds = grounds_of(sensor, name, trials.volts[at])
         volts = np.take_along_axis(trials.volts[at], grounds[..., None], 1)
-        empty = NOISE * rng.normal(size=(_NOTHING, *volts.shape[1:]))
+        empty = nominal_noise(sensor) * rng.normal(size=(_NOTHING, *volts.shape[1:]))
         volts = np.concatenate([volts, empty]).astype(job.dtype)
         grounds = np.concatenate(
             [grounds, np.resize(grounds, (_NOTHING, grounds.shape[1]))]
