@@ -4,6 +4,7 @@ A rig is a description (`Rig`), drawn from stated distributions by a seed; a mod
 the exact voltages of it. The room knows nothing of methods.
 """
 
+from tomojax.studies.rigs._elements import Elements as Elements
 from tomojax.studies.rigs._family import (
     draw_touch as draw_touch,
     FAMILY as FAMILY,
