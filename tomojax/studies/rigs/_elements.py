@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree, Delaunay
 from tomojax.studies.rigs._rig import Rig
 from tomojax.studies.rigs._shapes import Touch
 
-# Nodes on a rim; the lattice's spacing, of the pitch; how much the spacing grows per length.
+# Nodes on a rim; the lattice's spacing, of the pitch; its growth away from a rim.
 _RIM, _LATTICE, _GROWTH = 24, 1 / 12, 0.35
 
 # Points of a contact.
@@ -78,9 +78,7 @@ class Elements:
         """Exact voltages, V, under some grounds."""
         return self.scene([touch], grounds)
 
-    def scene(
-        self, touches: Sequence[Touch], grounds: Grounds
-    ) -> Float[np.ndarray, "S M"]:
+    def scene(self, touches: Sequence[Touch], grounds: Grounds) -> Float[np.ndarray, "S M"]:
         """Exact voltages, V, of several contacts at once under some grounds."""
         spread = [self._spread(touch) for touch in touches]
         if all(touch.exponent == 1 for touch in touches):
@@ -157,13 +155,14 @@ class Elements:
         loads[grounds, np.arange(len(grounds))] = 1
         u = self._inverse.solve(loads)
         volts = []
-        for k, l in enumerate(grounds):
-            end = u[l, k] + self.rig.ground[l]
-            table = inner - outer[l] - outer[l][:, None] + end
+        for k, ground in enumerate(grounds):
+            own = outer[ground]
+            end = u[ground, k] + self.rig.ground[ground]
+            table = inner - own - own[:, None] + end
             table = table + np.where(which == which[:, None], series, 0)
             w = _newton(table, g, more, self.drive)
             q = g * w * np.abs(w / self.drive) ** more
-            volts.append((outer - outer[l] - u[:m, k : k + 1] + end) @ q)
+            volts.append((outer - own - u[:m, k : k + 1] + end) @ q)
         return np.stack(volts)
 
 
