@@ -11,13 +11,13 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from jaxtyping import Float, Integer
-from scipy.spatial import cKDTree, Delaunay
+from scipy.spatial import Delaunay, KDTree
 
 from tomojax.studies.rigs._rig import Rig
 from tomojax.studies.rigs._shapes import Touch
 
 # Nodes on a rim; the lattice's spacing, of the pitch; its growth away from a rim.
-_RIM, _LATTICE, _GROWTH = 24, 1 / 12, 0.35
+_RIM, _LATTICE, _GROWTH = 36, 1 / 16, 0.2
 
 # Points of a contact.
 _CLOUD = 1000
@@ -206,7 +206,7 @@ def _links(a: np.ndarray, b: np.ndarray, g: np.ndarray, size: int) -> sp.csc_arr
     return sp.csc_array((np.concatenate([g, g, -g, -g]), (rows, columns)), (size, size))
 
 
-def _nodes(rig: Rig, fine: float) -> tuple[np.ndarray, np.ndarray]:
+def _nodes(rig: Rig, fine: float | int) -> tuple[np.ndarray, np.ndarray]:
     """The mesh's nodes (n, 2), m, and the face that each is in, or -1.
 
     Rings around each face, ever wider apart, up to a lattice's spacing; the lattice where
@@ -215,6 +215,7 @@ def _nodes(rig: Rig, fine: float) -> tuple[np.ndarray, np.ndarray]:
     size = np.asarray(rig.sensor.size, float)
     rng = np.random.default_rng(0)
     coarse = _LATTICE * rig.sensor.mean_pitch / fine
+    growth = _GROWTH / fine
     on_rim = max(8, round(_RIM * fine))
     rim = 2 * np.pi * rig.radius / on_rim
 
@@ -222,7 +223,7 @@ def _nodes(rig: Rig, fine: float) -> tuple[np.ndarray, np.ndarray]:
         return np.hypot(*(points[:, None] - rig.place).transpose(2, 0, 1)) - rig.radius
 
     def spacing(points: np.ndarray) -> np.ndarray:
-        return np.minimum(coarse, (rim + _GROWTH * np.abs(away(points))).min(1))
+        return np.minimum(coarse, (rim + growth * np.abs(away(points))).min(1))
 
     rims, rings = [], []
     for e, (place, radius) in enumerate(zip(rig.place, rig.radius)):
@@ -233,10 +234,10 @@ def _nodes(rig: Rig, fine: float) -> tuple[np.ndarray, np.ndarray]:
         outer, at = [], radius
         while wide < coarse:
             at += 0.87 * wide
-            wide = rim[e] + _GROWTH * (at - radius)
+            wide = rim[e] + growth * (at - radius)
             outer.append(at)
         for r in [*inner, *outer]:
-            local = min(rim[e] + _GROWTH * abs(r - radius), coarse)
+            local = min(rim[e] + growth * abs(r - radius), coarse)
             n = max(1, round(2 * np.pi * r / local))
             ring = _circle(place, r, n, rng.uniform(0, 2 * np.pi))
             rings.append(ring[away(ring).argmin(1) == e])
@@ -256,7 +257,7 @@ def _nodes(rig: Rig, fine: float) -> tuple[np.ndarray, np.ndarray]:
     x, y = (v.ravel() for v in np.meshgrid(x, y))
     lattice = coarse * np.stack([x + y % 2 / 2, np.sqrt(0.75) * y], 1)
     lattice = lattice + 0.1 * coarse * rng.uniform(-1, 1, lattice.shape)
-    lattice = lattice[(rim + _GROWTH * np.abs(away(lattice))).min(1) > coarse]
+    lattice = lattice[(rim + growth * np.abs(away(lattice))).min(1) > coarse]
     rims = np.clip(np.concatenate(rims), 0, size)
     inner = np.concatenate([*rings, lattice])
     near = np.minimum(inner, size - inner).min(1)
@@ -276,7 +277,7 @@ def _circle(place: np.ndarray, radius: float, n: int, turned: float) -> np.ndarr
 
 def _apart(points: np.ndarray, least: np.ndarray) -> np.ndarray:
     """Which points stay, such that none is too close to one before it."""
-    pairs = cKDTree(points).query_pairs(least.max(), output_type="ndarray")
+    pairs = KDTree(points).query_pairs(least.max(), output_type="ndarray")
     a, b = np.sort(pairs, 1).T
     close = np.hypot(*(points[a] - points[b]).T) < np.minimum(least[a], least[b])
     a, b = a[close], b[close]

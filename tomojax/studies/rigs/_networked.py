@@ -9,14 +9,16 @@ from tomojax.studies.network import Network
 from tomojax.studies.rigs._rig import Rig
 from tomojax.studies.rigs._shapes import Touch
 
-# Steps of the fixed point, and how much of the current the last one may change.
-_STEPS, _SETTLED = 200, 1e-7
+# Steps of the fixed point, how many share a factor, and how much of the current the last
+# one may change.
+_STEPS, _SHARE, _SETTLED = 200, 4, 1e-6
 
 
 class Networked:
     """The exact voltages of a rig by `Network`; `fine` as in `Network.built`."""
 
     def __init__(self, rig: Rig, fine: float | int = 1.0):
+        self.rig = rig
         self.network = Network.built(
             rig.sensor, rig.sheet, rig.place, rig.radius, rig.contact, rig.ground, fine
         )
@@ -36,7 +38,7 @@ class Networked:
             return self.network.under(grounds, contact, series=touch.series)
         g = np.bincount(self.network.node, weights, self.network.count)
         g = g * (touch.conductance / weights.sum())
-        return np.stack([self._under_law(touch, g, ground) for ground in grounds])
+        return np.stack([self._under_law(touch, g, int(e)) for e in grounds])
 
     def _under_law(self, touch: Touch, g: np.ndarray, ground: int) -> np.ndarray:
         """The voltages under one ground: a fixed point of each node's conductance G.
@@ -47,19 +49,20 @@ class Networked:
         """
         drive, n = self.network.drive, touch.exponent
         matrix = self.network.network
-        near = spla.splu((matrix + sp.diags_array(g)).tocsc())
-        near = spla.LinearOperator(matrix.shape, near.solve, dtype=float)
         drawn = np.zeros(len(g))
         drawn[ground] = 1
         fed = g > 0
-        law, u = g.copy(), None
-        for _ in range(_STEPS):
+        law, u, near = g.copy(), None, None
+        for step in range(_STEPS):
             system = (matrix + sp.diags_array(law)).tocsc()
+            if step % _SHARE == 0:
+                solve = spla.splu(system).solve
+                near = spla.LinearOperator(matrix.shape, solve)
             u, failed = spla.cg(system, drawn, u, rtol=1e-10, M=near, maxiter=500)
             if failed:
                 break
             own = self.network.ground[ground] + touch.series + u[ground]
-            drop = np.abs(u[fed] / own)  # of the drive
+            drop = np.maximum(np.abs(u[fed] / own), 1e-12)  # of the drive
             wanted = g[fed] * drop ** (n - 1)
             change = np.abs(wanted - law[fed]) @ drop
             settled = change <= _SETTLED * (law[fed] @ drop)
