@@ -4,6 +4,7 @@ A rig is a description (`Rig`), drawn from stated distributions by a seed; a mod
 the exact voltages of it. The room knows nothing of methods.
 """
 
+from tomojax.studies.rigs._elements import Elements as Elements
 from tomojax.studies.rigs._family import (
     draw_touch as draw_touch,
     FAMILY as FAMILY,
@@ -11,7 +12,7 @@ from tomojax.studies.rigs._family import (
     lone_contacts as lone_contacts,
     LoneContacts as LoneContacts,
     make_rig as make_rig,
-    network_of as network_of,
 )
+from tomojax.studies.rigs._networked import network_of as network_of
 from tomojax.studies.rigs._rig import Chain as Chain, draw_rig as draw_rig, Rig as Rig
 from tomojax.studies.rigs._shapes import Touch as Touch

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
-from tomojax.studies.network import Network
+from tomojax.studies.rigs._networked import network_of
 from tomojax.studies.rigs._rig import draw_rig, Rig
 from tomojax.studies.rigs._shapes import Touch
 
@@ -77,7 +77,10 @@ def make_rig(sensor: Sensor, row: str, rng: np.random.Generator) -> Rig:
 
 
 def draw_touch(sensor: Sensor, row: str, rng: np.random.Generator) -> Touch:
-    """A contact anywhere but at the edge: radius 0.15 to 0.6 pitches, 10⁻⁵ to 10 squares."""
+    """A contact anywhere but at the edge: radius 0.15 to 0.6 pitches.
+
+    The conductance is 10⁻¹·⁵ to 10¹·⁵ times that of a square of the sheet.
+    """
     pitch, size = sensor.mean_pitch, np.asarray(sensor.size, float)
     words = FAMILY[row].touch
     radius = pitch * rng.uniform(0.15, 0.6)
@@ -104,7 +107,7 @@ def lone_contacts(
 ) -> LoneContacts:
     """`each` lone contacts on each of `rigs` rigs of that row; the two corners by default.
 
-    `model` makes the exact voltages: `Network.built`'s by default, or `Elements`.
+    `model` makes the exact voltages: `network_of` by default, or `Elements`.
     """
     rng = np.random.default_rng([seed, *row.encode()])
     grounds = np.asarray(exploration(sensor)) if grounds is None else grounds
@@ -121,23 +124,3 @@ def lone_contacts(
             conductance.append(1 / (1 / touch.conductance + touch.series))
             number.append(k)
     return LoneContacts(*(np.array(a) for a in (volts, grounds, xy, conductance, number)))
-
-
-class _Networked:
-    """`Network` with shapes for contacts."""
-
-    def __init__(self, rig: Rig):
-        self.network = Network.built(
-            rig.sensor, rig.sheet, rig.place, rig.radius, rig.contact, rig.ground
-        )
-
-    def touched(self, touch: Touch, grounds: np.ndarray) -> Float[np.ndarray, "S M"]:
-        """Exact voltages, V."""
-        weights = touch.density(self.network.cells)
-        contact = weights, touch.conductance
-        return self.network.under(grounds, contact, series=touch.series)
-
-
-def network_of(rig: Rig) -> _Networked:
-    """The rig as a resistor network."""
-    return _Networked(rig)

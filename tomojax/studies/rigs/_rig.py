@@ -33,10 +33,13 @@ class Chain:
     def read(
         self, volts: Float[np.ndarray, "*before S M"], rng: np.random.Generator
     ) -> Float[np.ndarray, "*before S M"]:
-        """Reads slots that follow each other, the first one after one like it."""
-        before = np.concatenate([volts[..., :1, :], volts[..., :-1, :]], -2)
-        v = (1 - self.settling) * volts + self.settling * before
-        v = v + self.crosstalk * (np.roll(v, 1, -1) - v)
+        """Reads slots that follow each other, the first one after one like it.
+
+        Before its first channel a slot's predecessor had its last one read.
+        """
+        v = (1 - self.settling) * volts + self.settling * _slot_before(volts)
+        last = _slot_before(v)[..., -1:]
+        v = v + self.crosstalk * (np.concatenate([last, v[..., :-1]], -1) - v)
         v = v * self.gain + self.zero + self.noise * rng.normal(size=v.shape)
         slots = np.arange(v.shape[-2])[:, None]
         phase = rng.uniform(0, 2 * np.pi, (*v.shape[:-2], 1, 1))
@@ -45,6 +48,10 @@ class Chain:
         v = v + steps.cumsum(-2)
         per_volt, half = 2 ** (self.bits - 1) / self.full_scale, 2 ** (self.bits - 1)
         return np.clip(np.round(v * per_volt), -half, half - 1) / per_volt
+
+
+def _slot_before(volts: np.ndarray) -> np.ndarray:
+    return np.concatenate([volts[..., :1, :], volts[..., :-1, :]], -2)
 
 
 @dataclass(frozen=True)
@@ -104,8 +111,10 @@ def draw_rig(
     ground = (nominal + more_ground) * np.exp(unlike_grounds * rng.normal(size=m))
     touching = contact * rng.exponential(size=m)
     channels = 1 + gain * rng.normal(size=m), noise * drive * rng.normal(size=m)
-    given = {"noise": noise * drive, "full_scale": drive / 0.9} | chain
-    return Rig(sensor, sheet, place, radius, touching, ground, Chain(*channels, **given))
+    given: dict[str, Any] = {"noise": noise * drive, "full_scale": drive / 0.9}
+    return Rig(
+        sensor, sheet, place, radius, touching, ground, Chain(*channels, **given | chain)
+    )
 
 
 def _sheet(sensor, rng, uneven, patch, stretch, gradient, seam) -> Sheet:

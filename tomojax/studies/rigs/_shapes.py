@@ -9,7 +9,7 @@ Profile = Literal["flat", "hertz", "soft", "lopsided"]
 
 
 class Touch(NamedTuple):
-    """An ellipse that conducts; `series` with a resistance between it and the drive."""
+    """An ellipse that conducts; `series` is a resistance between it and the drive."""
 
     xy: Float[np.ndarray, "2"]  # of the ellipse's centre, m
     half_axes: tuple[float, float]  # m
@@ -17,6 +17,7 @@ class Touch(NamedTuple):
     conductance: float  # in all, S
     profile: Profile = "flat"
     series: float = 0.0  # Ω
+    exponent: float = 1.0  # of the law: a current of g (V0 − u) |(V0 − u)/V0|ⁿ⁻¹
 
     def density(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Conductance per area at points, relative: 0 outside.
