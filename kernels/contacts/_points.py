@@ -22,8 +22,10 @@ SIZE_WIDTH = 0.5
 DISC = 5
 
 # What is known beforehand of (a² − b²)/8, half the difference of the second moments of an
-# even ellipse: 1 σ, of the usual radius squared. And τ, see `longness`.
-LONG, LONGEST = 0.08, 3.0
+# even ellipse: 1 σ, of the usual radius squared. And τ and m of it, see `longness`. Two
+# contacts a pitch apart have as much as an ellipse of 2 : 1 a pitch and a half long: data
+# hardly tell them apart, and m lies between what is usual of the one and of the other.
+LONG, NOT_ROUND, LONGEST = 0.08, 3.0, 5.0
 
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
@@ -93,11 +95,13 @@ def discs(
 
 
 def longness(long: Float[Array, "C 2"]) -> Float[Array, "C 2"]:
-    """What is known beforehand of how long a contact is: about round, or not at all so.
+    """What is known beforehand of how long a contact is: round, or not, but not a bar.
 
-    q/√(1 + |q|²/τ²): its square is q²'s near 0 and τ² at most.
+    Its square is q²/(1 + q²/τ²) + (q/m)⁴: as q² near 0, about τ² then, and a wall from m on.
     """
-    return long * jax.lax.rsqrt(1 + (long**2).sum(-1, keepdims=True) / LONGEST**2)
+    square = (long**2).sum(-1, keepdims=True)
+    wall = square / LONGEST**4
+    return long * jnp.sqrt(1 / (1 + square / NOT_ROUND**2) + wall)
 
 
 def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:

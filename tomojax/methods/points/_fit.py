@@ -23,7 +23,7 @@ from tomojax.methods._errors import misfit_cost, PreparedErrors, TOLERANCE, whit
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
-_LEFT, _UNUSUAL = 0.4, 2.0
+LEFT, _UNUSUAL = 0.4, 2.0
 
 # σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
 _VAGUE = 0.25
@@ -193,7 +193,7 @@ def _uncertainty(
     unit = jnp.eye(len(parameters), dtype=normal.dtype)
     inverse = solve_positive(normal, unit)
     free = jnp.maximum(used.sum() - len(parameters), 1).astype(normal.dtype)
-    unusual = left.sum() / (_LEFT * free)
+    unusual = left.sum() / (LEFT * free)
     more = jnp.matmul(shared.T, shared) * jnp.maximum(1, unusual)
     whole = jnp.matmul(inverse.T, jnp.matmul(noise + more, inverse))
     whole = whole * scene.method.sheet.unit**2

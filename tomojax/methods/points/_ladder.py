@@ -23,13 +23,14 @@ from tomojax.kernels.contacts import (
     whitened_columns,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
-from tomojax.methods._errors import seen, TOLERANCE
+from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import (
     best_fit,
     candidates_of,
     fit_of,
     Fitting,
     Found,
+    LEFT,
     starts_at,
 )
 
@@ -45,7 +46,7 @@ _PROMISE = 0.6
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
 # the strongest, are what the model's error makes of fewer.
-_APART, _WEAKEST = 2.0, (0.04, 0.1)
+_APART, _WEAKEST = 2.7, (0.04, 0.1)
 
 # Of the first guesses, in usual radii: half a bar's length, with its directions; radii of
 # rings. A ring narrower than the least is a disc.
@@ -182,11 +183,13 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     well enough.
     """
     # Where the model's error is larger than thought, so is what a ghost would gain.
-    enough = _GAIN * (size - 1) * jnp.maximum(1, new.cost / TOLERANCE)
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
-    each = jnp.minimum(old.misfits - new.misfits, 2 * enough)
-    gain = jnp.minimum(each.sum() / slots.astype(each.dtype), old.cost - new.cost)
-    return gain > enough
+    channels = (scene.frame.scale > 0).sum() / slots
+    usual = LEFT * channels.astype(new.cost.dtype)
+    enough = _GAIN * (size - 1) * jnp.maximum(1, new.cost / usual)
+    each = old.misfits - new.misfits
+    over = jnp.maximum(each - 2 * enough, 0).sum() / slots.astype(each.dtype)
+    return old.cost - new.cost - over > enough
 
 
 def _believed(scene: Fitting, found: Found, size: int) -> Found:
