@@ -36,5 +36,5 @@ class Flag(enum.IntFlag):
     MODEL_LIMITED = 65536  # voltages err more than nominal values let them: σ is wider
     HURRIED = 131072  # a cheaper method answered, to keep a step's deadline
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
-    PLACE_UNCERTAIN = 524288  # a place is no better known than to some 10 mm
+    PLACE_UNCERTAIN = 524288  # a place is no better known than to half a pitch
     CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told

@@ -63,7 +63,7 @@ class _Run(NamedTuple):
 def least_squares(
     model: Callable[[Array], tuple[Float[Array, "S M"], Float[Array, " priors"], Any]],
     starts: Float[Array, "n P"],
-    tolerance: float,
+    tolerance: Array | float,
     most: int,
     few: int = 0,
 ) -> LeastSquares:

@@ -82,7 +82,7 @@ def positive_least_squares(
     model: Callable[[Array], tuple[Float[Array, "S W"], Callable[[], Array]]],
     prior: SmoothPrior,
     start: Float[Array, "nx ny"],
-    tolerance: float,
+    tolerance: Array | float,
     most: int,
 ) -> PositiveFit:
     """min over w of Σ_s δ²·ln(1 + |r_s(g)|²/δ²) + |w|², by Gauss and Newton's steps.

@@ -34,6 +34,7 @@ from tomojax.kernels.contacts._points import (
     green_of as green_of,
     LEAST_DROP as LEAST_DROP,
     metallic as metallic,
+    round_disc as round_disc,
     Sheet as Sheet,
     SIZE_WIDTH as SIZE_WIDTH,
 )

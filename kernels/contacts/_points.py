@@ -54,6 +54,11 @@ class Fitted(NamedTuple):
     voltages: Float[Array, "S M"]  # what they make, V
 
 
+def round_disc(place: Float[Array, "2"], size: Float[Array, ""]) -> Float[Array, "5"]:
+    """Parameters of a contact that is as long as wide."""
+    return jnp.concatenate([place, size[None], jnp.zeros(DISC - 3, place.dtype)])
+
+
 def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]:
     """Places (C, 2) and radii (C,), m; beyond an edge is mirrored to this side of it."""
     size = sheet.field.size

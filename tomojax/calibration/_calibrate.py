@@ -15,7 +15,7 @@ from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import least_squares, solve_positive
 from tomojax.kernels.contacts import field_at, slot_columns, whitened_columns
 from tomojax.kernels.sheet import smooth_modes
-from tomojax.methods import fitting_of, method as make_method, Points, TOLERANCE
+from tomojax.methods import fitting_of, method as make_method, Points
 from tomojax.sensor import Calibration, make_variation, Sensor
 
 # What is known of a rig beforehand, 1 σ: gains, zeros (V), the sheet's longest wave (which
@@ -180,14 +180,15 @@ def _frame(
     def fit(p: Array):
         # Known to _PLACE: a parameter of unit size is that far off.
         placed = unit + p[:2] * (_PLACE / sheet.unit)
-        rest, _, fitted = model.discs(sheet, frame, jnp.append(placed, p[2])[None])
+        rest, _, fitted = model.discs(sheet, frame, model.round_disc(placed, p[2])[None])
         return rest[:, : volts.shape[1]], p, fitted
 
-    ended = least_squares(fit, jnp.zeros((1, 3), volts.dtype), TOLERANCE, _STEPS)
+    tolerance = prepared.tolerance
+    ended = least_squares(fit, jnp.zeros((1, 3), volts.dtype), tolerance, _STEPS)
     rest, tangent = ended.rest, ended.slope.transpose(1, 2, 0)  # (S, M), (S, M, 3)
     fitted = fit(ended.parameters)[2]
     # Slots that do not fit at all count little, as in the fit.
-    robust = jax.lax.rsqrt(1 + (rest**2).sum(1) / TOLERANCE)[:, None]
+    robust = jax.lax.rsqrt(1 + (rest**2).sum(1) / tolerance)[:, None]
     scale = scene.frame.scale * robust
     slopes = _by_rig(points, waves, frame, fitted) * scale[..., None]
     sums = _cleared(

@@ -18,7 +18,7 @@ from tomojax.methods._contract import (
     rms as rms,
     Rung as Rung,
 )
-from tomojax.methods._errors import noise_of as noise_of, TOLERANCE as TOLERANCE
+from tomojax.methods._errors import noise_of as noise_of
 from tomojax.methods._linear import Linear as Linear
 from tomojax.methods._names import method as method, METHODS as METHODS
 from tomojax.methods._pixels import pixel_divisions as pixel_divisions

@@ -21,7 +21,6 @@ from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, R
 from tomojax.methods._errors import (
     misfit_cost,
     PreparedErrors,
-    TOLERANCE,
     whitened,
 )
 from tomojax.methods._rows import Rows
@@ -147,10 +146,11 @@ class Auto(AbstractMethod):
         columns = whitened_columns(frame, volts)
         _, rest = currents(frame, columns[None])
         slots = jnp.maximum(prepared.errors.used.any(1).sum(), 1).astype(rest.dtype)
-        cost = misfit_cost((rest**2).sum(1)).sum() / slots
+        tolerance = prepared.errors.tolerance
+        cost = misfit_cost((rest**2).sum(1), tolerance).sum() / slots
         rung = jnp.asarray(Rung.SOURCE.value)
         # Its flags stay: the image explains the slots, the contacts read off it may not.
-        return cost < TOLERANCE, estimate._replace(rung=rung)
+        return cost < tolerance, estimate._replace(rung=rung)
 
     def _conductance(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int

@@ -43,7 +43,6 @@ from tomojax.methods._errors import (
     misfit_cost,
     PreparedErrors,
     seen,
-    TOLERANCE,
     whitened,
 )
 from tomojax.methods._pixels import pixels_of
@@ -85,7 +84,7 @@ class Fitted(NamedTuple):
 
     conductance: Float[Array, "nx ny"]  # S per pixel
     current: Float[Array, "nx ny"]  # A per pixel, the mean over the slots
-    cost: Float[Array, ""]  # per slot, of the whitened misfit
+    cost: Float[Array, ""]  # per slot, of the whitened misfit, of the tolerance
     seen: Bool[Array, ""]  # whether no contact would not do
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]
@@ -209,7 +208,7 @@ class Conductance(AbstractMethod):
             return whitened_columns(frame, volts - voltages), slopes
 
         prior, start = self._start(prepared.source, voltages)
-        fit: PositiveFit = positive_least_squares(model, prior, start, TOLERANCE, _STEPS)
+        fit: PositiveFit = positive_least_squares(model, prior, start, errors.tolerance, _STEPS)
         contact = self._contact(fit.values)
         drop = voltage_drop(self._at_pixels(contact), frame.grounds, z, v0)
         slots = errors.used.any(1)
@@ -220,8 +219,8 @@ class Conductance(AbstractMethod):
         return Fitted(
             fit.values,
             fit.values * mean.reshape(self.shape),
-            fit.cost / n,
-            seen(errors, frame, misfit_cost(fit.misfits)),
+            fit.cost / n / errors.tolerance,
+            seen(errors, frame, misfit_cost(fit.misfits, errors.tolerance)),
             rms(misfit, errors.used),
             rms_by_electrode(misfit, errors.used),
             jnp.abs(voltages).max(),
@@ -256,7 +255,7 @@ class Conductance(AbstractMethod):
         )
         faint = fitted.seen & (fitted.highest < _FAINT * self.noise)
         bits = (
-            (fitted.cost > TOLERANCE, Flag.HIGH_RESIDUAL),
+            (fitted.cost > 1, Flag.HIGH_RESIDUAL),
             (more, Flag.CONTACTS_UNEXPLAINED),
             (faint | wide, Flag.PLACE_UNCERTAIN),
         )

@@ -18,9 +18,6 @@ from tomojax.sensor import Calibration, nominal_noise, Sensor
 # slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
 _OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 1.0
 
-# A slot's misfit (64 channels) beyond which it counts little.
-TOLERANCE = 64.0
-
 # What a contact must explain in all, and more for each slot: a fit to noise gains some too.
 _SEEN = (25.0, 4.0)
 
@@ -44,6 +41,7 @@ class PreparedErrors(NamedTuple):
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
     noise: Float[Array, ""]  # of the converter, V
     compared: Int[Array, " s"]  # slots that candidates are compared in
+    tolerance: Float[Array, ""]  # a slot's misfit beyond which it counts little
 
 
 class Whitened(NamedTuple):
@@ -97,6 +95,8 @@ class Errors(eqx.Module):
             jnp.asarray(spread * _OFFSET, dtype),
             self.noise,
             jnp.asarray(compared),
+            # As many σ² as there are channels: twice what errors leave that are as told.
+            jnp.asarray(max(1, used.sum(1).max(initial=0)), dtype),
         )
 
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
@@ -140,9 +140,11 @@ def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitene
     return Whitened(frame, own, common, offset)
 
 
-def misfit_cost(misfits: Float[Array, " S"]) -> Float[Array, " S"]:
+def misfit_cost(
+    misfits: Float[Array, " S"], tolerance: Float[Array, ""]
+) -> Float[Array, " S"]:
     """Of each slot's |r|², Cauchy's loss: what does not fit at all counts little."""
-    return TOLERANCE * jnp.log1p(misfits / TOLERANCE)
+    return tolerance * jnp.log1p(misfits / tolerance)
 
 
 def seen(
@@ -150,7 +152,7 @@ def seen(
 ) -> Bool[Array, ""]:
     """Whether a fit of these costs explains more than noise and channels' zeros would."""
     slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
-    alone = misfit_cost((frame.whitened**2).sum(1))
+    alone = misfit_cost((frame.whitened**2).sum(1), prepared.tolerance)
     return (alone - costs).sum() > _SEEN[0] + _SEEN[1] * slots
 
 

@@ -14,19 +14,20 @@ from tomojax.kernels.sheet import rectangle_fields
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
-# Of the electrodes' diameter: radii that potentials are averaged over, and the spacing of
-# the table they are computed on, which resolves an electrode's rim. Every second point of
-# the averages is kept.
-_RADII, _SPACING = (0.4, 0.8, 1.6, 2.6), 0.2
+# Of the electrodes' pitch: radii that potentials are averaged over, and the spacing of the
+# table of averages. They are computed on a finer one, whose spacing, of the electrodes'
+# diameter, resolves a rim.
+_RADII, _KEPT, _SPACING = (0.1, 0.2, 0.4, 0.65), 0.1, 0.2
 
-# Points of the table along a side; beyond, the sheet is too large for its electrodes.
+# Points of the finer table along a side: memory. What it does not resolve then is smaller
+# than the least radius.
 _MOST = 640
 
 # Cells of the mesh for what a sheet's variation adds, of a diameter.
 _MESH = 4
 
-# Points whose potentials are computed at once.
-_BLOCK = 2048
+# Points whose potentials are computed at once; electrodes whose averages are.
+_BLOCK, _TOGETHER = 2048, 16
 
 
 def make_field(sensor: Sensor) -> Field:
@@ -37,9 +38,9 @@ def make_field(sensor: Sensor) -> Field:
     them (`electrode_shunt`, 1 where the sensor leaves it open: metal discs): without it
     places are off by 1 mm and more.
 
-    **Raises:** `ValueError` for a sheet more than 128 electrode diameters wide.
+    **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
-    sensor, even, cells = _parts(sensor)
+    sensor, even, cells, every = _parts(sensor)
     axes = [np.linspace(0, s, n + 1) for s, n in zip(np.asarray(sensor.size, float), cells)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     rho = float(even.sheet_resistance)
@@ -48,34 +49,42 @@ def make_field(sensor: Sensor) -> Field:
     if sensor.sheet_resistance.ndim:
         more_ee, more = _variation(sensor, even, cells)
         ee, rows = ee + more_ee, rows + more
-    return _averaged(sensor, ee, rows)
+    return _averaged(sensor, ee, rows, every)
 
 
 def make_variation(sensor: Sensor) -> Field:
     """What of `make_field` a sheet with a value per element adds to its mean's alone."""
-    sensor, even, cells = _parts(sensor)
-    return _averaged(sensor, *_variation(sensor, even, cells))
+    sensor, even, cells, every = _parts(sensor)
+    return _averaged(sensor, *_variation(sensor, even, cells), every)
 
 
-def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray]:
-    """The sensor, as it is with an even sheet, and the cells of its table."""
+def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
+    """The sensor, as it is with an even sheet, the cells of its table, which are kept."""
     # Metal discs where the sensor leaves it open.
     if sensor.electrode_shunt is None:
         sensor = replace(sensor, electrode_shunt=1.0)
     rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
-    cells = 2 * np.ceil(size / (2 * _SPACING * diameter)).astype(int)
-    wide = f"at most {_MOST * _SPACING:g} electrode diameters"
-    require(cells.max() <= _MOST, "size", size.tolist(), wide)
-    return sensor, replace(sensor, sheet_resistance=rho), cells
+    step = _KEPT * sensor.mean_pitch
+    kept = np.ceil(size / step * (1 - 1e-5)).astype(int)
+    wide = f"at most {_MOST // 2 * _KEPT:g} pitches"
+    require(2 * kept.max() <= _MOST, "size", size.tolist(), wide)
+    resolving = int(np.ceil(step / (_SPACING * diameter) * (1 - 1e-5)))
+    every = int(np.clip(resolving, 2, _MOST // kept.max()))
+    return sensor, replace(sensor, sheet_resistance=rho), every * kept, every
 
 
-def _averaged(sensor: Sensor, ee: np.ndarray, rows: np.ndarray) -> Field:
+def _averaged(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int) -> Field:
     """The table of R_e at points as one over discs of several radii."""
     size = np.asarray(sensor.size, float)
-    radii = np.array(_RADII) * float(sensor.electrode_diameter)
-    averaged = [disc_average(rows, size, a)[:, ::2, ::2] for a in radii]
-    values, dtype = np.stack(averaged).transpose(2, 3, 0, 1), sensor.dtype
+    radii, dtype = np.array(_RADII) * sensor.mean_pitch, sensor.dtype
+    nx, ny = (1 + (n - 1) // every for n in rows.shape[1:])
+    values = np.empty((nx, ny, len(radii), len(rows)), dtype)
+    # A few electrodes at a time: the finer table is large.
+    for some in np.array_split(np.arange(len(rows)), -(-len(rows) // _TOGETHER)):
+        for k, a in enumerate(radii):
+            averaged = disc_average(rows[some], size, a)[:, ::every, ::every]
+            values[:, :, k, some] = averaged.transpose(1, 2, 0)
     return Field(
         jnp.asarray(values, dtype),
         jnp.asarray(radii, dtype),

@@ -19,7 +19,7 @@ from tomojax.kernels.contacts import (
     WhitenedFrame,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
-from tomojax.methods._errors import misfit_cost, PreparedErrors, TOLERANCE, whitened
+from tomojax.methods._errors import misfit_cost, PreparedErrors, whitened
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
@@ -47,6 +47,7 @@ class Found(NamedTuple):
     conductance: Float[Array, " C"]
     covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
     vague: Bool[Array, " C"]  # whether a conductance is hardly told
+    high: Bool[Array, ""]  # whether too much is left to be errors
     limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]  # the same of each
@@ -106,7 +107,7 @@ def best_fit(
     )
     fit, prepared = fit_of(still, kind), scene.prepared
     starts = lax.stop_gradient(starts)
-    search = least_squares(fit, starts, TOLERANCE, _MOST, _FEW)
+    search = least_squares(fit, starts, prepared.tolerance, _MOST, _FEW)
     ended: LeastSquares = jax.tree.map(lax.stop_gradient, search)
     cost = jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
     parameters = _implicit(scene, kind, ended)
@@ -139,9 +140,10 @@ def best_fit(
     )
     found = Found(
         cost / n,
-        misfit_cost((rest**2).sum(1)),
+        misfit_cost((rest**2).sum(1), prepared.tolerance),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
+        high=cost / n > prepared.tolerance,
         limited=limited,
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
@@ -152,7 +154,7 @@ def best_fit(
 def _implicit(scene: Fitting, kind: Callable, ended: LeastSquares) -> Array:
     """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
     rest, priors, _ = fit_of(scene, kind)(ended.parameters)
-    weight = 1 / (1 + (ended.rest**2).sum(1) / TOLERANCE)
+    weight = 1 / (1 + (ended.rest**2).sum(1) / scene.prepared.tolerance)
     downhill = jnp.einsum("psw,sw,s->p", ended.slope, rest, weight, precision="highest")
     downhill = downhill + jnp.matmul(ended.slope_priors, priors, precision="highest")
     step = solve_positive(ended.normal, downhill[:, None])[:, 0]
@@ -175,7 +177,7 @@ def _uncertainty(
     used = frame.scale > 0
     slope = ended.slope.transpose(1, 2, 0)
     left = (ended.rest**2).sum(1)
-    weight = 1 / (1 + left / TOLERANCE)
+    weight = 1 / (1 + left / scene.prepared.tolerance)
     by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
     noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
     own = jnp.where(used, scene.own, 0)

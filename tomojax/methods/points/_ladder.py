@@ -34,8 +34,9 @@ from tomojax.methods.points._fit import (
     starts_at,
 )
 
-# Candidates that fits begin from.
-_STARTS = 3
+# Candidates that fits begin from. Pairs are looked through of no more than so many, as
+# memory and time grow with their square; what is far apart is found one by one.
+_STARTS, _PAIRED = 3, 400
 
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
@@ -161,6 +162,10 @@ def _more_discs(scene: Fitting, discs: Found, size: int) -> tuple[Found, LeastSq
     kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
     starts = jnp.concatenate([kept, starts_at(scene, more[:, None])], 1)
     if size == 2:
+        if len(candidates) > _PAIRED:  # those beside what one disc takes for one
+            away = ((candidates - discs.place[0]) ** 2).sum(1)
+            beside = jax.lax.top_k(-away, _PAIRED)[1]
+            columns, candidates = columns[beside], candidates[beside]
         pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
     return best_fit(scene, model.discs, starts)

@@ -15,18 +15,15 @@ from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
 from tomojax.kernels.sheet import cell_centres
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
-from tomojax.methods._errors import Errors, PreparedErrors, TOLERANCE
+from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._fit import fitting_of, Found
 from tomojax.methods.points._ladder import first, Ladder, steps
 from tomojax.methods.points._sheet import sheet_of, UNIT
 from tomojax.sensor import Calibration, Sensor
 
-# Candidates along a side.
-_CANDIDATES = 20
-
-# A place that is uncertain by more, 1 σ, in electrodes' diameters: half of a pitch.
-_UNCERTAIN = 2.0
+# Candidates for each pitch.
+_CANDIDATES = 2.5
 
 # Slots of a compiled call: many for frames of few slots, where calls cost more than work;
 # few of many, as what fills a call up costs as much as what it is for.
@@ -68,7 +65,8 @@ class Points(AbstractMethod):
         """On an image of `shape` pixels."""
         sheet = sheet_of(sensor)
         size = np.asarray(sensor.size)
-        grid = cell_centres((_CANDIDATES, _CANDIDATES))
+        across = np.ceil(_CANDIDATES * size / sensor.mean_pitch * (1 - 1e-5)).astype(int)
+        grid = cell_centres((int(across[0]), int(across[1])))
         candidates = jnp.asarray(grid * size, sensor.dtype)
         each = jax.vmap(field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
@@ -164,9 +162,9 @@ class Points(AbstractMethod):
         )
         flags = jnp.where(found.limited, Flag.MODEL_LIMITED.value, 0)
         # Of all channels together: what is left of a part of them is little of the whole.
-        high = found.cost > TOLERANCE
-        flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-        limit = _UNCERTAIN / UNIT * self.sheet.unit
+        flags = flags | jnp.where(found.high, Flag.HIGH_RESIDUAL.value, 0)
+        # Half of a pitch.
+        limit = 0.5 / UNIT * self.sheet.unit
         vague = (largest_variance(found.covariance) > limit**2).any()
         flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
         vague = found.vague.any()

@@ -5,18 +5,19 @@ import jax.numpy as jnp
 from tomojax.kernels.contacts import Sheet
 from tomojax.sensor import make_field, Sensor
 
-# Usual radius of a contact and unit of the fit's lengths, of the electrodes' diameter.
-USUAL, UNIT = 1.2, 0.2
+# Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what can
+# be told of a contact grows with the pitch, whatever the electrodes' size.
+USUAL, UNIT = 0.3, 0.05
 
 
 def sheet_of(sensor: Sensor) -> Sheet:
     """Computes the electrodes' potentials and lengths that suit the sensor."""
-    diameter = sensor.electrode_diameter
+    pitch = sensor.mean_pitch
     return Sheet(
         make_field(sensor),
         jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
         sensor.ground_resistance,
         sensor.drive_voltage,
-        UNIT * diameter,
-        USUAL * diameter,
+        jnp.asarray(UNIT * pitch, sensor.dtype),
+        jnp.asarray(USUAL * pitch, sensor.dtype),
     )
