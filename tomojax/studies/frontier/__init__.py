@@ -14,6 +14,8 @@ from tomojax.studies.frontier._peer_operators import (
     paper_jacobian as paper_jacobian,
     peer_table as peer_table,
     peers_of as peers_of,
+    read_half as read_half,
+    read_peak as read_peak,
 )
 from tomojax.studies.frontier._peers import (
     best_lambda as best_lambda,
