@@ -184,7 +184,7 @@ def test_front_and_peers():
     assert far["times_as_fast"] == 12 and far["nearest"]["place_median_mm"] == 1.2
     assert near["times_as_fast"] is None and near["nearest"] is None
     text = report.text(rows)
-    assert "accuracy of 1 of the peers' 2 rows, 12.0 to 12.0 times" in text
+    assert "accuracy of 1 of the peers' 2 rows, 12 to 12 times" in text
     assert "ahead in 1 of 2 rows:" in text and "none of ours is as near" in text
     assert "0.20" in text
     for draw in (report.chart, report.rungs):

@@ -10,7 +10,8 @@ from tomojax.studies.frontier._scenes import KINDS
 Row = dict[str, Any]
 
 # What two rows share that may be compared in speed. A contact takes less time than an
-# image, a large batch less a frame than a small one, float32 less than float64.
+# image, a large batch less a frame than a small one, float32 less than float64. In one
+# thing the peers are favoured: an "image" of ours comes with its contacts, theirs alone.
 ALIKE = ("scene", "dtype", "output", "batch")
 
 

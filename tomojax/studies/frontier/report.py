@@ -59,7 +59,7 @@ def _verdict(found: list[dict[str, Any]]) -> list[str]:
     if faster:
         lines.append(
             f"  ours reaches the accuracy of {len(faster)} of the peers' {len(alike)} rows,"
-            f" {min(faster):.1f} to {max(faster):.1f} times as fast"
+            f" {min(faster):.2g} to {max(faster):.2g} times as fast"
         )
     lines.append(
         f"  a peer is ahead in {len(ahead)} of {len(alike)} rows" + ":" * bool(ahead)
