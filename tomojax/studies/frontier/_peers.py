@@ -126,7 +126,8 @@ def _hindsight(
         for output, reading in product(_OUTPUTS, _READINGS):
 
             def error(lam: float, made=made, output=output, reading=reading) -> float:
-                rows = _rows(output, reading, *made(lam), size)
+                images, currents = made(lam)
+                rows = _rows(output, reading, images, currents, size)
                 value = score(rows, trials, size)["with_ghosts_median_mm"]
                 return np.inf if value is None else value
 
