@@ -126,12 +126,20 @@ def network_voltages(
     return solution[v], solution[np.concatenate([u, v])]
 
 
-def sparse_loaded_voltages(k, feeds, series, g, v0, z):
+# SuperLU for symmetric matrices: pivots stay on the diagonal, its ordering is of A + Aᵀ.
+SYMMETRIC = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
+
+
+def sparse_loaded_voltages(k, feeds, series, g, v0, z, symmetric=False):
     """Exact voltages for all grounds with scikit-fem's matrix and one sparse LU.
 
     A = K + diag(g), S = PᵀA⁻¹P + δ: V_i^l = V0·(1 − S_il/(z + S_ll)) off the ground.
     """
-    lu = spla.splu((k + sp.diags(g)).tocsc())
+    lu = spla.splu((k + sp.diags(g)).tocsc(), **(SYMMETRIC if symmetric else {}))
     s = feeds.T @ lu.solve(feeds)
     own = np.diag(s) + series
     v = v0 * (1 - s / (z + own)[:, None])

@@ -46,6 +46,9 @@ _DRIFT = (0.05, 0.05, 0.02)
 # χ² of a slot's own place beside what was known, of three values: beyond, it is news.
 _NEWS = 40.0
 
+# Slots over which what is left is averaged.
+_LATELY = 8
+
 # A contact's current is at least this part of the strongest's; sizes are no further than
 # this from usual.
 _WEAKEST, _LARGEST = 0.05, 3.0
@@ -66,6 +69,8 @@ def follow(
     **Arguments:** `voltages` 0 where not `used`; `elapsed` slots since the last one.
     """
     dtype = voltages.dtype
+    # The grounded electrode's own voltage is that of its path, which is hardly known.
+    used = used & (jnp.arange(len(used)) != ground)
     weights = slot_weights(noise, voltages, used)
     # One by one, as in `product`.
     each = range(len(known.size))
@@ -84,7 +89,7 @@ def follow(
     drift = elapsed * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
     wide = first_covariance(dtype)
     covariance = jnp.where(new[:, None, None], wide, known.covariance + drift)
-    moved, covariance, current = _update(columns, covariance, weights, voltages)
+    moved, covariance, alone, current = _update(columns, covariance, weights, voltages)
     place = place + moved[:, :2] * sheet.unit
     # Off the very edge, where a contact's own potential is infinite.
     edge = 0.1 * sheet.unit
@@ -92,6 +97,8 @@ def follow(
     # What the move makes of the fit, to first order.
     shift = (moved[..., None] * columns[:, 1:]).sum(1)
     rest = voltages - matmul(current, columns[:, 0] + shift)
+    # What all channels are off is the ground's: no contact explains it, none is asked to.
+    rest = rest - matmul(weights.each, rest) / jnp.maximum(weights.each.sum(), 1e-30)
     forward = current * jnp.sign(sheet.drive_voltage)
     strongest = jnp.where(there, forward, 0).max()
     hardly = (forward < _WEAKEST * strongest) | seen.dark
@@ -101,14 +108,29 @@ def follow(
         place=place,
         size=jnp.clip(size + moved[:, 2], -_LARGEST, _LARGEST),
         covariance=covariance,
+        alone=alone,
         current=current,
         weak=weak,
         rival=seen.rival,
         seen=seen.seen,
+        left=_left(known, new, weights, rest),
     )
     at_ground = jax.lax.dynamic_index_in_dim(raw[:, 0], ground, 1, keepdims=False)
     conductance = _conductance(sheet, now, at_ground, ground)
     return now._replace(conductance=conductance), jnp.where(used, rest, 0)
+
+
+def _left(
+    known: Followed,
+    new: Bool[Array, " C"],
+    weights: Weights,
+    rest: Float[Array, " M"],
+) -> Float[Array, ""]:
+    """χ² of each channel, the mean over some slots; anew where a contact is."""
+    channels = jnp.maximum((weights.each > 0).sum(), 1).astype(rest.dtype)
+    now = matmul(rest, weighed(weights, rest[None])[0]) / channels
+    share = jnp.where(new.any() | (known.left == 0), 1, 1 / _LATELY)
+    return known.left + share * (now - known.left)
 
 
 def _update(
@@ -116,8 +138,8 @@ def _update(
     covariance: Float[Array, "C 3 3"],
     weights: Weights,
     voltages: Float[Array, " M"],
-) -> tuple[Float[Array, "C 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
-    """By how much each moves, what is known then, and currents."""
+) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
+    """By how much each moves (C, 3), what is known then and by this slot, and currents."""
     count = len(columns)
     base = columns[:, 0]
     tangent = columns[:, 1:].reshape(3 * count, -1)
@@ -137,13 +159,14 @@ def _update(
     wide = first_covariance(base.dtype)
     innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
     gain = right.reshape(count, 3)
-    both = jnp.concatenate([innovation.transpose(0, 2, 1), covariance])
+    known = blocks + jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
+    both = jnp.concatenate([innovation.transpose(0, 2, 1), covariance, known])
     inverses = solve_small(both, jnp.broadcast_to(unit, both.shape))
     tested = (inverses[:count] * gain[:, None]).sum(-1)
     unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
     news = (unlikely > _NEWS)[:, None, None]
     wide = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
-    inverse = jnp.where(news, wide, inverses[count:])
+    inverse = jnp.where(news, wide, inverses[count : 2 * count])
     same = np.eye(count, dtype=base.dtype)[:, None, :, None]
     weight = same * inverse[:, :, None]
     found = solve_small(
@@ -156,6 +179,7 @@ def _update(
     return (
         jnp.clip(moved, -longest, longest),
         (spread + spread.transpose(0, 2, 1)) / 2,
+        inverses[2 * count :],
         current - matmul(share, own * found[:, 0]),
     )
 

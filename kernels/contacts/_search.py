@@ -50,11 +50,13 @@ class Followed(NamedTuple):
     place: Float[Array, "C 2"]  # m
     size: Float[Array, " C"]  # ln(radius/usual), in units of what is known beforehand
     covariance: Float[Array, "C 3 3"]  # of both, in units of the fit
+    alone: Float[Array, "C 3 3"]  # the same, of what the last slot alone tells
     current: Float[Array, " C"]  # in the last slot, A
     conductance: Float[Array, " C"]  # S
     weak: Int[Array, " C"]  # slots in a row that hardly show it
     rival: Float[Array, "2"]  # where one more was seen last, m
     seen: Int[Array, ""]  # slots in a row that showed it there
+    left: Float[Array, ""]  # χ² of each channel that contacts leave, of late
 
 
 def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
@@ -65,12 +67,13 @@ def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
         zero > 1,
         jnp.broadcast_to(size / 2, (count, 2)),
         zero,
-        jnp.broadcast_to(first_covariance(dtype), (count, 3, 3)),
+        *(jnp.broadcast_to(first_covariance(dtype), (count, 3, 3)) for _ in range(2)),
         zero,
         zero,
         whole,
         jnp.zeros(2, dtype),
         jnp.zeros((), jnp.int32),
+        jnp.zeros((), dtype),
     )
 
 

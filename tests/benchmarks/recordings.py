@@ -27,6 +27,7 @@ import recordings  # noqa: E402
 from benchmarks.physics import environment, quartiles, seconds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax.studies.frontier import best_lambda, peers_of, read_peak  # noqa: E402
 
 SLOT_RATE, BASE = 10e3, 1500  # slots/s; scans that are computed, then repeated
 SHARED = HERE.parents[2] / "shared" / "data"
@@ -173,7 +174,7 @@ def kills(folder: Path, base: np.ndarray, quick: bool) -> dict:
 
 
 def beside_pyeit(quick: bool) -> dict:
-    """1000 frames of 64 slots to images of 3200 elements, in turns; and places."""
+    """1000 frames of 64 slots to images of 3200 elements, or contacts; in turns; places."""
     import references
     from pyeit.eit.jac import JAC
     from pyeit.eit.protocol import PyEITProtocol
@@ -220,6 +221,17 @@ def beside_pyeit(quick: bool) -> dict:
         tried[lamb] = errors(place(images))
     best = min(tried, key=lambda lamb: float(np.median(tried[lamb])))
     found |= {"pyEIT": tried[best], "pyEIT λ": best}
+    solver.H = solver._compute_h(solver.J, 0.5, best, "kotre")
+    narrow = solver.H.astype(np.float32)
+    # Without pyEIT: Eq. 3 as one product, and sLORETA's contacts, at their best λ.
+    flat = volts.reshape(-1, 4096)
+    product, errs, best = in_one_product(maps.reshape(4096, -1).astype(float), flat,
+                                         lambda images: errors(place(images)))  # fmt: skip
+    found |= {"NumPy, one product": errs, "NumPy, one product λ/σ₁²": best}
+    locate = {}
+    for two, name in enumerate(("NumPy sLORETA", "NumPy sLORETA, two products")):
+        locate[name], errs, best = sloreta(sensor, two + 1, flat, errors)
+        found |= {name: errs, f"{name} λ/σ₁²": best}
     # `source` on the same elements, and whole: with contacts, residual and checks.
     maps = np.asarray(slot_map(tx.sensor.resistances(sensor), jnp.asarray(grounds), 4.0))
     of_elements = Source.from_maps(maps.astype(float), (40, 80), linear.cell)
@@ -235,19 +247,41 @@ def beside_pyeit(quick: bool) -> dict:
         place(spread * np.asarray(current(volts)))
     )
     for name, errs in found.items():
-        if name not in ("scenes", "pyEIT λ"):
+        if name != "scenes" and "λ" not in name:
             print(f"{name:30s} {np.round(errs, 1)} mm, median {np.median(errs):.1f}")
     # Recorded scenes with noise: what a frame holds decides what reading it costs.
     rng = np.random.default_rng(0)
     frames = np.resize(volts, (1000, 64, 64)) + rng.normal(0, 3e-4, (1000, 64, 64))
     single = jnp.asarray(frames, np.float32)
     flat = frames.reshape(1000, -1)
+    narrow_flat, narrow_zero = flat.astype(np.float32), zero.astype(np.float32)
     many = np.tile(grounds, (1000, 1))
+    good_all = np.ones((64, 64), bool)
+    alone = source.prepare(grounds, good_all, source.choose_lambda(recorded))
+
+    def contacts_alone() -> None:
+        told = source.block(alone, jnp.asarray(narrow_flat.reshape(single.shape)), many, 3,
+                            False)  # fmt: skip
+        jax.block_until_ready([a for a in told if a is not None])
+
+    wide = solver.H
+
+    def pyeit(matrix, volts, nothing) -> None:
+        solver.H = matrix
+        solver.solve(volts, nothing, normalize=False)
+
     runs = {
-        "pyEIT, one call": lambda: solver.solve(flat, zero, normalize=False),
+        "pyEIT, one call": lambda: pyeit(wide, flat, zero),
+        "pyEIT, one call, float32": lambda: pyeit(narrow, narrow_flat, narrow_zero),
+        "NumPy, one product, float32": lambda: narrow_flat @ product,
+        **{
+            f"{name}, contacts": lambda of=of: of(narrow_flat)
+            for name, of in locate.items()
+        },
         "tomojax, linear": lambda: jax.block_until_ready(ours(single)),
         "tomojax, source": lambda: jax.block_until_ready(current(single)),
         "tomojax, source with contacts": lambda: batch(np.asarray(single), many),
+        "tomojax, source, contacts alone": contacts_alone,
     }
     times: dict[str, list] = {name: [] for name in runs}
     first = {name: seconds(run) for name, run in runs.items()}
@@ -261,6 +295,42 @@ def beside_pyeit(quick: bool) -> dict:
     ratio = {n: peer / row["median_s"] for n, row in rate.items()}
     print({n: round(r, 1) for n, r in ratio.items()}, flush=True)
     return {"place_errors_mm": found, "rates": rate, "ratios": ratio}
+
+
+def in_one_product(rows: np.ndarray, volts: np.ndarray, errors) -> tuple:
+    """Eq. 3 by NumPy: the float32 matrix that maps frames to images, at the best λ."""
+    normal = rows.T @ rows
+    largest = float(np.linalg.eigvalsh(normal)[-1])
+
+    def operator(relative: float) -> np.ndarray:
+        damped = normal + relative * largest * np.eye(len(normal))
+        return np.linalg.solve(damped, rows.T).T.astype(np.float32)
+
+    tried = {lam: errors(volts @ operator(lam)) for lam in 10.0 ** np.arange(-8, 2)}
+    best = min(tried, key=lambda lam: float(np.median(tried[lam])))
+    return np.ascontiguousarray(operator(best)), tried[best], best
+
+
+def sloreta(sensor: tx.Sensor, products: int, volts: np.ndarray, errors) -> tuple:
+    """The peer of `tomojax frontier` on 40 × 40 pixels: contacts from frames, best λ."""
+    grounds, size = np.arange(64), np.asarray(sensor.size, float)
+    tried = {}
+    for variants in peers_of(sensor, 40):
+        for peer in variants:
+            if (peer.name, peer.products) != ("NumPy sLORETA", products):
+                continue
+
+            def contacts(lam: float, peer=peer):
+                images = peer.prepare(grounds, lam, "float32")
+                return lambda frames: read_peak(images(frames), 40, size)
+
+            def median(lam: float, contacts=contacts) -> float:
+                return float(np.median(errors(contacts(lam)(volts))))
+
+            lam, _ = best_lambda(median)
+            tried[median(lam)] = contacts(lam), lam
+    call, lam = tried[min(tried)]
+    return call, errors(call(volts)), lam
 
 
 def static_singles() -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -298,7 +368,7 @@ def draw(found: dict, path: Path) -> None:
         rates = found["pyeit"]["rates"]
         right.barh(list(rates), [r["frames_per_s"] for r in rates.values()])
         right.set(xscale="log", xlabel="frames of 64 slots per s")
-        right.set_title("3200 elements (with contacts: 1600)")
+        right.set_title("3200 elements (with contacts, and sLORETA: 1600)")
     figure.savefig(path, dpi=110)
 
 

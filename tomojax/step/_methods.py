@@ -31,6 +31,14 @@ _LIMIT = 0.06
 _FAINT = 10.0
 
 
+# A place's covariance is so many times the filter's, to which slots' errors are independent
+# and the sheet's waves few; and so many times what one slot tells, as slots share errors.
+_FILTERED, _SHARED = 2.0, 1.25
+
+# χ² of a channel that contacts leave, usually.
+_LEFT = 0.7
+
+
 class Told(NamedTuple):
     """What is said of one slot."""
 
@@ -117,7 +125,8 @@ class Follow(AbstractStepMethod):
         )
         residual = rms(rest, used)
         radius = radius_of(sheet, now.size)
-        c = now.covariance * sheet.unit**2
+        unusual = jnp.maximum(1, now.left / _LEFT)
+        c = unusual * (_FILTERED * now.covariance + _SHARED * now.alone) * sheet.unit**2
         covariance = jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1)
         none = jnp.zeros((), jnp.uint8)
         nan = jnp.full_like(radius, jnp.nan)

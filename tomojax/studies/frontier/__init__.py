@@ -3,9 +3,22 @@
 The study uses the library as any caller would.
 """
 
+from tomojax.studies.frontier._beside import (
+    beside_peers as beside_peers,
+    error_mm as error_mm,
+    front as front,
+    mark_front as mark_front,
+)
 from tomojax.studies.frontier._measure import Job as Job, repeated as repeated
-from tomojax.studies.frontier._peers import (
+from tomojax.studies.frontier._peer_operators import (
     paper_jacobian as paper_jacobian,
+    peer_table as peer_table,
+    peers_of as peers_of,
+    read_half as read_half,
+    read_peak as read_peak,
+)
+from tomojax.studies.frontier._peers import (
+    best_lambda as best_lambda,
     peer_rows as peer_rows,
 )
 from tomojax.studies.frontier._rates import (
@@ -20,6 +33,7 @@ from tomojax.studies.frontier._rows import (
 from tomojax.studies.frontier._scenes import (
     DOUBT as DOUBT,
     FAR as FAR,
+    ghost_error as ghost_error,
     identity as identity,
     KINDS as KINDS,
     load_trials as load_trials,
@@ -30,9 +44,7 @@ from tomojax.studies.frontier._scenes import (
     Trials as Trials,
 )
 from tomojax.studies.frontier._study import (
-    beside_peers as beside_peers,
     jobs as jobs,
-    mark_front as mark_front,
     measured as measured,
     run as run,
     same_run as same_run,

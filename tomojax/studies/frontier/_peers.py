@@ -1,185 +1,225 @@
-"""What a lab would write without this package, measured beside it: pyEIT, scikit-fem.
+"""Rows of the peers: what a lab would write without this package, at its best.
 
-J of the paper's Eq. 1 by scikit-fem (P1 elements on the paper's 4 mm mesh, electrodes as
-single nodes) and SciPy's LU; φ of Eq. 3 as one product with a matrix that is computed
-once for a ground set: by NumPy, and by pyEIT's JAC solver with the same J. λ is the one of
-six that puts single contacts nearest to where they are: the peers' is chosen in hindsight.
+The peers are what `_peer_operators` has. They get the patterns, batches, pixels and dtype
+of our methods. λ, how a place is read and what stands for a pixel are those that put single
+contacts nearest to where they are: chosen in hindsight, which favours the peers.
 """
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from functools import cache, partial
+from itertools import product
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import scipy.sparse.linalg as spla
 
 from tomojax.kernels.images import Contacts, read_contacts
-from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
 from tomojax.methods import Rows
 from tomojax.sensor import Sensor
 from tomojax.studies.frontier._measure import grounds_of, Job, repeated, timing
+from tomojax.studies.frontier._peer_operators import (
+    Images,
+    Peer,
+    peers_of,
+    read_half,
+    read_peak,
+)
 from tomojax.studies.frontier._scenes import KINDS, score, Trials
 
-_CELLS, _CONTACTS = 40, 3
-_RELATIVE = tuple(10.0 ** np.arange(-6, 0))
+_READINGS = {"peak": read_peak, "half": read_half}
+_OUTPUTS = ("contacts", "image")
+
+# Contacts that are read off an image where no time is taken.
+_CONTACTS = 3
+
+# λ/σ₁² in half decades: the first range, its widening, how far it goes; and by how much an
+# end has to be better than what lies inside.
+_FIRST, _WIDER, _LIMITS, _BETTER = (-16, 2), 4, (-28, 14), 0.999
 
 
-def paper_jacobian(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """J(0) (M grounds, M, K) by scikit-fem, and the loops' resistance (M, K).
+class Choice(NamedTuple):
+    """What is nearest for single contacts, all in hindsight."""
 
-    J^l_ik = (R_ik − R_lk − R_il + R_ll + z) / (R_kk + R_ll − 2R_lk + z).
-    """
-    import skfem
-    from skfem.models.poisson import laplace
-
-    shape = (_CELLS, _CELLS)
-    points = np.asarray(mesh_nodes(shape, sensor.size), float)
-    corners = triangles(shape)
-    mesh = skfem.MeshTri(points.T.copy(), corners.T.copy(), sort_t=False)
-    stiffness = laplace.assemble(skfem.Basis(mesh, skfem.ElementTriP1())).tocsc()
-    stiffness = stiffness / float(sensor.sheet_resistance)
-    places = np.asarray(sensor.electrode_xy, float)
-    at = ((points[:, None] - places) ** 2).sum(-1).argmin(0)
-    lu = spla.splu(stiffness[1:, 1:])  # pyright: ignore
-    potentials = np.zeros((len(points),) * 2)
-    potentials[1:, 1:] = lu.solve(np.eye(len(points) - 1))
-    of_elements = potentials[:, corners].mean(-1)
-    own = of_elements[corners].mean(1).diagonal()
-    ee, ek, z = potentials[np.ix_(at, at)], of_elements[at], float(sensor.ground_resistance)
-    loops = own + ee.diagonal()[:, None] - 2 * ek + z
-    offset = (ee.diagonal() + z)[:, None] - ee
-    return (ek[None] - ek[:, None] + offset[:, :, None]) / loops[:, None], loops
+    error: float  # mm, in the median
+    peer: Peer
+    lam: float  # λ/σ₁²
+    at_end: bool  # of the widest range of λ
+    reading: str
 
 
 def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """Rows of both peers for each pattern; contacts are read off their images as `linear`
-    reads its own, which is not in their time."""
-    jac, loops = paper_jacobian(sensor)
-    for name in job.patterns:
-        grounds = grounds_of(sensor, name, trials.volts)
-        volts = np.take_along_axis(trials.volts, grounds[..., None], 1).astype(float)
-        volts = volts.reshape(len(volts), -1)
-        fixed = bool((grounds == grounds[0]).all())
-        for peer, prepare in (("scikit-fem + NumPy", _numpy), ("pyEIT", _pyeit(sensor))):
-            if peer == "pyEIT" and not fixed:
-                continue  # seconds for each new ground set
-            found = {}
-            for relative in _RELATIVE:
-                images = np.empty((len(volts), jac.shape[-1]))
-                for own in np.unique(grounds, axis=0):
-                    rows = jac[own].reshape(-1, jac.shape[-1])
-                    solve = prepare(rows, relative)
-                    same = (grounds == own).all(1)
-                    images[same] = solve(volts[same])
-                rows = _read(images, loops[grounds].mean(1), sensor)
-                found[relative] = _scores(rows, trials, sensor)
+    """Rows of each peer and pattern, as contacts and as images.
 
-            def error(relative: float, found=found) -> float:
-                value = found[relative]["one"]["place_median_mm"]
+    "contacts": one contact's place, read off the image by vectorised NumPy, is all that
+    comes out, and reading is in the time. "image": the image comes out; up to three
+    contacts are read off it by this package, which is not in the time.
+    """
+    size, pixels = np.asarray(sensor.size, float), job.pixels
+    peers = list(peers_of(sensor, pixels))
+    for name in job.patterns:
+        grounds = grounds_of(sensor, name, trials.volts, job.designed)
+        volts = np.take_along_axis(trials.volts, grounds[..., None], 1)
+        volts = volts.reshape(len(volts), -1).astype(job.dtype)
+        for variants in peers:
+            peer = variants[0]
+            if peer.products == 2 and grounds.shape[1] == 1:
+                continue  # one product is the smaller one
+            if peer.name == "pyEIT" and (grounds != grounds[0]).any():
+                continue  # up to seconds for each new ground set
+            best = _hindsight(variants, volts, grounds, trials, size)
+            for output, chosen in best.items():
+                made = _images(chosen.peer, volts, grounds, chosen.lam)
+                rows = _rows(output, chosen.reading, *made, size)
+                scores = _scores(rows, trials, size)
+                begin = time.perf_counter()
+                solve = chosen.peer.prepare(grounds[0], chosen.lam, job.dtype)
+                ready = 1e3 * (time.perf_counter() - begin)
+                call = _contact_of(solve, chosen.reading, pixels, size)
+                call = solve if output == "image" else call
+                for batch in job.batches:
+                    frames = np.resize(volts, (batch, volts.shape[1]))
+                    times = timing(*repeated(lambda c=call, f=frames: c(f)), batch)
+                    for kind in KINDS:
+                        yield {
+                            "scene": kind,
+                            "method": peer.name,
+                            "peer": True,
+                            "pattern": name,
+                            "slots": grounds.shape[1],
+                            "lam_rule": "best in hindsight",
+                            "lam": chosen.lam,
+                            "lam_at_end": chosen.at_end,
+                            "reading": chosen.reading,
+                            "products": peer.products,
+                            "stands": chosen.peer.stands,
+                            "pixels": pixels,
+                            "elements": pixels**2,
+                            "output": output,
+                            "prepare_ms": ready,
+                            **times,
+                            **scores[kind],
+                            "dtype": job.dtype,
+                            "device": "cpu",
+                        }
+
+
+def _contact_of(solve: Images, reading: str, pixels: int, size: np.ndarray) -> Images:
+    """Places from frames."""
+    read = _READINGS[reading]
+    return lambda frames: read(solve(frames), pixels, size)
+
+
+def _hindsight(
+    variants: list[Peer],
+    volts: np.ndarray,
+    grounds: np.ndarray,
+    trials: Trials,
+    size: np.ndarray,
+) -> dict[str, Choice]:
+    """For each output the choice with the least error of single contacts, as scored."""
+    one = np.flatnonzero(trials.kind == "one")
+    volts, grounds, trials = volts[one], grounds[one], trials.of(one)
+    found: dict[str, list[Choice]] = {output: [] for output in _OUTPUTS}
+    for peer in variants:
+        made = cache(partial(_images, peer, volts, grounds))
+        for output, reading in product(_OUTPUTS, _READINGS):
+
+            def error(lam: float, made=made, output=output, reading=reading) -> float:
+                images, currents = made(lam)
+                rows = _rows(output, reading, images, currents, size)
+                value = score(rows, trials, size)["with_ghosts_median_mm"]
                 return np.inf if value is None else value
 
-            best = min(_RELATIVE, key=error)
-            begin = time.perf_counter()
-            solve = prepare(jac[grounds[0]].reshape(-1, jac.shape[-1]), best)
-            ready = 1e3 * (time.perf_counter() - begin)
-            for batch in job.batches:
-                frames = np.resize(volts, (batch, volts.shape[1]))
-                times = timing(*repeated(lambda s=solve, f=frames: s(f)), batch)
-                for kind in KINDS:
-                    yield {
-                        "scene": kind,
-                        "method": peer,
-                        "peer": True,
-                        "pattern": name,
-                        "slots": grounds.shape[1],
-                        "lam_rule": "best in hindsight",
-                        "lam": best,
-                        "pixels": _CELLS,
-                        "elements": 2 * _CELLS**2,
-                        "output": "image",
-                        "prepare_ms": ready,
-                        **times,
-                        **found[best][kind],
-                        "dtype": "float64",
-                        "device": "cpu",
-                    }
+            lam, at_end = best_lambda(error)
+            found[output].append(Choice(error(lam), peer, lam, at_end, reading))
+    return {out: min(some, key=lambda choice: choice.error) for out, some in found.items()}
 
 
-def _numpy(rows: np.ndarray, relative: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Eq. 3 in the form that is smaller: Jᵀ(JJᵀ + λI)⁻¹."""
-    gram = rows @ rows.T
-    lam = relative * _largest(gram)
-    operator = np.linalg.solve(gram + lam * np.eye(len(gram)), rows)
-    return lambda volts: volts @ operator
+def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
+    """The λ of least error, and whether that lies at the end of the widest range.
+
+    The range widens while its end is better than all that lies inside.
+    """
+    low, high = _FIRST
+    error = cache(error)
+    while True:
+        grid = [float(10.0 ** (k / 2)) for k in range(low, high + 1)]
+        errors = [error(lam) for lam in grid]
+        inner = 1 + int(np.argmin(errors[1:-1]))
+        below, above = (bool(errors[k] < _BETTER * errors[inner]) for k in (0, -1))
+        if below and low > _LIMITS[0]:
+            low -= _WIDER
+        elif above and high < _LIMITS[1]:
+            high += _WIDER
+        else:
+            break
+    at_end = below or above
+    return grid[int(np.argmin(errors)) if at_end else inner], at_end
 
 
-def _largest(gram: np.ndarray) -> float:
-    """Its largest eigenvalue."""
-    start = np.ones(len(gram))
-    found: Any = spla.eigsh(gram, 1, v0=start, return_eigenvectors=False)
-    return float(found[0])
+def _images(
+    peer: Peer, volts: np.ndarray, grounds: np.ndarray, lam: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Images and currents of frames, each with the operator of its own ground set."""
+    images, currents = [], []
+    sets, member = np.unique(grounds, axis=0, return_inverse=True)
+    order = np.argsort(member, kind="stable")
+    for k, own in enumerate(sets):
+        solve = peer.prepare(own, lam, volts.dtype.name)
+        images.append(solve(volts[member == k]))
+        currents.append(peer.currents(images[-1], own))
+    back = np.argsort(order)
+    return np.concatenate(images)[back], np.concatenate(currents)[back]
 
 
-def _pyeit(sensor: Sensor) -> Callable[..., Callable[[np.ndarray], np.ndarray]]:
-    from pyeit.eit.jac import JAC
-    from pyeit.eit.protocol import PyEITProtocol
-    from pyeit.mesh import PyEITMesh
-
-    shape = (_CELLS, _CELLS)
-    points = np.asarray(mesh_nodes(shape, sensor.size), float)
-    corners = np.asarray(triangles(shape))
-    a, b, c = np.moveaxis(points[corners], 1, 0)
-    turned = np.linalg.det(np.stack([b - a, c - a], 1)) < 0
-    corners = np.where(turned[:, None], corners[:, [0, 2, 1]], corners)
-    places = np.asarray(sensor.electrode_xy, float)
-    at = ((points[:, None] - places) ** 2).sum(-1).argmin(0)
-    mesh = PyEITMesh(node=points, element=corners, perm=1e-4, el_pos=at)
-    m = len(places)
-    pair, reads = np.array([[1, 0]]), np.array([[[e, 0] for e in range(m)]])
-    solver = JAC(mesh, PyEITProtocol(pair, reads, np.ones(m, bool)))
-    solver.is_ready = True  # its own setup is of a conductivity's Jacobian
-
-    def prepare(rows: np.ndarray, relative: float) -> Callable[[np.ndarray], np.ndarray]:
-        # Its sign is of a conductivity's change. Its λ multiplies √diag(JᵀJ).
-        zero, diagonal = np.zeros(len(rows)), np.sqrt((rows**2).sum(0)).mean()
-        lam = relative * _largest(rows @ rows.T) / diagonal
-        matrix = solver._compute_h(-rows, 0.5, lam, "kotre")
-
-        def solve(volts: np.ndarray) -> np.ndarray:
-            solver.H = matrix
-            return solver.solve(volts, zero, normalize=False).T
-
-        return solve
-
-    return prepare
-
-
-def _read(images: np.ndarray, loops: np.ndarray, sensor: Sensor) -> Rows:
-    """Above half the maximum, as the paper reads its images."""
-    n, shape = len(images), (_CELLS, _CELLS)
-    cell = jnp.asarray(sensor.size / _CELLS, jnp.float32)
-
-    @jax.jit
-    def read(image: jax.Array, current: jax.Array) -> Contacts:
-        return read_contacts(image, current, cell, _CONTACTS, 0.5, False)
-
-    pixels = images.reshape(n, *shape, 2).mean(-1)
-    currents = (images / loops).reshape(n, *shape, 2).mean(-1)
-    both = (jnp.asarray(a, jnp.float32) for a in (pixels, currents))
+def _rows(
+    output: str, reading: str, images: np.ndarray, currents: np.ndarray, size: np.ndarray
+) -> Rows:
+    """Contacts of images: one, of which the place alone is known, or as this package reads
+    them, peaks as `source` does and halves as `linear` does."""
+    n, pixels = len(images), int(np.sqrt(images.shape[1]))
+    shaped = None
+    if output == "contacts":
+        places = _READINGS[reading](images, pixels, size)[:, None]
+        nan = np.full((n, 1), np.nan)
+        contacts: Any = (
+            np.ones(n, np.uint8),
+            places,
+            *[nan] * 4,
+            np.full((n, 1, 3), np.nan),
+        )
+        contacts = Contacts(*contacts)
+    else:
+        shaped = images.reshape(n, pixels, pixels)
+        both = (a.reshape(shaped.shape).astype("f4") for a in (images, currents))
+        contacts = _several(*both, np.asarray(size / pixels, "f4"), reading == "peak")
+        contacts = jax.tree.map(np.asarray, contacts)
     return Rows.of(
-        jax.tree.map(np.asarray, jax.vmap(read)(*both)),
+        contacts,
         residual=np.zeros(n),
         flags=np.zeros(n, np.uint32),
         rung=np.zeros(n, np.uint8),
-        image=pixels,
+        image=shaped,
     )
 
 
-def _scores(rows: Rows, trials: Trials, sensor: Sensor) -> dict[str, dict]:
+@partial(jax.jit, static_argnames="peak")
+def _several(
+    images: jax.Array, currents: jax.Array, cell: jax.Array, peak: bool
+) -> Contacts:
+    """Up to three contacts of each image."""
+    level = 0.8 if peak else 0.5
+
+    def read(image: jax.Array, current: jax.Array) -> Contacts:
+        return read_contacts(image, current, cell, _CONTACTS, level, peak)
+
+    return jax.vmap(read)(images, currents)
+
+
+def _scores(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, dict]:
     found = {}
     for kind in KINDS:
         at = np.flatnonzero(trials.kind == kind)
-        found[kind] = score(rows.take(at), trials.of(at), np.asarray(sensor.size))
+        found[kind] = score(rows.take(at), trials.of(at), size)
     return found

@@ -10,12 +10,11 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from tomojax.design import design, design_objective, design_places
 from tomojax.paper import PATTERNS
@@ -23,7 +22,6 @@ from tomojax.sensor import Sensor
 from tomojax.studies.frontier._measure import Job
 from tomojax.studies.frontier._scenes import (
     identity,
-    KINDS,
     load_trials,
     make_trials,
     save_trials,
@@ -43,11 +41,13 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
             Job("source", ("corner",), batches=(256,)),
             Job("source", ("corner",), batches=(256,), pixels=16),
             Job("follow", ("around_contacts",)),
-            Job("peers", ("edge",), batches=(256,), dtype="float64"),
+            Job("peers", ("corner",), batches=(256,)),
         ]
     batches, own = (1, 32, 256, 1024), ("own",)
     every = ("corner", "corners", "ten", *PATTERNS, "designed")
     few = ("corners", "around", "all")
+    # Grounds that do not depend on the scene, and one pattern that follows it.
+    fixed = ("corner", "corners", "boundary", "v_line", "edge", "all", "designed", "around")
     rated, counts = ("corner", "edge"), tuple(4**k for k in range(7))
     return [
         Job("linear", every, own, batches, designed=designed),
@@ -65,7 +65,11 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         Job("conductance", ("corners", "all"), own, (2,), most=6),
         Job("auto", ("corners", "all"), own, (32,), most=10),
         Job("follow", ("around_contacts", "around", "all")),
-        Job("peers", ("all", "boundary", "edge", "around"), own, (1, 256), dtype="float64"),
+        # What our methods get, and an image of the paper's 4 mm besides.
+        Job("peers", fixed, own, batches, designed=designed),
+        Job("peers", ("corner", "corners", "around", "all"), own, (256, 1024), 16),
+        Job("peers", ("corner", "corners", "edge", "all"), own, (256, 1024), 40),
+        Job("peers", ("corners",), own, (256,), 64),
         *(Job("rates", rated, own, counts, pixels) for pixels in (16, 32, 64)),
         Job("rates", rated, own, counts, threads=1),
         Job("day", ("corners", "ten")),
@@ -164,37 +168,3 @@ def measured(path: Path, job: Job) -> list[dict[str, Any]]:
         why = (out.stderr.strip().splitlines() or ["killed"])[-1]
         return [{**job._asdict(), "scene": None, "failed": why}]
     return [json.loads(line) for line in out.stdout.splitlines() if line.startswith("{")]
-
-
-def mark_front(rows: list[dict[str, Any]]) -> None:
-    """`on_front`: of its kind of scene none is both quicker a frame and nearer the place.
-
-    The peers do not take part: the front is ours, and they are where they are.
-    """
-    for row in rows:
-        row["on_front"] = False
-    for kind in KINDS:
-        some = [r for r in rows if r["scene"] == kind and not r["peer"]]
-        some = [r for r in some if r["place_median_mm"] is not None]
-        best = np.inf
-        for row in sorted(some, key=lambda r: (r["p50_us"], r["place_median_mm"])):
-            if row["place_median_mm"] < best:
-                row["on_front"], best = True, row["place_median_mm"]
-
-
-def beside_peers(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """For each row of a peer: ours that is no further off and quickest, and the one that
-    is no slower and nearest."""
-    for peer in (r for r in rows if r["peer"] and r["place_median_mm"] is not None):
-        ours = [r for r in rows if r["scene"] == peer["scene"] and not r["peer"]]
-        ours = [r for r in ours if r["place_median_mm"] is not None]
-        near = [r for r in ours if r["place_median_mm"] <= peer["place_median_mm"]]
-        fast = [r for r in ours if r["p50_us"] <= peer["p50_us"]]
-        quickest = min(near, key=lambda r: r["p50_us"], default=None)
-        nearest = min(fast, key=lambda r: r["place_median_mm"], default=None)
-        yield {
-            "peer": peer,
-            "times_as_fast": quickest and peer["p50_us"] / quickest["p50_us"],
-            "quickest": quickest,
-            "nearest": nearest,
-        }

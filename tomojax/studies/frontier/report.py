@@ -5,8 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from tomojax.studies.frontier._beside import (
+    beside_peers,
+    error_mm as error_mm,
+    front,
+    front_of_alike,
+)
 from tomojax.studies.frontier._scenes import KINDS
-from tomojax.studies.frontier._study import beside_peers
 
 COLOURS = {
     "linear": "C3",
@@ -17,7 +22,8 @@ COLOURS = {
     "auto": "C5",
     "follow": "C9",
 }
-_PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D"}
+_PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D", "NumPy sLORETA": "^"}
+_TOLD = ("pattern", "slots", "pixels", "dtype", "output", "batch", "p50_us")
 _RUNGS = ("nothing", "points", "source", "conductance")
 WORDS = {
     "one": "one contact",
@@ -29,41 +35,62 @@ WORDS = {
 
 
 def text(rows: list[dict[str, Any]]) -> str:
-    """The front of each kind of scene, slowest first, and the peers beside it."""
+    """The front of each kind of scene, slowest first, and the peers' own beside it."""
     lines = [
-        "        method       pattern   slots λ        pixels dtype     batch "
+        "        method       pattern   slots λ        pixels dtype    output   batch "
         "  µs a frame (99 %)  place, mm (90 %)  width"
     ]
     for kind in KINDS:
-        some = [r for r in rows if r["scene"] == kind and (r["on_front"] or r["peer"])]
+        ours = [r for r in rows if r["scene"] == kind and r["on_front"]]
+        peers = front([r for r in rows if r["scene"] == kind and r["peer"]])
         lines.append(f"{WORDS[kind]}:")
-        for row in sorted(some, key=lambda r: (r["peer"], -r["p50_us"])):
+        for row in sorted(ours + peers, key=lambda r: (r["peer"], -r["p50_us"])):
             lines.append(_line(row))
     found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
-    if found:
-        faster = [f["times_as_fast"] for f in found if f["times_as_fast"]]
-        worse = sum(f["nearest"] is None or not _no_further(f) for f in found)
+    return "\n".join(lines + (_verdict(found) if found else []))
+
+
+def _verdict(found: list[dict[str, Any]]) -> list[str]:
+    """Who is ahead at single contacts, among rows that are alike."""
+    alike = [f for f in found if f["alike"]]
+    faster = [f["times_as_fast"] for f in alike if f["times_as_fast"]]
+    ahead = [f for f in alike if f["ahead"]]
+    lines = ["of one contact, beside rows of ours of the same dtype, output and batch:"]
+    if faster:
         lines.append(
-            f"of one contact, ours reaches the accuracy of {len(faster)} of the peers' "
-            f"{len(found)} rows, {min(faster, default=0):.1f} times as fast or more; of "
-            f"their speeds {worse} have none of ours that is no further off"
+            f"  ours reaches the accuracy of {len(faster)} of the peers' {len(alike)} rows,"
+            f" {min(faster):.2g} to {max(faster):.2g} times as fast"
         )
-    return "\n".join(lines)
-
-
-def _no_further(found: dict[str, Any]) -> bool:
-    return found["nearest"]["place_median_mm"] <= found["peer"]["place_median_mm"]
+    lines.append(
+        f"  a peer is ahead in {len(ahead)} of {len(alike)} rows" + ":" * bool(ahead)
+    )
+    best = front_of_alike([f["peer"] for f in ahead])
+    for f in sorted(ahead, key=lambda f: f["peer"]["p50_us"]):
+        peer, ours = f["peer"], f["quickest"]
+        if not any(peer is row for row in best):
+            continue  # another peer that is ahead is as near and as fast
+        beside = f"ours as near: {ours['p50_us']:.1f} µs ({ours['method']})" if ours else ""
+        lines.append(
+            f"    {peer['method']}, {peer['pattern']}, {peer.get('output')}, "
+            f"batch {peer['batch']}: {_mm(error_mm(peer))} mm in {peer['p50_us']:.1f} µs; "
+            + (beside or "none of ours is as near")
+        )
+    if len(alike) < len(found):
+        none = len(found) - len(alike)
+        lines.append(f"  {none} rows of peers have none of ours that is alike")
+    return lines
 
 
 def _line(row: dict[str, Any]) -> str:
-    median, p90 = (_mm(row[key]) for key in ("place_median_mm", "place_p90_mm"))
+    p90 = _mm(row.get("with_ghosts_p90_mm", row["place_p90_mm"]))
     width = f"{row['width_mm']:5.1f}" if row.get("width_mm") else "    -"
     rule = row["lam_rule"].split(" ")[0]
     return (
         f"  {'peer  ' if row['peer'] else '      '}{row['method'][:12]:12s} "
         f"{row['pattern']:10s} {row['slots']:4d} {rule:9s} {row['pixels']:5d} "
-        f"{row['dtype']:9s} {row['batch']:5d} {row['p50_us']:10.1f} ({row['p99_us']:.0f})"
-        f"   {median:>8s} ({p90})  {width}"
+        f"{row['dtype']:8s} {row.get('output', '-'):8s} {row['batch']:5d} "
+        f"{row['p50_us']:10.1f} ({row['p99_us']:.0f})"
+        f"   {_mm(error_mm(row)):>8s} ({p90})  {width}"
     )
 
 
@@ -72,19 +99,25 @@ def _mm(value: float | None) -> str:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How far from the peers, and what it cost to compile."""
+    """How far from the peers, or how far behind them, and what failed."""
     found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
+    alike = [f for f in found if f["alike"]]
     return {
-        "place": "of a scene's worst contact, to the nearest that was found",
+        "place": "of a scene's worst contact, to the nearest that was found, or of its "
+        "farthest ghost if that is more",
         "front": "of its kind of scene none is both quicker a frame and nearer the place",
+        "peers_beside": "rows of ours of the same scene, dtype, output and batch",
+        "peers_compared": len(alike),
+        "peers_ahead": sum(f["ahead"] for f in alike),
         "peers": [
             {
                 "peer": f["peer"]["method"],
-                "pattern": f["peer"]["pattern"],
-                "batch": f["peer"]["batch"],
+                **{k: f["peer"].get(k) for k in _TOLD},
+                "alike": f["alike"],
+                "ahead": f["ahead"],
                 "times_as_fast_at_its_accuracy": f["times_as_fast"],
-                "place_mm": f["peer"]["place_median_mm"],
-                "place_at_its_speed_mm": f["nearest"] and f["nearest"]["place_median_mm"],
+                "place_mm": error_mm(f["peer"]),
+                "place_at_its_speed_mm": f["nearest"] and error_mm(f["nearest"]),
             }
             for f in found
         ],
@@ -93,29 +126,34 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def chart(rows: list[dict[str, Any]]) -> Any:
-    """A panel for each kind of scene: time of a frame against place error."""
+    """A panel for each kind of scene: time of a frame against place error.
+
+    Peers are hollow, and full where they are ahead of all of ours that are alike.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 9), layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     for axes, kind in zip(panels, KINDS):
-        some = [r for r in rows if r["scene"] == kind and r["place_median_mm"] is not None]
+        some = [r for r in rows if r["scene"] == kind and error_mm(r) is not None]
+        ahead = {id(f["peer"]) for f in beside_peers(some) if f["ahead"]}
         for row in some:
             size = 12 + 18 * np.log2(row["slots"]) if row["slots"] > 1 else 12
             if row["peer"]:
-                style = {"marker": _PEERS[row["method"]], "facecolors": "none"}
-                axes.scatter(
-                    row["p50_us"], row["place_median_mm"], s=size, edgecolors="k", **style
-                )
+                full = "k" if id(row) in ahead else "none"
+                style = {"marker": _PEERS[row["method"]], "facecolors": full}
+                axes.scatter(row["p50_us"], error_mm(row), s=size, edgecolors="k", **style)
             else:
                 colour = COLOURS[row["method"]]
                 axes.scatter(
-                    row["p50_us"], row["place_median_mm"], s=size, color=colour, alpha=0.5,
-                    linewidths=0,
-                )  # fmt: skip
-        front = sorted((r["p50_us"], r["place_median_mm"]) for r in some if r["on_front"])
-        if front:
-            axes.step(*zip(*front), where="post", color="k", lw=1)
+                    row["p50_us"], error_mm(row), s=size, color=colour, alpha=0.5, lw=0
+                )
+        peers = [r for r in some if r["peer"]]
+        ours = [r for r in some if not r["peer"]]
+        for them, line in ((ours, "-"), (peers, "--")):
+            steps = [(r["p50_us"], error_mm(r)) for r in front(them)]
+            if steps:
+                axes.step(*zip(*steps), where="post", color="k", lw=1, ls=line)
         axes.set(xscale="log", yscale="log", title=WORDS[kind])
         axes.set(xlabel="µs a frame (median)", ylabel="place error, mm (median)")
         axes.grid(alpha=0.3)
@@ -127,7 +165,9 @@ def chart(rows: list[dict[str, Any]]) -> Any:
     for slots in (1, 8, 64):
         size = 12 + 18 * np.log2(slots)
         legend.scatter([], [], s=size, color="0.6", label=f"{slots} slots")
+    legend.scatter([], [], marker="o", color="k", label="a peer that is ahead")
     legend.plot([], [], "k", lw=1, label="the front (ours)")
+    legend.plot([], [], "k--", lw=1, label="the front (peers)")
     legend.legend(loc="center", fontsize=10, ncols=2, frameon=False)
     legend.set_axis_off()
     return figure
@@ -151,7 +191,7 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
         for k, model in enumerate(models):
             some = [chosen.get((model, kind), {}) for kind in KINDS]
             at, label = x + 0.16 * (k - 2), model
-            errors = [row.get("place_median_mm") or np.nan for row in some]
+            errors = [(row and error_mm(row)) or np.nan for row in some]
             line[0].bar(at, errors, 0.16, color=COLOURS[model], label=label)
             doubt = [100 * row.get("doubted", np.nan) for row in some]
             line[1].bar(at, doubt, 0.16, color=COLOURS[model], label=label)
