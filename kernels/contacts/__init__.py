@@ -32,6 +32,7 @@ from tomojax.kernels.contacts._points import (
     discs as discs,
     Fitted as Fitted,
     green_of as green_of,
+    hardly_told as hardly_told,
     LEAST_DROP as LEAST_DROP,
     metallic as metallic,
     round_disc as round_disc,

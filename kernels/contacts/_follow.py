@@ -39,9 +39,9 @@ from tomojax.kernels.contacts._search import (
     search,
 )
 
-# By how much a place (units of the fit, 1 mm for electrodes of 5 mm) and a size move in a
-# slot: 1 σ.
-_DRIFT = (0.05, 0.05, 0.02)
+# By how much a place (units of the fit, a twentieth of a pitch) and a size move in a tenth
+# of a millisecond: 1 σ, and as the root of the time. A finger that strokes.
+_DRIFT, _DRIFT_TIME = (0.05, 0.05, 0.02), 1e-4
 
 # χ² of a slot's own place beside what was known, of three values: beyond, it is news.
 _NEWS = 40.0
@@ -66,7 +66,7 @@ def follow(
 ) -> tuple[Followed, Float[Array, " M"]]:
     """One slot later, and what the voltages are beside the contacts', V.
 
-    **Arguments:** `voltages` 0 where not `used`; `elapsed` slots since the last one.
+    **Arguments:** `voltages` 0 where not `used`; `elapsed` since the last slot, s.
     """
     dtype = voltages.dtype
     # The grounded electrode's own voltage is that of its path, which is hardly known.
@@ -86,7 +86,7 @@ def follow(
     columns = jnp.where(there[:, None, None], columns, 0)
     place = jnp.where(new[:, None], candidates.place[seen.chosen], known.place)
     size = jnp.where(new, 0, known.size)
-    drift = elapsed * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
+    drift = elapsed / _DRIFT_TIME * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
     wide = first_covariance(dtype)
     covariance = jnp.where(new[:, None, None], wide, known.covariance + drift)
     moved, covariance, alone, current = _update(columns, covariance, weights, voltages)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.contacts._field import Field, field_and_slope, slot_columns
 from tomojax.kernels.contacts._whiten import currents, whitened_columns, WhitenedFrame
@@ -26,6 +26,9 @@ DISC = 5
 # contacts a pitch apart have as much as an ellipse of 2 : 1 a pitch and a half long: data
 # hardly tell them apart, and m lies between what is usual of the one and of the other.
 LONG, NOT_ROUND, LONGEST = 0.08, 3.0, 5.0
+
+# σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
+_VAGUE = 0.25
 
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
@@ -102,7 +105,7 @@ def discs(
 def longness(long: Float[Array, "C 2"]) -> Float[Array, "C 2"]:
     """What is known beforehand of how long a contact is: round, or not, but not a bar.
 
-    Its square is q²/(1 + q²/τ²) + (q/m)⁴: as q² near 0, about τ² then, and a wall from m on.
+    Its square is q²/(1 + q²/τ²) + (q/m)⁴: as q² near 0, about τ² then, a wall from m on.
     """
     square = (long**2).sum(-1, keepdims=True)
     wall = square / LONGEST**4
@@ -152,6 +155,18 @@ def _surroundings(
     towards = current.sum(1)[:, None, None] * slope[:, frame.grounds].transpose(1, 0, 2)
     pull = towards - jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
     return drop, pull
+
+
+def hardly_told(
+    sheet: Sheet, conductance: Float[Array, " C"], of_size: Float[Array, " C"]
+) -> Bool[Array, " C"]:
+    """Whether a contact so nearly imposes its potential that its conductance is not told.
+
+    g = I/(V0 − u), and a contact's own part of u is Iρ/2π·ln(1/a): σ of ln g is gρ/2π times
+    that of ln a. `of_size`: the variance of the size, of what is known beforehand.
+    """
+    per_size = SIZE_WIDTH * sheet.sheet_resistance / (2 * np.pi)
+    return jnp.abs(conductance) * per_size * jnp.sqrt(of_size) > _VAGUE
 
 
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:

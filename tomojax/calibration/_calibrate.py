@@ -15,13 +15,13 @@ from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import least_squares, solve_positive
 from tomojax.kernels.contacts import field_at, slot_columns, whitened_columns
 from tomojax.kernels.sheet import smooth_modes
-from tomojax.methods import fitting_of, method as make_method, Points
-from tomojax.sensor import Calibration, make_variation, Sensor
+from tomojax.methods import fitting_of, method as make_method, Points, UNIT
+from tomojax.sensor import Calibration, make_variation, nominal_noise, Sensor
 
-# What is known of a rig beforehand, 1 σ: gains, zeros (V), the sheet's longest wave (which
-# falls as the wave's length does), places (m), and resistances at grounds: of each, and
-# what all have in common, of the sheet's resistance.
-_GAIN, _ZERO, _SHEET, _PLACE, _GROUND, _GROUNDS = 1e-3, 5e-4, 0.03, 1e-4, 0.01, 0.1
+# What is known of a rig beforehand, 1 σ: gains, zeros (of the noise), the sheet's longest
+# wave (which falls as the wave's length does), places (of the pitch), and resistances at
+# grounds: of each, and what all have in common, of the sheet's resistance.
+_GAIN, _ZERO, _SHEET, _PLACE, _GROUND, _GROUNDS = 1e-3, 1.1, 0.03, 0.005, 0.01, 0.1
 
 # What is never believed to be known better, of what nominal values leave.
 _LEAST = 0.1
@@ -86,7 +86,7 @@ def calibrate(
     sums = _sums(_points(sensor, now), waves, known, now)
     start = sums[2]
     for _ in range(_PASSES):
-        now = _solved(sums[0], sums[1], now, before, rho)
+        now = _solved(sums[0], sums[1], now, before, rho, nominal_noise(sensor))
         sums = _sums(_points(sensor, now), waves, known, now)
     error = float(np.clip(np.sqrt(sums[2] / start), _LEAST, 1))
     return replace(now, error=error * before.error)
@@ -179,7 +179,7 @@ def _frame(
 
     def fit(p: Array):
         # Known to _PLACE: a parameter of unit size is that far off.
-        placed = unit + p[:2] * (_PLACE / sheet.unit)
+        placed = unit + p[:2] * (_PLACE / UNIT)
         rest, _, fitted = model.discs(sheet, frame, model.round_disc(placed, p[2])[None])
         return rest[:, : volts.shape[1]], p, fitted
 
@@ -242,9 +242,9 @@ def _by_rig(points, waves: _Waves, frame, fitted) -> Float[Array, "S M P"]:
 
 
 def _solved(
-    normal, right, now: Calibration, before: Calibration, rho: float
+    normal, right, now: Calibration, before: Calibration, rho: float, noise: float
 ) -> Calibration:
-    """The likeliest values, near those `before`; `rho` the sheet's resistance."""
+    """The likeliest values, near those `before`; `rho` the sheet's resistance, `noise` V."""
     q = len(now.sheet)
     m = (len(right) - q) // 3
     sizes = {"gain": m, "offset": m, "sheet": q, "ground": m}
@@ -253,7 +253,7 @@ def _solved(
         for c in (now, before)
     )
     # Zeros that were taken from contact-free slots are known to the noise's mean.
-    zero = _ZERO if np.size(before.offset) == 1 else _ZERO / 10
+    zero = _ZERO * noise / (1 if np.size(before.offset) == 1 else 10)
     strength = smooth_modes(jnp.zeros((1, 2)), jnp.ones(2))[1]
     width = np.concatenate([np.full(m, _GAIN), np.full(m, zero), _SHEET * strength])
     known = np.zeros((len(state),) * 2)

@@ -9,24 +9,25 @@ from jaxtyping import Float
 from tomojax._require import require
 from tomojax.calibration._calibrate import calibrate
 from tomojax.recordings import read_chunk, Recording
-from tomojax.sensor import Calibration
+from tomojax.sensor import Calibration, nominal_noise
 
-# Slots looked at for zeros, in how many stretches; the least there must be; V that none of
-# them exceeds. Means of a ground's slots beside those of all, in σ²: more is a contact.
-_SLOTS, _STRETCHES, _LEAST, _QUIET, _SAME = 8192, 16, 16, 0.005, 2.0
+# Slots looked at for zeros, in how many stretches; the least there must be; what none of
+# them exceeds, in the noise (and codes, where these are coarse). Means of a ground's slots
+# beside those of all, in σ²: more is a contact.
+_SLOTS, _STRETCHES, _LEAST, _QUIET, _CODES, _SAME = 8192, 16, 16, 11.0, 3.0, 2.0
 
 # Slots that a calibration is made of: more tell little that is new.
-# V that a contact exceeds to be of use, and the fewest such slots.
-_MOST, _TOUCHED, _FEWEST = 2048, 0.05, 64
+# What a contact exceeds to be of use, in the noise, and the fewest such slots.
+_MOST, _TOUCHED, _FEWEST = 2048, 110.0, 64
 
-# Beside the noise that is seen: what is left of zeros, and of 16 bits.
-_MORE = 1.1
+# The noise that is seen, times what is left of zeros; and of the nominal one at least.
+_MORE, _NO_LESS = 1.1, 0.02
 
 
 def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
     """Zeros of the channels and their noise, from the recording's contact-free slots.
 
-    Those with all voltages below 5 mV and a mean that is the lowest, to the noise. Zeros
+    Those with all voltages within eleven times the noise and a mean that is the lowest. Zeros
     do not depend on the ground: where these slots' means do, something touches. With
     fewer than 16 slots, or with a touch, the calibration (nominal by default) as it is.
 
@@ -60,11 +61,11 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     if len(some) > 1 and np.median(apart) > _SAME * noise**2:
         return calibration
     offset = zero * np.asarray(calibration.gain) + np.asarray(calibration.offset)
-    resolution = 1e-5
+    least = _NO_LESS * nominal_noise(recording.rig.sensor())
     return replace(
         calibration,
         offset=tuple(float(z) for z in offset),
-        noise=float(np.hypot(_MORE * noise, resolution)),
+        noise=float(np.hypot(_MORE * noise, least)),
     )
 
 
@@ -73,12 +74,14 @@ def _quiet_slots(
 ) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
     each = max(1, _SLOTS // _STRETCHES // recording.slots)
     starts = np.linspace(0, max(0, recording.scans - each), _STRETCHES).astype(int)
+    rig = recording.rig
+    least = max(_QUIET * nominal_noise(rig.sensor()), _CODES * rig.resolution)
     found, under = [], []
     for start in np.unique(starts).tolist():
         stop = min(start + each, recording.scans)
         _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
         v = calibration.voltages(v[:, 0].astype(float))
-        quiet = good.all((1, 2)) & (np.abs(v).max(1) < _QUIET)
+        quiet = good.all((1, 2)) & (np.abs(v).max(1) < least)
         found.append(v[quiet])
         under.append(grounds[quiet, 0])
     return np.concatenate(found), np.concatenate(under).astype(int)
@@ -117,6 +120,7 @@ def calibrate_recording(
     if per_scan:
         places = places.repeat(recording.slots, 0)
     before = tare(recording)
+    enough = _TOUCHED * nominal_noise(recording.rig.sensor())
     found: list[tuple] = []
     each = max(1, _SLOTS // recording.slots)
     step = max(1, slots // most)
@@ -124,13 +128,13 @@ def calibrate_recording(
         stop = min(start + each, recording.scans)
         _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
         number = np.arange(len(v)) + start * recording.slots
-        touched = np.abs(before.voltages(v[:, 0])).max(1) > _TOUCHED
+        touched = np.abs(before.voltages(v[:, 0])).max(1) > enough
         usable = good.all((1, 2)) & touched & np.isfinite(places[number]).all(1)
         take = usable & (number % step == 0)
         found.append((v[take], grounds[take], places[number[take]]))
     parts = [np.concatenate(p) for p in zip(*found)]
-    enough = f"at least {_FEWEST} slots with a contact and its place"
-    require(len(parts[0]) >= _FEWEST, "places", f"{len(parts[0])} usable slots", enough)
+    wanted = f"at least {_FEWEST} slots with a contact and its place"
+    require(len(parts[0]) >= _FEWEST, "places", f"{len(parts[0])} usable slots", wanted)
     return calibrate(recording.rig.sensor(), *parts, calibration=before)
 
 

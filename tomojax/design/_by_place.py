@@ -28,8 +28,8 @@ _TRIED, _TOGETHER = 16, 64
 _SHAPES = {"points": (32, 32), "linear": (24, 24), "source": (16, 16)}
 
 # λ/σ₁² that are tried (decades, and how many), pixels along a side of the images that they
-# are tried on, and the width of a contact in those (σ), m.
-_LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.008
+# are tried on, and the width of a contact in those (σ), of the pitch.
+_LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.4
 
 # What a set may be worse by, as a part, to have as many grounds in common with its
 # neighbours' as it has; and how often all are gone through.
@@ -182,7 +182,7 @@ def place_lambdas(
         sensor, places, radius=radius, conductance=conductance, rigs=min(8, len(places))
     )
     model = (Linear if method == "linear" else Source).of(sensor, (_PIXELS, _PIXELS))
-    objective = ImageError.of(model, scenes, _WIDTH)
+    objective = ImageError.of(model, scenes, _WIDTH * sensor.mean_pitch)
     nx, ny = shape
     i, j = np.indices(shape).reshape(2, -1)
     nearby = [

@@ -29,9 +29,9 @@ from tomojax.sensor import Sensor
 # How sharply the largest stands out, from rough to fine, and steps of each.
 _SHARPNESS, _STEPS = (20.0, 60.0, 200.0), 40
 
-# λ/σ₁² that images of white noise ask for; a contact's resistance, Ω; and its width in
-# images (σ), of the pitch of a square grid of as many electrodes.
-_RELATIVE, _RESISTANCE, _BLOB = 1e-5, 1e4, 0.2
+# λ/σ₁² that images of white noise ask for; and a contact's width in images (σ), of the
+# pitch of a square grid of as many electrodes.
+_RELATIVE, _BLOB = 1e-5, 0.2
 
 # How far from the sensor's own places later searches begin (σ), of that pitch.
 _JITTER = 0.075
@@ -66,7 +66,7 @@ def design_electrodes(
     *,
     lam: float | None = None,
     grid: int = 32,
-    contact_resistance: float = _RESISTANCE,
+    contact_resistance: float | None = None,
     starts: int = 2,
     seed: int = 0,
 ) -> ElectrodeDesign:
@@ -78,7 +78,8 @@ def design_electrodes(
     **Arguments:** `places` (P, 2), m, where resolution counts, by default 24 × 24 over the
     sheet but 1/16 at its edges; `lam` λ of the images, the same for all electrodes' places,
     by default 1e-5 of the largest eigenvalue of JᵀJ; `grid` cells along a side;
-    `contact_resistance` ρ, Ω; `starts` of the search, the first at the sensor's own places,
+    `contact_resistance` ρ, Ω, that of a square of the sheet by default; `starts` of the
+    search, the first at the sensor's own places,
     the others beside them (a symmetric start ends symmetric).
     **Raises:** `ValueError` for a sheet with a value per element, and wrong arguments.
 
@@ -152,7 +153,7 @@ def image_spread(
     *,
     lam: float | Float[Array, ""],
     grid: int = 32,
-    contact_resistance: float = _RESISTANCE,
+    contact_resistance: float | None = None,
 ) -> Float[Array, " P"]:
     """√(Σ_k |x − x_k|²p_k²/Σ_k p_k²), m, of the images p of contacts at `places` x.
 
@@ -184,7 +185,7 @@ def image_spread(
 
 
 def image_scale(
-    sensor: Sensor, grid: int = 32, contact_resistance: float = _RESISTANCE
+    sensor: Sensor, grid: int = 32, contact_resistance: float | None = None
 ) -> float:
     """σ₁², the largest eigenvalue of JᵀJ: what λ of `image_spread` is relative to.
 
@@ -204,9 +205,12 @@ def _cells(sensor: Sensor, grid: int) -> Float[Array, "K 2"]:
     return jnp.asarray(cell_centres((grid, grid)), sensor.dtype) * sensor.size
 
 
-def _gram(sensor: Sensor, xy: Array, grid: int, contact: float) -> Float[Array, "K K"]:
+def _gram(
+    sensor: Sensor, xy: Array, grid: int, contact: float | None
+) -> Float[Array, "K K"]:
     """JᵀJ of all ground conditions; slot by slot, as J itself takes a lot of room."""
     z, rho = sensor.ground_resistance, sensor.sheet_resistance
+    through = jnp.asarray(rho.mean() if contact is None else contact, xy.dtype)
     cells = _cells(sensor, grid)
     ee, ek, shunts = rectangle_fields(
         xy, cells, sensor.electrode_diameter / 2, sensor.size, sensor.electrode_shunt
@@ -221,7 +225,7 @@ def _gram(sensor: Sensor, xy: Array, grid: int, contact: float) -> Float[Array, 
         g = ground[None]
         t = slot_map(table, g, z)
         loop = loop_resistance(table, g, z)
-        j = contact_jacobian(t, loop, jnp.asarray(contact, xy.dtype))[0]
+        j = contact_jacobian(t, loop, through)[0]
         return jnp.matmul(j.T, j, precision="highest")
 
     nothing = jnp.zeros((len(cells), len(cells)), xy.dtype)

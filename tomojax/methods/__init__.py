@@ -32,6 +32,7 @@ from tomojax.methods.points import (
     fitting_of as fitting_of,
     Points as Points,
     sheet_of as sheet_of,
+    UNIT as UNIT,
 )
 
 # The rest serves other rooms.

@@ -44,6 +44,7 @@ from tomojax.methods._errors import (
     PreparedErrors,
     seen,
     whitened,
+    without_offset,
 )
 from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
@@ -51,15 +52,15 @@ from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, Sensor, sheet_on_mesh
 
 # What is known of ln g beforehand: its mean below the start's highest and its standard
-# deviation; and the length over which it is alike, of the electrodes' diameter.
-_LEVEL, _WIDTH, _LENGTH = -6.0, 2.5, 0.8
+# deviation; and the length over which it is alike, of the electrodes' pitch.
+_LEVEL, _WIDTH, _LENGTH = -6.0, 2.5, 0.2
 
 # V0 − u at a contact is no less than this part of V0, for a start; steps of the fit.
 _DROP, _STEPS = 0.1, 25
 
-# Contacts are read off an image blurred by as much, of the electrodes' diameter; from
+# Contacts are read off an image blurred by as much, of the electrodes' pitch; from
 # this part of their peak on.
-_BLUR, _FROM = 0.8, 0.1
+_BLUR, _FROM = 0.2, 0.1
 
 # What a further region carries of what the first does, to be one that is not told of.
 # Highest voltage, in the converter's noise, that places a contact.
@@ -67,6 +68,10 @@ _OTHERS, _FAINT = 0.1, 30.0
 
 # A contact on more than this, of what an electrode has of the sheet, is seen by its rim.
 _WIDE = 1.1
+
+# A contact's conductance is told up to that of so many squares of the sheet: beyond, the
+# sheet's own resistance below it is the most of what is measured.
+_TOLD = 3.0
 
 # The start's λ, of σ₁².
 _START = 1e-4
@@ -114,7 +119,7 @@ class Conductance(AbstractMethod):
     sheet_resistance: Float[Array, ""]
     ground_resistance: Float[Array, "..."]
     drive_voltage: Float[Array, ""]
-    diameter: Float[Array, ""]
+    pitch: Float[Array, ""]
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Conductance":
@@ -135,7 +140,7 @@ class Conductance(AbstractMethod):
             jnp.exp(jnp.mean(jnp.log(fine.sheet_resistance))),
             fine.ground_resistance,
             fine.drive_voltage,
-            fine.electrode_diameter,
+            jnp.asarray(fine.mean_pitch, fine.dtype),
         )
 
     def calibrated(self, calibration: Calibration) -> "Conductance":
@@ -208,21 +213,23 @@ class Conductance(AbstractMethod):
             return whitened_columns(frame, volts - voltages), slopes
 
         prior, start = self._start(prepared.source, voltages)
-        fit: PositiveFit = positive_least_squares(model, prior, start, errors.tolerance, _STEPS)
+        fit: PositiveFit = positive_least_squares(
+            model, prior, start, errors.tolerance, _STEPS
+        )
         contact = self._contact(fit.values)
         drop = voltage_drop(self._at_pixels(contact), frame.grounds, z, v0)
         slots = errors.used.any(1)
         n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
         mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
         volts = ground_voltages(contact, frame.grounds, z, v0)
-        misfit = jnp.where(errors.used, volts - voltages, 0)
+        misfit, used = without_offset(errors, volts - voltages)
         return Fitted(
             fit.values,
             fit.values * mean.reshape(self.shape),
             fit.cost / n / errors.tolerance,
             seen(errors, frame, misfit_cost(fit.misfits, errors.tolerance)),
-            rms(misfit, errors.used),
-            rms_by_electrode(misfit, errors.used),
+            rms(misfit, used),
+            rms_by_electrode(misfit, used),
             jnp.abs(voltages).max(),
         )
 
@@ -238,7 +245,7 @@ class Conductance(AbstractMethod):
         wide = share.mean() > _WIDE / self.electrode_count
         along, across = (
             gaussian(n, length)
-            for n, length in zip(self.shape, _BLUR * self.diameter / self.cell)
+            for n, length in zip(self.shape, _BLUR * self.pitch / self.cell)
         )
         share = matmul(matmul(along, share), across.T)
         read = lambda carried: read_regions(  # noqa: E731
@@ -254,10 +261,14 @@ class Conductance(AbstractMethod):
             count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
         )
         faint = fitted.seen & (fitted.highest < _FAINT * self.noise)
+        # As of a disc whose size nothing tells; NaN is no contact.
+        gap = jnp.nan_to_num(contacts.conductance) * self.sheet_resistance
+        vague = (gap > _TOLD).any() & fitted.seen
         bits = (
             (fitted.cost > 1, Flag.HIGH_RESIDUAL),
             (more, Flag.CONTACTS_UNEXPLAINED),
             (faint | wide, Flag.PLACE_UNCERTAIN),
+            (vague, Flag.CONDUCTANCE_UNCERTAIN),
         )
         flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
         return Estimate(
@@ -297,6 +308,6 @@ class Conductance(AbstractMethod):
         tiny = 1e-12 / self.sheet_resistance
         guess = jnp.maximum(jnp.sign(v0) * current / drop, tiny)
         level = jnp.log(guess.max()) + _LEVEL
-        length = _LENGTH * self.diameter / self.cell
+        length = _LENGTH * self.pitch / self.cell
         prior = smooth_prior(self.shape, length, _WIDTH, level)
         return prior, near_positive(prior, guess)

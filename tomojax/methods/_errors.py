@@ -114,7 +114,7 @@ class Errors(eqx.Module):
 
 
 def noise_as(calibration: Calibration, nominal: Float[Array, ""]) -> Float[Array, ""]:
-    """Returns the noise that the calibration states, V; the nominal one where it has none."""
+    """Returns the noise that the calibration states, V; the nominal one without."""
     told = calibration.noise
     return nominal if told is None else jnp.asarray(told, nominal.dtype)
 
@@ -126,8 +126,7 @@ def noise_of(sensor: Sensor) -> Noise:
 
 def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitened:
     """A frame whose errors are independent and of size 1."""
-    channels = jnp.arange(voltages.shape[1])
-    used = prepared.used & (channels != prepared.grounds[:, None])
+    used = _not_grounded(prepared)
     bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
     own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
     each = jnp.sqrt(own**2 + prepared.noise**2)
@@ -138,6 +137,21 @@ def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitene
     common = jnp.concatenate([high[:, None] * prepared.smooth, flat[:, None]], 1)
     frame = whiten(voltages, prepared.grounds, jnp.where(used, each, 0), common)
     return Whitened(frame, own, common, offset)
+
+
+def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:
+    channels = jnp.arange(prepared.used.shape[1])
+    return prepared.used & (channels != prepared.grounds[:, None])
+
+
+def without_offset(
+    prepared: PreparedErrors, misfit: Float[Array, "S M"]
+) -> tuple[Float[Array, "S M"], Bool[Array, "S M"]]:
+    """Takes off what all channels of a slot are off, which is its ground's; and the used."""
+    used = _not_grounded(prepared)
+    misfit = jnp.where(used, misfit, 0)
+    count = jnp.maximum(used.sum(1, keepdims=True), 1).astype(misfit.dtype)
+    return jnp.where(used, misfit - misfit.sum(1, keepdims=True) / count, 0), used
 
 
 def misfit_cost(

@@ -29,9 +29,10 @@ from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
-# Rows of the basis that stands for J, and how many of them are used from which λ/σ₁² on:
-# an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see `reduce_jacobian`).
-_RANK, _FEWER, _FROM = 256, 128, 1e-3
+# Rows of the basis that stands for J, for each electrode, and how many of them are used from
+# which λ/σ₁² on: an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see
+# `reduce_jacobian`; 64 electrodes).
+_RANK, _FEWER, _FROM = 4, 2, 1e-3
 
 # What the contacts leave of the slots' voltages, each slot with currents of its own and
 # without its mean. J(0) places even lone contacts only so well: half of them leave more.
@@ -101,7 +102,7 @@ class Linear(AbstractMethod):
         noise: float = 0.0,
     ) -> "Linear":
         """Of any J (L, M, pixels); `noise` of a reading, V."""
-        rank = min(_RANK, maps.shape[0] * maps.shape[1], maps.shape[2])
+        rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
         turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
@@ -131,7 +132,7 @@ class Linear(AbstractMethod):
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedLinear:
         dtype = self.cell.dtype
         scale = self.scale()
-        fewer = _FEWER if lam >= _FROM * scale else _RANK
+        fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
         operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)

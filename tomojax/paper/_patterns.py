@@ -54,7 +54,7 @@ def pattern(
     voltages: Numbers | None = None,
     *,
     alpha: Numbers = 95.0,
-    threshold: Numbers = 0.01,
+    threshold: Numbers | None = None,
     seed: int = 0,
 ) -> Int[Array, " L"]:
     """Electrodes that a pattern grounds, for any array of electrodes.
@@ -130,7 +130,7 @@ class AdaptiveScan(eqx.Module):
 
     **Arguments:** `sensor`; `name` "around" (8), "cop_line" (8) or "point" (6); `alpha`
     α: electrodes whose summed voltage is at least α percent of the highest are in contact;
-    `threshold`: summed volts below which nothing touches.
+    `threshold`: summed volts below which nothing touches, 1/450 of the drive by default.
 
     The principal direction is taken of `electrode_currents`, not (as in the paper)
     of the electrodes in contact: on a recorded spanner at 35° that gives 36° where the
@@ -164,7 +164,7 @@ class AdaptiveScan(eqx.Module):
         name: AdaptivePattern = "cop_line",
         *,
         alpha: Numbers = 95.0,
-        threshold: Numbers = 0.01,
+        threshold: Numbers | None = None,
     ):
         adaptive = get_args(AdaptivePattern)
         require(name in adaptive, "name", repr(name), f"one of {', '.join(adaptive)}")
@@ -174,6 +174,8 @@ class AdaptiveScan(eqx.Module):
         if known(self.alpha):
             percent = float(self.alpha)
             require(0 < percent <= 100, "alpha", percent, "a percentage in (0, 100]")
+        if threshold is None:
+            threshold = jnp.abs(sensor.drive_voltage) / 450  # some 20 times the noise
         self.threshold = float_array("threshold", threshold, sensor.dtype)
         require_shape("threshold", self.threshold, ())
         require_finite("threshold", self.threshold)

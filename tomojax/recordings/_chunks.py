@@ -61,7 +61,13 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
     first, last = max(0, start - halo), min(recording.scans, stop + halo)
     scans = recording.read(first, last)
     rig = recording.rig
-    faults = find_faults(scans.voltages, scans.grounds, rig.drive_voltage, rig.rails)
+    faults = find_faults(
+        scans.voltages,
+        scans.grounds,
+        rig.drive_voltage,
+        rig.rails,
+        resolution=rig.resolution,
+    )
     keep = slice(start - first, stop - first)
     v, grounds, good, bits = (
         a[keep] for a in (scans.voltages, scans.grounds, faults.good, faults.flags)

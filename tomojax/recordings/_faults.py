@@ -18,6 +18,9 @@ from tomojax.kernels.flags import Flag
 # once in 4e9.
 HALO = 16
 
+# Part of the channels that change by more than one code, where noise is of a code or more.
+_BY_CODES = 0.25
+
 # A voltage below 0 or above the drive by this part of it is no potential of the sheet.
 _BEYOND = 0.1
 
@@ -45,12 +48,14 @@ def find_faults(
     drive_voltage: float,
     rails: tuple[float, float] = (-np.inf, np.inf),
     repeats: bool = True,
+    resolution: float = 0.0,
 ) -> Faults:
     """Bad channels, slots and scans of a stretch of a recording.
 
     **Arguments:** `voltages` V; `grounds` electrode numbers; `drive_voltage` V0;
     `rails` of the converter, V; `repeats` False does not look for stuck and dead channels
-    and scans (voltages without noise).
+    and scans (voltages without noise); `resolution`: of one code, V, if it is known. A
+    channel that noise moves by less than a code may repeat itself and be sound.
 
     Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
     STUCK_SCAN.
@@ -82,7 +87,8 @@ def find_faults(
     )
     if repeats:
         frozen = (_repeated_scans(voltages) & ~zero.all(1))[:, None]
-        still = _unchanging(voltages.reshape(-1, channels)).reshape(voltages.shape)
+        still = _unchanging(voltages.reshape(-1, channels), resolution)
+        still = still.reshape(voltages.shape)
         # One reason for each: at the rail and all at once are told already.
         still &= ~(saturated | zero[..., None] | frozen[..., None])
         dead = still & (voltages == 0)
@@ -114,13 +120,20 @@ def _repeated_scans(voltages: np.ndarray) -> Bool[np.ndarray, " n"]:
     return found
 
 
-def _unchanging(slots: Float[np.ndarray, "slots M"]) -> Bool[np.ndarray, "slots M"]:
-    """Values in a stretch of `HALO` steps without change, while most channels change."""
+def _unchanging(
+    slots: Float[np.ndarray, "slots M"], resolution: float
+) -> Bool[np.ndarray, "slots M"]:
+    """Values in a stretch of `HALO` steps without change, while most channels change.
+
+    And some of those by more than one code: else it is the codes that stand still.
+    """
     found = np.zeros(slots.shape, bool)
     if len(slots) <= HALO:
         return found
-    same = slots[1:] == slots[:-1]
-    lively = same.mean(1) < 0.5
+    step = slots[1:] - slots[:-1]
+    same = step == 0
+    far = np.abs(step) > 1.5 * resolution
+    lively = (same.mean(1) < 0.5) & (far.mean(1) > _BY_CODES)
     # All of 16 steps, by doubling.
     whole = same
     for reach in (1, 2, 4, 8):

@@ -98,6 +98,7 @@ class Hdf5Recording(Recording):
             size=(_number(field, "size", 2, 0), _number(field, "size", 2, 1)),
             electrode_xy=xy.T if matlab else xy,
             rails=(rails[0], rails[1]),
+            resolution=abs(self._scale),
             notes=_text(field, "notes") if field("notes", "") != "" else "",
             **numbers,
         )

@@ -64,6 +64,7 @@ class Rig:
     electrode_xy: np.ndarray
     rails: tuple[float, float]  # the lowest and highest voltage that can be read
     notes: str = ""
+    resolution: float = 0.0  # of one code, V; 0 where it is not known
 
     @classmethod
     def of(

@@ -12,19 +12,19 @@ from tomojax._require import require
 from tomojax.kernels.algebra import filter_levels, Levels, smooth_levels
 from tomojax.methods import Rows
 
-# A contact is the one of the row before that is no farther: m, or standard deviations of
-# a feeble one's place.
-_REACH, _SIGMAS = 0.015, 5.0
+# A contact is the one of the row before that is no farther: pitches, or standard deviations
+# of a feeble one's place.
+_REACH, _SIGMAS = 0.75, 5.0
 
 # Standard deviations: of voltages by the model's error, as a part of them (which tells how
 # well V0 − u and so a conductance is known); of a current by the converter's noise, of
-# what a volt drives through a square of the sheet; of ln g where the place is off by so
-# many m; and of a place that comes without, m.
-_MODEL, _NOISE, _ASTRAY, _UNTOLD = 0.02, 2e-4, 0.01, 0.003
+# what the drive lets flow through a square of the sheet; of ln g where the place is off by
+# so many pitches; and of a place that comes without, pitches.
+_MODEL, _NOISE, _ASTRAY, _UNTOLD = 0.02, 4.5e-5, 0.5, 0.15
 
-# Drifts that are tried for `drift=None`: standard deviations per row, of a place in m (and
-# of ln g, by what is beside it).
-_DRIFTS = ((0.0, 0.0), (1e-5, 0.003), (3e-5, 0.01), (1e-4, 0.03), (3e-4, 0.1))
+# Drifts that are tried for `drift=None`: standard deviations per row, of a place in pitches
+# and of ln g.
+_DRIFTS = ((0.0, 0.0), (5e-4, 0.003), (1.5e-3, 0.01), (5e-3, 0.03), (1.5e-2, 0.1))
 
 
 class Tracks(NamedTuple):
@@ -70,6 +70,7 @@ def track(
     hold: int = 3,
     least: int = 3,
     drift: tuple[float, float] | None = None,
+    pitch: float = 0.020,
 ) -> Tracks:
     """Place and conductance of each contact from all rows that show it.
 
@@ -82,7 +83,7 @@ def track(
     those before; `hold`: rows that a contact may be missing from and still be there (a
     feeble one is not seen under every ground); `least`: rows that have to show a contact
     (what fewer show are ghosts); `drift`: standard deviations per row of
-    place (m) and ln g, those that are likeliest by default.
+    place (m) and ln g, those that are likeliest by default; `pitch` of the electrodes, m.
     **Raises:** `ValueError` for rows without covariances and values out of range.
 
     **Example:**
@@ -99,13 +100,13 @@ def track(
     >>> print(tracks.contact_track[:, 0])
     [1 1 1 1 1 1]
     """
-    _check(rows, drive_voltage, sheet_resistance, hold, least, drift)
+    _check(rows, drive_voltage, sheet_resistance, hold, least, drift, pitch)
     # Of a larger model of auto's, that tells none.
     here = np.isfinite(rows.contact_covariance) | np.isnan(rows.contact_xy[..., :1])
-    wide = np.array([_UNTOLD**2, _UNTOLD**2, 0], np.float32)
+    wide = np.array([(_UNTOLD * pitch) ** 2] * 2 + [0], np.float32)
     covariance = np.where(here, rows.contact_covariance, wide)
     rows = rows._replace(contact_covariance=covariance)
-    paths = _follow(rows, hold, least)
+    paths = _follow(rows, hold, least, _REACH * pitch)
     if not paths.number.any():
         return _arranged(rows, paths, None, None)
     there = paths.source >= 0
@@ -117,9 +118,9 @@ def track(
     height = np.log(np.maximum(g, 1e-30))[..., None]
     spread = _height_noise(g, current, drive_voltage, sheet_resistance)
     # What is feeble beside its ground is told neither where nor how strong.
-    spread += np.trace(place[1], axis1=-2, axis2=-1) / _ASTRAY**2
+    spread += np.trace(place[1], axis1=-2, axis2=-1) / (_ASTRAY * pitch) ** 2
     spread = spread[..., None, None]
-    drifts = _DRIFTS if drift is None else (drift,)
+    drifts = [(pitch * d, g) for d, g in _DRIFTS] if drift is None else [drift]
     followed = []
     for k, (z, r) in enumerate((place, (height, spread))):
         each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
@@ -130,7 +131,8 @@ def track(
     return _arranged(rows, paths, *followed)
 
 
-def _check(rows, drive_voltage, sheet_resistance, hold, least, drift) -> None:
+def _check(rows, drive_voltage, sheet_resistance, hold, least, drift, pitch) -> None:
+    require(np.isfinite(pitch) and pitch > 0, "pitch", pitch, "m, above 0")
     told = np.isfinite(rows.contact_covariance).any() or not rows.contact_count.any()
     require(told, "rows", "contacts without covariance", "those of points or auto")
     require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
@@ -144,7 +146,7 @@ def _check(rows, drive_voltage, sheet_resistance, hold, least, drift) -> None:
         require(numbers, "drift", drift, "two numbers, 0 or more: m and ln g per row")
 
 
-def _follow(rows: Rows, hold: int, least: int) -> _Paths:
+def _follow(rows: Rows, hold: int, least: int, within: float) -> _Paths:
     """Contacts of each row joined to the nearest of those before, the nearest first."""
     n, most = rows.contact_xy.shape[:2]
     number, source = np.zeros((n, most), int), np.full((n, most), -1)
@@ -156,7 +158,7 @@ def _follow(rows: Rows, hold: int, least: int) -> _Paths:
         alive = k - last <= hold + 1
         apart = np.hypot(*(places[:, None] - seen).transpose(2, 0, 1))
         wide = np.sqrt(rows.contact_covariance[k, : len(seen), :2].sum(-1))
-        reach = np.maximum(_REACH, _SIGMAS * np.maximum(wide, widths[:, None]))
+        reach = np.maximum(within, _SIGMAS * np.maximum(wide, widths[:, None]))
         apart[~alive] = np.inf
         free = list(np.argsort(np.where(alive, n + last, last), kind="stable"))
         for _ in range(len(seen)):
@@ -196,7 +198,7 @@ def _height_noise(g, current, drive_voltage: float, sheet_resistance: float) -> 
     """Variance of ln g: of V0 − u by the model's error, of the current by noise."""
     current = np.maximum(np.abs(current), 1e-15)
     below = np.maximum(np.abs(drive_voltage) * g / current - 1, 0)  # u/(V0 − u)
-    noise = _NOISE / sheet_resistance / current
+    noise = _NOISE * abs(drive_voltage) / sheet_resistance / current
     return (_MODEL**2 * (1 + below**2) + noise**2).astype(np.float32)
 
 

@@ -59,6 +59,7 @@ def track_results(
                 rows,
                 float(attributes["drive_voltage"]),
                 float(attributes["sheet_resistance"]),
+                pitch=_pitch(attributes),
                 **options,
             )
         except ValueError as error:
@@ -131,3 +132,8 @@ def picture(path: Path, out: Path) -> Any:
     sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal", xlabel="x, mm")
     sheet.set(ylabel="y, mm", title="paths, with ellipses of two standard deviations")
     return figure
+
+
+def _pitch(attributes: dict) -> float:
+    """As `Sensor.mean_pitch`, m."""
+    return float(np.sqrt(np.prod(attributes["size"]) / len(attributes["electrode_xy"])))

@@ -23,7 +23,11 @@ from tomojax.sensor._scene import (
     Scene as Scene,
     Shifted as Shifted,
 )
-from tomojax.sensor._sensor import nominal_noise as nominal_noise, Sensor as Sensor
+from tomojax.sensor._sensor import (
+    converter_of as converter_of,
+    nominal_noise as nominal_noise,
+    Sensor as Sensor,
+)
 from tomojax.sensor._shapes import (
     AbstractOutline as AbstractOutline,
     AbstractShape as AbstractShape,
@@ -42,6 +46,7 @@ __all__ = [
     "Calibration",
     "contact_conductance",
     "Converter",
+    "converter_of",
     "Disc",
     "Ellipse",
     "ground_set",

@@ -27,9 +27,9 @@ class Calibration:
     1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4, in the
     order of j within i, of mean square 1. `ground`: what a grounded
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
-    corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of what the channels
-    have in common with these values, as a part of what nominal values leave. `pressure`:
-    c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
+    corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of
+    what the channels have in common with these values, as a part of what nominal values
+    leave. `pressure`: c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
 
     **Example:**
 

@@ -20,7 +20,7 @@ from tomojax._checks import (
 )
 from tomojax._custom_types import Numbers
 from tomojax._require import check_electrodes
-from tomojax.sensor._converter import NOISE
+from tomojax.sensor._converter import Converter, NOISE
 
 
 class Sensor(eqx.Module):
@@ -219,3 +219,18 @@ def nominal_noise(sensor: Sensor) -> float:
     """
     # Without a drive there is nothing to see; the noise divides, so that it is not 0.
     return NOISE * (abs(float(sensor.drive_voltage)) or 1.0)
+
+
+def converter_of(sensor: Sensor) -> Converter:
+    """Returns the paper's converter, 16 bits, with a range and a noise that suit the drive.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> converter = tx.sensor.converter_of(tx.Sensor.grid(drive_voltage=9.0))
+    >>> print(f"{float(converter.full_scale):.0f} V, {float(1e3 * converter.noise):.1f} mV")
+    10 V, 0.6 mV
+    """
+    drive = nominal_noise(sensor) / NOISE
+    # Beside it the noise of a reading has zeros and steps.
+    return Converter(noise=2 / 3 * nominal_noise(sensor), full_scale=drive / 0.9)

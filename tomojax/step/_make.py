@@ -21,6 +21,7 @@ def make_step(
     policy: str | Sequence[str] = "around_contacts",
     *,
     contacts: int = 2,
+    f_switch: float = 10e3,
     grid: int = 32,
     lam: float | None = None,
     cheaper: str | None = None,
@@ -36,7 +37,8 @@ def make_step(
     the patterns ("around", "cop_line" and "point" after two corner slots each),
     "around_contacts" (*Around* by the contacts' places) and "information" (each time the
     slot that is expected to say most of the places); `tables`: policies of your own by
-    name, such as a `Lookup`; `contacts` at most; `lam` λ (by default the method's own
+    name, such as a `Lookup`; `contacts` at most;
+    `f_switch` slots/s: how far a contact may move in one; `lam` λ (by default the method's own
     without a recording); `cheaper`: a method that answers slots that are `hurried`;
     `calibration`: of the rig, its zeros and gains are taken off what is read;
     `good` (M,): channels that are used; `highest`: |V| that no channel can have.
@@ -60,6 +62,8 @@ def make_step(
     used = np.ones(m, bool) if good is None else np.asarray(good, bool)
     require(used.shape == (m,), "good", f"shape {used.shape}", f"shape ({m},)")
     require(used.sum() >= 4, "good", f"{used.sum()} channels", "4 or more")
+    rate = np.isfinite(f_switch) and f_switch > 0
+    require(rate, "f_switch", f_switch, "slots/s, above 0")
     names = [policy] if isinstance(policy, str) else list(policy)
     require(names, "policy", names, "at least one")
     own = tables or {}
@@ -70,7 +74,7 @@ def make_step(
         if name == "follow":
             points = make_method(sensor, "points", grid, calibration)
             assert isinstance(points, Points)
-            return Follow.of(points, contacts, used)
+            return Follow.of(points, contacts, used, f_switch)
         found = make_method(sensor, name, grid, calibration)
         value = found.choose_lambda([]) if lam is None else lam
         return EachSlot.of(found, contacts, used, value)

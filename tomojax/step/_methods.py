@@ -13,6 +13,7 @@ from tomojax.kernels.contacts import (
     Candidates,
     follow,
     Followed,
+    hardly_told,
     Noise,
     nothing_followed,
     radius_of,
@@ -89,16 +90,25 @@ class Follow(AbstractStepMethod):
     points: Points
     candidates: Candidates
     errors: Noise
+    slot_time: Float[Array, ""]  # s
 
     @classmethod
-    def of(cls, points: Points, count: int, good: Bool[np.ndarray, " M"]) -> "Follow":
-        """Up to `count` contacts, from the channels that are `good`."""
+    def of(
+        cls,
+        points: Points,
+        count: int,
+        good: Bool[np.ndarray, " M"],
+        f_switch: float = 10e3,
+    ) -> "Follow":
+        """Up to `count` contacts, from the channels that are `good`, at so many slots/s."""
         every = jax.vmap(tangents, (None, 0, None))
         none = jnp.zeros((), points.cell.dtype)
         tangent = jax.jit(every)(points.sheet, points.candidates, none)
         potential = tangent[:, 0]
         candidates = Candidates(points.candidates, potential, potential**2, tangent)
-        return cls(count, points, candidates, points.errors.in_slot(good))
+        errors, dtype = points.errors.in_slot(good), points.cell.dtype
+        slot_time = jnp.asarray(1 / f_switch, dtype)
+        return cls(count, points, candidates, errors, slot_time)
 
     @property
     def residual_limit(self) -> float:
@@ -121,7 +131,14 @@ class Follow(AbstractStepMethod):
     ) -> tuple[Followed, Told]:
         sheet = self.points.sheet
         now, rest = follow(
-            sheet, self.candidates, memory, voltages, used, ground, elapsed, self.errors
+            sheet,
+            self.candidates,
+            memory,
+            voltages,
+            used,
+            ground,
+            elapsed * self.slot_time,
+            self.errors,
         )
         residual = rms(rest, used)
         radius = radius_of(sheet, now.size)
@@ -135,7 +152,9 @@ class Follow(AbstractStepMethod):
         )
         contacts = strongest_first(found, now.there)
         faint = (jnp.abs(voltages).max() < _FAINT * self.noise) & now.there.any()
+        vague = now.there & hardly_told(sheet, now.conductance, now.covariance[:, 2, 2])
         flags = jnp.where(faint, Flag.PLACE_UNCERTAIN.value, 0)
+        flags = flags | jnp.where(vague.any(), Flag.CONDUCTANCE_UNCERTAIN.value, 0)
         return now, Told(contacts, residual, flags)
 
     def image(

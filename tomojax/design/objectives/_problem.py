@@ -28,22 +28,22 @@ from tomojax.design.objectives._information import (
 from tomojax.design.objectives._scores import simulated_place_error
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import Noise, Sheet, SIZE_WIDTH, slot_weights, weighed
-from tomojax.methods import Linear, noise_of, sheet_of, Source
+from tomojax.methods import Linear, noise_of, sheet_of, Source, UNIT
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
 
 DesignMethod = Literal["points", "linear", "source"]
 
-# What is known of a contact beforehand: its place to about a pitch, m, and its size (in
-# units of what `points` knows of it). Without the first, one slot may say nothing.
-_PLACE_KNOWN = 0.02
+# What is known of a contact beforehand: its place to a pitch, in units of the fit, and its
+# size (in units of what `points` knows of it). Without the first, one slot may say nothing.
+_PLACE_KNOWN = 1 / UNIT
 
-# Radius of a contact that holds the sheet at V0, m.
-_DISC = 0.002
+# Radius of a contact that holds the sheet at V0, of the pitch.
+_DISC = 0.1
 
-# λ/σ₁² where the converter's noise alone limits an image, directions of an image that
-# are looked at, and the width of a contact in it (σ), of the electrodes' pitch.
-_RELATIVE, _RANK, _BLOB = 1e-6, 128, 0.4
+# λ/σ₁² where the converter's noise alone limits an image, directions of an image that are
+# looked at for each electrode, and the width of a contact in it (σ), of the pitch.
+_RELATIVE, _RANK, _BLOB = 1e-6, 2, 0.4
 
 
 def design_places(
@@ -172,7 +172,7 @@ def design_objective(
     value = _RELATIVE * found.scale() if lam is None else lam
     if rigs:
         assert isinstance(found, Linear)
-        disc = _DISC if radius is None else radius
+        disc = _DISC * sensor.mean_pitch if radius is None else radius
         return simulated_image(
             sensor, found, where, value, disc, conductance, sensor.mean_pitch
         )
@@ -208,7 +208,8 @@ def image_objective(
     shares: Float[Array, "P L"] | None = None,
 ) -> ImageVariance:
     """Of the image of any J. Contacts are Gaussians of `width` (σ), m."""
-    factors, basis = method.factors[..., :_RANK], method.basis[:_RANK]
+    rank = _RANK * method.electrode_count
+    factors, basis = method.factors[..., :rank], method.basis[:rank]
     seen = factors
     if precision is not None:
         # λ keeps Eq. 3's unit: N relative to its mean variance.
@@ -268,7 +269,7 @@ def _of_points(
 
 def place_prior(unit: Array) -> Float[Array, "3 3"]:
     """What is known beforehand of place (per unit) and size."""
-    known = (unit / _PLACE_KNOWN) ** 2
+    known = jnp.full_like(unit, 1 / _PLACE_KNOWN**2)
     return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
 
 

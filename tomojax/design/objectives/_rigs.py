@@ -20,11 +20,12 @@ from tomojax._custom_types import Numbers
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
 from tomojax.kernels.sheet import centroids, cosine_waves
 from tomojax.methods import sheet_of
-from tomojax.sensor import Converter, resistances, Sensor
+from tomojax.sensor import converter_of, resistances, Sensor
 
-# Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (m), gains by 1 σ; and
+# Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (of their
+# diameter), gains by 1 σ; and
 # the waves of a sheet, at most so many half periods along a side.
-_SHEET, _OFF, GAIN, _WAVES = 0.02, 75e-6, 5e-4, 4
+_SHEET, _OFF, GAIN, _WAVES = 0.02, 0.015, 5e-4, 4
 
 
 def varied(sensor: Sensor, key: Array) -> Sensor:
@@ -36,7 +37,8 @@ def varied(sensor: Sensor, key: Array) -> Sensor:
     strength = jax.random.normal(sheet, (_WAVES, _WAVES), sensor.dtype).ravel() / length
     waves = strength @ cosine_waves(middles, sensor.size, orders)
     part = 1 + _SHEET * waves / waves.std()
-    off = _OFF * jax.random.normal(places, sensor.electrode_xy.shape, sensor.dtype)
+    spread = _OFF * sensor.electrode_diameter
+    off = spread * jax.random.normal(places, sensor.electrode_xy.shape, sensor.dtype)
     return replace(
         sensor,
         sheet_resistance=sensor.sheet_resistance * part,
@@ -139,7 +141,7 @@ def simulate_scenes(
     away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
     reach = radii + np.asarray(sensor.electrode_diameter) / 2
     touched = jnp.asarray((away < reach[:, None, None]).any(1))
-    sheet, converter = sheet_of(sensor), Converter()
+    sheet, converter = sheet_of(sensor), converter_of(sensor)
     found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
     keys = jax.random.split(jax.random.key(seed), rigs)
     split = jax.vmap(lambda key: jax.random.split(key, 3))(keys)

@@ -19,7 +19,7 @@ from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import Sheet, slot_weights, solve_small, weighed
 from tomojax.methods import noise_of
-from tomojax.sensor import Converter, Sensor
+from tomojax.sensor import converter_of, Sensor
 
 # Rigs that are simulated.
 _RIGS = 16
@@ -71,7 +71,9 @@ def simulated_place_error(
     more_ee, more_ek = (jnp.stack(part) for part in zip(*more))  # (R, M, M), (R, M, P)
     gain, hiss = jax.random.split(jax.random.key(1))
     gains = GAIN * jax.random.normal(gain, (_RIGS, m), sensor.dtype)
-    hisses = Converter().noise * jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
+    hisses = converter_of(sensor).noise * jax.random.normal(
+        hiss, (m, _RIGS, m), sensor.dtype
+    )
 
     def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
         columns = contact_columns(sheet, place, size, resistance, ground)

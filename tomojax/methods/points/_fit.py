@@ -19,14 +19,11 @@ from tomojax.kernels.contacts import (
     WhitenedFrame,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
-from tomojax.methods._errors import misfit_cost, PreparedErrors, whitened
+from tomojax.methods._errors import misfit_cost, PreparedErrors, whitened, without_offset
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
 LEFT, _UNUSUAL = 0.4, 2.0
-
-# σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
-_VAGUE = 0.25
 
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 6, 30
@@ -115,18 +112,17 @@ def best_fit(
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
     volts: Array = fitted.voltages
-    # All that a slot's channels may be off is its ground's: the fit has found it.
-    common = rest[:, -1] * scene.offset
-    used = scene.frame.scale > 0
-    misfit = jnp.where(used, volts + common[:, None] - scene.voltages, 0)
+    misfit, used = without_offset(prepared, volts - scene.voltages)
     currents: Array = fitted.current
     current = jnp.where(slots[:, None], currents, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
     known, of_size, limited = _uncertainty(still, ended, count)
-    vague = _drop_deviation(scene, fitted.current, of_size) > _VAGUE * jnp.abs(drop)
+    vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
     # What is long is not added to.
-    of_discs = parameters if kind is model.discs else jnp.zeros(model.DISC * count, cost.dtype)
+    of_discs = (
+        parameters if kind is model.discs else jnp.zeros(model.DISC * count, cost.dtype)
+    )
     values = (
         of_discs.reshape(count, -1),
         fitted.place,
@@ -204,16 +200,6 @@ def _uncertainty(
     )
     of_size = jnp.diagonal(inverse)[blocks + 2] if each == model.DISC else 1.0
     return places, jnp.broadcast_to(of_size, (count,)), unusual > _UNUSUAL
-
-
-def _drop_deviation(
-    scene: Fitting, current: Float[Array, "S C"], of_size: Float[Array, " C"]
-) -> Float[Array, " C"]:
-    """σ of V0 − u, V: a contact's own potential is Iρ/2π·ln(1/a), a as far as it is known."""
-    slots = scene.prepared.used.any(1)
-    most = jnp.where(slots[:, None], jnp.abs(current), 0).max(0)
-    per_size = model.SIZE_WIDTH * scene.method.sheet.sheet_resistance / (2 * np.pi)
-    return most * per_size * jnp.sqrt(of_size)
 
 
 def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from tomojax.kernels.contacts import Sheet
 from tomojax.sensor import make_field, Sensor
 
-# Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what can
-# be told of a contact grows with the pitch, whatever the electrodes' size.
+# Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
+# can be told of a contact grows with the pitch, whatever the electrodes' size.
 USUAL, UNIT = 0.3, 0.05
 
 
