@@ -70,7 +70,7 @@ def follow(
     """
     dtype = voltages.dtype
     # The grounded electrode's own voltage is that of its path, which is hardly known.
-    used = used & (jnp.arange(len(used)) != ground)
+    used = used & (jnp.arange(len(used), dtype=ground.dtype) != ground)
     weights = slot_weights(noise, voltages, used)
     # One by one, as in `product`.
     each = range(len(known.size))

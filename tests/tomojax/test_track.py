@@ -144,6 +144,7 @@ def results(crossing, tmp_path):
         file["t"] = np.arange(400) * 1e-4
         file.attrs.update({"schema": "tomojax-results", "schema_version": 1})
         file.attrs.update({"drive_voltage": 4.5, "sheet_resistance": 1e4})
+        file.attrs.update({"size": (0.16, 0.16), "electrode_xy": np.zeros((64, 2))})
         file.attrs["size"] = [0.16, 0.16]
     return path
 

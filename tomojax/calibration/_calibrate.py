@@ -244,7 +244,7 @@ def _by_rig(points, waves: _Waves, frame, fitted) -> Float[Array, "S M P"]:
 def _solved(
     normal, right, now: Calibration, before: Calibration, rho: float, noise: float
 ) -> Calibration:
-    """The likeliest values, near those `before`; `rho` the sheet's resistance, `noise` V."""
+    """The likeliest values, near those `before`; `rho` Ω of the sheet, `noise` V."""
     q = len(now.sheet)
     m = (len(right) - q) // 3
     sizes = {"gain": m, "offset": m, "sheet": q, "ground": m}

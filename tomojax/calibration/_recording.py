@@ -27,8 +27,8 @@ _MORE, _NO_LESS = 1.1, 0.02
 def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
     """Zeros of the channels and their noise, from the recording's contact-free slots.
 
-    Those with all voltages within eleven times the noise and a mean that is the lowest. Zeros
-    do not depend on the ground: where these slots' means do, something touches. With
+    Those with all voltages within eleven times the noise and a mean that is the lowest.
+    Zeros do not depend on the ground: where these slots' means do, something touches. With
     fewer than 16 slots, or with a touch, the calibration (nominal by default) as it is.
 
     **Example:**

@@ -140,14 +140,15 @@ def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitene
 
 
 def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:
-    channels = jnp.arange(prepared.used.shape[1])
-    return prepared.used & (channels != prepared.grounds[:, None])
+    grounds = prepared.grounds
+    channels = jnp.arange(prepared.used.shape[1], dtype=grounds.dtype)
+    return prepared.used & (channels != grounds[:, None])
 
 
 def without_offset(
     prepared: PreparedErrors, misfit: Float[Array, "S M"]
 ) -> tuple[Float[Array, "S M"], Bool[Array, "S M"]]:
-    """Takes off what all channels of a slot are off, which is its ground's; and the used."""
+    """Takes off what all channels of a slot are off, its ground's; and which are used."""
     used = _not_grounded(prepared)
     misfit = jnp.where(used, misfit, 0)
     count = jnp.maximum(used.sum(1, keepdims=True), 1).astype(misfit.dtype)

@@ -29,8 +29,8 @@ from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
-# Rows of the basis that stands for J, for each electrode, and how many of them are used from
-# which λ/σ₁² on: an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see
+# Rows of the basis that stands for J, for each electrode, and how many of them are used
+# from which λ/σ₁² on: an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see
 # `reduce_jacobian`; 64 electrodes).
 _RANK, _FEWER, _FROM = 4, 2, 1e-3
 

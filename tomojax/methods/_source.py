@@ -8,7 +8,7 @@ with each slot scaled to the same current, it was no better than the mean.)
 """
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -297,7 +297,7 @@ def _row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
     return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
 
 
-def _without_offset(good: Bool[np.ndarray, " M"], ground: int) -> Float[np.ndarray, "M M"]:
+def _without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
     """From voltages to what they are beside their mean, of the good channels that are not
     grounded.
 

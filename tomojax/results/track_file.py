@@ -46,7 +46,7 @@ def track_results(
     with file:
         require(file.attrs.get("schema") == SCHEMA, f"{path}: schema", "another", SCHEMA)
         attributes = dict(file.attrs)
-        for name in ("drive_voltage", "sheet_resistance"):
+        for name in ("drive_voltage", "sheet_resistance", "size", "electrode_xy"):
             require(
                 name in attributes, f"{path}: {name}", "none", "results of this version"
             )

@@ -29,7 +29,8 @@ class Calibration:
     electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
     corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of
     what the channels have in common with these values, as a part of what nominal values
-    leave. `pressure`: c and k of the contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`.
+    leave. `pressure`: c and k of the contact's g = c·pᵏ, S/m² at Pa, see
+    `calibrate_presses`.
 
     **Example:**
 

@@ -38,7 +38,7 @@ def make_step(
     "around_contacts" (*Around* by the contacts' places) and "information" (each time the
     slot that is expected to say most of the places); `tables`: policies of your own by
     name, such as a `Lookup`; `contacts` at most;
-    `f_switch` slots/s: how far a contact may move in one; `lam` λ (by default the method's own
+    `f_switch` slots/s: how far a contact may move in one; `lam` λ (the method's own
     without a recording); `cheaper`: a method that answers slots that are `hurried`;
     `calibration`: of the rig, its zeros and gains are taken off what is read;
     `good` (M,): channels that are used; `highest`: |V| that no channel can have.

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import LeastSquares
@@ -61,6 +61,7 @@ class Ladder(NamedTuple):
     one: Found  # disc
     discs: Found
     promise: Float[Array, ""]  # of one more disc, per slot, as far as slopes tell
+    asked: Bool[Array, ""]  # whether more than one disc fits better, believed or not
 
 
 def _due(ladder: Ladder, size: int) -> Any:
@@ -76,7 +77,8 @@ def first(scene: Fitting) -> Ladder:
     places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
     found, ended = best_fit(scene, model.discs, starts_at(scene, places[:, None]))
     found = _seen(scene, found)
-    return Ladder(found, found, found, _promise(scene, found, ended, 1))
+    promise = _promise(scene, found, ended, 1)
+    return Ladder(found, found, found, promise, jnp.array(False))
 
 
 def _seen(scene: Fitting, found: Found) -> Found:
@@ -96,17 +98,21 @@ def _seen(scene: Fitting, found: Found) -> Found:
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
-    best, one, discs, _ = ladder
+    best, one, discs, _, asked = ladder
     new, ended = _more_discs(scene, discs, size)
+    asked = asked | _gains(scene, discs, new, size)
     new = _believed(scene, new, size)
     gained = _gains(scene, discs, new, size)
     best = _choose(gained & (_score(new) < _score(best)), new, best)
     promise = jnp.where(gained, _promise(scene, new, ended, size), 0)
-    return Ladder(best, one, _choose(gained, new, discs), promise)
+    return Ladder(best, one, _choose(gained, new, discs), promise, asked)
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
-    """A bar or a ring in the place of two discs, where it fits better yet."""
+    """A bar or a ring in the place of two discs, where it fits better yet.
+
+    Tried as well where two were too near each other to be believed.
+    """
     best, one = ladder.best, ladder.one
     middle = one.parameters[0, :2]
     for alone in (_bar(scene, middle), _ring(scene, middle)):
@@ -121,7 +127,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     for size in range(2, count + 1):
         found.append((partial(_due, size=size), partial(_larger, size=size)))
         if size == 2:
-            found.append((lambda ladder: ladder.discs.count == 2, _longer))
+            found.append((lambda ladder: ladder.asked, _longer))
     return found
 
 
