@@ -29,6 +29,7 @@ from tomojax.kernels.contacts._one_slot import (
 )
 from tomojax.kernels.contacts._points import (
     DISC as DISC,
+    disc_priors as disc_priors,
     discs as discs,
     Fitted as Fitted,
     green_of as green_of,

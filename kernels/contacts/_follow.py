@@ -98,7 +98,8 @@ def follow(
     shift = (moved[..., None] * columns[:, 1:]).sum(1)
     rest = voltages - matmul(current, columns[:, 0] + shift)
     # What all channels are off is the ground's: no contact explains it, none is asked to.
-    rest = rest - matmul(weights.each, rest) / jnp.maximum(weights.each.sum(), 1e-30)
+    offset = matmul(weights.each, rest) / jnp.maximum(weights.each.sum(), 1e-30)
+    rest = rest - offset
     forward = current * jnp.sign(sheet.drive_voltage)
     strongest = jnp.where(there, forward, 0).max()
     hardly = (forward < _WEAKEST * strongest) | seen.dark
@@ -116,7 +117,7 @@ def follow(
         left=_left(known, new, weights, rest),
     )
     at_ground = jax.lax.dynamic_index_in_dim(raw[:, 0], ground, 1, keepdims=False)
-    conductance = _conductance(sheet, now, at_ground, ground)
+    conductance = _conductance(sheet, now, at_ground, ground, offset)
     return now._replace(conductance=conductance), jnp.where(used, rest, 0)
 
 
@@ -200,16 +201,20 @@ def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
 
 
 def _conductance(
-    sheet: Sheet, now: Followed, at_ground: Float[Array, " C"], ground: Int[Array, ""]
+    sheet: Sheet,
+    now: Followed,
+    at_ground: Float[Array, " C"],
+    ground: Int[Array, ""],
+    offset: Float[Array, ""],
 ) -> Float[Array, " C"]:
-    """I/(V0 − u), S: see `_points.drops`."""
+    """I/(V0 − u), S: see `_points.drops`; `offset` V, what the ground lifts all by."""
     radius = radius_of(sheet, now.size)
     own_ground = jnp.diagonal(sheet.field.electrodes) + sheet.ground_resistance
     among = jax.vmap(green_of(sheet, now.place, radius))(now.place)
     current = jnp.where(now.there, now.current, 0)
     total = current.sum()
     u = matmul(among, current) - (current * at_ground).sum()
-    u = u + total * (own_ground[ground] - at_ground)
+    u = u + total * (own_ground[ground] - at_ground) + offset
     drive = sheet.drive_voltage
     forward = jnp.sign(drive)
     drop = jnp.maximum(forward * (drive - u), LEAST_DROP * jnp.abs(drive))

@@ -97,9 +97,14 @@ def discs(
     none = jnp.zeros_like(place)
     return (
         rest,
-        jnp.concatenate([parameters[:, 2], longness(parameters[:, 3:5]).ravel()]),
+        disc_priors(parameters),
         Fitted(place, none, none[:, 0], radius, current, drop, volts),
     )
+
+
+def disc_priors(parameters: Float[Array, "C 5"]) -> Float[Array, " priors"]:
+    """What is known beforehand of sizes and of how long contacts are."""
+    return jnp.concatenate([parameters[:, 2], longness(parameters[:, 3:5]).ravel()])
 
 
 def longness(long: Float[Array, "C 2"]) -> Float[Array, "C 2"]:

@@ -124,7 +124,8 @@ def search(
     channels = (weights.each > 0).astype(left.dtype).sum()
     asked = (left > _SEEN + channels) | ~known.there.any()
     found = jax.lax.cond(asked, look, lambda: nothing)
-    return found._replace(dark=alone < _SEEN)
+    # Contacts explain nothing of it.
+    return found._replace(dark=alone - left < _SEEN)
 
 
 def _chosen(

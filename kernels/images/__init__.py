@@ -15,6 +15,7 @@ from tomojax.kernels.images._drawing import (
     points_image as points_image,
 )
 from tomojax.kernels.images._explained import (
+    amplitudes as amplitudes,
     point_sources as point_sources,
     unexplained as unexplained,
 )

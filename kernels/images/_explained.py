@@ -37,6 +37,14 @@ def unexplained(
     return jnp.sqrt(rest / jnp.maximum((seen**2).sum(), jnp.finfo(seen.dtype).tiny))
 
 
+def amplitudes(
+    columns: Float[Array, "C r"], seen: Float[Array, " r"]
+) -> Float[Array, " C"]:
+    """What each of the columns is multiplied by to make up what is seen; 0 without one."""
+    fit = solve_small(regular(matmul(columns, columns.T)), matmul(columns, seen)[:, None])
+    return fit[:, 0]
+
+
 def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
     """The column at a place in pixels; the nearest at the edge."""
     last = jnp.asarray(shape, pixel.dtype) - 1

@@ -157,7 +157,10 @@ class Information(AbstractPolicy):
         xx, yy, mixed = (s[:, None] for s in spread.T)
         det = xx * yy - mixed**2
         told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
-        best = jnp.argmax(jnp.where(there[:, None], told, 0).sum(0))
+        gain = jnp.where(there[:, None], told, 0).sum(0)
+        # Again the same says little that is new: its errors are the same.
+        again = jnp.arange(len(gain), dtype=seen.ground.dtype) == seen.ground
+        best = jnp.argmax(jnp.where(again, -jnp.inf, gain))
         best = jnp.where(seen.doubted, seen.onwards(1)[0].astype(best.dtype), best)
         return jnp.where(there.any(), best, self.idle)[None]
 

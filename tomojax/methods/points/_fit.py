@@ -147,15 +147,38 @@ def best_fit(
     return found, ended
 
 
+@eqx.filter_custom_jvp
 def _implicit(scene: Fitting, kind: Callable, ended: LeastSquares) -> Array:
-    """The parameters themselves, with the derivative −N⁻¹·∂(Jᵀr)/∂(all else)."""
-    rest, priors, _ = fit_of(scene, kind)(ended.parameters)
-    weight = 1 / (1 + (ended.rest**2).sum(1) / scene.prepared.tolerance)
-    downhill = jnp.einsum("psw,sw,s->p", ended.slope, rest, weight, precision="highest")
-    downhill = downhill + jnp.matmul(ended.slope_priors, priors, precision="highest")
-    step = solve_positive(ended.normal, downhill[:, None])[:, 0]
-    moved = step - lax.stop_gradient(step)
-    return ended.parameters - jnp.where(jnp.isfinite(moved), moved, 0)
+    """The parameters themselves, where the cost's slope is zero: p' = −H⁻¹·∂(∂C/∂p).
+
+    C is `least_squares`' cost, H its second derivative. Only who differentiates pays.
+    """
+    return ended.parameters
+
+
+@_implicit.def_jvp
+def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    scene, kind, ended = primals
+    at, tolerance = ended.parameters, scene.prepared.tolerance
+
+    def cost(p: Array, scene: Fitting) -> Array:
+        rest, priors, _ = fit_of(scene, kind)(p)
+        lost = tolerance * jnp.log1p((rest**2).sum(1) / tolerance)
+        return (lost.sum() + (priors**2).sum()) / 2
+
+    moving, still = eqx.partition(scene, eqx.is_inexact_array)
+    # What does not move has no tangent.
+    along = jax.tree.map(
+        lambda a, t: jnp.zeros_like(a) if t is None else t, moving, tangents[0]
+    )
+    downhill = lambda moving: jax.grad(cost)(at, eqx.combine(moving, still))  # noqa: E731
+    _, moved = jax.jvp(downhill, (moving,), (along,))
+    bent = jax.hessian(cost)(at, scene)
+    # A fit that failed stays where it is.
+    sound = jnp.isfinite(bent).all() & jnp.isfinite(at).all()
+    inverse = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
+    inverse = jnp.where(sound & jnp.isfinite(inverse), inverse, 0)
+    return at, -jnp.matmul(inverse, moved, precision="highest")
 
 
 def _uncertainty(
