@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 _DAMPING, _LESS, _MORE = 1e-3, 1 / 8, 6.0
 
 # The longest step of a parameter, in its unit; when to stop.
-_LONGEST, _ENOUGH, _HOPELESS = 2.0, 1e-5, 1e5
+_LONGEST, _ENOUGH, _HOPELESS = 2.0, 1e-6, 1e5
 
 
 def solve_positive(

@@ -47,7 +47,10 @@ def rectangle_green(
     a, b = jnp.min(size), jnp.max(size)
     x, y = (jnp.where(turned, one[..., 1 - i], one[..., i]) for i in (0, 1))
     x_, y_ = (jnp.where(turned, other[..., 1 - i], other[..., i]) for i in (0, 1))
-    gap, total = jnp.abs(y - y_), y + y_
+    # Nearer than rounding tells apart the two are one place: slopes would be noise.
+    square = (x - x_) ** 2 + (y - y_) ** 2
+    meet = square < jnp.finfo(square.dtype).eps * a**2
+    gap, total = jnp.where(meet, 0, jnp.abs(y - y_)), y + y_
     turn = jnp.sin(jnp.pi * (x - x_) / (2 * a)) ** 2
     turn_ = jnp.sin(jnp.pi * (x + x_) / (2 * a)) ** 2
     near, far = jnp.exp(-jnp.pi * gap / a), jnp.exp(-jnp.pi * total / a)
@@ -65,10 +68,7 @@ def rectangle_green(
     sizes = jnp.stack([near, far, far_, near_], -1)[..., None] * powers
     turns, turns_ = turn[..., None, None], turn_[..., None, None]
     factors = factor(sizes, turns_) * jnp.where(_VANISHING, 1, factor(sizes, turns))
-    # The one factor that vanishes where the two places meet, as (π d/a)²·ratio. Nearer
-    # than rounding tells apart they are one place: the ratio's slope would be noise.
-    square = (x - x_) ** 2 + (y - y_) ** 2
-    meet = square < jnp.finfo(square.dtype).eps * a**2
+    # The one factor that vanishes where the two places meet, as (π d/a)²·ratio.
     vanishing = factor(near, turn)
     ratio = jnp.where(meet, (jnp.pi / a) ** 2, vanishing / jnp.where(meet, 1, square))
     inside = square < rim**2

@@ -35,8 +35,10 @@ from tomojax.studies.frontier import (
     save_trials,
     score,
     Trials,
+    pixel_places,
+    read_half,
+    read_peak,
 )
-from tomojax.studies.frontier._peer_operators import pixel_places, read_half, read_peak
 from tomojax.studies.network import Network
 
 

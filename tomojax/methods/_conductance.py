@@ -67,7 +67,7 @@ _BLUR, _FROM = 0.2, 0.1
 _OTHERS, _FAINT = 0.1, 30.0
 
 # A contact on more than this, of what an electrode has of the sheet, is seen by its rim.
-_WIDE = 1.1
+_WIDE = 1.05
 
 # A contact's conductance is told up to that of so many squares of the sheet: beyond, the
 # sheet's own resistance below it is the most of what is measured.

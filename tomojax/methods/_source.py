@@ -177,7 +177,9 @@ class AbstractSource(AbstractMethod):
             lam = s[0] ** 2 * np.logspace(-9, 0, 37)
             rest = lam[:, None] / (s**2 + lam[:, None]) * beta
             misfit = (rest**2).sum(1) + outside
-            chosen.append(np.interp(np.log(target), np.log(misfit), np.log(lam)))
+            chosen.append(
+                np.interp(np.log(target), np.log(np.maximum(misfit, 1e-300)), np.log(lam))
+            )
         return float(np.exp(np.median(chosen)))
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:

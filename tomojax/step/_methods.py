@@ -23,9 +23,9 @@ from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
 from tomojax.methods import AbstractMethod, Estimate, Points, rms
 
-# What is left of a slot's voltages, beside what all channels are off, where one more contact
-# may hide: lone ones leave 0.6 % usually, 2 % where a sheet has a gradient of a fifth.
-_LIMIT = 0.02
+# What is left of how a slot's voltages differ, where one more contact may hide: nineteen in
+# twenty lone ones leave 2.5 % at most, 6 % where a sheet has a gradient of a fifth.
+_LIMIT = 0.05
 
 # Highest voltage, in the converter's noise, that places a contact: zeros that a slot shares
 # with the next do not average out.
@@ -112,7 +112,7 @@ class Follow(AbstractStepMethod):
 
     @property
     def residual_limit(self) -> float:
-        return _LIMIT
+        return 1.0  # of all that is read; `__call__` judges by less
 
     @property
     def noise(self) -> Float[Array, ""]:
@@ -140,7 +140,11 @@ class Follow(AbstractStepMethod):
             elapsed * self.slot_time,
             self.errors,
         )
+        used = used & (jnp.arange(len(used), dtype=ground.dtype) != ground)
         residual = rms(rest, used)
+        count = jnp.maximum(used.sum(), 1).astype(voltages.dtype)
+        mean = jnp.where(used, voltages, 0).sum() / count
+        high = residual > _LIMIT * rms(voltages - mean, used) + 2 * self.noise
         radius = radius_of(sheet, now.size)
         unusual = jnp.maximum(1, now.left / _LEFT)
         c = unusual * (_FILTERED * now.covariance + _SHARED * now.alone) * sheet.unit**2
@@ -155,6 +159,7 @@ class Follow(AbstractStepMethod):
         vague = now.there & hardly_told(sheet, now.conductance, now.covariance[:, 2, 2])
         flags = jnp.where(faint, Flag.PLACE_UNCERTAIN.value, 0)
         flags = flags | jnp.where(vague.any(), Flag.CONDUCTANCE_UNCERTAIN.value, 0)
+        flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
         return now, Told(contacts, residual, flags)
 
     def image(

@@ -14,6 +14,7 @@ from tomojax.studies.frontier._peer_operators import (
     paper_jacobian as paper_jacobian,
     peer_table as peer_table,
     peers_of as peers_of,
+    pixel_places as pixel_places,
     read_half as read_half,
     read_peak as read_peak,
 )
