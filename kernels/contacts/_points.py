@@ -74,7 +74,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]
 def discs(
     sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]
 ) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
-    """Contacts about as long as wide; each leans to where its current flows, as metal would.
+    """Contacts about as long as wide; each leans to where its current flows, as metal.
 
     A disc of radius a whose contact is better than the sheet below it is polarised: its
     current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.

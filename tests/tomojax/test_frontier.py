@@ -29,15 +29,15 @@ from tomojax.studies.frontier import (
     peer_rows,
     peer_table,
     peers_of,
+    pixel_places,
     rate_rows,
+    read_half,
+    read_peak,
     report,
     run as run_study,
     save_trials,
     score,
     Trials,
-    pixel_places,
-    read_half,
-    read_peak,
 )
 from tomojax.studies.network import Network
 

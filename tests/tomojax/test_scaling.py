@@ -36,7 +36,7 @@ def sensor(length=1.0, ohm=1.0, volt=1.0):
 
 @pytest.fixture(scope="module")
 def volts():
-    """Of the sensor as it is, with a rig's errors, by a network; the last two are a pair."""
+    """Of the sensor as it is, with a rig's errors, by a network; the last is a pair."""
     rng = np.random.default_rng(3)
     rig = make_rig(sensor(), "usual", rng)
     exact = network_of(rig)
