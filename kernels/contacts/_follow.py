@@ -102,10 +102,12 @@ def follow(
     rest = rest - offset
     forward = current * jnp.sign(sheet.drive_voltage)
     strongest = jnp.where(there, forward, 0).max()
-    hardly = (forward < _WEAKEST * strongest) | seen.dark
+    faint = forward < _WEAKEST * strongest
+    hardly = faint | seen.dark
     weak = jnp.where(there & hardly, known.weak + 1, 0)
     now = known._replace(
-        there=there & (weak < OFTEN),
+        # What begins that faint is what errors make of the others.
+        there=there & (weak < OFTEN) & ~(new & faint),
         place=place,
         size=jnp.clip(size + moved[:, 2], -_LARGEST, _LARGEST),
         covariance=covariance,

@@ -22,6 +22,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax.studies.frontier import DOUBT  # noqa: E402
 from tomojax.studies.rigs import (  # noqa: E402
     Elements,
     FAMILY,
@@ -32,7 +33,6 @@ from tomojax.studies.rigs import (  # noqa: E402
 
 RESULTS = Path(__file__).parents[2] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "conductance")
-INFORMATION = tx.Flag.MODEL_LIMITED | tx.Flag.CONDUCTANCE_UNCERTAIN | tx.Flag.NO_CONTACT
 VAGUE, FEW = tx.Flag.CONDUCTANCE_UNCERTAIN, 24
 
 
@@ -71,8 +71,7 @@ def figures(rows: dict[str, np.ndarray], scenes: LoneContacts, pitch: float) -> 
     off = np.hypot(*np.moveaxis(rows["xy"] - scenes.xy[:n, None], -1, 0))
     there = np.arange(off.shape[1]) < count[:, None]
     error = np.where(count > 0, np.where(there, off, 0).max(1), np.inf)
-    doubt = (rows["flags"] & ~int(INFORMATION)) != 0
-    doubt |= count == 0
+    doubt = ((rows["flags"] & DOUBT) > 0) | (count == 0)
     far = error > pitch / 2
     z = (rows["xy"][:, 0] - scenes.xy[:n]) / np.sqrt(rows["covariance"][:, 0, :2])
     g = np.abs(rows["conductance"][:, 0] / scenes.conductance[:n] - 1)
