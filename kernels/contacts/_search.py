@@ -63,11 +63,13 @@ def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
     """No contact yet of up to `count`, on a sheet of `size`."""
     dtype = size.dtype
     zero, whole = jnp.zeros(count, dtype), jnp.zeros(count, jnp.int32)
+    first = jnp.broadcast_to(first_covariance(dtype), (count, 3, 3))
     return Followed(
         zero > 1,
         jnp.broadcast_to(size / 2, (count, 2)),
         zero,
-        *(jnp.broadcast_to(first_covariance(dtype), (count, 3, 3)) for _ in range(2)),
+        first,
+        first,
         zero,
         zero,
         whole,

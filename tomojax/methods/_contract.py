@@ -122,7 +122,6 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
-    noise: eqx.AbstractVar[Float[Array, ""]]  # of a reading, V rms
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -146,6 +145,11 @@ class AbstractMethod(eqx.Module):
     @abstractmethod
     def electrode_count(self) -> int:
         """M."""
+
+    @property
+    @abstractmethod
+    def noise(self) -> Float[Array, ""]:
+        """Of a reading, V rms."""
 
     @property
     def threshold(self) -> Float[Array, ""]:

@@ -77,7 +77,7 @@ class Linear(AbstractMethod):
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
-    noise: Float[Array, ""]
+    reading_noise: Float[Array, ""]
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
@@ -111,7 +111,11 @@ class Linear(AbstractMethod):
         return cls(shape, cell, basis, factors, conductance, jnp.asarray(noise, cell.dtype))
 
     def calibrated(self, calibration: Calibration) -> "Linear":
-        return replace(self, noise=noise_as(calibration, self.noise))
+        return replace(self, reading_noise=noise_as(calibration, self.noise))
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     @property
     def electrode_count(self) -> int:

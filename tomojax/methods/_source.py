@@ -92,7 +92,7 @@ class AbstractSource(AbstractMethod):
     drawn: Float[Array, "r pixels"]  # an orthonormal basis of the rows of TG
     drawn_factors: Float[Array, "L M r"]
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
-    noise: Float[Array, ""]  # of a reading, V rms
+    reading_noise: Float[Array, ""]  # of a reading, V rms
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
 
     @classmethod
@@ -142,7 +142,11 @@ class AbstractSource(AbstractMethod):
     def calibrated(self: _S, calibration: Calibration) -> _S:
         noise = noise_as(calibration, self.noise)
         error = jnp.asarray(calibration.error, self.error.dtype)
-        return replace(self, noise=noise, error=error)
+        return replace(self, reading_noise=noise, error=error)
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     @property
     def electrode_count(self) -> int:

@@ -176,8 +176,8 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     bent = jax.hessian(cost)(at, scene)
     # A fit that failed stays where it is.
     sound = jnp.isfinite(bent).all() & jnp.isfinite(at).all()
-    inverse = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
-    inverse = jnp.where(sound & jnp.isfinite(inverse), inverse, 0)
+    found = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
+    inverse: Array = jnp.where(sound & jnp.isfinite(found), found, 0)
     return at, -jnp.matmul(inverse, moved, precision="highest")
 
 
