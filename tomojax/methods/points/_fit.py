@@ -177,7 +177,7 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     # A fit that failed stays where it is.
     sound = jnp.isfinite(bent).all() & jnp.isfinite(at).all()
     found = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
-    inverse: Array = jnp.where(sound & jnp.isfinite(found), found, 0)
+    inverse = jnp.nan_to_num(found, posinf=0.0, neginf=0.0) * sound.astype(at.dtype)
     return at, -jnp.matmul(inverse, moved, precision="highest")
 
 
