@@ -111,10 +111,8 @@ def test_points_count_every_scene(shared_data):
         xy = rows.contact_xy[k, : len(places)]
         for place in places:
             apart = np.hypot(*(xy - place).T).min()
-            # A wide short over a grounded electrode: no disc explains it; flagged.
-            unexplained = bool(rows.flags[k] & Flag.HIGH_RESIDUAL)
-            assert unexplained == (scene["name"] == "hard_short")
-            assert apart < (2e-3 if unexplained else 1e-3), scene["name"]
+            assert apart < 1e-3, scene["name"]
+            assert not rows.flags[k] & Flag.HIGH_RESIDUAL, scene["name"]
 
 
 @pytest.mark.parametrize("pattern", ["all", "copline", "corners"])
