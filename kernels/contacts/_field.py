@@ -55,7 +55,7 @@ def elongated_field_at(
 
 
 def _nearby(field: Field, place: Float[Array, "2"]) -> tuple[Array, Array]:
-    """How far the place is within its cell (2,), and the sixteen points around it."""
+    """Finds the place within its cell (2,), and the table's sixteen points around it."""
     nx, ny = field.values.shape[:2]
     cells = jnp.array([nx - 1, ny - 1], place.dtype)
     at = place / field.size * cells

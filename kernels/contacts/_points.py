@@ -103,7 +103,7 @@ def discs(
 
 
 def disc_priors(parameters: Float[Array, "C 5"]) -> Float[Array, " priors"]:
-    """What is known beforehand of sizes and of how long contacts are."""
+    """Lists the priors of sizes and of how long contacts are, in standard deviations."""
     return jnp.concatenate([parameters[:, 2], longness(parameters[:, 3:5]).ravel()])
 
 

@@ -40,7 +40,7 @@ def unexplained(
 def amplitudes(
     columns: Float[Array, "C r"], seen: Float[Array, " r"]
 ) -> Float[Array, " C"]:
-    """What each of the columns is multiplied by to make up what is seen; 0 without one."""
+    """Fits the factor of each column, so that their sum is what is seen; 0 without one."""
     fit = solve_small(regular(matmul(columns, columns.T)), matmul(columns, seen)[:, None])
     return fit[:, 0]
 

@@ -65,7 +65,7 @@ def in_batch(batch: tx.Batch, scenes: LoneContacts, most: int) -> dict[str, np.n
 
 
 def figures(rows: dict[str, np.ndarray], scenes: LoneContacts, pitch: float) -> dict:
-    """Of one row of the family and one method; a place not found is infinitely far."""
+    """Scores one method on one row; a place that is not found is infinitely far."""
     n = len(rows["flags"])
     count = rows["count"].astype(int)
     off = np.hypot(*np.moveaxis(rows["xy"] - scenes.xy[:n, None], -1, 0))

@@ -12,10 +12,11 @@ from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
 from tomojax.kernels.sheet import smooth_modes
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
-# What nominal values leave of measured voltages, as parts of them: each electrode's own
-# error (place, gain, detail of the sheet), of which this part of how its voltage differs
-# from its neighbours'; what they have in common, the longest waves over the sheet; and a
-# slot's mean. From a resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off.
+# Nominal values leave these parts of measured voltages. Each electrode has an error of its
+# own (place, gain, detail of the sheet), and this part of how its voltage differs from its
+# neighbours'; all have the longest waves over the sheet in common. These three are from a
+# resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off. A slot's offset is as
+# good as free: a ground path, or a face that touches in part, may lift it by its own size.
 _OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 1.0
 
 # What a contact must explain in all, and more for each slot: a fit to noise gains some too.
