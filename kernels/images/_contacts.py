@@ -15,6 +15,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int, UInt
 
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.images._place import places_around
 
 # A peak counts from this part of the highest: a third is noise and the blur's ripples.
 _LOWEST_PEAK = 0.4
@@ -60,17 +61,19 @@ def read_contacts(
     level: float = 0.8,
     at_peak: bool = True,
     lowest: Float[Array, ""] | float = 0.0,
+    reach: tuple[int, int] = (2, 2),
 ) -> Contacts:
     """The contacts of an image of which `current` (A per pixel) is what they carry.
 
     Peaks are the pixels above their 24 neighbours and above 0.4 of the highest; those
     with no saddle between them are one contact. Each pixel belongs to the nearest peak.
     A contact's current is the sum over its pixels; its place and moments are weighed by
-    what exceeds `level` of its highest pixel. With `at_peak` the place of a contact of one
-    peak is that peak's, refined by a parabola through its neighbours.
+    what exceeds `level` of its highest pixel. With `at_peak` the image is a statistic, and
+    the place of a contact of one peak is read around that peak, see `places_around`.
 
     **Arguments:** `cell` (dx, dy), m; `count` C; `lowest`: what a peak has to exceed, in
-    the unit of the image (its noise).
+    the unit of the image (its noise); `reach`: pixels around a peak that its place is read
+    from.
     """
     nx, ny = image.shape
     peaks, there = _highest_peaks(image, count, lowest)
@@ -83,7 +86,7 @@ def read_contacts(
     found = described(rows, (nx, ny), cell)
     if at_peak:
         alone = jnp.sum(label[:, None] == jnp.arange(count), 0, where=there[:, None]) == 1
-        refined = _parabola(image, i, j, cell)
+        refined = places_around(image, i, j, cell, reach)
         found = found._replace(xy=jnp.where(alone[:, None], refined, found.xy))
     return strongest_first(found, first)
 
@@ -262,23 +265,6 @@ def described(
         jnp.full_like(current, jnp.nan),
         jnp.full((len(current), 3), jnp.nan, current.dtype),
     )
-
-
-def _parabola(image, i, j, cell) -> Float[Array, "C 2"]:
-    """The tops of parabolas through each peak and its neighbours, along x and y."""
-    nx, ny = image.shape
-
-    def top(low: Array, middle: Array, high: Array, inside: Array) -> Array:
-        bend = low - 2 * middle + high
-        shift = jnp.where(bend < 0, (low - high) / jnp.where(bend < 0, 2 * bend, -1), 0)
-        return jnp.where(inside, jnp.clip(shift, -0.5, 0.5), 0)
-
-    here = image[i, j]
-    left, right = image[jnp.maximum(i - 1, 0), j], image[jnp.minimum(i + 1, nx - 1), j]
-    down, up = image[i, jnp.maximum(j - 1, 0)], image[i, jnp.minimum(j + 1, ny - 1)]
-    x = i.astype(image.dtype) + top(left, here, right, (i > 0) & (i < nx - 1))
-    y = j.astype(image.dtype) + top(down, here, up, (j > 0) & (j < ny - 1))
-    return (jnp.stack([x, y], 1) + 0.5) * cell
 
 
 def strongest_first(found: Contacts, first: Bool[Array, " C"]) -> Contacts:

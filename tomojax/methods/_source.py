@@ -84,6 +84,7 @@ class AbstractSource(AbstractMethod):
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
 
     shape: tuple[int, int] = eqx.field(static=True)
+    reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # T^l Bᵀ
@@ -119,8 +120,11 @@ class AbstractSource(AbstractMethod):
     ) -> _S:
         """Of any T^l; the image is smooth over `length`, in pixels; `noise` V."""
         dtype = cell.dtype
-        sides = [np.eye(n) for n in shape]
+        sides, reach = [np.eye(n) for n in shape], (2, 2)
         if length is not None:
+            # Half of a pitch.
+            near = np.maximum(1, np.round(0.5 / _SMOOTH * np.asarray(length))).astype(int)
+            reach = int(near[0]), int(near[1])
             sides = [np.asarray(gaussian(n, jnp.asarray(w))) for n, w in zip(shape, length)]
             sides = [side / np.linalg.norm(side, axis=1)[:, None] for side in sides]
         images = maps.reshape(*maps.shape[:2], *shape)
@@ -137,7 +141,7 @@ class AbstractSource(AbstractMethod):
         errors = jnp.asarray(noise, dtype), jnp.ones((), dtype)
         whole = drawn, drawn_factors, smoothed, *errors
         # pyright takes `positive`, a ClassVar by its meaning, for a field.
-        return cls(shape, cell, basis, factors, along, across, *whole)  # pyright: ignore
+        return cls(shape, reach, cell, basis, factors, along, across, *whole)  # pyright: ignore
 
     def calibrated(self: _S, calibration: Calibration) -> _S:
         noise = noise_as(calibration, self.noise)
@@ -257,7 +261,12 @@ class AbstractSource(AbstractMethod):
         statistic = (source * prepared.spread).reshape(self.shape)
         current = source.reshape(self.shape)
         contacts = read_contacts(
-            statistic, current, self.cell, count, lowest=prepared.lowest
+            statistic,
+            current,
+            self.cell,
+            count,
+            lowest=prepared.lowest,
+            reach=self.reach,
         )
         points = point_sources(self.basis, contacts, self.shape, self.cell)
         points = matmul(points, prepared.through.T)

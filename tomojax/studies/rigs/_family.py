@@ -45,9 +45,11 @@ FAMILY = {
     "seam": Row("a seam of 50 % more", {"seam": 0.5}, {}),
     "profile": Row("Hertz's pressure, soft edges, lopsided; with 1 square in series", {},
                    {"profile": ("hertz", "soft", "lopsided"), "series": 1.0}),
-    "reading": Row("12 bits, hum, drift, crosstalk, settling", {},
-                   {"chain": {"bits": 12, "hum": 1e-4, "drift": 1e-5, "crosstalk": 1e-3,
-                              "settling": 1e-3}}),
+    "reading": Row("12 bits, hum, drift, crosstalk, settling",
+                   {"bits": 12, "hum": 1e-4, "drift": 1e-5, "crosstalk": 1e-3,
+                    "settling": 1e-3}, {}),
+    "bits_10": Row("10 bits", {"bits": 10}, {}),
+    "bits_18": Row("18 bits, a tenth of the noise", {"bits": 18, "noise": 6.7e-6}, {}),
 }  # fmt: skip
 
 
@@ -62,18 +64,16 @@ class LoneContacts(NamedTuple):
 
 
 def make_rig(sensor: Sensor, row: str, rng: np.random.Generator) -> Rig:
-    """A rig of that row; lengths follow the pitch, resistances the sheet's."""
+    """A rig of that row; lengths follow the pitch, resistances the sheet's, volts the drive."""
     words = dict(FAMILY[row].rig)
     if "patch" in words:
         words["patch"] *= sensor.mean_pitch
     square = float(np.mean(np.asarray(sensor.sheet_resistance)))
     for name in {"contact", "more_ground"} & words.keys():
         words[name] *= square
-    chain = dict(FAMILY[row].touch.get("chain", {}))
-    drive = abs(float(sensor.drive_voltage))
-    for name in {"hum", "drift"} & chain.keys():
-        chain[name] *= drive
-    return draw_rig(sensor, rng, **words, **chain)
+    for name in {"hum", "drift"} & words.keys():
+        words[name] *= abs(float(sensor.drive_voltage))
+    return draw_rig(sensor, rng, **words)
 
 
 def draw_touch(sensor: Sensor, row: str, rng: np.random.Generator) -> Touch:

@@ -27,18 +27,23 @@ class Networked:
         self, touch: Touch, grounds: Integer[np.ndarray, " S"]
     ) -> Float[np.ndarray, "S M"]:
         """Exact voltages, V, under some grounds."""
-        cells = self.network.cells
-        near = np.hypot(*(cells - touch.xy).T) <= max(touch.half_axes) + self.network.width
-        weights = np.zeros(len(cells))
-        weights[near] = self.network.average(touch.density, cells[near])
-        if not weights.sum() > 0:
-            raise ValueError(f"xy: got {touch.xy}, expected a contact on the sheet")
+        weights = self.weights(touch)
         if touch.exponent == 1:
             contact = weights, touch.conductance
             return self.network.under(grounds, contact, series=touch.series)
         g = np.bincount(self.network.node, weights, self.network.count)
         g = g * (touch.conductance / weights.sum())
         return np.stack([self._under_law(touch, g, int(e)) for e in grounds])
+
+    def weights(self, touch: Touch) -> Float[np.ndarray, " cells"]:
+        """How much of the contact's conductance each cell has, relative."""
+        cells = self.network.cells
+        near = np.hypot(*(cells - touch.xy).T) <= max(touch.half_axes) + self.network.width
+        weights = np.zeros(len(cells))
+        weights[near] = self.network.average(touch.density, cells[near])
+        if not weights.sum() > 0:
+            raise ValueError(f"xy: got {touch.xy}, expected a contact on the sheet")
+        return weights
 
     def _under_law(self, touch: Touch, g: np.ndarray, ground: int) -> np.ndarray:
         """The voltages under one ground: a fixed point of each node's conductance G.

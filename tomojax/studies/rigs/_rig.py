@@ -1,7 +1,7 @@
 """What a rig really is: a description that each model of it takes; and how it is drawn."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -144,8 +144,3 @@ def _sheet(sensor, rng, uneven, patch, stretch, gradient, seam) -> Sheet:
         return nominal * (1 + np.maximum(relative + gradient * slope + strip, -0.7))
 
     return sheet
-
-
-def told(rig: Rig, **values: Any) -> Rig:
-    """The same rig, with other nominal values: what a reconstruction believes."""
-    return replace(rig, sensor=replace(rig.sensor, **values))
