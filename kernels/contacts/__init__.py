@@ -35,6 +35,7 @@ from tomojax.kernels.contacts._points import (
     green_of as green_of,
     hardly_told as hardly_told,
     LEAST_DROP as LEAST_DROP,
+    LONG as LONG,
     metallic as metallic,
     round_disc as round_disc,
     Sheet as Sheet,

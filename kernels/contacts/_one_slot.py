@@ -20,7 +20,7 @@ class Noise(NamedTuple):
 
     converter: Float[Array, ""]  # V
     own: Float[Array, ""]  # a channel's, as a part of its voltage
-    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
+    local: Float[Array, "3 M M"]  # and of its voltage's bend and slopes, from all voltages
     smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
 
@@ -68,7 +68,8 @@ def slot_weights(
     noise: Noise, voltages: Float[Array, " M"], used: Bool[Array, " M"]
 ) -> Weights:
     """The inverse covariance of a slot's errors; those in common by Woodbury's formula."""
-    own = (noise.own * voltages) ** 2 + matmul(noise.bend, voltages) ** 2
+    near = matmul(noise.local, voltages)
+    own = (noise.own * voltages) ** 2 + (near**2).sum(0)
     variance = noise.converter**2 + own
     w = jnp.where(used, 1 / variance, 0)
     size = jnp.abs(voltages)

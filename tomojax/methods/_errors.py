@@ -13,11 +13,12 @@ from tomojax.kernels.sheet import smooth_modes
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Nominal values leave these parts of measured voltages. Each electrode has an error of its
-# own (place, gain, detail of the sheet), and this part of how its voltage differs from its
-# neighbours'; all have the longest waves over the sheet in common. These three are from a
-# resistor network that varies by 1.5 to 3 %, electrodes 0.15 mm off. A slot's offset is as
-# good as free: a ground path, or a face that touches in part, may lift it by its own size.
-_OWN, _BEND, _SMOOTH, _OFFSET = 0.0015, 0.04, 0.003, 1.0
+# own (gain, detail of the sheet), and this part of how its voltage differs from its
+# neighbours'; it is off its place by a part of its diameter; all have the longest waves over
+# the sheet in common. These are from a resistor network that varies by 1.5 to 3 %. A slot's
+# offset is as good as free: a ground path, or a face that touches in part, may lift it by
+# its own size.
+_OWN, _BEND, _OFF, _SMOOTH, _OFFSET = 0.0008, 0.02, 0.03, 0.003, 1.0
 
 # What a contact must explain in all, and more for each slot: a fit to noise gains some too.
 _SEEN = (25.0, 4.0)
@@ -36,7 +37,7 @@ class PreparedErrors(NamedTuple):
     grounds: Int[Array, " S"]
     used: Bool[Array, "S M"]
     own: Float[Array, ""]  # a channel's own error, as a part of its voltage
-    bend: Float[Array, "M M"]  # and of what its voltage is beside its neighbours'
+    local: Float[Array, "3 M M"]  # and of its voltage's bend and slopes, from all voltages
     smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
     spread: Float[Array, ""]  # of the model's error, by λ
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
@@ -59,6 +60,7 @@ class Errors(eqx.Module):
 
     electrode_xy: Float[Array, "M 2"]
     size: Float[Array, "2"]
+    off: Float[Array, ""]  # of electrodes, pitches
     noise: Float[Array, ""]  # of the converter, V
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
 
@@ -66,8 +68,9 @@ class Errors(eqx.Module):
     def of(cls, sensor: Sensor) -> "Errors":
         """With nominal values."""
         noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
+        off = _OFF * sensor.electrode_diameter / sensor.mean_pitch
         error = jnp.ones((), sensor.dtype)
-        return cls(sensor.electrode_xy, sensor.size, noise, error)
+        return cls(sensor.electrode_xy, sensor.size, off, noise, error)
 
     def calibrated(self, calibration: Calibration) -> "Errors":
         """As the calibration states them."""
@@ -86,11 +89,12 @@ class Errors(eqx.Module):
         # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
         spread = own * float(self.error)
         xy = np.asarray(self.electrode_xy, float)
+        parts = np.array([_BEND, float(self.off), float(self.off)])
         return PreparedErrors(
             jnp.asarray(grounds, int),
             jnp.asarray(used),
             jnp.asarray(own * _OWN, dtype),
-            jnp.asarray(own * _BEND * bends(xy, channels), dtype),
+            jnp.asarray(own * parts[:, None, None] * bends_and_slopes(xy, channels), dtype),
             spread * self.smooth(self.electrode_xy),
             jnp.asarray(spread, dtype),
             jnp.asarray(spread * _OFFSET, dtype),
@@ -106,7 +110,7 @@ class Errors(eqx.Module):
         strength = np.asarray((ready.smooth**2).mean(1))
         longest = np.sort(np.argsort(-strength, kind="stable")[:_LONGEST])
         smooth = ready.smooth[longest]
-        return Noise(ready.noise, ready.own, ready.bend, smooth, ready.offset)
+        return Noise(ready.noise, ready.own, ready.local, smooth, ready.offset)
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
         """What neighbours' relative errors have in common, 1 σ of each wave."""
@@ -128,8 +132,8 @@ def noise_of(sensor: Sensor) -> Noise:
 def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitened:
     """A frame whose errors are independent and of size 1."""
     used = _not_grounded(prepared)
-    bent = jnp.matmul(voltages, prepared.bend.T, precision="highest")
-    own = jnp.sqrt((prepared.own * voltages) ** 2 + bent**2)
+    near = jnp.einsum("knm,sm->ksn", prepared.local, voltages, precision="highest")
+    own = jnp.sqrt((prepared.own * voltages) ** 2 + (near**2).sum(0))
     each = jnp.sqrt(own**2 + prepared.noise**2)
     high = jnp.where(used, jnp.abs(voltages), 0)
     count = jnp.maximum(used.sum(1), 1).astype(voltages.dtype)
@@ -184,19 +188,20 @@ def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
     return slots[:, None] & channels
 
 
-def bends(
+def bends_and_slopes(
     xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
-) -> Float[np.ndarray, "M M"]:
-    """From voltages to how far each is from the plane through its neighbours'."""
+) -> Float[np.ndarray, "3 M M"]:
+    """From voltages to how far each is from the plane through its neighbours', and to the
+    plane's slopes along x and y, per pitch."""
     apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
     pitch = np.median(apart.min(1))
-    matrix = np.zeros(apart.shape)
+    matrices = np.zeros((3, *apart.shape))
     for k in np.flatnonzero(channels):
         near = np.flatnonzero(channels & (apart[k] < 1.6 * pitch))
         if len(near) < 3:  # what is left of few: those that are nearest
             near = np.flatnonzero(channels)[np.argsort(apart[k, channels])[:4]]
             near = near[near != k]
         plane = np.column_stack([np.ones(len(near)), (xy[near] - xy[k]) / pitch])
-        matrix[k, near] = -np.linalg.pinv(plane)[0]
-        matrix[k, k] = 1
-    return matrix
+        matrices[:, k, near] = np.array([[-1], [1], [1]]) * np.linalg.pinv(plane)
+        matrices[0, k, k] = 1
+    return matrices

@@ -23,7 +23,7 @@ from tomojax.methods._errors import misfit_cost, PreparedErrors, whitened, witho
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
-LEFT, _UNUSUAL = 0.4, 2.0
+LEFT, _UNUSUAL = 0.37, 4.0
 
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 6, 30

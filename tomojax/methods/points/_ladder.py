@@ -173,8 +173,23 @@ def _more_discs(scene: Fitting, discs: Found, size: int) -> tuple[Found, LeastSq
             beside = jax.lax.top_k(-away, _PAIRED)[1]
             columns, candidates = columns[beside], candidates[beside]
         pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
+        pairs = jnp.concatenate([pairs, _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
     return best_fit(scene, model.discs, starts)
+
+
+def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
+    """Two places for one long disc, ± h along it: as much of a moment, h² = 2·(a² − b²)/8.
+
+    At least half of a usual pair's distance apart, as a long disc is what two look like.
+    """
+    sheet = scene.method.sheet
+    long = discs.parameters[0, 3:5]
+    h = jnp.sqrt(2 * model.LONG * jnp.sqrt((long**2).sum() + 1e-12)) * sheet.size
+    h = jnp.maximum(h, _APART / 2 * sheet.size)
+    angle = jnp.arctan2(long[1], long[0]) / 2
+    along = h * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    return discs.place[0] + jnp.stack([along, -along])
 
 
 def _own_columns(scene: Fitting, discs: Found, size: int) -> Float[Array, "C S M"]:
