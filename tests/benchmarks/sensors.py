@@ -25,6 +25,7 @@ from rigs import figures, followed, in_batch, RESULTS, ten_grounds  # noqa: E402
 import tomojax as tx  # noqa: E402
 from tomojax.studies.frontier import DOUBT  # noqa: E402
 from tomojax.studies.rigs import (  # noqa: E402
+    FAMILY,
     JUDGING,
     lone_contacts,
     make_rig,
@@ -46,6 +47,7 @@ class Kind(NamedTuple):
     def sensor(self) -> tx.Sensor:
         n, pitch = self.electrodes, self.side / self.electrodes
         # No coarser than half a disc, as the default's.
+        bits = FAMILY[self.row].rig.get("bits", 16)
         cells = max(int(np.ceil(2 * n / self.disc / 2)), 2 * n, 16)
         return tx.Sensor.grid(
             n,
@@ -57,6 +59,7 @@ class Kind(NamedTuple):
             drive_voltage=self.drive,
             divisions=(cells, cells),
             dtype=np.float32,
+            resolution=2 * self.drive / 0.9 / 2**bits,  # told, as a file tells it
         )
 
 

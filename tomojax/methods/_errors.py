@@ -20,6 +20,10 @@ from tomojax.sensor import Calibration, nominal_noise, Sensor
 # its own size.
 _OWN, _BEND, _OFF, _SMOOTH, _OFFSET = 0.0008, 0.02, 0.03, 0.003, 1.0
 
+# A step's contacts are round discs. What a shape does to its neighbours is error there, so
+# that a channel's own, and by its bend, is so many times as large.
+_ROUND = 2.0
+
 # What a contact must explain in all, and more for each slot: a fit to noise gains some too.
 _SEEN = (25.0, 4.0)
 
@@ -110,7 +114,9 @@ class Errors(eqx.Module):
         strength = np.asarray((ready.smooth**2).mean(1))
         longest = np.sort(np.argsort(-strength, kind="stable")[:_LONGEST])
         smooth = ready.smooth[longest]
-        return Noise(ready.noise, ready.own, ready.local, smooth, ready.offset)
+        shaped = jnp.array([_ROUND, 1, 1], ready.local.dtype)
+        local = shaped[:, None, None] * ready.local
+        return Noise(ready.noise, _ROUND * ready.own, local, smooth, ready.offset)
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
         """What neighbours' relative errors have in common, 1 σ of each wave."""

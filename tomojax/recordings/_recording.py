@@ -87,6 +87,7 @@ class Rig:
             size=tuple(float(s) for s in sensor.size),  # pyright: ignore
             electrode_xy=np.asarray(sensor.electrode_xy, float),
             rails=rails,
+            resolution=float(sensor.resolution),
             **numbers,  # pyright: ignore
         )
 
@@ -104,6 +105,7 @@ class Rig:
             self.drive_voltage,
             divisions=tuple(int(n) for n in np.maximum(cells, 2)),
             dtype=dtype,
+            resolution=self.resolution,
         )
 
 

@@ -40,6 +40,7 @@ class Sensor(eqx.Module):
       it: 1 for a metal disc in perfect contact, less in poor contact. The paper's 64
       discs of 5 mm lower the sheet's effective resistance by 10 %. None neglects it, at
       a third of the cost.
+    - `resolution`: of one code of the converter, V; 0 where it is finer than the noise.
     - `divisions` (nx, ny): cells of the mesh. Each is two of the K = 2·nx·ny elements.
 
     All but `divisions` may be differentiated. `dataclasses.replace` makes a changed
@@ -66,6 +67,7 @@ class Sensor(eqx.Module):
     ground_resistance: Float[Array, "*electrodes"]
     drive_voltage: Float[Array, ""]
     electrode_shunt: Float[Array, ""] | None
+    resolution: Float[Array, ""]
     divisions: tuple[int, int] = eqx.field(static=True)
 
     def __init__(
@@ -79,6 +81,7 @@ class Sensor(eqx.Module):
         electrode_shunt: Numbers | None = None,
         divisions: Numbers = (64, 64),
         dtype: Any = None,
+        resolution: Numbers = 0.0,
     ):
         xy = float_array("electrode_xy", electrode_xy, dtype)
         self.electrode_xy = xy
@@ -97,6 +100,7 @@ class Sensor(eqx.Module):
             if electrode_shunt is None
             else float_array("electrode_shunt", electrode_shunt, xy.dtype)
         )
+        self.resolution = float_array("resolution", resolution, xy.dtype)
         self.divisions = _whole_divisions(divisions)
 
     def __check_init__(self) -> None:
@@ -111,7 +115,9 @@ class Sensor(eqx.Module):
         require_shape("drive_voltage", self.drive_voltage, ())
         for name in ("size", "electrode_diameter", "sheet_resistance"):
             require_positive(name, getattr(self, name))
-        require_not_negative("ground_resistance", self.ground_resistance)
+        require_shape("resolution", self.resolution, ())
+        for name in ("ground_resistance", "resolution"):
+            require_not_negative(name, getattr(self, name))
         require_finite("drive_voltage", self.drive_voltage)
         require_finite("electrode_xy", self.electrode_xy)
         if self.electrode_shunt is not None:
@@ -209,7 +215,9 @@ def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
 
 
 def nominal_noise(sensor: Sensor) -> float:
-    """Returns the noise of a reading where nothing tells it, V rms: 10⁻⁴ of the drive.
+    """Returns the noise of a reading where nothing tells it, V rms.
+
+    10⁻⁴ of the drive, and what the converter's codes round off: their `resolution`/√12.
 
     **Example:**
 
@@ -218,7 +226,8 @@ def nominal_noise(sensor: Sensor) -> float:
     0.45 mV
     """
     # Without a drive there is nothing to see; the noise divides, so that it is not 0.
-    return NOISE * (abs(float(sensor.drive_voltage)) or 1.0)
+    noise = NOISE * (abs(float(sensor.drive_voltage)) or 1.0)
+    return float(np.hypot(noise, float(sensor.resolution) / np.sqrt(12)))
 
 
 def converter_of(sensor: Sensor) -> Converter:
@@ -231,6 +240,6 @@ def converter_of(sensor: Sensor) -> Converter:
     >>> print(f"{float(converter.full_scale):.0f} V, {float(1e3 * converter.noise):.1f} mV")
     10 V, 0.6 mV
     """
-    drive = nominal_noise(sensor) / NOISE
+    drive = abs(float(sensor.drive_voltage)) or 1.0
     # Beside it the noise of a reading has zeros and steps.
-    return Converter(noise=2 / 3 * nominal_noise(sensor), full_scale=drive / 0.9)
+    return Converter(noise=2 / 3 * NOISE * drive, full_scale=drive / 0.9)
