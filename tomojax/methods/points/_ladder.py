@@ -61,7 +61,7 @@ class Ladder(NamedTuple):
     one: Found  # disc
     discs: Found
     promise: Float[Array, ""]  # of one more disc, per slot, as far as slopes tell
-    asked: Bool[Array, ""]  # whether more than one disc fits better, believed or not
+    asked: Bool[Array, ""]  # whether one disc does not do, more are believed or not
 
 
 def _due(ladder: Ladder, size: int) -> Any:
@@ -100,7 +100,8 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
     best, one, discs, _, asked = ladder
     new, ended = _more_discs(scene, discs, size)
-    asked = asked | _gains(scene, discs, new, size)
+    # Nor does one disc explain what is neither: a ring, where two are no better.
+    asked = asked | discs.high | _gains(scene, discs, new, size)
     new = _believed(scene, new, size)
     gained = _gains(scene, discs, new, size)
     best = _choose(gained & (_score(new) < _score(best)), new, best)
