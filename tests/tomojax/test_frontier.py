@@ -100,7 +100,9 @@ def trials_of(kind, places, image=None):
     for k, there in enumerate(places):
         xy[k, : len(there)], total[k, : len(there)] = there, 1e-4
     image = np.ones((len(places), 64, 64)) if image is None else image
-    return Trials(np.full(len(places), kind), np.zeros((0,)), xy, total, image)
+    return Trials(
+        np.full(len(places), kind), np.zeros((len(places), 64, 0)), xy, total, image
+    )
 
 
 def test_scores_of_places():

@@ -30,12 +30,15 @@ _TOLD = (
     "drive_voltage",
 )
 
-# Contacts at most; cells along a side of the true images; the paper's sheet, m.
-_MOST, _FINE, _SIDE = 3, 64, 0.16
+# Contacts at most; cells along a side of the true images.
+_MOST, _FINE = 3, 64
 
-# A place that is further off is of something that is not there, mm; of two contacts, both
-# are found within this part of their distance.
-FAR, APART = 20.0, 1 / 3
+# Lengths and conductances below are on the paper's sheet, m and Ω/sq: others' in proportion.
+_SIDE, _SQUARE = 0.16, 10e3
+
+# A place that is further off is of something that is not there, pitches; of two contacts,
+# both are found within this part of their distance.
+FAR, APART = 1.0, 1 / 3
 
 # Any of these says that a row is not to be trusted as it stands.
 DOUBT = sum(
@@ -80,11 +83,12 @@ def make_trials(
     rng = np.random.default_rng(seed)
     made: list[tuple] = []
     rig = Network(sensor, rng)
+    square = float(np.mean(np.asarray(sensor.sheet_resistance)))
     for kind in KINDS:
         for k in range(count):
             if k % _SCENES_OF_A_RIG == 0:
                 rig = Network(sensor, rng)
-            contacts = sorted(_contacts(kind, rig, rng), key=lambda c: -c[1])
+            contacts = sorted(_contacts(kind, rig, square, rng), key=lambda c: -c[1])
             exact, truth = rig.scene(*contacts)
             xy, total = np.full((_MOST, 2), np.nan), np.full(_MOST, np.nan)
             for row, (place, conductance) in enumerate(truth):
@@ -95,9 +99,11 @@ def make_trials(
     return Trials(*told)
 
 
-def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact]:
+def _contacts(
+    kind: str, rig: Network, square: float, rng: np.random.Generator
+) -> list[Contact]:
     high = rig.cells.max(0)
-    unit = high.min() / _SIDE
+    unit, siemens = high.min() / _SIDE, _SQUARE / square
 
     def somewhere(margin: float) -> np.ndarray:
         return rng.uniform(margin * unit, high - margin * unit)
@@ -105,14 +111,14 @@ def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact
     if kind == "one":
         radius = rng.uniform(0.003, 0.012)
         inside = rig.disc(somewhere(radius + 1e-3), radius * unit)
-        return [(inside, 10 ** rng.uniform(-5.5, -2.5))]
+        return [(inside, siemens * 10 ** rng.uniform(-5.5, -2.5))]
     if kind == "bar":
         length, width = unit * rng.uniform([0.065, 0.008], [0.085, 0.012])
         inside = rig.bar(somewhere(0.055), length, width, rng.uniform(0, np.pi))
-        return [(inside, 10 ** rng.uniform(-3.5, 0.5))]
+        return [(inside, siemens * 10 ** rng.uniform(-3.5, 0.5))]
     if kind == "large":
         inside = rig.disc(somewhere(0.05), unit * rng.uniform(0.025, 0.04))
-        return [(inside, 10 ** rng.uniform(-3.5, -2))]
+        return [(inside, siemens * 10 ** rng.uniform(-3.5, -2))]
     if kind == "two":
         angle, apart = rng.uniform(0, np.pi), unit * rng.uniform(0.015, 0.04)
         half = apart / 2 * np.array([np.cos(angle), np.sin(angle)])
@@ -122,7 +128,10 @@ def _contacts(kind: str, rig: Network, rng: np.random.Generator) -> list[Contact
         places, largest = _spread(lambda: somewhere(0.015), 0.03 * unit), 0.008
     radii = rng.uniform(0.003, min(0.008, largest), len(places))
     totals = 10 ** rng.uniform(-5, -3.3) * 10 ** -rng.uniform(0, 1, len(places))
-    return [(rig.disc(p, r * unit), float(g)) for p, r, g in zip(places, radii, totals)]
+    return [
+        (rig.disc(p, r * unit), float(siemens * g))
+        for p, r, g in zip(places, radii, totals)
+    ]
 
 
 def _spread(draw: Callable[[], np.ndarray], least: float) -> list[np.ndarray]:
@@ -193,6 +202,7 @@ def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
     last = int(np.ceil(0.9 * len(errors))) - 1
     true_count = there.sum(1)
     doubted = (rows.flags & DOUBT) > 0
+    far = errors > 1e3 * FAR * np.sqrt(np.prod(size) / trials.volts.shape[1])
     found = {
         "place_median_mm": _finite(np.median(errors)),
         "place_p90_mm": _finite(np.sort(errors)[last]),
@@ -201,8 +211,8 @@ def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
         "ghosts": float(np.mean(ghosts > 0)),
         "count_right": float(np.mean(rows.contact_count == true_count)),
         "doubted": float(doubted.mean()),
-        "far_undoubted": int(((errors > FAR) & ~doubted).sum()),
-        "far": int((errors > FAR).sum()),
+        "far_undoubted": int((far & ~doubted).sum()),
+        "far": int(far.sum()),
         "scenes": len(errors),
     }
     if kind == "two":

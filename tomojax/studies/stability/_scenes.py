@@ -20,8 +20,8 @@ from tomojax.studies.network import Contact, Network
 # shorter side.
 CONDUCTANCE, _RADIUS, _MARGIN = 1e-4, 0.03, 0.15
 
-# Further off than this (m) a place is not that of the contact; nearer, it is right.
-NEAR = 0.010
+# Further off than this (pitches) a place is not that of the contact; nearer, it is right.
+NEAR = 0.5
 
 
 class SweptScenes(NamedTuple):
@@ -30,7 +30,7 @@ class SweptScenes(NamedTuple):
     volts: Float[np.ndarray, "n M M"]  # as measured under every ground, V
     xy: Float[np.ndarray, "n C 2"]  # m; NaN beyond the contacts
     told: Sensor | None = None  # the sensor that a reconstruction has; None: nominal
-    near: float = NEAR
+    near: float | None = None  # within which a place is right, m; None: NEAR
     lam: float = 1.0  # times the method's own λ
     whole: bool = False  # one large contact: its place is the mean of what is found
     before: Float[np.ndarray, "n M M"] | None = None  # of another contact, until now

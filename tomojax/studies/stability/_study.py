@@ -27,7 +27,7 @@ from tomojax.studies.frontier import (
 )
 from tomojax.studies.stability import _faults, _scenes
 from tomojax.studies.stability._numbers import gradient_rows, solver_rows
-from tomojax.studies.stability._scenes import Bench, Sweep, SweptScenes
+from tomojax.studies.stability._scenes import Bench, NEAR, Sweep, SweptScenes
 from tomojax.studies.stability._starts import resistance_rows, start_rows, STARTS
 
 SWEEPS = {
@@ -123,8 +123,9 @@ def trial_row(
     places = [xy[np.isfinite(xy).all(1)] for xy in some.xy]
     errors = np.array([place_error(rows, k, xy, some.whole) for k, xy in enumerate(places)])
     doubted = (rows.flags & DOUBT) > 0
-    far = errors > 1e-3 * FAR
-    near = errors <= some.near
+    pitch = trial.bench.pitch
+    far = errors > FAR * pitch
+    near = errors <= (NEAR * pitch if some.near is None else some.near)
     row = {
         "scenes": len(errors),
         "raised": None,

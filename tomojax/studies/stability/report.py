@@ -50,7 +50,7 @@ def flagged_text(flagged: dict[str, Any]) -> str:
     for method, row in flagged.items():
         part = "none" if row["flagged"] is None else f"{100 * row['flagged']:.0f} %"
         line = (
-            f"{method}: of {row['far']} places over 20 mm off {part} flagged; "
+            f"{method}: of {row['far']} places over a pitch off {part} flagged; "
             f"{row['not_a_number_unflagged']} unflagged that are no number"
         )
         if row["dtypes_apart_mm"] is not None:
