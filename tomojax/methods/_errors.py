@@ -14,7 +14,7 @@ from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Nominal values leave these parts of measured voltages. Each electrode has an error of its
 # own (gain, detail of the sheet), and this part of how its voltage differs from its
-# neighbours'; it is off its place by a part of its diameter; all have the longest waves over
+# neighbours'; it is off its place by a part of its diameter. All have the longest waves over
 # the sheet in common. These are from a resistor network that varies by 1.5 to 3 %. A slot's
 # offset is as good as free: a ground path, or a face that touches in part, may lift it by
 # its own size.

@@ -33,7 +33,7 @@ _TOLD = (
 # Contacts at most; cells along a side of the true images.
 _MOST, _FINE = 3, 64
 
-# Lengths and conductances below are on the paper's sheet, m and Ω/sq: others' in proportion.
+# Lengths and conductances below are on the paper's sheet, m and Ω/sq; others in proportion.
 _SIDE, _SQUARE = 0.16, 10e3
 
 # A place that is further off is of something that is not there, pitches; of two contacts,
