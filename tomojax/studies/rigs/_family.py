@@ -64,7 +64,7 @@ class LoneContacts(NamedTuple):
 
 
 def make_rig(sensor: Sensor, row: str, rng: np.random.Generator) -> Rig:
-    """Draws a rig of that row: lengths by the pitch, ohms by the sheet, volts by the drive."""
+    """Draws a rig of that row; its values follow the pitch, the sheet and the drive."""
     words = dict(FAMILY[row].rig)
     if "patch" in words:
         words["patch"] *= sensor.mean_pitch
