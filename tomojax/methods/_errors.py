@@ -13,10 +13,11 @@ from tomojax.kernels.sheet import smooth_modes
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Nominal values leave these parts of measured voltages. Each electrode has an error of its
-# own (gain, detail of the sheet), and this part of how its voltage differs from its
+# own (gain, detail of the sheet), and a part of how its voltage differs from its
 # neighbours'; it is off its place by a part of its diameter. The sheet's longest waves are
-# common to all. These are from a resistor network that varies by 1.5 to 3 %. A slot's offset
-# is as good as free: a ground path, or a face that touches in part, may lift it by its size.
+# common to all. These are from a resistor network that varies by 1.5 to 3 %. A slot's
+# offset is as good as free: a ground path, or a face that touches in part, may lift it by
+# its size.
 _OWN, _BEND, _OFF, _SMOOTH, _OFFSET = 0.0008, 0.02, 0.03, 0.003, 1.0
 
 # A step's contacts are round discs. What a shape does to its neighbours is error there, so
