@@ -29,6 +29,7 @@ SENSORS = {
     "negative ground": ("ground_resistance", dict(ground_resistance=-4.0)),
     "grounds that do not fit": ("ground_resistance", dict(ground_resistance=[4.0] * 3)),
     "no diameter": ("electrode_diameter", dict(electrode_diameter=0.0)),
+    "negative codes": ("resolution", dict(resolution=-1e-3)),
     "infinite drive": ("drive_voltage", dict(drive_voltage=np.inf)),
     "no width": ("size", dict(size=[0.0, 0.04])),
     "one side": ("size", dict(size=0.04)),
