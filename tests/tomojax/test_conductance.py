@@ -118,4 +118,5 @@ def test_auto_takes_the_smallest_that_explains(scenes):
     one = jax.jit(lambda p, v: method.estimate(p, v, 1))
     estimate = one(prepared, scenes["many"][0].astype(np.float32))
     assert estimate.rung == found.rung[k]
-    np.testing.assert_allclose(estimate.contacts.xy, found.contact_xy[k], atol=2e-5)
+    # Its iterations end where rounding lets them, within a hundredth of a pitch.
+    np.testing.assert_allclose(estimate.contacts.xy, found.contact_xy[k], atol=2e-4)

@@ -97,14 +97,19 @@ def test_all_sets_of_three_are_above_the_bound_and_the_best_is_found(objectives,
 
 def test_relaxed_weights(objectives):
     objective = objectives("points", "place")
-    found = relax(objective, 16, 5)
-    w = np.asarray(found.weights)
-    assert abs(w.sum() - 5) < 1e-9 and w.min() >= 0 and w.max() <= 1
-    assert 0 <= found.value - found.bound < 1e-3 * found.value
-    # Slots that are not taken in full have the same slope.
-    slope = np.asarray(jax.grad(objective.value)(found.weights))
-    between = (w > 0.05) & (w < 0.95)
-    assert np.ptp(slope[between]) < 0.05 * abs(slope).max()
+    partly = 0
+    for count in (3, 5, 6):
+        found = relax(objective, 16, count)
+        w = np.asarray(found.weights)
+        assert abs(w.sum() - count) < 1e-9 and w.min() >= 0 and w.max() <= 1
+        assert 0 <= found.value - found.bound < 1e-3 * found.value
+        # Slots that are not taken in full have the same slope.
+        slope = np.asarray(jax.grad(objective.value)(found.weights))
+        between = (w > 0.05) & (w < 0.95)
+        partly += between.sum()
+        if between.any():
+            assert np.ptp(slope[between]) < 0.05 * abs(slope).max()
+    assert partly > 1
 
 
 def test_all_slots_and_one(objectives):

@@ -19,6 +19,7 @@ from tomojax.methods._conductance import (
 )
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Rung
 from tomojax.methods._errors import (
+    highest_cost,
     misfit_cost,
     PreparedErrors,
     whitened,
@@ -150,7 +151,7 @@ class Auto(AbstractMethod):
         cost = misfit_cost((rest**2).sum(1), tolerance).sum() / slots
         rung = jnp.asarray(Rung.SOURCE.value)
         # Its flags stay: the image explains the slots, the contacts read off it may not.
-        return cost < tolerance, estimate._replace(rung=rung)
+        return cost < highest_cost(tolerance), estimate._replace(rung=rung)
 
     def _conductance(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int

@@ -21,11 +21,15 @@ from tomojax.sensor import Calibration, nominal_noise, Sensor
 _OWN, _BEND, _OFF, _SMOOTH, _OFFSET = 0.0008, 0.02, 0.03, 0.003, 1.0
 
 # A step's contacts are round discs. What a shape does to its neighbours is error there, so
-# that a channel's own, and by its bend, is so many times as large.
-_ROUND = 2.0
+# that a channel's own, and by its bend, is so many times as large. By its slope it is less:
+# the whole of it hides a second contact for five slots more.
+_ROUND, _SLOPED = 2.0, 0.5
 
 # What a contact must explain in all, and more for each slot: a fit to noise gains some too.
 _SEEN = (25.0, 4.0)
+
+# χ² of a slot, of its tolerance, that errors do not leave.
+_HIGH = 3.0
 
 # Slots that stand for all.
 _SLOTS = 4
@@ -114,7 +118,7 @@ class Errors(eqx.Module):
         strength = np.asarray((ready.smooth**2).mean(1))
         longest = np.sort(np.argsort(-strength, kind="stable")[:_LONGEST])
         smooth = ready.smooth[longest]
-        shaped = jnp.array([_ROUND, 1, 1], ready.local.dtype)
+        shaped = jnp.array([_ROUND, _SLOPED, _SLOPED], ready.local.dtype)
         local = shaped[:, None, None] * ready.local
         return Noise(ready.noise, _ROUND * ready.own, local, smooth, ready.offset)
 
@@ -171,6 +175,11 @@ def misfit_cost(
 ) -> Float[Array, " S"]:
     """Of each slot's |r|², Cauchy's loss: what does not fit at all counts little."""
     return tolerance * jnp.log1p(misfits / tolerance)
+
+
+def highest_cost(tolerance: Float[Array, ""]) -> Float[Array, ""]:
+    """The cost of a slot beyond which what is left of it is no error."""
+    return tolerance * float(np.log1p(_HIGH))
 
 
 def seen(

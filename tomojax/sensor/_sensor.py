@@ -217,7 +217,8 @@ def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
 def nominal_noise(sensor: Sensor) -> float:
     """Returns the noise of a reading where nothing tells it, V rms.
 
-    10⁻⁴ of the drive, and what the converter's codes round off: their `resolution`/√12.
+    10⁻⁴ of the drive, or what the converter's codes round off where that is more: their
+    `resolution`/√12.
 
     **Example:**
 
@@ -227,7 +228,7 @@ def nominal_noise(sensor: Sensor) -> float:
     """
     # Without a drive there is nothing to see; the noise divides, so that it is not 0.
     noise = NOISE * (abs(float(sensor.drive_voltage)) or 1.0)
-    return float(np.hypot(noise, float(sensor.resolution) / np.sqrt(12)))
+    return max(noise, float(sensor.resolution) / np.sqrt(12))
 
 
 def converter_of(sensor: Sensor) -> Converter:

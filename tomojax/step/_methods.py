@@ -34,10 +34,10 @@ _FAINT = 10.0
 
 # A place's covariance is so many times the filter's, to which slots' errors are independent
 # and the sheet's waves few; and so many times what one slot tells, as slots share errors.
-_FILTERED, _SHARED = 1.5, 1.0
+_FILTERED, _SHARED = 2.0, 1.0
 
 # χ² of a channel that contacts leave, usually.
-_LEFT = 0.55
+_LEFT = 0.65
 
 
 class Told(NamedTuple):

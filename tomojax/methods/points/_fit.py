@@ -19,7 +19,13 @@ from tomojax.kernels.contacts import (
     WhitenedFrame,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
-from tomojax.methods._errors import misfit_cost, PreparedErrors, whitened, without_offset
+from tomojax.methods._errors import (
+    highest_cost,
+    misfit_cost,
+    PreparedErrors,
+    whitened,
+    without_offset,
+)
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
@@ -139,7 +145,7 @@ def best_fit(
         misfit_cost((rest**2).sum(1), prepared.tolerance),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
-        high=cost / n > prepared.tolerance,
+        high=cost / n > highest_cost(prepared.tolerance),
         limited=limited,
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),

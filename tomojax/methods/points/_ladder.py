@@ -209,11 +209,12 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     and what only one asks for is near that slot's ground, where the sheet is not known
     well enough.
     """
-    # Where the model's error is larger than thought, so is what a ghost would gain.
+    # Where the model's error is larger than thought, so is what a ghost would gain; what is
+    # left beyond the tolerance is no error but a contact that is missing.
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
     channels = (scene.frame.scale > 0).sum() / slots
     usual = LEFT * channels.astype(new.cost.dtype)
-    enough = _GAIN * (size - 1) * jnp.maximum(1, new.cost / usual)
+    enough = _GAIN * (size - 1) * jnp.clip(new.cost / usual, 1, 1 / LEFT)
     each = old.misfits - new.misfits
     over = jnp.maximum(each - 2 * enough, 0).sum() / slots.astype(each.dtype)
     return old.cost - new.cost - over > enough
