@@ -415,6 +415,9 @@ def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
     for _ in range(2):
         assert run_study(sensor, tmp_path, True)[0]["method"] == "linear"
     assert len(tried) == 2
+    # Another method alone: nothing new, and what is there already.
+    rows = run_study(sensor, tmp_path, True, only=("source",))
+    assert len(rows) == 1 and len(tried) == 2
 
 
 def test_a_job_that_fails_says_so(kept):
@@ -428,6 +431,7 @@ def test_a_job_that_fails_says_so(kept):
     [
         (["--scenes", "1"], "--scenes: got 1, expected 2 to 1000"),
         (["--seed", "-1"], "--seed: got -1"),
+        (["--only", "guess"], "--only: got 'guess', expected one of linear"),
         (["--like", "none.h5"], "none.h5"),
     ],
 )

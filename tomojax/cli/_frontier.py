@@ -11,9 +11,11 @@ from tomojax.cli._study import begin, named, study_options
 
 @click.command()
 @click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
+@click.option("--only", multiple=True, help="This method alone; may be given again.")
 @study_options("frontier", "rows and a summary", "Of each kind. [default: 20; quick: 6]")
 def frontier(
     quick: bool,
+    only: tuple[str, ...],
     out: Path,
     json_path: Path | None,
     scenes: int | None,
@@ -29,7 +31,12 @@ def frontier(
 
     _peers_there()
     sensor = begin(json_path, scenes, 2, seed, like)
-    steps = len(jobs(quick)) + 1
+    every = jobs(quick)
+    names = list(dict.fromkeys(job.method for job in every))
+    for name in only:
+        if name not in names:
+            raise ValueError(f"--only: got {name!r}, expected one of {', '.join(names)}")
+    steps = sum(not only or job.method in only for job in every) + 1
     with click.progressbar(
         length=steps, label="frontier", file=sys.stderr, item_show_func=named
     ) as bar:
@@ -40,6 +47,7 @@ def frontier(
             scenes,
             seed,
             lambda done: bar.update(1, done),  # pyright: ignore
+            only,
         )
     failed = [row for row in rows if row.get("failed")]
     rates, day = ([r for r in rows if r["scene"] == name] for name in ("rate", "day"))

@@ -83,8 +83,12 @@ def run(
     scenes: int | None = None,
     seed: int = 0,
     progress: Callable[[str], Any] = lambda done: None,
+    only: tuple[str, ...] = (),
 ) -> list[dict[str, Any]]:
     """Rows of all jobs; what `folder` has of the same run already is not done again.
+
+    With `only` jobs of these methods alone are done now; of others there are the rows that
+    `folder` has.
 
     **Raises:** `ValueError` where `folder` holds a run with other scenes or of another
     sensor.
@@ -101,6 +105,8 @@ def run(
     progress("scenes")
     done, rows = _kept(folder / "frontier-rows.jsonl")
     for job in jobs(quick, () if quick else _designed(path)):
+        if only and job.method not in only:
+            continue
         key = json.dumps(job._asdict())
         if key not in done:
             begin = time.perf_counter()
