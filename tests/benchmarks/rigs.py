@@ -158,16 +158,16 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
         xlabel="place error, mm: median (dot) to 90 % (end of the line)",
         yticks=range(len(names)),
         yticklabels=[FAMILY[name].title for name in names],
-        title="Lone contacts on rigs of which nominal values are told",
+        title="Lone contacts, nominal values told",
     )
     places.axvline(10, color="0.6", ls=":", lw=1)
     places.invert_yaxis()
-    places.legend(fontsize=8, loc="lower right")
+    figure.legend(*places.get_legend_handles_labels(), loc="lower right", ncols=5)
     sigmas.axvspan(0.60, 0.76, color="0.9")
     sigmas.set(
         xlim=(0, 1), xlabel="part within 1 σ as stated", title="How sure it says it is"
     )
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
     figure.savefig(path, dpi=110)
 
 

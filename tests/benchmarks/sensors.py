@@ -5,7 +5,8 @@
 Lone contacts as `tomojax.studies.rigs` draws them by default, and pairs whose centres are
 one pitch apart, on sensors that differ from the default in one property or in all. A
 method is told nominal values and has the two corner slots, `follow` ten slots. Errors in
-pitches. Judging seeds by default. Writes notebooks/results/sensors.json and sensors.png.
+pitches. Judging seeds by default. Writes notebooks/results/sensors.json and sensors.png;
+what --only leaves out stays in them.
 """
 
 import argparse
@@ -206,14 +207,14 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
         xlabel="place error, pitches: median (dot) to 90 % (end of the line)",
         yticks=range(len(names)),
         yticklabels=names,
-        title="Lone contacts on sensors of other kinds",
+        title="Lone contacts, nominal values told",
     )
     places.axvline(0.5, color="0.6", ls=":", lw=1)
     places.invert_yaxis()
-    places.legend(fontsize=8, loc="lower right")
+    figure.legend(*places.get_legend_handles_labels(), loc="lower right", ncols=5)
     apart.axvline(0.8, color="0.6", ls=":", lw=1)
     apart.set(xlim=(0, 1.02), xlabel="part told apart", title="Pairs one pitch apart")
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
     figure.savefig(path, dpi=110)
 
 
@@ -228,9 +229,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     rows = measured(options)
-    told = {k: str(v) if isinstance(v, Path) else v for k, v in vars(options).items()}
+    path = options.out / "sensors.json"
+    told = {name: getattr(options, name) for name in ("rigs", "each", "pairs", "seed")}
+    kept = json.loads(path.read_text()) if path.exists() else {}
+    if kept.get("options") == told:
+        new = {row["sensor"] for row in rows}
+        rows += [row for row in kept["rows"] if row["sensor"] not in new]
+        rows.sort(key=lambda row: list(KINDS).index(row["sensor"]))
     text = json.dumps({"options": told, "rows": rows}, indent=1, ensure_ascii=False)
-    (options.out / "sensors.json").write_text(text + "\n")
+    path.write_text(text + "\n")
     plot(rows, options.out / "sensors.png")
 
 
