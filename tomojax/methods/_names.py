@@ -21,15 +21,19 @@ METHODS: dict[str, type] = {
     "conductance": Conductance,
 }
 
+# For each pitch: `source` reads a place around a peak, for which fewer are too few.
+_PIXELS = 4
+
 
 def method(
     sensor: Sensor,
     name: str = "source",
-    grid: int = 32,
+    grid: int | None = None,
     calibration: Calibration | None = None,
 ) -> AbstractMethod:
     """The method of that name on an image of `grid` × `grid` pixels.
 
+    Four pixels a pitch by default, and 32 a side at least.
     With a `calibration` on the sheet as it is; its zeros and gains are for who reads the
     voltages.
 
@@ -54,6 +58,9 @@ def method(
     ValueError: method: got 'guess', expected one of auto, source, ...
     """
     require(name in METHODS, "method", repr(name), f"one of {', '.join(METHODS)}")
+    if grid is None:
+        pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
+        grid = min(512, max(32, int(np.ceil(_PIXELS * pitches * (1 - 1e-5)))))
     whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
     require(whole, "grid", repr(grid), "a whole number from 8 to 512")
     shape = (int(grid), int(grid))

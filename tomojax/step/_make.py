@@ -22,7 +22,7 @@ def make_step(
     *,
     contacts: int = 2,
     f_switch: float = 10e3,
-    grid: int = 32,
+    grid: int | None = None,
     lam: float | None = None,
     cheaper: str | None = None,
     calibration: Calibration | None = None,
