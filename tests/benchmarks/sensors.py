@@ -192,6 +192,8 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     )
     for k, method in enumerate(METHODS):
         mine = [row for row in rows if row["method"] == method]
+        if not mine:
+            continue
         at = np.array([names.index(row["sensor"]) + 0.15 * (k - 1.5) for row in mine])
         low = np.array([row["median_pitch"] for row in mine])
         high = np.array([row["p90_pitch"] for row in mine])
