@@ -10,12 +10,13 @@ from scipy.interpolate import CubicSpline
 
 from tomojax.kernels.algebra import matmul
 
-# What a lone point source at the right place leaves unexplained of an image, as a part of
-# it: the sheet's and the contact's own differences from what the image is told.
+# A lone point source at the right place leaves this part of an image unexplained: the sheet
+# and the contact differ from what the image is told.
 _LEFT = 0.07
 
 # Steps of the finer places, in each direction from a peak.
 _STEPS = 8
+_AT = np.arange(-_STEPS, _STEPS + 1) / _STEPS
 
 
 def places_around(
@@ -25,7 +26,7 @@ def places_around(
     cell: Float[Array, "2"],
     reach: tuple[int, int],
 ) -> Float[Array, "C 2"]:
-    """Where the sources of peaks (i, j) are in the mean, m: Σ w_k x_k / Σ w_k.
+    """Averages the places x_k around peaks (i, j), m: Σ w_k x_k / Σ w_k.
 
     A source at x_k explains the part (z_k/z_max)² of what the highest pixel does, if z is
     a statistic such as sLORETA's, so that w_k = exp(−(1 − (z_k/z_max)²)/2ε²). Beside an
@@ -58,9 +59,6 @@ def places_around(
 
     found = jax.vmap(one)(rows, columns, on_x, on_y, x, y)
     return (found + 0.5) * cell
-
-
-_AT = np.arange(-_STEPS, _STEPS + 1) / _STEPS
 
 
 @cache

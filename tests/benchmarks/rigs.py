@@ -45,7 +45,7 @@ def ten_grounds(sensor: tx.Sensor) -> np.ndarray:
 
 
 def followed(sensor: tx.Sensor, scenes: LoneContacts) -> dict[str, np.ndarray]:
-    """What a step says after ten slots, as fields of rows."""
+    """Returns what a step says after ten slots, as fields of rows."""
     step = tx.make_step(sensor, "follow", contacts=3)
     last = []
     for v in scenes.volts:

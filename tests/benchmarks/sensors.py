@@ -36,7 +36,7 @@ from tomojax.studies.rigs import (  # noqa: E402
 
 
 class Kind(NamedTuple):
-    """What a sensor is like, and which row of the family its rigs are of."""
+    """A sensor of another kind, and the row of the family that its rigs are of."""
 
     electrodes: int = 8  # along each side
     side: float = 0.16  # m

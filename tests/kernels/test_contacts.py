@@ -108,7 +108,7 @@ def test_a_batch_is_its_frames(rng):
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_a_flat_top_is_read_in_its_middle(side: int) -> None:
-    """Where a source fits as well over half a pitch, its highest pixel tells nothing."""
+    """A source fits as well anywhere on it, so that the highest pixel tells nothing."""
     at = (np.indices(SHAPE) + 0.5) * CELL[:, None, None]
     away = np.abs(at[side] - 0.078), np.abs(at[1 - side] - 0.08)
     flat = np.exp(-(np.maximum(away[0] - 0.006, 0) ** 2) / 2e-4 - away[1] ** 2 / 1e-4)

@@ -149,7 +149,7 @@ class AbstractMethod(eqx.Module):
     @property
     @abstractmethod
     def noise(self) -> Float[Array, ""]:
-        """Of a reading, V rms."""
+        """Noise of a reading, V rms."""
 
     @property
     def threshold(self) -> Float[Array, ""]:

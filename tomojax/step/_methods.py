@@ -23,8 +23,9 @@ from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
 from tomojax.methods import AbstractMethod, Estimate, Points, rms
 
-# What is left of how a slot's voltages differ, where one more contact may hide: nineteen in
-# twenty lone ones leave 2.5 % at most, 6 % where a sheet has a gradient of a fifth.
+# One more contact may hide where more than this part of a slot's spread of voltages is
+# left: nineteen in twenty lone ones leave 2.5 % at most, or 6 % on a sheet with a gradient
+# of a fifth.
 _LIMIT = 0.05
 
 # Highest voltage, in the converter's noise, that places a contact: zeros that a slot shares
