@@ -2,8 +2,10 @@
 
 With A = √W·J the smaller of the two systems is solved, A Aᵀ + λI (n rows) or
 AᵀA + λI (K columns). Their condition is σ₁²/λ: in float32, Cholesky loses the solution
-at λ ≈ 1e-6·σ₁² and is NaN below 1e-7. The triangle of a QR of [Aᵀ; √λI] has the square
-root of that condition, and a residual in two floats then corrects what is left.
+at λ ≈ 1e-6·σ₁² and is NaN below 1e-7. In float64 it holds it, and processors have that
+whatever dtype the process works in. Where they do not: the triangle of a QR of
+[Aᵀ; √λI] has the square root of that condition, and a residual in two floats then
+corrects what is left.
 """
 
 from functools import partial
@@ -15,9 +17,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from tomojax.kernels import algebra as two
-from tomojax.kernels.algebra import matmul
 
-SolveRoute = Literal["auto", "cholesky", "qr", "refined"]
+SolveRoute = Literal["auto", "cholesky", "double", "qr", "refined"]
+
+# Unlike `jnp.matmul` it names no dtype, which a `vmap` outside of `jax.enable_x64` would
+# cut to float32.
+matmul = partial(lax.dot, precision="highest")
 
 # Each correction gains the digits that the triangle has right, in float32 four or more
 # while λ ≥ 1e-8·σ₁² and two at 1e-10. The wide system starts with as many; the tall one
@@ -36,97 +41,140 @@ def tikhonov(
 
     **Arguments:** `rows` J_s, the selected slots' rows; `voltages` V; `regularisation`
     λ > 0 in the unit of J²; `weights` w ≥ 0 of the rows, 1 by default; `route`:
-    "cholesky" of the smaller normal system, "qr" of [Aᵀ; √λI] or [A; √λI],
-    "refined" adds corrections with residuals in two floats (in float32 right to 1e-7
-    down to λ = 1e-8·σ₁² and to 1e-5 at 1e-10); "auto" is "cholesky" in float64
-    and "refined" in float32.
+    "cholesky" of the smaller normal system, "double" the same in float64 whatever the
+    dtype of `rows`, "qr" of [Aᵀ; √λI] or [A; √λI], "refined" adds corrections with
+    residuals in two floats, for a device that has float32 alone; "auto" is "cholesky" in
+    float64 and "double" in float32 (right to 1e-7 down to λ = 1e-10·σ₁²).
 
     Differentiable to any order in J, V, λ and w (also at w = 0) by the solve's own rule.
-    λ ≤ 0 and NaN give NaN, never an image.
+    One factor serves all frames that a `vmap` has, and their derivatives. λ ≤ 0 and NaN
+    give NaN, never an image.
     """
     if weights is None:
         weights = jnp.ones_like(voltages)
     if route == "auto":
-        route = "cholesky" if rows.dtype == jnp.float64 else "refined"
-    return _tikhonov(route, rows, voltages, regularisation, weights)
+        route = "cholesky" if rows.dtype == jnp.float64 else "double"
+    factor = _factor(route, *map(lax.stop_gradient, (rows, regularisation, weights)))
+    return _image(route, factor, rows, voltages, regularisation, weights)[0]
+
+
+def _factor(route: SolveRoute, rows: Array, lam: Array, weights: Array) -> Array:
+    """L with LLᵀ = A Aᵀ + λI or AᵀA + λI, whichever is smaller; of "double" two floats."""
+    if route == "double":
+        with jax.enable_x64(True):
+            lower = _factor("cholesky", *map(_doubled, (rows, lam, weights)))
+            high = lower.astype(rows.dtype)
+            return jnp.stack([high, (lower - _doubled(high)).astype(rows.dtype)])
+    short = jnp.sqrt(weights)[:, None] * rows
+    short = short if _is_wide(rows) else short.T
+    identity = jnp.eye(len(short), dtype=rows.dtype)
+    if route == "cholesky":
+        return jnp.linalg.cholesky(matmul(short, short.T) + lam * identity)
+    stacked = jnp.concatenate([short.T, jnp.sqrt(lam) * identity])
+    return jnp.linalg.qr(stacked, mode="r").T
+
+
+def _is_wide(rows: Array) -> bool:
+    return rows.shape[0] <= rows.shape[1]
+
+
+def _doubled(a: Array) -> Array:
+    return lax.convert_element_type(a, jnp.float64)
+
+
+def _whole(factor: Array) -> Array:
+    """L of "double" in float64, where that is enabled."""
+    return _doubled(factor[0]) + _doubled(factor[1])
+
+
+def _by_triangle(lower: Array, b: Array) -> Array:
+    """(LLᵀ)⁻¹b."""
+    triangle = partial(lax.linalg.triangular_solve, lower, left_side=True, lower=True)
+    return triangle(triangle(b[:, None]), transpose_a=True)[:, 0]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _tikhonov(
-    route: SolveRoute, rows: Array, voltages: Array, lam: Array, weights: Array
-) -> Array:
+def _image(
+    route: SolveRoute,
+    factor: Array,
+    rows: Array,
+    voltages: Array,
+    lam: Array,
+    weights: Array,
+) -> tuple[Array, Array]:
+    """φ, and v − Jφ."""
+    if route == "double":
+        with jax.enable_x64(True):
+            given = map(_doubled, (rows, voltages, lam, weights))
+            found = _image("cholesky", _whole(factor), *given)
+            return tuple(x.astype(rows.dtype) for x in found)  # pyright: ignore
     scale = jnp.sqrt(weights)
     a, b = scale[:, None] * rows, scale * voltages
-    solve = _factor(a, lam, route)
     # √ of a negative number is NaN, of 0 it is not.
     lam = jnp.where(lam > 0, lam, jnp.nan)
-    wide = len(a) <= a.shape[1]
-    if route != "refined":
-        y = solve(b if wide else matmul(a.T, b))
-        phi = matmul(a.T, y) if wide else y
-        return phi + 0 * lam
-    # In two floats all through: φ = Aᵀy cancels as far as λ is small.
-    if wide:
-        y = two.widen(solve(b))
+    if route == "refined":
+        phi = _refined(factor, a, b, lam)
+    elif _is_wide(rows):
+        phi = matmul(a.T, _by_triangle(factor, b))
+    else:
+        phi = _by_triangle(factor, matmul(a.T, b))
+    phi = phi + 0 * lam
+    return phi, voltages - matmul(rows, phi)
+
+
+def _refined(lower: Array, a: Array, b: Array, lam: Array) -> Array:
+    """φ in two floats all through: Aᵀy cancels as far as λ is small."""
+    if _is_wide(a):
+        y = two.widen(_by_triangle(lower, b))
         for _ in range(_WIDE_CORRECTIONS):
             left = two.add(two.matvec(a, two.matvec(a.T, y)), two.multiply(lam[None], y))
             residual = two.add(two.widen(b), two.negative(left))
-            y = two.add(y, two.widen(solve(residual[0])))
+            y = two.add(y, two.widen(_by_triangle(lower, residual[0])))
         return two.matvec(a.T, y)[0]
-    phi = two.widen(solve(matmul(a.T, b)))
+    phi = two.widen(_by_triangle(lower, matmul(a.T, b)))
     for _ in range(_TALL_CORRECTIONS):
         residual = two.add(two.widen(b), two.negative(two.matvec(a, phi)))
         left = two.negative(two.multiply(lam[None], phi))
         normal = two.add(two.matvec(a.T, residual), left)
-        phi = two.add(phi, two.widen(solve(normal[0])))
+        phi = two.add(phi, two.widen(_by_triangle(lower, normal[0])))
     return phi[0]
 
 
-def _factor(a: Array, lam: Array, route: SolveRoute):
-    """b ↦ (A Aᵀ + λI)⁻¹b or (AᵀA + λI)⁻¹b, whichever is smaller."""
-    short = a if len(a) <= a.shape[1] else a.T
-    identity = jnp.eye(len(short), dtype=a.dtype)
-    if route == "cholesky":
-        lower = jnp.linalg.cholesky(matmul(short, short.T) + lam * identity)
-    else:
-        stacked = jnp.concatenate([short.T, jnp.sqrt(lam) * identity])
-        lower = jnp.linalg.qr(stacked, mode="r").T
-    triangle = partial(lax.linalg.triangular_solve, lower, left_side=True, lower=True)
-
-    def solve(b: Array) -> Array:
-        return triangle(triangle(b[:, None]), transpose_a=True)[:, 0]
-
-    return solve
-
-
-@_tikhonov.defjvp
-def _tikhonov_jvp(route, primals, tangents):
+@_image.defjvp
+def _image_jvp(route, primals, tangents):
     """H dφ = Jᵀ(W(dv − dJφ) + dw∘r) + dJᵀWr − dλφ,  H = JᵀWJ + λI,  r = v − Jφ.
 
     From H φ = JᵀWv. With more columns than rows, H⁻¹t = (t − Aᵀ(AAᵀ + λI)⁻¹At)/λ. The
-    linear solve carries its own rule, so that derivatives of derivatives exist too.
+    linear solve carries its own rule, so that derivatives of derivatives exist too; the
+    factor is no input of it, but what it is worked out with.
     """
-    rows, voltages, lam, weights = primals
-    d_rows, d_voltages, d_lam, d_weights = tangents
-    phi = _tikhonov(route, rows, voltages, lam, weights)
-    residual = voltages - matmul(rows, phi)
-    per_row = weights * (d_voltages - matmul(d_rows, phi)) + d_weights * residual
+    factor, rows, voltages, lam, weights = primals
+    _, d_rows, d_voltages, d_lam, d_weights = tangents
+    phi, residual = _image(route, factor, rows, voltages, lam, weights)
+    moved = d_voltages - matmul(d_rows, phi)
+    per_row = weights * moved + d_weights * residual
     right = matmul(rows.T, per_row) + matmul(d_rows.T, weights * residual) - d_lam * phi
-    return phi, _normal_solve(route, rows, lam, weights, right)
+    d_phi = _normal_solve(route, factor, rows, lam, weights, right)
+    return (phi, residual), (d_phi, moved - matmul(rows, d_phi))
 
 
-def _normal_solve(route, rows, lam, weights, right) -> Array:
+def _normal_solve(route, factor, rows, lam, weights, right) -> Array:
     """(JᵀWJ + λI)⁻¹ right, by the factor of the smaller system."""
 
     def normal(x: Array) -> Array:
         return matmul(rows.T, weights * matmul(rows, x)) + lam * x
 
-    a = lax.stop_gradient(jnp.sqrt(weights)[:, None] * rows)
-    solve = _factor(a, lax.stop_gradient(lam), "qr" if route == "refined" else route)
+    fixed = map(lax.stop_gradient, (factor, rows, lam, weights))
+    solve = partial(_by_factor, route, *fixed)
+    return lax.custom_linear_solve(normal, right, lambda _, t: solve(t), symmetric=True)
 
-    def by_factor(_, t: Array) -> Array:
-        if len(a) > a.shape[1]:
-            return solve(t)
-        return (t - matmul(a.T, solve(matmul(a, t)))) / lax.stop_gradient(lam)
 
-    return lax.custom_linear_solve(normal, right, by_factor, symmetric=True)
+def _by_factor(route, factor, rows, lam, weights, t) -> Array:
+    if route == "double":
+        with jax.enable_x64(True):
+            given = map(_doubled, (rows, lam, weights, t))
+            return _by_factor("cholesky", _whole(factor), *given).astype(t.dtype)
+    if not _is_wide(rows):
+        return _by_triangle(factor, t)
+    a = jnp.sqrt(weights)[:, None] * rows
+    return (t - matmul(a.T, _by_triangle(factor, matmul(a, t)))) / lam

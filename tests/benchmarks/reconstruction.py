@@ -1,4 +1,4 @@
-"""Solvers in float32, change of grounds and λ beside pyEIT, many ground sets, rules for λ.
+"""Change of grounds and λ beside pyEIT and NumPy, many ground sets, rules for λ.
 
     python tests/benchmarks/reconstruction.py [--quick] [--out notebooks/results]
 
@@ -29,47 +29,10 @@ from tomojax.kernels.inverse import (  # noqa: E402
     LambdaRule,
     solve_reduced,
     Spectrum,
-    tikhonov,
 )
 from tomojax.kernels.sheet import centroids  # noqa: E402
 
 EIGHT = np.array([18, 19, 20, 26, 28, 34, 35, 36])
-DECADES = (-2, -4, -6, -8, -10)
-
-
-def solvers(jac: np.ndarray, quick: bool) -> list[dict]:
-    """Relative error of each float32 route against float64 on the same float32 numbers."""
-    k = jac.shape[-1]
-    place = np.asarray(centroids((40, 40), jnp.array([0.16, 0.16])))
-    image = np.exp(-((place - [0.094, 0.067]) ** 2).sum(1) / (2 * 0.01**2))
-    noise = np.random.default_rng(0)
-    found = []
-    run = jax.jit(tikhonov, static_argnames="route")
-    for name, grounds in (("8", EIGHT), ("64", np.arange(64))):
-        if quick and name == "64":
-            continue
-        rows = jac[grounds].reshape(-1, k).astype(np.float32)
-        wide = rows.astype(np.float64)
-        w, q = np.linalg.eigh(wide.T @ wide)
-        reduced = tx.paper.reduce_jacobian(jnp.asarray(jac[grounds], np.float32), 256)
-        for data in ("smooth", "random"):
-            v = wide @ image if data == "smooth" else noise.standard_normal(len(rows))
-            v = v.astype(np.float32)
-            for decade in DECADES:
-                lam = np.float32(w[-1] * 10.0**decade)
-                exact = q @ ((q.T @ (wide.T @ v)) / (np.maximum(w, 0) + float(lam)))
-                row = {"grounds": name, "data": data, "lam_rel": 10.0**decade}
-                for route in ("cholesky", "qr", "refined"):
-                    phi = run(rows, v, lam, route=route)
-                    row[route] = relative(phi, exact)
-                slots = jnp.arange(len(grounds))
-                c = solve_reduced(reduced, slots, v.reshape(-1, 64), lam)
-                row["blocks, r = 256"] = relative(c @ reduced.basis, exact)
-                found.append(row)
-                print(
-                    {a: f"{b:.1e}" if isinstance(b, float) else b for a, b in row.items()}
-                )
-    return found
 
 
 def relative(a, b) -> float | None:
@@ -327,30 +290,8 @@ def scene(rng, places) -> list[np.ndarray]:
 def draw(report: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 9), layout="constrained")
-    (left, right), (low, last) = figure.subplots(2, 2)
-    for i, (axes, grounds) in enumerate(((left, "8"), (right, "64"))):
-        for route, color in (
-            ("cholesky", "C3"),
-            ("qr", "C1"),
-            ("refined", "C0"),
-            ("blocks, r = 256", "C2"),
-        ):
-            for data, style in (("smooth", "-"), ("random", "--")):
-                mine = [
-                    r
-                    for r in report["solvers"]
-                    if r["grounds"] == grounds and r["data"] == data
-                ]
-                x = [r["lam_rel"] for r in mine if r[route] is not None]
-                y = [r[route] for r in mine if r[route] is not None]
-                axes.loglog(x, y, style, marker="o", color=color, label=f"{route}, {data}")
-        axes.axhline(1e-4, color="k", lw=0.8, ls=":")
-        axes.set(xlabel="λ/σ₁²", ylabel="relative error", ylim=(1e-9, 1e3))
-        axes.set_title(f"float32, {grounds} grounds; a missing point is NaN")
-        if not i:
-            axes.legend(fontsize=7, ncols=2)
-        axes.grid(alpha=0.3)
+    figure = Figure(figsize=(15, 5), layout="constrained")
+    low, last = figure.subplots(1, 2)
     times = report["change"]["times"]
     names = list(times)
     low.barh(names, [1e3 * times[n]["median_s"] for n in names],
@@ -385,7 +326,6 @@ def main() -> None:
     parts = {
         "change": lambda: change_beside_pyeit(jac, arguments.quick),
         "many_sets": lambda: many_sets(jac, arguments.quick),
-        "solvers": lambda: solvers(jac, arguments.quick),
         "rules": lambda: rules(arguments.quick),
     }
     for name in [arguments.only] if arguments.only else parts:

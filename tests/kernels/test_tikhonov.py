@@ -8,7 +8,7 @@ import pytest
 import tomojax as tx
 from tomojax.kernels.inverse import solve_reduced, tikhonov
 
-ROUTES = ["cholesky", "qr", "refined"]
+ROUTES = ["cholesky", "double", "qr", "refined"]
 
 
 def dense(rows, v, lam, w=None):
@@ -72,7 +72,7 @@ def tikhonov_by_svd(rows, v, lam):
     return vt.T @ (s / (s**2 + lam) * (u.T @ np.asarray(v, float)))
 
 
-@pytest.mark.parametrize("route", ["cholesky", "refined"])
+@pytest.mark.parametrize("route", ["cholesky", "double", "refined"])
 @pytest.mark.parametrize("shape", [(6, 15), (15, 6)])
 @pytest.mark.parametrize("argument", ["rows", "voltages", "lam", "weights"])
 def test_derivatives(rng, route, shape, argument) -> None:
@@ -107,6 +107,35 @@ def test_derivatives(rng, route, shape, argument) -> None:
         else:
             slope = (run(x + e) - run(x - e)) / (2 * step)
         np.testing.assert_allclose(np.ravel(reverse)[i], slope, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("wide", [True, False])
+@pytest.mark.parametrize("decade, tolerance", [(-2, 1e-5), (-6, 1e-4), (-8, 1e-3)])
+def test_derivatives_in_float32(small_sensor, rng, wide, decade, tolerance) -> None:
+    """Of a loss of several frames' images in weights and λ, without float64 enabled.
+
+    A gradient is the normal system's solution of a float32 vector: 1e-7·σ₁/√λ is to be had.
+    """
+    rows = a_jacobian(small_sensor, np.arange(8))
+    rows = (rows if wide else rows[:, ::10]).astype(np.float32)
+    volts = rows @ rng.standard_normal((rows.shape[1], 3)).astype(np.float32)
+    weights = rng.uniform(0.2, 1, len(rows)).astype(np.float32)
+    log_lam = np.float32(np.log(np.linalg.norm(rows.astype(float), 2) ** 2 * 10.0**decade))
+
+    def loss(weights, log_lam):
+        solve = lambda v: tikhonov(jnp.asarray(rows), v, jnp.exp(log_lam), weights)  # noqa: E731
+        return jnp.mean(jax.vmap(solve, 1)(jnp.asarray(volts)) ** 2)
+
+    slope = jax.grad(loss, (0, 1))
+    with jax.enable_x64(False):
+        found = jax.jit(slope)(weights, log_lam)
+        # One factor serves all frames and what is differentiated.
+        text = str(jax.make_jaxpr(slope)(weights, log_lam))
+    assert text.count("= cholesky") == 1 and found[0].dtype == np.float32
+    rows, volts = rows.astype(float), volts.astype(float)
+    exact = jax.jit(slope)(weights.astype(float), np.float64(log_lam))
+    for one, other in zip(found, exact):
+        assert relative(one, other) <= tolerance
 
 
 def test_second_derivative(rng) -> None:
