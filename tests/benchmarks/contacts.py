@@ -114,7 +114,9 @@ def measured(
         row |= {"angle_median_deg": np.median(off), "angle_p90_deg": np.quantile(off, 0.9)}
     if rows.image is not None:
         cell = np.float32([0.005, 0.005])
-        radii = [tx.kernels.half_area_radius(jnp.asarray(i), cell) for i in rows.image]
+        radii = [
+            tx.kernels.images.half_area_radius(jnp.asarray(i), cell) for i in rows.image
+        ]
         row["image_width_median_mm"] = 2e3 * float(np.median(radii))
     if kind == "one":
         true = np.array([t[0][1] for _, t, _ in scenes])

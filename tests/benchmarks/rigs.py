@@ -74,6 +74,7 @@ def figures(rows: dict[str, np.ndarray], scenes: LoneContacts, pitch: float) -> 
     doubt = ((rows["flags"] & DOUBT) > 0) | (count == 0)
     far = error > pitch / 2
     z = (rows["xy"][:, 0] - scenes.xy[:n]) / np.sqrt(rows["covariance"][:, 0, :2])
+    known = np.isfinite(z)
     g = np.abs(rows["conductance"][:, 0] / scenes.conductance[:n] - 1)
     told = (rows["flags"] & int(VAGUE)) == 0
     finite = np.isfinite(g)
@@ -87,7 +88,7 @@ def figures(rows: dict[str, np.ndarray], scenes: LoneContacts, pitch: float) -> 
         "right_flagged": float((doubt & ~far).sum() / max(1, (~far).sum())),
         "far": int(far.sum()),
         "far_unflagged": int((far & ~doubt).sum()),
-        "within_1_sigma": float((np.abs(z) < 1).mean()) if np.isfinite(z).any() else None,
+        "within_1_sigma": float((np.abs(z[known]) < 1).mean()) if known.any() else None,
         "conductance_median": float(np.median(g[finite])) if finite.any() else None,
         "conductance_p90": float(np.quantile(g[finite], 0.9)) if finite.any() else None,
         "conductance_told": float(told.mean()) if finite.any() else None,
