@@ -44,3 +44,4 @@ from tomojax.kernels.algebra._twofloat import (
     negative as negative,
     widen as widen,
 )
+from tomojax.kernels.algebra._where_needed import where_needed as where_needed

@@ -10,19 +10,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
-from jax.custom_batching import custom_vmap
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, UInt
 
-from tomojax.kernels.algebra import matmul
-from tomojax.kernels.images._place import places_around
-
-# A peak counts from this part of the highest: a third is noise and the blur's ripples.
-_LOWEST_PEAK = 0.4
-
-# Two peaks are one contact while the image between them stays above this part of the
-# lower one: a bar over several electrodes has a peak near each.
-_SADDLE = 0.8
+from tomojax.kernels.algebra import matmul, where_needed
+from tomojax.kernels.images._peaks import find_peaks
+from tomojax.kernels.images._place import place_around
 
 # Moments of a contact whose relative difference is less have no direction.
 _ROUND = 0.3
@@ -55,7 +47,7 @@ def largest_variance(covariance: Float[Array, "*contacts 3"]) -> Float[Array, "*
 
 def read_contacts(
     image: Float[Array, "nx ny"],
-    current: Float[Array, "nx ny"],
+    current: Float[Array, "nx ny"] | None,
     cell: Float[Array, "2"],
     count: int,
     level: float = 0.8,
@@ -65,93 +57,71 @@ def read_contacts(
 ) -> Contacts:
     """The contacts of an image of which `current` (A per pixel) is what they carry.
 
-    Peaks are the pixels above their 24 neighbours and above 0.4 of the highest; those
-    with no saddle between them are one contact. Each pixel belongs to the nearest peak.
-    A contact's current is the sum over its pixels; its place and moments are weighed by
-    what exceeds `level` of its highest pixel. With `at_peak` the image is a statistic, and
-    the place of a contact of one peak is read around that peak, see `places_around`.
+    Each contact has a peak of `find_peaks`, or several; each pixel belongs to the nearest
+    peak. A contact's current is the sum over its pixels; its place and moments are weighed
+    by what exceeds `level` of its highest pixel. With `at_peak` the image is a statistic,
+    and the place of a contact of one peak is read around that peak, see `place_around`.
+    Without `current`, contacts come highest first and carry NaN.
 
     **Arguments:** `cell` (dx, dy), m; `count` C; `lowest`: what a peak has to exceed, in
     the unit of the image (its noise); `reach`: pixels around a peak that its place is read
     from.
     """
-    nx, ny = image.shape
-    peaks, there = _highest_peaks(image, count, lowest)
-    i, j = peaks // ny, peaks % ny
-    height = jnp.where(there, image[i, j], -jnp.inf)
-    label = _joined(image, i, j, height, there)
-    first = there & (label == jnp.arange(count))
-    group = jnp.where(there, label, count)
-    rows = _measure(count, level)(image, current, i, j, height, group)
-    found = described(rows, (nx, ny), cell)
+    peaks = find_peaks(image, count, lowest)
+    read = _reading(count, level, reach if at_peak else None, current is not None)
+    needed = ((peaks.group > 0) & (peaks.group < count)).any()
+    carried = image if current is None else current
+    rows, pixels = read(needed, image, carried, *peaks)
+    found = described(rows, image.shape, cell)  # pyright: ignore
     if at_peak:
-        alone = jnp.sum(label[:, None] == jnp.arange(count), 0, where=there[:, None]) == 1
-        refined = places_around(image, i, j, cell, reach)
-        found = found._replace(xy=jnp.where(alone[:, None], refined, found.xy))
-    return strongest_first(found, first)
-
-
-# Frames with several contacts that are measured at once, see `_measure`.
-_TOGETHER = 128
+        refined = (pixels + 0.5) * cell
+        found = found._replace(xy=jnp.where(peaks.alone[:, None], refined, found.xy))
+    if current is not None:
+        return strongest_first(found, peaks.first)
+    found = strongest_first(found._replace(current=peaks.height), peaks.first)
+    return found._replace(current=jnp.full_like(found.current, jnp.nan))
 
 
 @cache
-def _measure(count: int, level: float):
-    """(C, 7) sums of each contact: weight times `powers`, and current.
+def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: bool):
+    """(C, 7) sums of each contact, weight times `powers` and current; and the places of
+    peaks, in pixels.
 
-    One contact is the whole image. With several, each costs passes over all pixels, and
-    under `vmap` every frame would pay for the most that any frame of the batch has: the
-    rule for batches takes all frames for one contact, then those that have more again.
+    One contact is the whole image. With several, each costs passes over all pixels.
     """
 
-    def one(
+    def place(image: Array, i: Array, j: Array) -> Float[Array, "2"]:
+        if reach is None:
+            return jnp.full(2, jnp.nan, image.dtype)
+        return place_around(image, i, j, reach)
+
+    def whole(
         image: Array, current: Array, i: Array, j: Array, height: Array, group: Array
-    ) -> Float[Array, "C 7"]:
+    ) -> tuple[Array, Array]:
         flat, carried = image.ravel(), current.ravel()
         places = powers(image.shape, image.dtype)
 
         def contact(k: int) -> Float[Array, " 7"]:
             mine = _nearest(image.shape, places, i, j, group, k)
             weight = jnp.where(mine, jnp.maximum(flat - level * height[k], 0), 0)
-            own = jnp.sum(jnp.where(mine, carried, 0))
+            own = jnp.sum(jnp.where(mine, carried, 0)) if carries else height[k]
             return jnp.append(matmul(weight, places), own)
 
-        return jnp.stack([contact(k) for k in range(count)])
+        at = jax.vmap(lambda i, j: place(image, i, j))(i, j)
+        return jnp.stack([contact(k) for k in range(count)]), at
 
-    def lone(image, current, height) -> Float[Array, "C 7"]:
+    def lone(
+        image: Array, current: Array, i: Array, j: Array, height: Array, group: Array
+    ) -> tuple[Array, Array]:
         weight = jnp.maximum(image.ravel() - level * height[0], 0)
         moments = matmul(weight, powers(image.shape, image.dtype))
-        row = jnp.append(moments, current.sum())
-        return jnp.zeros((count, 7), row.dtype).at[0].set(row)
+        own = current.sum() if carries else height[0]
+        row = jnp.append(moments, own)
+        at = place(image, i[0], j[0])
+        empty = jnp.zeros((count, 7), row.dtype), jnp.full((count, 2), jnp.nan, at.dtype)
+        return empty[0].at[0].set(row), empty[1].at[0].set(at)
 
-    measure = custom_vmap(one)
-
-    @measure.def_vmap
-    def _(size, batched, *values):
-        values = [
-            v if b else jnp.broadcast_to(v, (size, *jnp.shape(v)))
-            for v, b in zip(values, batched)
-        ]
-        image, current, _, _, height, group = values
-        several = ((group > 0) & (group < count)).any(1)
-        together = min(_TOGETHER, size)
-        # Those with several contacts first.
-        order = jnp.argsort(~several, stable=True)
-        order = jnp.concatenate([order, jnp.broadcast_to(order[-1:], (together,))])
-
-        def again(state: tuple[Array, Array]) -> tuple[Array, Array]:
-            done, rows = state
-            these = lax.dynamic_slice_in_dim(order, done, together)
-            found = jax.vmap(one)(*(v[these] for v in values))
-            return done + together, rows.at[these].set(found)
-
-        rows = jax.vmap(lone)(image, current, height)
-        left = several.sum()
-        start = jnp.zeros_like(left), rows
-        rows = lax.while_loop(lambda state: state[0] < left, again, start)[1]
-        return rows, True
-
-    return measure
+    return where_needed(whole, lone)
 
 
 def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
@@ -159,65 +129,6 @@ def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
     nx, ny = shape
     u, v = np.indices((nx, ny)).reshape(2, -1) - np.array([[nx - 1], [ny - 1]]) / 2
     return jnp.asarray(np.stack([np.ones(nx * ny), u, v, u * u, v * v, u * v], 1), dtype)
-
-
-def _highest_peaks(
-    image: Float[Array, "nx ny"], count: int, lowest: Float[Array, ""] | float
-) -> tuple[Int[Array, " C"], Bool[Array, " C"]]:
-    """Flat places of up to `count` local maxima, the highest first, and which there are."""
-    nx, ny = image.shape
-    size = nx * ny
-    around = _running_max(_running_max(image, 0), 1)
-    top = image.max()
-    high = (image > _LOWEST_PEAK * top) & (image > lowest) & (top > 0)
-    is_peak = (image >= around) & high
-    # Value and place in one integer, so that one pass finds both: positive floats are
-    # ordered as their bits are, and the last bits of the value do not rank peaks.
-    bits = lax.bitcast_convert_type((image / top).astype(jnp.float32), jnp.int32)
-    place_bits = (size - 1).bit_length()
-    place = jnp.arange(size, dtype=jnp.int32).reshape(nx, ny)
-    packed = jnp.where(is_peak, (bits >> place_bits << place_bits) | place, -1)
-    # Made once: fused into each pass below it would be made again in each.
-    packed: Array = lax.optimization_barrier(packed)
-    found = []
-    below = jnp.array(jnp.iinfo(jnp.int32).max, jnp.int32)
-    for _ in range(count):
-        below = jnp.where(packed < below, packed, -1).max()
-        found.append(below)
-    best = jnp.stack(found)
-    there = best >= 0
-    return jnp.where(there, best & ((1 << place_bits) - 1), 0), there
-
-
-def _running_max(image: Array, axis: int) -> Array:
-    """The highest of each pixel and its two neighbours on either side."""
-    pads = [(2, 2) if a == axis else (0, 0) for a in range(2)]
-    wide = jnp.pad(image, pads, constant_values=-jnp.inf)
-    n = image.shape[axis]
-    shifted = [lax.slice_in_dim(wide, k, k + n, axis=axis) for k in range(5)]
-    pairs = jnp.maximum(shifted[0], shifted[1]), jnp.maximum(shifted[3], shifted[4])
-    return jnp.maximum(jnp.maximum(*pairs), shifted[2])
-
-
-def _joined(image, i, j, height, there) -> Int[Array, " C"]:
-    """For each peak the first that it is one contact with."""
-    count = len(i)
-    link = [[a == b for b in range(count)] for a in range(count)]
-    linked = jnp.array(link)
-    for a in range(count):
-        for b in range(a):
-            # A quarter, half and three quarters of the way.
-            low = jnp.array(jnp.inf, image.dtype)
-            for part in (1, 2, 3):
-                s = (i[a] * part + i[b] * (4 - part) + 2) // 4
-                t = (j[a] * part + j[b] * (4 - part) + 2) // 4
-                low = jnp.minimum(low, image[s, t])
-            one = (low > _SADDLE * height[a]) & there[a] & there[b]  # a is the lower
-            linked = linked.at[a, b].set(one).at[b, a].set(one)
-    label = jnp.arange(count)
-    for _ in range(count - 1):
-        label = jnp.min(jnp.where(linked, label[None], count), axis=1)
-    return label
 
 
 def _nearest(

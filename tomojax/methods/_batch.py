@@ -113,16 +113,17 @@ class Batch:
             with jax.enable_x64(wide):
                 self._run(prepared, part, voltages, grounds, good, rows)
 
-        with ThreadPoolExecutor(_WORKERS) as pool:
-            # The first alone: what it compiles serves the others. Then as many as the
-            # preparations that are kept, so that no more of them are ever held.
-            for some in (groups[:1], *_slices(groups[1:], _KEPT)):
-                jobs = [
-                    (of_frame(int(group[0])), part)
-                    for group in some
-                    for part in _slices(group, self.method.blocks[-1])
-                ]
-                list(pool.map(work, jobs))
+        # The first alone: what it compiles serves the others, and a thread costs more than
+        # one call. Then as many as the preparations that are kept, so that no more of them
+        # are ever held.
+        parts = [
+            part for group in groups for part in _slices(group, self.method.blocks[-1])
+        ]
+        for part in parts[:1]:
+            work((of_frame(int(part[0])), part))
+        for some in _slices(parts[1:], _KEPT):
+            with ThreadPoolExecutor(_WORKERS) as pool:
+                list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
         return rows
 
     def _check(self, voltages, grounds, good) -> None:

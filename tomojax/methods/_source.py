@@ -7,18 +7,28 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra import gaussian, matmul
+from tomojax.kernels.algebra import gaussian, matmul, where_needed
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import amplitudes, point_sources, read_contacts, unexplained
+from tomojax.kernels.images import (
+    amplitudes,
+    Contacts,
+    point_sources,
+    read_contacts,
+    strongest_first,
+    unexplained,
+)
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame
 from tomojax.methods._errors import noise_as
 from tomojax.methods._pixels import Pixels, pixels_of
@@ -54,7 +64,7 @@ class PreparedSource(NamedTuple):
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
     normal: Float[Array, "r r"]  # of it, in the mean over the slots
     damping: Float[Array, ""]  # its λ
-    spread: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
+    scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
@@ -227,7 +237,7 @@ class AbstractSource(AbstractMethod):
             jnp.asarray(np.concatenate([o.T for o in imaging]) / count, dtype),
             jnp.asarray(total / count + drawn_lam * np.eye(len(total)), dtype),
             jnp.asarray(drawn_lam, dtype),
-            jnp.asarray(np.sqrt(count / spread), dtype),
+            jnp.asarray(basis * np.sqrt(count / spread), dtype),
             jnp.asarray(lowest, dtype),
             jnp.asarray(good),
             jnp.asarray(lam, dtype),
@@ -235,13 +245,7 @@ class AbstractSource(AbstractMethod):
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """The mean current image of the slots, A per pixel (or element of T)."""
-        return self._image(prepared, voltages)[0]
-
-    def _image(
-        self, prepared: PreparedSource, voltages: Float[Array, "S M"]
-    ) -> tuple[Array, Array]:
-        coefficients = matmul(voltages.ravel(), prepared.operators)
-        return matmul(coefficients, self.basis), coefficients
+        return matmul(matmul(voltages.ravel(), prepared.operators), self.basis)
 
     def smooth_image(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
@@ -257,25 +261,23 @@ class AbstractSource(AbstractMethod):
     def estimate(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        source, coefficients = self._image(prepared, voltages)
-        statistic = (source * prepared.spread).reshape(self.shape)
-        current = source.reshape(self.shape)
+        coefficients = matmul(voltages.ravel(), prepared.operators)
+        statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
         contacts = read_contacts(
-            statistic,
-            current,
-            self.cell,
-            count,
-            lowest=prepared.lowest,
-            reach=self.reach,
+            statistic, None, self.cell, count, lowest=prepared.lowest, reach=self.reach
         )
-        points = point_sources(self.basis, contacts, self.shape, self.cell)
-        points = matmul(points, prepared.through.T)
-        left = unexplained(points[None], coefficients[None])
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
-        there = jnp.isfinite(contacts.current)
-        carried = jnp.where(there, amplitudes(points, coefficients), jnp.nan)
-        contacts = contacts._replace(current=carried)
+        carried, left = _explained(self.shape)(
+            contacts.count > 1,
+            contacts,
+            coefficients,
+            self.basis,
+            prepared.through,
+            self.cell,
+        )
+        there = jnp.arange(count) < contacts.count.astype(int)
+        contacts = strongest_first(contacts._replace(current=carried), there)
         bit = Flag.CONTACTS_UNEXPLAINED.value
         flags = jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
 
@@ -335,6 +337,24 @@ def _without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarr
 def _operator(rows: np.ndarray, lam: float):
     """(AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
     return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows
+
+
+@cache
+def _explained(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
+    """What contacts carry, fitted to an image's coefficients, and what they leave of it."""
+
+    def whole(
+        contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
+    ) -> tuple[Array, Array]:
+        points = matmul(point_sources(basis, contacts, shape, cell), through.T)
+        return amplitudes(points, seen), unexplained(points[None], seen[None])
+
+    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
+        first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
+        carried, left = whole(first, *others)
+        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left
+
+    return where_needed(whole, lone)
 
 
 def _not_negative(

@@ -1,0 +1,52 @@
+"""Two ways to one result, of which the dearer is taken where it is needed."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap
+
+
+def where_needed(
+    whole: Callable[..., Any], simple: Callable[..., Any], together: int = 128
+) -> Callable[..., Any]:
+    """From (needed, *arrays) to `whole(*arrays)` where needed, else `simple(*arrays)`.
+
+    Both return arrays of the same shapes, and the same values where it is not needed.
+    Under `vmap` a condition costs all frames both ways. Here all go the simple way, then
+    those in need the whole way, `together` at once.
+
+    The functions take all arrays as arguments: they close over none that are traced.
+    """
+
+    @custom_vmap
+    def either(needed, *arrays):
+        return lax.cond(needed, whole, simple, *arrays)
+
+    @either.def_vmap
+    def _(size, batched, needed, *arrays):
+        axes = jax.tree.map(lambda one: 0 if one else None, tuple(batched[1:]))
+        found = jax.vmap(simple, axes, axis_size=size)(*arrays)
+        needed = jnp.broadcast_to(needed, (size,))
+        n = min(together, size)
+        order = jnp.argsort(~needed, stable=True)
+        order = jnp.concatenate([order, jnp.broadcast_to(order[-1:], (n,))])
+
+        def again(state: tuple) -> tuple:
+            done, found = state
+            these = lax.dynamic_slice_in_dim(order, done, n)
+            some = jax.tree.map(
+                lambda a, one: a[these] if one else a, arrays, tuple(batched[1:])
+            )
+            better = jax.vmap(whole, axes, axis_size=n)(*some)
+            found = jax.tree.map(lambda a, b: a.at[these].set(b), found, better)
+            return done + n, found
+
+        left = needed.sum()
+        start = jnp.zeros_like(left), found
+        found = lax.while_loop(lambda state: state[0] < left, again, start)[1]
+        return found, jax.tree.map(lambda _: True, found)
+
+    return either
