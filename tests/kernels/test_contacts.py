@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tomojax.kernels.images import read_contacts
+from tomojax.kernels.images import find_peaks, read_contacts
 
 CELL = np.array([0.005, 0.004])
 SHAPE = (32, 40)
@@ -78,6 +78,16 @@ def test_peaks_without_a_saddle_are_one_contact():
     assert int(found.count) == 1
     np.testing.assert_allclose(found.xy[0], [0.075, 0.08], atol=2e-3)
     assert min(float(found.angle[0]), np.pi - float(found.angle[0])) < 0.05
+
+
+def test_peaks_at_corners_of_an_odd_image():
+    """Squares of 2 × 2 pixels end where the image does."""
+    image = np.zeros((7, 9))
+    image[0, 0], image[6, 8], image[3, 4] = 1.0, 0.9, 0.8
+    peaks = jax.jit(find_peaks, static_argnames="count")(jnp.asarray(image), count=4)
+    assert list(zip(peaks.i[:3].tolist(), peaks.j[:3].tolist())) == [(0, 0), (6, 8), (3, 4)]
+    np.testing.assert_allclose(peaks.height, [1.0, 0.9, 0.8, -np.inf])
+    assert peaks.group.tolist() == [0, 1, 2, 4]
 
 
 def test_nothing():
