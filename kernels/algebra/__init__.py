@@ -29,6 +29,7 @@ from tomojax.kernels.algebra._positive import (
     smooth_prior as smooth_prior,
     SmoothPrior as SmoothPrior,
 )
+from tomojax.kernels.algebra._projected import not_negative as not_negative
 from tomojax.kernels.algebra._subsets import (
     draw_subset as draw_subset,
     drawn_weights as drawn_weights,

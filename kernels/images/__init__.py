@@ -16,6 +16,7 @@ from tomojax.kernels.images._drawing import (
 )
 from tomojax.kernels.images._explained import (
     amplitudes as amplitudes,
+    explained_by as explained_by,
     point_sources as point_sources,
     unexplained as unexplained,
 )

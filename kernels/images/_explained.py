@@ -1,10 +1,13 @@
 """How much of what an image shows the contacts that were read off it explain."""
 
+from collections.abc import Callable
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax.kernels.algebra import matmul
+from tomojax.kernels.algebra import matmul, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
 
@@ -55,3 +58,21 @@ def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array
     a, b = basis[:, corner], basis[:, corner + 1]
     c, d = basis[:, corner + shape[1]], basis[:, corner + shape[1] + 1]
     return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)
+
+
+@cache
+def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
+    """What contacts carry, fitted to an image's coefficients, and what they leave of it."""
+
+    def whole(
+        contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
+    ) -> tuple[Array, Array]:
+        points = matmul(point_sources(basis, contacts, shape, cell), through.T)
+        return amplitudes(points, seen), unexplained(points[None], seen[None])
+
+    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
+        first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
+        carried, left = whole(first, *others)
+        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left
+
+    return where_needed(whole, lone)

@@ -7,32 +7,23 @@ image fitted to all slots was off by 50 mm where a strong contact's currents dif
 with each slot scaled to the same current, it was no better than the mean.)
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra import gaussian, matmul, where_needed
+from tomojax.kernels.algebra import gaussian, matmul, not_negative
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import (
-    amplitudes,
-    Contacts,
-    point_sources,
-    read_contacts,
-    strongest_first,
-    unexplained,
-)
+from tomojax.kernels.images import explained_by, read_contacts, strongest_first
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame
 from tomojax.methods._errors import noise_as
-from tomojax.methods._pixels import Pixels, pixels_of
-from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
+from tomojax.methods._maps import row_basis, slot_maps, tikhonov_operator, without_offset
+from tomojax.methods._pixels import pixels_of
+from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9
 # to 1.5 % on recorded scenes (notebooks/sensor_and_scenes.py).
@@ -47,9 +38,8 @@ _STANDS_OUT = 5.0
 # more.
 _UNEXPLAINED = 0.14
 
-# Length over which an image is smooth beforehand, of the electrodes' pitch; steps of the
-# projected gradient.
-_SMOOTH, _PROJECTED = 0.375, 100
+# Length over which an image is smooth beforehand, of the electrodes' pitch.
+_SMOOTH = 0.375
 
 # Slots that λ is chosen from; and λ/σ₁² where nothing ever touches.
 _SLOTS, _RELATIVE = 64, 1e-4
@@ -141,7 +131,7 @@ class AbstractSource(AbstractMethod):
         smooth = np.einsum("lmxy,xi,yj->lmij", images, *sides, optimize=True)
         arrays = []
         for some in (maps, smooth.reshape(maps.shape)):
-            basis = _row_basis(some)
+            basis = row_basis(some)
             arrays.append((jnp.asarray(basis, dtype), jnp.asarray(some @ basis.T, dtype)))
         (basis, factors), (drawn, drawn_factors) = arrays
         along, across = (jnp.asarray(side, dtype) for side in sides)
@@ -186,7 +176,7 @@ class AbstractSource(AbstractMethod):
         chosen = []
         noise, error = float(self.noise), _MODEL_ERROR * float(self.error)
         for v, ground, g in slots[:: max(1, len(slots) // _SLOTS)]:
-            centre = _without_offset(g, ground)
+            centre = without_offset(g, ground)
             target = g.sum() * noise**2 + error**2 * (v[g] @ v[g])
             v, rows = centre @ v, centre @ factors[ground]
             left, s, _ = np.linalg.svd(rows, full_matrices=False)
@@ -217,11 +207,11 @@ class AbstractSource(AbstractMethod):
                 imaging.append(np.zeros_like(factors[0].T))
                 misfits.append(np.zeros((good.shape[1],) * 2))
                 continue
-            centre = _without_offset(channels, ground)
-            operator, rows = _operator(centre @ factors[ground], lam)
+            centre = without_offset(channels, ground)
+            operator, rows = tikhonov_operator(centre @ factors[ground], lam)
             operators.append(operator)
             through += operator @ rows
-            to_image, seen = _operator(centre @ drawn[ground], drawn_lam)
+            to_image, seen = tikhonov_operator(centre @ drawn[ground], drawn_lam)
             imaging.append(to_image)
             total += seen.T @ seen
             misfits.append(rows @ operator - centre)
@@ -255,7 +245,7 @@ class AbstractSource(AbstractMethod):
         if not self.positive:  # one product, where a Gaussian of each image takes longer
             return matmul(coefficients, self.smoothed).reshape(self.shape)
         w = matmul(coefficients, self.drawn)
-        w = _not_negative(w, coefficients, self.drawn, prepared.normal, prepared.damping)
+        w = not_negative(w, coefficients, self.drawn, prepared.normal, prepared.damping)
         return matmul(matmul(self.along, w.reshape(self.shape)), self.across.T)
 
     def estimate(
@@ -268,7 +258,7 @@ class AbstractSource(AbstractMethod):
         )
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
-        carried, left = _explained(self.shape)(
+        carried, left = explained_by(self.shape)(
             contacts.count > 1,
             contacts,
             coefficients,
@@ -315,86 +305,3 @@ class PositiveSource(AbstractSource):
     """The same, with an image of currents that flow out of the object alone."""
 
     positive: ClassVar[bool] = True  # pyright: ignore
-
-
-def _row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
-    # The rows of every slot span the same M dimensions; a few slots show them all.
-    some = maps[:: max(1, len(maps) // 4)].reshape(-1, maps.shape[-1])
-    return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
-
-
-def _without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
-    """From voltages to what they are beside their mean, of the good channels that are not
-    grounded.
-
-    A ground path, or an electrode's own resistance to the sheet, is hardly known and lifts
-    all of them alike.
-    """
-    used = good & (np.arange(len(good)) != ground)
-    return np.diag(used.astype(float)) - np.outer(used, used) / max(1, used.sum())
-
-
-def _operator(rows: np.ndarray, lam: float):
-    """(AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
-    return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows
-
-
-@cache
-def _explained(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
-    """What contacts carry, fitted to an image's coefficients, and what they leave of it."""
-
-    def whole(
-        contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
-    ) -> tuple[Array, Array]:
-        points = matmul(point_sources(basis, contacts, shape, cell), through.T)
-        return amplitudes(points, seen), unexplained(points[None], seen[None])
-
-    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
-        first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
-        carried, left = whole(first, *others)
-        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left
-
-    return where_needed(whole, lone)
-
-
-def _not_negative(
-    w: Float[Array, " n"],
-    coefficients: Float[Array, " r"],
-    basis: Float[Array, "r n"],
-    normal: Float[Array, "r r"],
-    damping: Float[Array, ""],
-) -> Float[Array, " n"]:
-    """The w ≥ 0 nearest to Tikhonov's, as the voltages and λ measure it.
-
-    (Bw − c)ᵀN(Bw − c) + λ|w − BᵀBw|² by accelerated projected gradients (FISTA: Beck and
-    Teboulle, SIAM J. Imaging Sci. 2, 183, 2009). A drive below 0 V turns the sign.
-    """
-    forward = jnp.where(w.sum() < 0, -1, 1).astype(w.dtype)
-    c = forward * coefficients
-    # N has λ in it, as off the rows' space; a trace bounds its largest eigenvalue.
-    step = 1 / jnp.trace(normal)
-
-    def gradient(w: Array) -> Array:
-        seen = matmul(basis, w)
-        return matmul(matmul(normal, seen - c) - damping * seen, basis) + damping * w
-
-    def one(_: Array, state: tuple) -> tuple:
-        w, ahead, t = state
-        new = jnp.maximum(ahead - step * gradient(ahead), 0)
-        later = (1 + jnp.sqrt(1 + 4 * t**2)) / 2
-        return new, new + (t - 1) / later * (new - w), later
-
-    start = jnp.maximum(forward * w, 0)
-    first = start, start, jnp.ones((), w.dtype)
-    return forward * lax.fori_loop(0, _PROJECTED, one, first)[0]
-
-
-def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
-    """T^l of every ground, volts per ampere into a pixel; float64 on the host."""
-    sensor = pixels.sensor
-    route = "fem" if sensor.sheet_resistance.ndim else "series"
-    table = resistances(sensor, route)
-    ee, ek = np.asarray(table.electrodes, float), np.asarray(pixels.mean(table.elements))
-    z = np.broadcast_to(np.asarray(sensor.ground_resistance, float), len(ee))
-    offset = (np.diagonal(ee) + z)[:, None] - ee
-    return ek.astype(float)[None] - ek.astype(float)[:, None] + offset[:, :, None]
