@@ -76,16 +76,16 @@ def read_contacts(
     if at_peak:
         refined = (pixels + 0.5) * cell
         found = found._replace(xy=jnp.where(peaks.alone[:, None], refined, found.xy))
+    found = strongest_first(found, peaks.first)
     if current is not None:
-        return strongest_first(found, peaks.first)
-    found = strongest_first(found._replace(current=peaks.height), peaks.first)
+        return found
     return found._replace(current=jnp.full_like(found.current, jnp.nan))
 
 
 @cache
 def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: bool):
-    """(C, 7) sums of each contact, weight times `powers` and current; and the places of
-    peaks, in pixels.
+    """(C, 7) sums of each contact, weight times `powers` and current (or without it the
+    height of the peak); and the places of peaks, in pixels.
 
     One contact is the whole image. With several, each costs passes over all pixels.
     """

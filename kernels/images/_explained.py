@@ -62,7 +62,7 @@ def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array
 
 @cache
 def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
-    """What contacts carry, fitted to an image's coefficients, and what they leave of it."""
+    """Fits contacts as point sources to an image: their currents, and what they leave."""
 
     def whole(
         contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array

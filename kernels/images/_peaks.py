@@ -1,4 +1,4 @@
-"""Where an image is highest: its peaks, and which of them are one contact."""
+"""Finds the peaks of an image, and which of them are one contact."""
 
 from typing import NamedTuple
 

@@ -112,7 +112,7 @@ def test_derivatives(rng, route, shape, argument) -> None:
 @pytest.mark.parametrize("wide", [True, False])
 @pytest.mark.parametrize("decade, tolerance", [(-2, 1e-5), (-6, 1e-4), (-8, 1e-3)])
 def test_derivatives_in_float32(small_sensor, rng, wide, decade, tolerance) -> None:
-    """Of a loss of several frames' images in weights and λ, without float64 enabled.
+    """The gradient in weights and λ of a loss of several images, float64 not enabled.
 
     A gradient is the normal system's solution of a float32 vector: 1e-7·σ₁/√λ is to be had.
     """

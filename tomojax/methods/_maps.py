@@ -1,4 +1,4 @@
-"""What a slot's currents make, on the host in float64: T^l, its rows' space, an inverse."""
+"""Maps from currents to a slot's voltages and back, made on the host in float64."""
 
 from typing import Any
 
