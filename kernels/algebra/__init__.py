@@ -11,6 +11,11 @@ from tomojax.kernels.algebra._blocktri import (
     matmul as matmul,
     solve as solve,
 )
+from tomojax.kernels.algebra._descent import (
+    descend as descend,
+    Limits as Limits,
+    Normal as Normal,
+)
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,

@@ -4,16 +4,28 @@ The room knows the sheet and the errors of voltages. It knows nothing of images.
 """
 
 from tomojax.kernels.contacts._candidates import (
-    apart_from as apart_from,
+    along as along,
     best_pairs as best_pairs,
     best_places as best_places,
+    explained as explained,
     gains_beside as gains_beside,
+    Look as Look,
+    look as look,
+    own_beside as own_beside,
+    weighed_volts as weighed_volts,
 )
 from tomojax.kernels.contacts._curves import bar as bar, ring as ring
+from tomojax.kernels.contacts._discs import (
+    Discs as Discs,
+    discs as discs,
+    free_slopes as free_slopes,
+    limits_of as limits_of,
+    normal_of as normal_of,
+)
 from tomojax.kernels.contacts._field import (
     Field as Field,
-    field_and_slope as field_and_slope,
     field_at as field_at,
+    rows_at as rows_at,
     slot_columns as slot_columns,
 )
 from tomojax.kernels.contacts._follow import follow as follow
@@ -29,8 +41,6 @@ from tomojax.kernels.contacts._one_slot import (
 )
 from tomojax.kernels.contacts._points import (
     DISC as DISC,
-    disc_priors as disc_priors,
-    discs as discs,
     Fitted as Fitted,
     green_of as green_of,
     hardly_told as hardly_told,

@@ -1,112 +1,159 @@
 """Where contacts may be: the best places of a coarse grid, for a fit to start from."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import solve_positive
+from tomojax.kernels.contacts._whiten import whitened_columns, WhitenedFrame
+
+
+class Look(NamedTuple):
+    """K candidates beside some slots of a frame, each by an ampere there.
+
+    All frames share the products with one table.
+    """
+
+    potential: Float[Array, "K M"]  # Ω; in each slot its `offset` comes to it
+    offset: Float[Array, "s M"]
+    frame: WhitenedFrame  # these slots
+    own: Float[Array, "s K"]  # |c|² of each column c, whitened
+
+
+def look(
+    potential: Float[Array, "K M"], offset: Float[Array, "s M"], frame: WhitenedFrame
+) -> Look:
+    """Weighs the candidates: cᵀC⁻¹c, C the errors' covariance."""
+    weight, scale = frame.scale**2, frame.scale[:, None]
+    # As free as a slot's offset is, its mean says nothing: without it less cancels.
+    total = jnp.maximum(weight.sum(1, keepdims=True), jnp.finfo(weight.dtype).tiny)
+    offset = offset - (weight * offset).sum(1, keepdims=True) / total
+    at = Look(potential, offset, frame, jnp.zeros((len(offset), len(potential))))
+    square = _products(weight, potential**2) + (weight * offset**2).sum(1, keepdims=True)
+    square = square + 2 * _products(weight * offset, potential)
+    both = jnp.concatenate([frame.common, frame.filter], 1) * scale
+    shared = along(at, both.transpose(1, 0, 2))
+    q = frame.common.shape[1]
+    return at._replace(own=jnp.maximum(square - (shared[:q] * shared[q:]).sum(0), 0))
+
+
+def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s M"]:
+    """C⁻¹v."""
+    count = volts.shape[-1]
+    return whitened_columns(at.frame, volts)[..., :count] * at.frame.scale
+
+
+def along(at: Look, weighed: Float[Array, "*n s M"]) -> Float[Array, "*n s K"]:
+    """Each candidate's column times weighed volts."""
+    own = (at.offset * weighed).sum(-1, keepdims=True)
+    return _products(weighed, at.potential) + own
+
+
+def explained(along: Float[Array, "s K"], own: Float[Array, "s K"]) -> Float[Array, " K"]:
+    """Σ_s (c·v)²/|c|², of currents in the drive's direction: what an object feeds."""
+    return _part(along, own).sum(0)
+
+
+def own_beside(at: Look, known: Float[Array, "C s M"]) -> Float[Array, "s K"]:
+    """|c|² of what is left of each candidate beside known columns, V/A; 0 of hardly any."""
+    heavy = weighed_volts(at, known)
+    gram = jnp.einsum("csm,dsm->scd", heavy, known, precision="highest")
+    trace = jnp.trace(gram, axis1=1, axis2=2)[:, None, None]
+    gram = gram + (1e-6 * trace + 1e-30) * jnp.eye(len(known), dtype=gram.dtype)
+    across = along(at, heavy).transpose(1, 0, 2)  # (s, C, K)
+    left = at.own - (across * solve_positive(gram, across)).sum(1)
+    return jnp.where(left > 1e-3 * at.own, left, 0)
 
 
 def best_places(
-    columns: Float[Array, "K S M"],
-    rest: Float[Array, "S M"],
+    scores: Float[Array, " K"],
     places: Float[Array, "K 2"],
     apart: Array | float,
     count: int,
-) -> Float[Array, "count 2"]:
-    """The candidates whose current explains most of `rest`, `apart` from each other.
-
-    `columns` and `rest` whitened; Σ_s (c_s·r_s)²/|c_s|², currents in the drive's direction
-    alone being what an object feeds.
-    """
-    along = jnp.einsum("ksm,sm->ks", columns, rest, precision="highest")
-    own = jnp.sum(columns**2, -1)
-    explained = jnp.where(along > 0, along**2 / jnp.where(own > 0, own, 1), 0).sum(1)
+) -> Int[Array, " count"]:
+    """The candidates of the highest scores, `apart` from each other."""
     chosen = []
     for _ in range(count):
-        k = jnp.argmax(explained)
-        chosen.append(places[k])
-        explained = jnp.where(_near(places, places[k], apart), -jnp.inf, explained)
+        k = jnp.argmax(scores)
+        chosen.append(k)
+        scores = jnp.where(_near(places, places[k], apart), -jnp.inf, scores)
     return jnp.stack(chosen)
 
 
 def best_pairs(
-    columns: Float[Array, "K S M"],
-    whitened: Float[Array, "S M"],
+    at: Look,
+    alone: Float[Array, "s K"],
+    first: Int[Array, " n"],
     places: Float[Array, "K 2"],
     apart: Float[Array, ""],
     count: int,
-) -> Float[Array, "count 2 2"]:
-    """The pairs of candidates that explain most, one after another.
+) -> Int[Array, "count 2"]:
+    """The pairs that explain most, one of each among `first`, one after another.
 
     Both currents positive in each slot; pairs whose places are both nearer than `apart` to
-    one that is chosen are passed over.
+    one that is chosen are passed over. `alone` is each candidate `along` what is measured.
     """
-    gram = jnp.einsum("ksm,jsm->skj", columns, columns, precision="highest")
-    along = jnp.einsum("ksm,sm->sk", columns, whitened, precision="highest")
-    own = jnp.maximum(jnp.diagonal(gram, axis1=1, axis2=2), 1e-30)
-    one, other = along[:, :, None], along[:, None, :]
-    own_one, own_other = own[:, :, None], own[:, None, :]
+    columns = at.potential[first][:, None] + at.offset
+    gram = along(at, weighed_volts(at, columns))  # (n, s, K)
+    one, other = alone[:, first].T[..., None], alone[None]
+    own_one, own_other = at.own[:, first].T[..., None], at.own[None]
     det = own_one * own_other - gram**2
     apart_enough = det > 1e-5 * own_one * own_other
     det = jnp.where(apart_enough, det, 1)
-    first = (own_other * one - gram * other) / det
-    second = (own_one * other - gram * one) / det
-    both = apart_enough & (first > 0) & (second > 0)
-    alone = jnp.maximum(jnp.where(one > 0, one**2 / own_one, 0), other**2 / own_other)
-    explained = jnp.where(both, first * one + second * other, alone).sum(0)
-    explained = jnp.where(jnp.tri(len(places), dtype=bool).T, -jnp.inf, explained)
+    current = (own_other * one - gram * other) / det
+    further = (own_one * other - gram * one) / det
+    both = apart_enough & (current > 0) & (further > 0)
+    single = jnp.maximum(_part(one, own_one), _part(other, own_other))
+    explains = jnp.where(both, current * one + further * other, single).sum(1)
     chosen = []
     for _ in range(count):
-        k = jnp.argmax(explained)
+        k = jnp.argmax(explains)
         i, j = k // len(places), k % len(places)
-        chosen.append(jnp.stack([places[i], places[j]]))
-        near_i, near_j = (_near(places, places[p], apart) for p in (i, j))
-        taken = near_i[:, None] & near_j[None] | near_j[:, None] & near_i[None]
-        explained = jnp.where(taken, -jnp.inf, explained)
+        chosen.append(jnp.stack([first[i], j]))
+        near_i, near_j = (_near(places, places[p], apart) for p in chosen[-1])
+        taken = near_i[first][:, None] & near_j | near_j[first][:, None] & near_i
+        explains = jnp.where(taken, -jnp.inf, explains)
     return jnp.stack(chosen)
+
+
+def _part(along: Array, own: Array) -> Array:
+    fits = (along > 0) & (own > 0)
+    return jnp.where(fits, along**2 / jnp.where(own > 0, own, 1), 0)
+
+
+def _products(rows: Float[Array, "*n s M"], columns: Float[Array, "K M"]) -> Array:
+    return jnp.einsum("...sm,km->...sk", rows, columns, precision="highest")
 
 
 def _near(places: Array, place: Array, apart: Array | float) -> Array:
     return ((places - place) ** 2).sum(1) <= apart**2
 
 
-def apart_from(
-    columns: Float[Array, "K S M"], known: Float[Array, "C S M"]
-) -> Float[Array, "K S M"]:
-    """Columns without what `known` ones make of them; 0 where nearly nothing is left."""
-
-    def slot(known: Float[Array, "C M"], columns: Float[Array, "K M"]) -> Array:
-        own = jnp.matmul(known, known.T, precision="highest")
-        own = own + 1e-6 * jnp.trace(own) * jnp.eye(len(known), dtype=own.dtype)
-        both = jnp.matmul(known, columns.T, precision="highest")
-        part = solve_positive(own, both)
-        return columns - jnp.matmul(part.T, known, precision="highest")
-
-    new = jax.vmap(slot, (1, 1), 1)(known, columns)
-    kept = jnp.sum(new**2, -1) > 1e-3 * jnp.sum(columns**2, -1)
-    return jnp.where(kept[..., None], new, 0)
-
-
 def gains_beside(
-    columns: Float[Array, "K S M"],
-    rest: Float[Array, "S M"],
-    slope: Float[Array, "S M P"],
+    left: Float[Array, "s K"],
+    slopes: Float[Array, "P s K"],
+    own: Float[Array, "s K"],
+    normal: Float[Array, "P P"],
+    right: Float[Array, " P"],
 ) -> Float[Array, " K"]:
     """By how much each candidate lowers |rest|² while P parameters may move as well.
 
-    Each has a current of its own in each slot; the parameters are shared by the slots.
+    `left`, `slopes`: each candidate `along` what is left, and along its slopes; `own` of
+    `own_beside`; `normal` and `right` of the slopes, with what is left. Each has a current
+    of its own in each slot; the parameters are shared by the slots: with e its gain by
+    currents alone less what parameters do to that, eᵀ(1 − BN⁻¹Bᵀ)⁻¹e.
     """
-    own = jnp.sum(columns**2, -1)
-    scaled = columns * jax.lax.rsqrt(jnp.where(own > 0, own, 1))[..., None]
-    along = jnp.einsum("ksm,sm->ks", scaled, rest, precision="highest")
-    with_slope = jnp.einsum("ksm,smp->ksp", scaled, slope, precision="highest")
-    normal = jnp.einsum("smp,smq->pq", slope, slope, precision="highest")
-    right = jnp.einsum("smp,sm->p", slope, rest, precision="highest")
+    scale = jnp.where(own > 0, jax.lax.rsqrt(jnp.where(own > 0, own, 1)), 0)
+    slopes = (slopes * scale).transpose(2, 1, 0)  # (K, s, P)
     # Parameters are known to their unit, about, before anything is measured.
-    known = jnp.diag(1 + 1e-3 * jnp.diagonal(normal))
-    before = solve_positive(normal + known, right[:, None])[:, 0] @ right
-    normal = normal + known - jnp.einsum("ksp,ksq->kpq", with_slope, with_slope)
-    right = right - jnp.einsum("ksp,ks->kp", with_slope, along)
-    moved = solve_positive(normal, right[..., None])[..., 0]
-    return (along**2).sum(1) + (moved * right).sum(1) - before
+    known = normal + jnp.diag(1 + 1e-3 * jnp.diagonal(normal))
+    both = jnp.concatenate([right[:, None], jnp.eye(len(right), dtype=right.dtype)], 1)
+    both = solve_positive(known, both)
+    moved = jnp.matmul(slopes, both, precision="highest")
+    e = (left * scale).T - moved[..., 0]
+    share = jnp.einsum("ksp,ktp->kst", moved[..., 1:], slopes, precision="highest")
+    # Own columns are longer than all errors in common leave them: never quite singular.
+    matrix = 1.001 * jnp.eye(len(left), dtype=e.dtype) - share
+    return (e * solve_positive(matrix, e[..., None])[..., 0]).sum(1)

@@ -119,7 +119,7 @@ def _curve(
     penalty = (current * jnp.sqrt(uneven))[:, 1:].ravel()
     volts = in_volts(columns, current)
     fed = current[:, :1] * base + jnp.matmul(current[:, 1:], shares, precision="highest")
-    drop = drops(sheet, frame, among, each, fed)
+    drop = drops(sheet, frame.grounds, among, each[:, frame.grounds].T, fed)
     drop = jnp.matmul(drop, jnp.asarray(weights, dtype)[:, None], precision="highest")
     return rest, penalty, current[:, :1], drop, volts
 

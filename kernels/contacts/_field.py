@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -33,25 +32,43 @@ def field_at(
     return _mixed(field, radius, along[0][:, None] * along[1], nearby)
 
 
-def elongated_field_at(
+def rows_at(
     field: Field,
     place: Float[Array, "2"],
     radius: Float[Array, ""],
     moment: Float[Array, "2"],
-) -> Float[Array, " M"]:
-    """The same of a contact that is longer than wide: R + ½m₁(R_xx − R_yy) + m₂R_xy.
+) -> Float[Array, "8 M"]:
+    """R_e of a contact that may be longer than wide, and its derivatives, row by row.
 
-    `moment`: (xx − yy)/2 and xy of the current's second moments about its centre, m². Of
-    their sum nothing is seen but beside electrodes: R is harmonic.
+    R + ½m₁(R_xx − R_yy) + m₂R_xy; its derivatives by x, y, radius and both moments; and of
+    those by x and y the derivatives by radius. `moment`: (xx − yy)/2 and xy of the
+    current's second moments about its centre, m². Of their sum nothing is seen but beside
+    electrodes: R is harmonic.
     """
     part, nearby = _nearby(field, place)
     cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
     per = (cells / field.size)[:, None]  # of cells, 1/m
+    jerk = jnp.array([-3.0, 9.0, -9.0, 3.0], place.dtype) * per**3
     along, slope, bend = cubic(part), cubic_slope(part) * per, cubic_bend(part) * per**2
-    both = bend[0][:, None] * along[1] - along[0][:, None] * bend[1]
-    mixed = slope[0][:, None] * slope[1]
-    weights = along[0][:, None] * along[1] + moment[0] / 2 * both + moment[1] * mixed
-    return _mixed(field, radius, weights, nearby)
+    orders = jnp.stack([along, slope, bend, jerk])  # of derivatives, in x and in y
+    x, y = orders[:, 0], orders[:, 1]
+
+    def both(i: int, j: int) -> Float[Array, "4 4"]:
+        return x[i][:, None] * y[j]
+
+    m, n = moment[0] / 2, moment[1]
+    unlike, mixed = both(2, 0) - both(0, 2), both(1, 1)
+    value = both(0, 0) + m * unlike + n * mixed
+    by_x = both(1, 0) + m * (both(3, 0) - both(1, 2)) + n * both(2, 1)
+    by_y = both(0, 1) + m * (both(2, 1) - both(0, 3)) + n * both(1, 2)
+    radius = jnp.minimum(radius, field.radii[-1])
+    sizes, by_radius = lagrange_and_slope(field.radii**2, radius**2)
+    weights = jnp.stack([value, by_x, by_y, value, unlike / 2, mixed, by_x, by_y])
+    by_radius = by_radius * 2 * radius
+    across = jnp.stack([sizes] * 3 + [by_radius] + [sizes] * 2 + [by_radius] * 2)
+    weights = (weights.reshape(8, 16, 1) * across[:, None]).reshape(8, -1)
+    flat = nearby.reshape(weights.shape[1], -1)
+    return jnp.matmul(weights, flat, precision="highest")
 
 
 def _nearby(field: Field, place: Float[Array, "2"]) -> tuple[Array, Array]:
@@ -113,6 +130,18 @@ def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " 
     return jnp.prod(above / below, axis=1)
 
 
+def lagrange_and_slope(
+    nodes: Float[Array, " A"], at: Float[Array, ""]
+) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
+    """The same weights, and their derivatives by `at`."""
+    own = jnp.eye(len(nodes), dtype=bool)
+    below = jnp.where(own, 1, nodes[:, None] - nodes)
+    ratio = jnp.where(own, 1, (at - nodes) / below)
+    # Of each node without one more: products over the last axis.
+    without = jnp.prod(jnp.where(own, 1, ratio[:, None, :]), -1)
+    return jnp.prod(ratio, 1), jnp.where(own, 0, without / below).sum(1)
+
+
 def slot_columns(
     field: Field,
     potential: Float[Array, "*batch M"],
@@ -129,16 +158,3 @@ def slot_columns(
     offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
     share = jnp.asarray(total, ee.dtype)[..., None, None]
     return potential[..., None, :] - potential[..., grounds][..., :, None] + share * offset
-
-
-def field_and_slope(
-    field: Field,
-    place: Float[Array, "2"],
-    radius: Float[Array, ""],
-    moment: Float[Array, "2"] | None = None,
-) -> tuple[Float[Array, " M"], Float[Array, "M 2"]]:
-    """R(x, a) and its gradient along x; of a long contact with its `moment`."""
-    if moment is None:
-        return field_at(field, place, radius), jax.jacfwd(field_at, 1)(field, place, radius)
-    long = elongated_field_at(field, place, radius, moment)
-    return long, jax.jacfwd(field_at, 1)(field, place, radius)

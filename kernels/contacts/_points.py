@@ -6,13 +6,11 @@ variable projection); places and sizes are shared by all slots of a frame.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts._field import Field, field_and_slope, slot_columns
-from tomojax.kernels.contacts._whiten import currents, whitened_columns, WhitenedFrame
+from tomojax.kernels.contacts._field import Field
 from tomojax.kernels.sheet import rectangle_green
 
 # ln of the width of what is known of a contact's size beforehand.
@@ -71,43 +69,7 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]
     return place, jnp.minimum(radius, sheet.field.radii[-1])
 
 
-def discs(
-    sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]
-) -> tuple[Float[Array, "S W"], Float[Array, " priors"], Fitted]:
-    """Contacts about as long as wide; each leans to where its current flows, as metal.
-
-    A disc of radius a whose contact is better than the sheet below it is polarised: its
-    current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
-    """
-    place, radius = unpack(sheet, parameters)
-    moment = LONG * sheet.size**2 * parameters[:, 3:5]
-    each = jax.vmap(field_and_slope, (None, 0, 0, 0))
-    potential, slope = each(sheet.field, place, radius, moment)
-    z = sheet.ground_resistance
-    columns = slot_columns(sheet.field, potential, frame.grounds, z)
-    whitened = whitened_columns(frame, columns)
-    current, _ = currents(frame, whitened)
-    drop, pull = _surroundings(sheet, frame, place, radius, potential, slope, current)
-    shift = _lean(sheet, radius, current, drop, pull)
-    tilt = slope[:, None] - slope[:, frame.grounds][:, :, None]  # (C, S, M, 2)
-    moved = jnp.einsum("csmk,sck->csm", tilt, shift, precision="highest")
-    whitened = whitened + whitened_columns(frame, moved)
-    current, rest = currents(frame, whitened)
-    volts = in_volts(columns + moved, current)
-    none = jnp.zeros_like(place)
-    return (
-        rest,
-        disc_priors(parameters),
-        Fitted(place, none, none[:, 0], radius, current, drop, volts),
-    )
-
-
-def disc_priors(parameters: Float[Array, "C 5"]) -> Float[Array, " priors"]:
-    """Lists the priors of sizes and of how long contacts are, in standard deviations."""
-    return jnp.concatenate([parameters[:, 2], longness(parameters[:, 3:5]).ravel()])
-
-
-def longness(long: Float[Array, "C 2"]) -> Float[Array, "C 2"]:
+def longness(long: Float[Array, "*C 2"]) -> Float[Array, "*C 2"]:
     """What is known beforehand of how long a contact is: round, or not, but not a bar.
 
     Its square is q²/(1 + q²/τ²) + (q/m)⁴: as q² near 0, about τ² then, a wall from m on.
@@ -131,35 +93,22 @@ def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
 
 def drops(
     sheet: Sheet,
-    frame: WhitenedFrame,
+    grounds: Int[Array, " S"],
     among: Float[Array, "C C"],
-    potential: Float[Array, "C M"],
+    at_ground: Float[Array, "S C"],
     current: Float[Array, "S C"],
 ) -> Float[Array, "S C"]:
     """V0 − u at each contact, V.
 
     u = Σ_c I_c[G(x, x_c) − R_l(x_c)] − I·R_l(x) + I(R_ll + z), I the slot's total; `among`
-    G and `potential` R.
+    is G and `at_ground` R_l(x_c).
     """
     total = current.sum(1, keepdims=True)
     z = jnp.broadcast_to(sheet.ground_resistance, sheet.field.electrodes.shape[:1])
-    own = (jnp.diagonal(sheet.field.electrodes) + z)[frame.grounds]
-    at_ground = potential[:, frame.grounds].T  # (S, C)
+    own = (jnp.diagonal(sheet.field.electrodes) + z)[grounds]
     mean = total[:, 0] * own - (current * at_ground).sum(1)
     u = jnp.matmul(current, among.T, precision="highest") + mean[:, None]
     return sheet.drive_voltage - (u - total * at_ground)
-
-
-def _surroundings(
-    sheet, frame, place, radius, potential, slope, current
-) -> tuple[Float[Array, "S C"], Float[Array, "S C 2"]]:
-    """V0 − u at each contact, V, and −∇u of what is outside it, V/m."""
-    green = green_of(sheet, place, radius)
-    among, steep = jax.vmap(lambda x: (green(x), jax.jacfwd(green)(x)))(place)
-    drop = drops(sheet, frame, among, potential, current)
-    towards = current.sum(1)[:, None, None] * slope[:, frame.grounds].transpose(1, 0, 2)
-    pull = towards - jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
-    return drop, pull
 
 
 def hardly_told(
@@ -184,25 +133,3 @@ def metallic(sheet: Sheet, conductance: Array | float) -> Array:
     """κ = I₂/I₀(√(gρ/π)), to 2 %: 0 of a contact that draws evenly, 1 of metal."""
     strength = conductance * sheet.sheet_resistance / np.pi  # gρ/π
     return strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))
-
-
-def _lean(
-    sheet: Sheet,
-    radius: Float[Array, " C"],
-    current: Float[Array, "S C"],
-    drop: Float[Array, "S C"],
-    pull: Float[Array, "S C 2"],
-) -> Float[Array, "S C 2"]:
-    """How far the centre of a contact's current is from the contact's, m."""
-    least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
-    forward = jnp.sign(sheet.drive_voltage)
-    mean_drop = jnp.maximum((forward * drop).mean(0), least)
-    flowing = jnp.maximum((forward * current).mean(0), 0)
-    moment = polarisability(sheet, flowing / mean_drop, radius)
-    enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
-    safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
-    shift = moment[:, None] * pull / safe[..., None]
-    # Not out of the contact: where another is near, the dipole alone does not hold.
-    longest = 0.6 * radius[:, None]
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, longest / length)

@@ -9,8 +9,8 @@ from scipy import optimize
 import tomojax as tx
 from tomojax.kernels.algebra import least_squares, solve_positive
 from tomojax.kernels.contacts import (
-    field_and_slope,
     field_at,
+    rows_at,
     unwhitened,
     whiten,
     whitened_columns,
@@ -51,18 +51,24 @@ def test_table_is_the_mean_over_a_disc(paper_sensor, field):
             np.testing.assert_allclose(got[away], want[away], atol=close)
 
 
-def test_slope_of_the_table(field, rng):
-    radius = jnp.asarray(0.006)
+def test_slopes_of_the_table(field, rng):
+    """Beside differences of its first row, and of its slopes by radius."""
+    at = jax.jit(lambda p: rows_at(field, p[:2], p[2], p[3:]))
+    steps = [1e-6, 1e-6, 1e-6, 1e-8, 1e-8]
     for place in rng.uniform(0.01, 0.15, (5, 2)):
-        _, slope = field_and_slope(field, jnp.asarray(place), radius)
-        for axis in range(2):
-            step = np.zeros(2)
-            step[axis] = 1e-6
-            one, other = (
-                field_at(field, jnp.asarray(place + s * step), radius) for s in (1, -1)
-            )
-            want = (one - other) / 2e-6
-            np.testing.assert_allclose(slope[:, axis], want, rtol=1e-4, atol=1)
+        p = np.array([*place, 0.006, 4e-6, -3e-6])
+        rows = np.asarray(at(p))
+        for k, step in enumerate(steps):
+            move = step * np.eye(5)[k]
+            change = np.asarray(at(p + move) - at(p - move)) / (2 * step)
+            scale = np.abs(change[0]).max()
+            np.testing.assert_allclose(rows[1 + k], change[0], rtol=1e-4, atol=1e-4 * scale)
+            if k == 2:
+                scale = np.abs(change[1:3]).max()
+                np.testing.assert_allclose(rows[6:], change[1:3], atol=1e-4 * scale)
+    round_one = at(np.array([0.06, 0.05, 0.006, 0, 0]))[0]
+    want = field_at(field, jnp.array([0.06, 0.05]), jnp.asarray(0.006))
+    np.testing.assert_allclose(round_one, want, rtol=1e-6)
 
 
 def test_slope_of_the_closed_form_where_places_meet(paper_sensor):

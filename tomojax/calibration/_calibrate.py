@@ -180,8 +180,8 @@ def _frame(
     def fit(p: Array):
         # Known to _PLACE: a parameter of unit size is that far off.
         placed = unit + p[:2] * (_PLACE / UNIT)
-        rest, _, fitted = model.discs(sheet, frame, model.round_disc(placed, p[2])[None])
-        return rest[:, : volts.shape[1]], p, fitted
+        found = model.discs(sheet, frame, model.round_disc(placed, p[2])[None])
+        return found.rest[:, : volts.shape[1]], p, found.fitted
 
     tolerance = prepared.tolerance
     ended = least_squares(fit, jnp.zeros((1, 3), volts.dtype), tolerance, _STEPS)

@@ -11,13 +11,14 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import least_squares, LeastSquares, solve_positive
-from tomojax.kernels.contacts import (
-    slot_columns,
-    unwhitened,
-    whitened_columns,
-    WhitenedFrame,
+from tomojax.kernels.algebra import (
+    descend,
+    least_squares,
+    LeastSquares,
+    Normal,
+    solve_positive,
 )
+from tomojax.kernels.contacts import Look, look, unwhitened, WhitenedFrame
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import (
     highest_cost,
@@ -32,7 +33,11 @@ from tomojax.methods._errors import (
 LEFT, _UNUSUAL = 0.37, 4.0
 
 # Fits from several starts: the best, after a few steps, is gone on with.
-_FEW, _MOST = 6, 30
+_FEW, _TRIED, _MOST = 5, 6, 30
+
+# Slots that a turn of the search works on at once: of fewer a call costs more than work,
+# of more they do not stay in the processor's cache. And least and most frames of them.
+_TOGETHER, _LEAST_MOST = 256, (4, 32)
 
 
 class Found(NamedTuple):
@@ -76,14 +81,13 @@ def fitting_of(
     return Fitting(method, prepared, *whitened(prepared, voltages), voltages, most)
 
 
-def candidates_of(scene: Fitting) -> tuple[Array, Array]:
-    """Of each candidate in some slots, and the frame in these; whitened."""
-    some = scene.prepared.compared
-    part: WhitenedFrame = jax.tree.map(lambda a: a[some], scene.frame)
-    sheet, potentials = scene.method.sheet, scene.method.potentials
-    z = sheet.ground_resistance
-    columns = slot_columns(sheet.field, potentials, part.grounds, z)
-    return whitened_columns(part, columns), part.whitened
+def look_of(scene: Fitting) -> Look:
+    """The candidates beside some slots of the frame."""
+    some, sheet = scene.prepared.compared, scene.method.sheet
+    ee, grounds = sheet.field.electrodes, scene.frame.grounds[some]
+    offset = jnp.diagonal(ee)[grounds][:, None] - ee[grounds]
+    part = jax.tree.map(lambda a: a[some], scene.frame)
+    return look(scene.method.potentials, offset, part)
 
 
 def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n CP"]:
@@ -93,16 +97,85 @@ def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n 
     return jnp.pad(lengths, usual).reshape(len(places), -1)
 
 
+class Ended(NamedTuple):
+    """Where a fit ended, and what is left there; all whitened."""
+
+    parameters: Float[Array, " P"]
+    normal: Float[Array, "P P"]  # JᵀWJ
+    rest: Float[Array, "S W"]
+    slope: Float[Array, "P S W"]  # of that, currents being what fits best
+    column: Float[Array, "S C W"]  # of each contact, per ampere
+
+
+def best_discs(scene: Fitting, starts: Float[Array, "n P"]) -> tuple[Found, Ended]:
+    """The best of the fits of discs from `starts`, and how it ended."""
+    parameters = _lowest(scene, lax.stop_gradient(starts))
+    sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
+    discs = model.discs(sheet, scene.frame, parameters.reshape(-1, model.DISC))
+    normal = model.normal_of(discs, tolerance)
+    slopes = model.free_slopes(discs)
+    ended = Ended(parameters, normal.matrix, discs.rest, slopes, discs.column)
+    found = _found(scene, discs.fitted, ended, normal.cost, parameters)
+    return found, ended
+
+
+@eqx.filter_custom_jvp
+def _lowest(scene: Fitting, starts: Float[Array, "n P"]) -> Float[Array, " P"]:
+    """Parameters of the lowest cost: of each start a few steps, and the best to its end."""
+    frame = scene.frame
+    together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
+    of = scene.method.sheet, frame, scene.prepared.tolerance
+    limits = model.limits_of(scene.method.sheet, starts.shape[1] // model.DISC)
+    return descend(_cost, starts, limits, _FEW, _MOST, together, *of)
+
+
+def _cost(
+    p: Float[Array, " P"], sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
+) -> Normal:
+    discs = model.discs(sheet, frame, p.reshape(-1, model.DISC))
+    return model.normal_of(discs, tolerance)
+
+
+@_lowest.def_jvp
+def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    """p' = −(∂g/∂p)⁻¹·∂g, g the slope of the cost that is 0 there.
+
+    Only who differentiates pays: the search's loop cannot be, in reverse.
+    """
+    scene, starts = primals
+    at = _lowest(scene, starts)
+    highest = model.limits_of(scene.method.sheet, len(at) // model.DISC).highest
+
+    def downhill(p: Array, scene: Fitting) -> Array:
+        sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
+        slope = _cost(p, sheet, scene.frame, tolerance).gradient
+        return jnp.where(at >= highest, p, slope)
+
+    moving, still = eqx.partition(scene, eqx.is_inexact_array)
+    # What does not move has no tangent.
+    along = jax.tree.map(
+        lambda a, t: jnp.zeros_like(a) if t is None else t, moving, tangents[0]
+    )
+    of_scene = lambda moving: downhill(at, eqx.combine(moving, still))  # noqa: E731
+    _, moved = jax.jvp(of_scene, (moving,), (along,))
+    return at, -_solved(jax.jacfwd(downhill)(at, scene), moved, at)
+
+
+def _solved(bent: Float[Array, "P P"], moved: Float[Array, " P"], at: Array) -> Array:
+    # A fit that failed stays where it is.
+    sound = jnp.isfinite(bent).all() & jnp.isfinite(at).all()
+    found = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
+    inverse = jnp.nan_to_num(found, posinf=0.0, neginf=0.0) * sound.astype(at.dtype)
+    return jnp.matmul(inverse, moved, precision="highest")
+
+
 def fit_of(scene: Fitting, kind: Callable) -> Callable:
     """That model, of a flat vector of parameters."""
-    width = (-1, model.DISC) if kind is model.discs else (-1,)
-    return lambda p: kind(scene.method.sheet, scene.frame, p.reshape(width))
+    return lambda p: kind(scene.method.sheet, scene.frame, p)
 
 
-def best_fit(
-    scene: Fitting, kind: Callable, starts: Float[Array, "n P"]
-) -> tuple[Found, LeastSquares]:
-    """The best of the fits from `starts`, and how it ended."""
+def best_curve(scene: Fitting, kind: Callable, starts: Float[Array, "n P"]) -> Found:
+    """The best of the fits of one long contact from `starts`."""
     # The search itself is not differentiated (its loop cannot be, in reverse): what it
     # ends at is, as the place where the cost's slope is zero.
     still = jax.tree.map(
@@ -110,25 +183,30 @@ def best_fit(
     )
     fit, prepared = fit_of(still, kind), scene.prepared
     starts = lax.stop_gradient(starts)
-    search = least_squares(fit, starts, prepared.tolerance, _MOST, _FEW)
+    search = least_squares(fit, starts, prepared.tolerance, _MOST, _TRIED)
     ended: LeastSquares = jax.tree.map(lax.stop_gradient, search)
-    cost = jnp.where(jnp.isfinite(ended.cost), ended.cost, jnp.inf)
     parameters = _implicit(scene, kind, ended)
     rest, _, fitted = fit_of(scene, kind)(parameters)
+    end = Ended(ended.parameters, ended.normal, rest, ended.slope, rest[:, None])
+    # What is long is not added to.
+    none = jnp.zeros(model.DISC, rest.dtype)
+    return _found(scene, fitted, end, ended.cost, none)
+
+
+def _found(
+    scene: Fitting, fitted: model.Fitted, ended: Ended, cost: Array, of_discs: Array
+) -> Found:
+    prepared, rest = scene.prepared, ended.rest
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
-    volts: Array = fitted.voltages
-    misfit, used = without_offset(prepared, volts - scene.voltages)
-    currents: Array = fitted.current
-    current = jnp.where(slots[:, None], currents, 0).sum(0) / n
+    misfit, used = without_offset(prepared, fitted.voltages - scene.voltages)
+    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
-    known, of_size, limited = _uncertainty(still, ended, count)
+    # How sure a place is is not differentiated.
+    known, of_size, limited = _uncertainty(*_still((scene, ended)), count)
     vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
-    # What is long is not added to.
-    of_discs = (
-        parameters if kind is model.discs else jnp.zeros(model.DISC * count, cost.dtype)
-    )
     values = (
         of_discs.reshape(count, -1),
         fitted.place,
@@ -140,7 +218,7 @@ def best_fit(
         known,
         vague,
     )
-    found = Found(
+    return Found(
         cost / n,
         misfit_cost((rest**2).sum(1), prepared.tolerance),
         jnp.asarray(count),
@@ -150,7 +228,12 @@ def best_fit(
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
     )
-    return found, ended
+
+
+def _still(tree: Any) -> Any:
+    return jax.tree.map(
+        lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, tree
+    )
 
 
 @eqx.filter_custom_jvp
@@ -179,16 +262,11 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     )
     downhill = lambda moving: jax.grad(cost)(at, eqx.combine(moving, still))  # noqa: E731
     _, moved = jax.jvp(downhill, (moving,), (along,))
-    bent = jax.hessian(cost)(at, scene)
-    # A fit that failed stays where it is.
-    sound = jnp.isfinite(bent).all() & jnp.isfinite(at).all()
-    found = jnp.linalg.inv(jnp.where(sound, bent, jnp.eye(len(at), dtype=at.dtype)))
-    inverse = jnp.nan_to_num(found, posinf=0.0, neginf=0.0) * sound.astype(at.dtype)
-    return at, -jnp.matmul(inverse, moved, precision="highest")
+    return at, -_solved(jax.hessian(cost)(at, scene), moved, at)
 
 
 def _uncertainty(
-    scene: Fitting, ended: LeastSquares, count: int
+    scene: Fitting, ended: Ended, count: int
 ) -> tuple[Float[Array, "C 3"], Float[Array, " C"], Bool[Array, ""]]:
     """Covariance of the places, variance of the sizes, and whether errors are unusual.
 

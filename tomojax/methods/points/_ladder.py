@@ -7,36 +7,38 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import LeastSquares
 from tomojax.kernels.contacts import (
-    apart_from,
+    along,
     bar,
     best_pairs,
     best_places,
+    explained,
     field_at,
     gains_beside,
+    Look,
+    own_beside,
     ring,
     slot_columns,
-    whitened_columns,
+    weighed_volts,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import (
-    best_fit,
-    candidates_of,
-    fit_of,
+    best_curve,
+    best_discs,
+    Ended,
     Fitting,
     Found,
     LEFT,
+    look_of,
     starts_at,
 )
 
-# Candidates that fits begin from. Pairs are looked through of no more than so many, as
-# memory and time grow with their square; what is far apart is found one by one.
-_STARTS, _PAIRED = 3, 400
+# Candidates that a fit of one disc begins from; that pairs are looked for with; pairs.
+_STARTS, _FIRST, _PAIRS = 3, 5, 3
 
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
@@ -61,6 +63,7 @@ class Ladder(NamedTuple):
     one: Found  # disc
     discs: Found
     promise: Float[Array, ""]  # of one more disc, per slot, as far as slopes tell
+    rival: Float[Array, "2"]  # where that would be, m
     asked: Bool[Array, ""]  # whether one disc does not do, more are believed or not
 
 
@@ -72,13 +75,24 @@ def _due(ladder: Ladder, size: int) -> Any:
 
 
 def first(scene: Fitting) -> Ladder:
-    """One disc, from the best candidate."""
-    columns, compared = candidates_of(scene)
-    places = best_places(columns, compared, scene.method.candidates, 0.0, _STARTS)
-    found, ended = best_fit(scene, model.discs, starts_at(scene, places[:, None]))
+    """One disc, from the best candidates."""
+    at, candidates = look_of(scene), scene.method.candidates
+    scores = explained(_alone(scene, at), at.own)
+    best = best_places(scores, candidates, _spacing(candidates), _STARTS)
+    found, ended = best_discs(scene, starts_at(scene, candidates[best][:, None]))
     found = _seen(scene, found)
-    promise = _promise(scene, found, ended, 1)
-    return Ladder(found, found, found, promise, jnp.array(False))
+    promise, rival = _promise(scene, found, ended, 1)
+    return Ladder(found, found, found, promise, rival, jnp.array(False))
+
+
+def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
+    """Each candidate's column times what was measured."""
+    return along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
+
+
+def _spacing(candidates: Float[Array, "K 2"]) -> Float[Array, ""]:
+    """Candidates nearer to each other are of one peak."""
+    return 1.5 * (candidates[1, 1] - candidates[0, 1])
 
 
 def _seen(scene: Fitting, found: Found) -> Found:
@@ -98,15 +112,16 @@ def _seen(scene: Fitting, found: Found) -> Found:
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
-    best, one, discs, _, asked = ladder
-    new, ended = _more_discs(scene, discs, size)
+    best, one, discs, _, rival, asked = ladder
+    new, ended = _more_discs(scene, discs, rival, size)
     # Nor does one disc explain what is neither: a ring, where two are no better.
     asked = asked | discs.high | _gains(scene, discs, new, size)
     new = _believed(scene, new, size)
     gained = _gains(scene, discs, new, size)
     best = _choose(gained & (_score(new) < _score(best)), new, best)
-    promise = jnp.where(gained, _promise(scene, new, ended, size), 0)
-    return Ladder(best, one, _choose(gained, new, discs), promise, asked)
+    promise, rival = _promise(scene, new, ended, size)
+    promise = jnp.where(gained, promise, 0)
+    return Ladder(best, one, _choose(gained, new, discs), promise, rival, asked)
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
@@ -132,20 +147,27 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     return found
 
 
-def _promise(scene: Fitting, discs: Found, ended: LeastSquares, size: int) -> Array:
-    """What the best candidate for one more would gain, per slot compared.
+def _promise(
+    scene: Fitting, discs: Found, ended: Ended, size: int
+) -> tuple[Float[Array, ""], Float[Array, "2"]]:
+    """What the best candidate for one more would gain, per slot compared, and its place.
 
     The discs that there are may move a little then: each candidate is told apart from
     the slopes of their fit. Much less work than to fit it.
     """
+    candidates = scene.method.candidates
     if size >= scene.most:
-        return jnp.zeros_like(discs.cost)
-    some = scene.prepared.compared
-    rest, slope = ended.rest[some], ended.slope.transpose(1, 2, 0)[some]
-    columns, _ = candidates_of(scene)
-    known = whitened_columns(scene.frame, _own_columns(scene, discs, size))[:, some]
-    new = apart_from(columns, known)
-    return gains_beside(new, rest, slope).max() / len(some)
+        return jnp.zeros_like(discs.cost), candidates[0]
+    at, some, m = look_of(scene), scene.prepared.compared, scene.voltages.shape[1]
+    scale = scene.frame.scale[some]
+    rest, slope = ended.rest[some], ended.slope[:, some]
+    own = own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
+    normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
+    right = jnp.einsum("psw,sw->p", slope, rest, precision="highest")
+    left, slopes = along(at, scale * rest[:, :m]), along(at, scale * slope[..., :m])
+    gains = gains_beside(left, slopes, own, normal, right)
+    best = jnp.argmax(gains)
+    return gains[best] / len(some), candidates[best]
 
 
 def _score(found: Found) -> Array:
@@ -155,28 +177,22 @@ def _score(found: Found) -> Array:
     return found.cost + _GAIN * extra.astype(found.cost.dtype)
 
 
-def _more_discs(scene: Fitting, discs: Found, size: int) -> tuple[Found, LeastSquares]:
+def _more_discs(
+    scene: Fitting, discs: Found, rival: Float[Array, "2"], size: int
+) -> tuple[Found, Ended]:
     """One more than there are; two also from pairs of candidates."""
     candidates = scene.method.candidates
-    columns, compared = candidates_of(scene)
-    spacing = 1.5 * (candidates[1, 1] - candidates[0, 1])
-    known = discs.parameters[: size - 1]
-    rest, _, _ = fit_of(scene, model.discs)(known.ravel())
-    some = scene.prepared.compared
-    own = whitened_columns(scene.frame, _own_columns(scene, discs, size - 1))[:, some]
-    columns_left = apart_from(columns, own)
-    more = best_places(columns_left, rest[some], candidates, spacing, _STARTS)
-    kept = jnp.broadcast_to(known.ravel(), (_STARTS, known.size))
-    starts = jnp.concatenate([kept, starts_at(scene, more[:, None])], 1)
+    # As usual ones: what is missing has made those that there are long.
+    beside = jnp.concatenate([discs.place[: size - 1], rival[None]])
+    starts = starts_at(scene, beside[None])
     if size == 2:
-        if len(candidates) > _PAIRED:  # those beside what one disc takes for one
-            away = ((candidates - discs.place[0]) ** 2).sum(1)
-            beside = jax.lax.top_k(-away, _PAIRED)[1]
-            columns, candidates = columns[beside], candidates[beside]
-        pairs = best_pairs(columns, compared, candidates, spacing, _STARTS)
-        pairs = jnp.concatenate([pairs, _halves(scene, discs)[None]])
+        at, spacing = look_of(scene), _spacing(candidates)
+        alone = _alone(scene, at)
+        places = best_places(explained(alone, at.own), candidates, spacing, _FIRST)
+        pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)
+        pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
-    return best_fit(scene, model.discs, starts)
+    return best_discs(scene, starts)
 
 
 def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
@@ -193,13 +209,14 @@ def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
     return discs.place[0] + jnp.stack([along, -along])
 
 
-def _own_columns(scene: Fitting, discs: Found, size: int) -> Float[Array, "C S M"]:
+def _own_columns(
+    scene: Fitting, discs: Found, size: int, grounds: Int[Array, " s"]
+) -> Float[Array, "C s M"]:
     """What the discs make per ampere."""
     sheet = scene.method.sheet
     each = jax.vmap(field_at, (None, 0, 0))
     own = each(sheet.field, discs.place[:size], discs.radius[:size])
-    grounds, z = scene.frame.grounds, sheet.ground_resistance
-    return slot_columns(sheet.field, own, grounds, z)
+    return slot_columns(sheet.field, own, grounds, sheet.ground_resistance)
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
@@ -235,7 +252,7 @@ def _bar(scene: Fitting, middle: Float[Array, "2"]) -> Found:
     ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
     middles = jnp.broadcast_to(middle, ends.shape)
     starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends)], 1)
-    found, _ = best_fit(scene, bar, starts)
+    found = best_curve(scene, bar, starts)
     # No longer than wide: a disc, which says so with less.
     short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
     return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
@@ -245,7 +262,7 @@ def _ring(scene: Fitting, middle: Float[Array, "2"]) -> Found:
     sheet = scene.method.sheet
     wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
     starts = [jnp.array([*middle, w, 0]) for w in wide]
-    found, _ = best_fit(scene, ring, jnp.stack(starts))
+    found = best_curve(scene, ring, jnp.stack(starts))
     narrow = found.ring[0] < _NARROWEST * sheet.size
     return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
 

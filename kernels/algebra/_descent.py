@@ -1,0 +1,216 @@
+"""Levenberg and Marquardt's descent on normal equations that the model itself adds up.
+
+For models that know their slopes: what is passed on from step to step is a few numbers,
+never the residuals. One loop serves all starts of all frames, and holds the model once:
+what it holds takes seconds to compile. Frames that are done leave it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra._least_squares import solve_positive
+
+# Damping at first, its change after a step that is taken or not, least and most.
+_DAMPING, _LESS, _MORE, _LEAST, _HOPELESS = 1e-3, 1 / 8, 8.0, 1e-4, 1e3
+
+# A step that tells of the curvature, of the longest.
+_NEAR = 0.35
+
+# Nothing is to be gained: the longest step, and χ² that equations promise.
+_SMALL, _LITTLE = 3e-3, 1e-3
+
+# What a step may cost, χ²: slopes that are nearly right lead to where the cost is nearly
+# least.
+_SLACK = 0.01
+
+# Steps of a turn, between which frames that are done leave.
+_TURN = 3
+
+
+class Normal(NamedTuple):
+    """What a model costs at its parameters, and how it would change."""
+
+    cost: Float[Array, ""]
+    matrix: Float[Array, "P P"]  # JᵀWJ
+    gradient: Float[Array, " P"]  # JᵀWr, r = model − measured
+
+
+class Limits(NamedTuple):
+    """Of parameters: what they do not exceed, and how far each goes in a step."""
+
+    highest: Float[Array, " P"]
+    longest: Float[Array, " P"]
+
+
+class _Descent(NamedTuple):
+    """The run from one start, and the best of those before."""
+
+    parameters: Float[Array, " P"]
+    normal: Normal
+    bent: Float[Array, "P P"]  # what its matrix leaves out of the curvature
+    damping: Float[Array, ""]
+    steps: Int[Array, ""]
+    start: Int[Array, ""]  # which; as many as there are: the best goes on
+    best: Float[Array, " P"]
+    lowest: Float[Array, ""]
+    ended: Bool[Array, ""]
+
+
+def descend(
+    model: Callable[..., Normal],
+    starts: Float[Array, "n P"],
+    limits: Limits,
+    few: int,
+    most: int,
+    together: int,
+    *given: Any,
+) -> Float[Array, " P"]:
+    """The parameters of the lowest cost.
+
+    **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
+    it closes over no array. Each start has `few` steps; the best goes on for `most`, or
+    until nothing is gained. Under `vmap`, `together` frames are worked on at once.
+    """
+    n, count = starts.shape
+
+    def begun(start: Array) -> _Descent:
+        inf = jnp.full((), jnp.inf, starts.dtype)
+        first = Normal(inf, jnp.eye(count, dtype=starts.dtype), 0 * start)
+        none = jnp.zeros((), jnp.int32)
+        # One start alone is the best.
+        number = none if n > 1 else none + n
+        damping = jnp.full((), _DAMPING, starts.dtype)
+        bent = 0 * first.matrix
+        return _Descent(start, first, bent, damping, none, number, start, inf, none > 0)
+
+    def turn(run: _Descent, starts: Array, limits: Limits, *given: Any) -> _Descent:
+        def once(_, run: _Descent) -> _Descent:
+            stepped = _onward(_step(model, run, limits, given), starts, few, most)
+            return jax.tree.map(lambda a, b: jnp.where(run.ended, a, b), run, stepped)
+
+        return lax.fori_loop(0, _TURN, once, run)
+
+    run = _compacting(turn, together)(begun(starts[0]), starts, limits, *given)
+    return run.parameters
+
+
+def _step(model: Callable, run: _Descent, limits: Limits, given: tuple) -> _Descent:
+    matrix, gradient = run.normal.matrix, run.normal.gradient
+    # What is at its highest and would be higher stays.
+    free = (run.parameters < limits.highest) | (gradient > 0)
+    unit = jnp.eye(len(free), dtype=matrix.dtype)
+    own = run.damping * jnp.diagonal(matrix)
+    both = jnp.stack([matrix + run.bent, matrix]) + own * unit
+    both = jnp.where(free[:, None] & free, both, unit)
+    right = jnp.where(free, gradient, 0)
+    moves = solve_positive(both, jnp.stack([right, right])[..., None])[..., 0]
+    # Uphill: what is left out was no better than nothing.
+    move = jnp.where(right @ moves[0] > 0, moves[0], moves[1])
+    move = jnp.clip(move, -limits.longest, limits.longest)
+    trial = jnp.minimum(run.parameters - move, limits.highest)
+    move = run.parameters - trial
+    new = model(trial, *given)
+    better = new.cost < run.normal.cost + _SLACK
+    damping = jnp.maximum(run.damping * jnp.where(better, _LESS, _MORE), _LEAST)
+    little = (jnp.abs(move).max() < _SMALL) | (jnp.abs(gradient @ move) < _LITTLE)
+    # Not the start itself, whose cost was not known.
+    known = jnp.isfinite(run.normal.cost)
+    ended = (better & little & known) | (damping > _HOPELESS)
+    change = new.gradient - gradient
+    near = known & (jnp.abs(move) < _NEAR * limits.longest).all()
+    bent = jnp.where(near, _secant(run.bent, matrix, -move, change), run.bent)
+    trial, new = jax.tree.map(
+        lambda a, b: jnp.where(better, a, b), (trial, new), (run.parameters, run.normal)
+    )
+    damping = jnp.where(known, damping, run.damping)
+    return run._replace(
+        parameters=trial,
+        normal=new,
+        bent=bent,
+        damping=damping,
+        steps=run.steps + 1,
+        ended=ended,
+    )
+
+
+def _secant(
+    bent: Float[Array, "P P"],
+    matrix: Float[Array, "P P"],
+    move: Float[Array, " P"],
+    change: Float[Array, " P"],
+) -> Float[Array, "P P"]:
+    """What JᵀWJ leaves out, from how the gradient changed (symmetric, of rank one).
+
+    Where parameters are hardly told apart it is as large as what is in it, and steps
+    without it swing.
+    """
+    missing = change - jnp.matmul(matrix + bent, move, precision="highest")
+    along = missing @ move
+    enough = 1e-3 * jnp.sqrt((missing @ missing) * (move @ move))
+    sound = jnp.abs(along) > enough
+    safe = jnp.where(sound, along, 1)
+    return bent + jnp.where(sound, missing[:, None] * missing / safe, 0)
+
+
+def _onward(run: _Descent, starts: Array, few: int, most: int) -> _Descent:
+    """From a start that has had its steps to the next, and from the last to the best."""
+    n = len(starts)
+    last = run.start >= n
+    over = run.ended | (run.steps >= jnp.where(last, most, few))
+    better = over & ~last & (run.normal.cost < run.lowest)
+    best = jnp.where(better, run.parameters, run.best)
+    lowest = jnp.where(better, run.normal.cost, run.lowest)
+    number = jnp.where(over & ~last, run.start + 1, run.start)
+    again = over & ~last
+    start = jnp.where(number < n, starts[jnp.minimum(number, n - 1)], best)
+    inf, unit = jnp.full_like(lowest, jnp.inf), jnp.eye(len(start), dtype=start.dtype)
+    fresh = run._replace(
+        parameters=start,
+        normal=Normal(inf, unit, 0 * start),
+        bent=0 * unit,
+        damping=jnp.full_like(run.damping, _DAMPING),
+        steps=jnp.zeros_like(run.steps),
+    )
+    run = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, run)
+    return run._replace(start=number, best=best, lowest=lowest, ended=over & last)
+
+
+def _compacting(turn: Callable[..., _Descent], together: int) -> Callable[..., _Descent]:
+    """Turn after turn until all have ended; of a batch, `together` that have not."""
+
+    @custom_vmap
+    def run(state, *given):
+        return lax.while_loop(lambda s: ~s.ended, lambda s: turn(s, *given), state)
+
+    @run.def_vmap
+    def _(size, batched, state, *given):
+        axes = jax.tree.map(lambda one: 0 if one else None, tuple(batched[1:]))
+        state = jax.tree.map(
+            lambda a, one: a if one else jnp.broadcast_to(a, (size, *a.shape)),
+            state,
+            batched[0],
+        )
+        n = min(together, size)
+
+        def some(state: _Descent) -> _Descent:
+            # Those that have done least go first: all are worked on in turn.
+            done = state.start * 1_000 + state.steps
+            done = jnp.where(state.ended, jnp.iinfo(done.dtype).max, done)
+            these = jnp.argsort(done, stable=True)[:n]
+            part = jax.tree.map(lambda a: a[these], state)
+            of = jax.tree.map(
+                lambda a, one: a[these] if one else a, given, tuple(batched[1:])
+            )
+            new = jax.vmap(turn, (0, *axes), axis_size=n)(part, *of)
+            return jax.tree.map(lambda a, b: a.at[these].set(b), state, new)
+
+        found = lax.while_loop(lambda s: ~s.ended.all(), some, state)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return run

@@ -1,0 +1,248 @@
+"""Contacts about as long as wide: what they make of a frame, and how that would change.
+
+Slopes are from the table's own derivatives, whitened, and added up to normal equations
+slot by slot. Of how far a contact leans what matters is in them; what its current and
+other contacts make of that is small, and left out.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import Limits, Normal, solve_positive
+from tomojax.kernels.contacts._field import rows_at
+from tomojax.kernels.contacts._points import (
+    DISC,
+    drops,
+    Fitted,
+    green_of,
+    LEAST_DROP,
+    LONG,
+    longness,
+    polarisability,
+    Sheet,
+    SIZE_WIDTH,
+    unpack,
+)
+from tomojax.kernels.contacts._whiten import WhitenedFrame
+
+# The longest step of each parameter of a disc.
+_LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0
+
+
+class Discs(NamedTuple):
+    """C discs beside a frame of S slots; all whitened but `fitted`."""
+
+    rest: Float[Array, "S W"]  # measured less what they make
+    column: Float[Array, "S C W"]  # of each, per ampere
+    tangent: Float[Array, "S P W"]  # of what they make by each parameter, P = 5C
+    prior: Float[Array, " p"]
+    slope: Float[Array, "p P"]  # of the priors
+    fitted: Fitted
+
+
+def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]) -> Discs:
+    """Contacts about as long as wide; each leans to where its current flows, as metal.
+
+    A disc of radius a whose contact is better than the sheet below it is polarised: its
+    current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
+    """
+    count = len(parameters)
+    place, radius = unpack(sheet, parameters)
+    moment = LONG * sheet.size**2 * parameters[:, 3:5]
+    rows = jax.vmap(rows_at, (None, 0, 0, 0))(sheet.field, place, radius, moment)
+    columns, whitened = _columns(sheet, frame, rows)
+    alone = whitened[:, :count]
+    each = whitened[:, count:].reshape(len(whitened), count, 7, -1)
+    current = _currents(alone, frame.whitened)
+    at_grounds = rows[:, :, frame.grounds]  # (C, 8, S)
+
+    def leaning(radius: Array, slope: Array) -> tuple[Array, Array]:
+        around = place, at_grounds[:, 0], slope, current
+        drop, pull = _surroundings(sheet, frame.grounds, *around, radius)
+        return _lean(sheet, radius, current, drop, pull), drop
+
+    now = radius, at_grounds[:, 1:3]
+    turned = jax.vmap(lambda *t: jax.jvp(leaning, now, t), out_axes=(None, 0))
+    (shift, drop), (by, _) = turned(*_moving(radius, at_grounds))
+    moves = jnp.concatenate([shift[None], by])  # and by x, y and radius
+    moves = jnp.einsum("dsck,sckw->dscw", moves, each[:, :, :2], precision="highest")
+    column = alone + moves[0]
+    current = _currents(column, frame.whitened)
+    # Twice: what one solve leaves by rounding is as large as the errors, in float32.
+    rest = frame.whitened - _made(current, column)
+    current = current + _currents(column, rest)
+    rest = frame.whitened - _made(current, column)
+    first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
+    each = jnp.concatenate([first, each[:, :, 3:DISC]], 2)
+    scale = current[:, :, None] * _chain(sheet, parameters, radius)
+    tangent = (each * scale[..., None]).reshape(len(drop), -1, each.shape[-1])
+    prior, by_parameter = _priors(parameters)
+    moved = columns[:, count:].reshape(len(drop), count, 7, -1)[:, :, :2]
+    moved = jnp.einsum("sck,sckm->scm", shift, moved, precision="highest")
+    volts = _made(current, columns[:, :count] + moved)
+    none = jnp.zeros_like(place)
+    fitted = Fitted(place, none, none[:, 0], radius, current, drop, volts)
+    return Discs(rest, column, tangent, prior, by_parameter, fitted)
+
+
+def normal_of(found: Discs, tolerance: Float[Array, ""]) -> Normal:
+    """Cost Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|², δ² `tolerance`, and its equations.
+
+    Slots that do not fit at all count little (Cauchy's loss). Currents follow what moves:
+    of the slopes what they do not explain, whose change by parameters is left out.
+    """
+    misfit = (found.rest**2).sum(1) / tolerance
+    weight = 1 / (1 + misfit)
+    cost = tolerance * jnp.log1p(misfit).sum() + (found.prior**2).sum()
+    count, sizes = found.column.shape[1], found.tangent.shape[1]
+    both = jnp.concatenate([found.column, found.tangent], 1)
+    gram = jnp.einsum("siw,sjw->sij", both, both, precision="highest")
+    across = gram[:, :count, count:]
+    own = regular(gram[:, :count, :count])
+    part = jnp.einsum(
+        "sci,scj->sij", across, solve_positive(own, across), precision="highest"
+    )
+    matrix = jnp.einsum("s,sij->ij", weight, gram[:, count:, count:] - part)
+    right = jnp.einsum("spw,sw->sp", found.tangent, found.rest, precision="highest")
+    gradient = found.prior @ found.slope - weight @ right
+    known = jnp.matmul(found.slope.T, found.slope, precision="highest")
+    return Normal(cost, matrix + known, gradient.reshape(sizes))
+
+
+def limits_of(sheet: Sheet, count: int) -> Limits:
+    """The largest disc that the table has; a step of 0.3 pitches, or of what is known."""
+    largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
+    each = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
+    longest = jnp.asarray(_LONGEST, each.dtype)
+    return Limits(jnp.tile(each, count), jnp.tile(longest, count))
+
+
+def free_slopes(found: Discs) -> Float[Array, "P S W"]:
+    """Slopes of what is left by parameters, the currents being what fits best."""
+    gram = jnp.einsum("scw,sdw->scd", found.column, found.column, precision="highest")
+    along = jnp.einsum("scw,spw->scp", found.column, found.tangent, precision="highest")
+    share = solve_positive(regular(gram), along)
+    kept = jnp.einsum("scp,scw->spw", share, found.column, precision="highest")
+    return (kept - found.tangent).transpose(1, 0, 2)
+
+
+def regular(gram: Float[Array, "S C C"]) -> Float[Array, "S C C"]:
+    """With a diagonal that a slot without channels does not make singular."""
+    info = jnp.finfo(gram.dtype)
+    more = 16 * info.eps * jnp.trace(gram, axis1=1, axis2=2) + info.tiny
+    return gram + more[:, None, None] * jnp.eye(gram.shape[1], dtype=gram.dtype)
+
+
+def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Array, Array]:
+    """Tangents of radii and of slopes at the grounds, by x, y and radius.
+
+    R is harmonic: R_xx = −R_yy = (R_xx − R_yy)/2.
+    """
+    unlike, mixed = at[:, 4], at[:, 5]
+    slopes = [[unlike, mixed], [mixed, -unlike], [at[:, 6], at[:, 7]]]
+    none = jnp.zeros_like(radius)
+    one = jnp.stack([none, none, none + 1])
+    return one, jnp.stack([jnp.stack(pair, 1) for pair in slopes])
+
+
+def _bent(
+    shift: Float[Array, "S C 2"], each: Float[Array, "S C 7 W"]
+) -> Float[Array, "S C 3 W"]:
+    """What s·∇R changes by with x, y and radius, s held."""
+    x, y = shift[..., :1], shift[..., 1:]
+    unlike, mixed = each[:, :, 3], each[:, :, 4]
+    by_radius = x * each[:, :, 5] + y * each[:, :, 6]
+    return jnp.stack([x * unlike + y * mixed, x * mixed - y * unlike, by_radius], 2)
+
+
+def _columns(
+    sheet: Sheet, frame: WhitenedFrame, rows: Float[Array, "C 8 M"]
+) -> tuple[Float[Array, "S R M"], Float[Array, "S R W"]]:
+    """Volts per ampere of each disc, then their derivatives disc by disc; whitened too."""
+    count, _, m = rows.shape
+    flat = jnp.concatenate([rows[:, 0], rows[:, 1:].reshape(-1, m)])
+    grounds, ee = frame.grounds, sheet.field.electrodes
+    z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[grounds]
+    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
+    level = jnp.where(jnp.arange(len(flat))[:, None] < count, offset[:, None], 0)
+    columns = flat - flat[:, grounds].T[:, :, None] + level
+    scaled = columns * frame.scale[:, None]
+    found = jnp.einsum("skm,sqm->skq", scaled, frame.filter, precision="highest")
+    shared = jnp.einsum("skq,sqm->skm", found, frame.common, precision="highest")
+    return columns, jnp.concatenate([scaled - shared, found], -1)
+
+
+def _currents(
+    column: Float[Array, "S C W"], measured: Float[Array, "S W"]
+) -> Float[Array, "S C"]:
+    """Each slot's currents: least squares, all whitened."""
+    gram = jnp.einsum("scw,sdw->scd", column, column, precision="highest")
+    right = jnp.einsum("scw,sw->sc", column, measured, precision="highest")
+    return solve_positive(regular(gram), right[..., None])[..., 0]
+
+
+def _made(current: Float[Array, "S C"], column: Float[Array, "S C W"]) -> Array:
+    return jnp.einsum("sc,scw->sw", current, column, precision="highest")
+
+
+def _chain(
+    sheet: Sheet, parameters: Float[Array, "C 5"], radius: Float[Array, " C"]
+) -> Float[Array, "C 5"]:
+    """Derivatives of place, radius and moments by the parameters that they come from."""
+    size, raw = sheet.field.size, parameters[:, :2] * sheet.unit
+    mirrored = jnp.where(jnp.abs(raw) % (2 * size) > size, -1, 1) * jnp.sign(raw)
+    by_size = SIZE_WIDTH * radius
+    long = jnp.broadcast_to(LONG * sheet.size**2, raw.shape)
+    return jnp.concatenate([mirrored * sheet.unit, by_size[:, None], long], 1)
+
+
+def _priors(parameters: Float[Array, "C 5"]) -> tuple[Array, Array]:
+    """Sizes and lengths beside what is known of them, and the slopes of that."""
+
+    def one(p: Float[Array, "5"]) -> Float[Array, "3"]:
+        return jnp.concatenate([p[2:3], longness(p[3:5])])
+
+    values, slopes = jax.vmap(one)(parameters), jax.vmap(jax.jacfwd(one))(parameters)
+    count = len(parameters)
+    whole = jnp.eye(count, dtype=slopes.dtype)[:, None, :, None] * slopes[:, :, None]
+    return values.ravel(), whole.reshape(values.size, -1)
+
+
+def _surroundings(
+    sheet, grounds, place, at_grounds, slope, current, radius
+) -> tuple[Float[Array, "S C"], Float[Array, "S C 2"]]:
+    """V0 − u at each contact, V, and −∇u of what is outside it, V/m.
+
+    `at_grounds` (C, S) and `slope` (C, 2, S) of what an ampere makes at the grounds.
+    """
+    green = green_of(sheet, place, radius)
+    among, steep = jax.vmap(lambda x: (green(x), jax.jacfwd(green)(x)))(place)
+    drop = drops(sheet, grounds, among, at_grounds.T, current)
+    towards = current.sum(1)[:, None, None] * slope.transpose(2, 0, 1)
+    pull = towards - jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
+    return drop, pull
+
+
+def _lean(
+    sheet: Sheet,
+    radius: Float[Array, " C"],
+    current: Float[Array, "S C"],
+    drop: Float[Array, "S C"],
+    pull: Float[Array, "S C 2"],
+) -> Float[Array, "S C 2"]:
+    """How far the centre of a contact's current is from the contact's, m."""
+    least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
+    forward = jnp.sign(sheet.drive_voltage)
+    mean_drop = jnp.maximum((forward * drop).mean(0), least)
+    flowing = jnp.maximum((forward * current).mean(0), 0)
+    moment = polarisability(sheet, flowing / mean_drop, radius)
+    enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
+    safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
+    shift = moment[:, None] * pull / safe[..., None]
+    # Not out of the contact: where another is near, the dipole alone does not hold.
+    longest = 0.6 * radius[:, None]
+    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
+    return shift * jnp.minimum(1, longest / length)
