@@ -107,7 +107,7 @@ def _step(model: Callable, run: _Descent, limits: Limits, given: tuple) -> _Desc
     unit = jnp.eye(len(free), dtype=matrix.dtype)
     own = run.damping * jnp.diagonal(matrix)
     both = jnp.stack([matrix + run.bent, matrix]) + own * unit
-    both = jnp.where(free[:, None] & free, both, unit)
+    both: Array = jnp.where(free[:, None] & free, both, unit)
     right = jnp.where(free, gradient, 0)
     moves = solve_positive(both, jnp.stack([right, right])[..., None])[..., 0]
     # Uphill: what is left out was no better than nothing.

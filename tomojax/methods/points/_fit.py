@@ -205,7 +205,7 @@ def _found(
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
     # How sure a place is is not differentiated.
-    known, of_size, limited = _uncertainty(*_still((scene, ended)), count)
+    known, of_size, limited = _uncertainty(_still(scene), _still(ended), count)
     vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
     values = (
         of_discs.reshape(count, -1),
