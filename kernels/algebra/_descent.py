@@ -25,8 +25,8 @@ _NEAR = 0.35
 # Nothing is to be gained: the longest step, and χ² that equations promise.
 _SMALL, _LITTLE = 3e-3, 1e-3
 
-# What a step may cost, χ²: slopes that are nearly right lead to where the cost is nearly
-# least.
+# A step is taken that raises χ² by no more than this. Where slopes are not exact, they
+# vanish a little beside the lowest cost.
 _SLACK = 0.01
 
 # Steps of a turn, between which frames that are done leave.
@@ -34,7 +34,7 @@ _TURN = 3
 
 
 class Normal(NamedTuple):
-    """What a model costs at its parameters, and how it would change."""
+    """The cost of a model at its parameters, with its gradient and curvature."""
 
     cost: Float[Array, ""]
     matrix: Float[Array, "P P"]  # JᵀWJ
@@ -42,7 +42,7 @@ class Normal(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Of parameters: what they do not exceed, and how far each goes in a step."""
+    """The highest value of each parameter, and its longest step."""
 
     highest: Float[Array, " P"]
     longest: Float[Array, " P"]

@@ -30,13 +30,12 @@ def look(
     # As free as a slot's offset is, its mean says nothing: without it less cancels.
     total = jnp.maximum(weight.sum(1, keepdims=True), jnp.finfo(weight.dtype).tiny)
     offset = offset - (weight * offset).sum(1, keepdims=True) / total
-    at = Look(potential, offset, frame, jnp.zeros((len(offset), len(potential))))
     square = _products(weight, potential**2) + (weight * offset**2).sum(1, keepdims=True)
     square = square + 2 * _products(weight * offset, potential)
-    both = jnp.concatenate([frame.common, frame.filter], 1) * scale
-    shared = along(at, both.transpose(1, 0, 2))
-    q = frame.common.shape[1]
-    return at._replace(own=jnp.maximum(square - (shared[:q] * shared[q:]).sum(0), 0))
+    both = (jnp.stack([frame.common, frame.filter]) * scale).transpose(0, 2, 1, 3)
+    common, found = _columns_times(both, potential, offset)
+    own = jnp.maximum(square - (common * found).sum(0), 0)
+    return Look(potential, offset, frame, own)
 
 
 def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s M"]:
@@ -47,8 +46,7 @@ def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s
 
 def along(at: Look, weighed: Float[Array, "*n s M"]) -> Float[Array, "*n s K"]:
     """Each candidate's column times weighed volts."""
-    own = (at.offset * weighed).sum(-1, keepdims=True)
-    return _products(weighed, at.potential) + own
+    return _columns_times(weighed, at.potential, at.offset)
 
 
 def explained(along: Float[Array, "s K"], own: Float[Array, "s K"]) -> Float[Array, " K"]:
@@ -121,6 +119,12 @@ def best_pairs(
 def _part(along: Array, own: Array) -> Array:
     fits = (along > 0) & (own > 0)
     return jnp.where(fits, along**2 / jnp.where(own > 0, own, 1), 0)
+
+
+def _columns_times(
+    rows: Float[Array, "*n s M"], potential: Float[Array, "K M"], offset: Array
+) -> Float[Array, "*n s K"]:
+    return _products(rows, potential) + (offset * rows).sum(-1, keepdims=True)
 
 
 def _products(rows: Float[Array, "*n s M"], columns: Float[Array, "K M"]) -> Array:

@@ -1,8 +1,9 @@
 """Contacts about as long as wide: what they make of a frame, and how that would change.
 
 Slopes are from the table's own derivatives, whitened, and added up to normal equations
-slot by slot. Of how far a contact leans what matters is in them; what its current and
-other contacts make of that is small, and left out.
+slot by slot. How far a contact leans depends on its place, its radius, its current and
+the other contacts. The slopes hold the first two; the gradient of a large metal contact is
+off by what is left out.
 """
 
 from typing import NamedTuple
@@ -28,7 +29,9 @@ from tomojax.kernels.contacts._points import (
 )
 from tomojax.kernels.contacts._whiten import WhitenedFrame
 
-# The longest step of each parameter of a disc.
+# The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
+# a pitch): a start is no farther off than a candidate from its neighbour. A size and
+# lengths may not run away while the place is still wrong.
 _LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0
 
 
@@ -130,7 +133,7 @@ def free_slopes(found: Discs) -> Float[Array, "P S W"]:
 
 
 def regular(gram: Float[Array, "S C C"]) -> Float[Array, "S C C"]:
-    """With a diagonal that a slot without channels does not make singular."""
+    """Adds a little to the diagonal: the matrix of a slot without channels is zero."""
     info = jnp.finfo(gram.dtype)
     more = 16 * info.eps * jnp.trace(gram, axis1=1, axis2=2) + info.tiny
     return gram + more[:, None, None] * jnp.eye(gram.shape[1], dtype=gram.dtype)
@@ -151,7 +154,7 @@ def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Arra
 def _bent(
     shift: Float[Array, "S C 2"], each: Float[Array, "S C 7 W"]
 ) -> Float[Array, "S C 3 W"]:
-    """What s·∇R changes by with x, y and radius, s held."""
+    """Slopes of s·∇R by x, y and radius; the shift s stays as it is."""
     x, y = shift[..., :1], shift[..., 1:]
     unlike, mixed = each[:, :, 3], each[:, :, 4]
     by_radius = x * each[:, :, 5] + y * each[:, :, 6]

@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 import tomojax as tx
-from tomojax.kernels.algebra import least_squares, solve_positive
+from tomojax.kernels.algebra import descend, least_squares, Limits, Normal, solve_positive
 from tomojax.kernels.contacts import (
     field_at,
     rows_at,
@@ -155,3 +155,31 @@ def test_image_holds_the_current():
 def test_field_needs_a_sheet_of_one_value(paper_sensor):
     with pytest.raises(ValueError, match="sheet_resistance"):
         make_field(tx.Sensor.grid(sheet_resistance=np.full(3200, 1e4)))
+
+
+def test_descent_ends_where_scipy_does():
+    """A valley that bends; one by one and in a batch; and at a bound."""
+
+    def residuals(p, target):
+        return jnp.stack([10 * (p[1] - p[0] ** 2), 1 - p[0], 0.1 * (p[0] - target)])
+
+    def model(p, target):
+        r, j = residuals(p, target), jax.jacfwd(residuals)(p, target)
+        return Normal(r @ r, j.T @ j, j.T @ r)
+
+    starts, targets = jnp.array([[-1.2, 1.0], [0.5, 3.0]]), jnp.array([3.0, -4.0, 0.5])
+
+    def ends(highest):
+        limits = Limits(jnp.array([highest, jnp.inf]), jnp.ones(2))
+        one = lambda target: descend(model, starts, limits, 4, 60, 2, target)  # noqa: E731
+        return jax.jit(jax.vmap(one))(targets), jnp.stack([one(t) for t in targets])
+
+    for highest in (jnp.inf, 0.7):
+        together, alone = ends(highest)
+        np.testing.assert_allclose(together, alone, atol=1e-9)
+        for target, found in zip(targets, together):
+            bounds = (-np.inf, [highest, np.inf])
+            want = optimize.least_squares(
+                lambda p, t=target: np.asarray(residuals(p, t)), [0.5, 0.2], bounds=bounds
+            )
+            np.testing.assert_allclose(found, want.x, atol=2e-2)

@@ -98,7 +98,7 @@ def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n 
 
 
 class Ended(NamedTuple):
-    """Where a fit ended, and what is left there; all whitened."""
+    """The end of a fit: its parameters, and the whitened residuals there."""
 
     parameters: Float[Array, " P"]
     normal: Float[Array, "P P"]  # JᵀWJ

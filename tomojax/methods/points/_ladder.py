@@ -150,7 +150,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
 def _promise(
     scene: Fitting, discs: Found, ended: Ended, size: int
 ) -> tuple[Float[Array, ""], Float[Array, "2"]]:
-    """What the best candidate for one more would gain, per slot compared, and its place.
+    """The gain of the best candidate for one more disc, per slot compared, and its place.
 
     The discs that there are may move a little then: each candidate is told apart from
     the slopes of their fit. Much less work than to fit it.
