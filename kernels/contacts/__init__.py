@@ -14,12 +14,16 @@ from tomojax.kernels.contacts._candidates import (
     own_beside as own_beside,
     weighed_volts as weighed_volts,
 )
-from tomojax.kernels.contacts._curves import bar as bar, ring as ring
-from tomojax.kernels.contacts._discs import (
-    Discs as Discs,
-    discs as discs,
+from tomojax.kernels.contacts._curves import (
+    bar as bar,
+    limits_of_bar as limits_of_bar,
+    limits_of_ring as limits_of_ring,
+    ring as ring,
+)
+from tomojax.kernels.contacts._discs import discs as discs, limits_of as limits_of
+from tomojax.kernels.contacts._equations import (
+    Explained as Explained,
     free_slopes as free_slopes,
-    limits_of as limits_of,
     normal_of as normal_of,
 )
 from tomojax.kernels.contacts._field import (
@@ -27,6 +31,7 @@ from tomojax.kernels.contacts._field import (
     field_at as field_at,
     rows_at as rows_at,
     slot_columns as slot_columns,
+    thin_of as thin_of,
 )
 from tomojax.kernels.contacts._follow import follow as follow
 from tomojax.kernels.contacts._one_slot import (
@@ -47,6 +52,7 @@ from tomojax.kernels.contacts._points import (
     LEAST_DROP as LEAST_DROP,
     LONG as LONG,
     metallic as metallic,
+    NARROW as NARROW,
     round_disc as round_disc,
     Sheet as Sheet,
     SIZE_WIDTH as SIZE_WIDTH,

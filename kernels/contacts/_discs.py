@@ -6,13 +6,12 @@ the other contacts. The slopes hold the first two; the gradient of a large metal
 off by what is left out.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax.kernels.algebra import Limits, Normal, solve_positive
+from tomojax.kernels.algebra import Limits
+from tomojax.kernels.contacts._equations import currents_of, Explained, made_by
 from tomojax.kernels.contacts._field import rows_at
 from tomojax.kernels.contacts._points import (
     DISC,
@@ -27,7 +26,7 @@ from tomojax.kernels.contacts._points import (
     SIZE_WIDTH,
     unpack,
 )
-from tomojax.kernels.contacts._whiten import WhitenedFrame
+from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
 
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and
@@ -35,23 +34,13 @@ from tomojax.kernels.contacts._whiten import WhitenedFrame
 _LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0
 
 
-class Discs(NamedTuple):
-    """C discs beside a frame of S slots; all whitened but `fitted`."""
-
-    rest: Float[Array, "S W"]  # measured less what they make
-    column: Float[Array, "S C W"]  # of each, per ampere
-    tangent: Float[Array, "S P W"]  # of what they make by each parameter, P = 5C
-    prior: Float[Array, " p"]
-    slope: Float[Array, "p P"]  # of the priors
-    fitted: Fitted
-
-
-def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]) -> Discs:
+def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) -> Explained:
     """Contacts about as long as wide; each leans to where its current flows, as metal.
 
     A disc of radius a whose contact is better than the sheet below it is polarised: its
     current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
     """
+    parameters = parameters.reshape(-1, DISC)
     count = len(parameters)
     place, radius = unpack(sheet, parameters)
     moment = LONG * sheet.size**2 * parameters[:, 3:5]
@@ -59,7 +48,7 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]) -
     columns, whitened = _columns(sheet, frame, rows)
     alone = whitened[:, :count]
     each = whitened[:, count:].reshape(len(whitened), count, 7, -1)
-    current = _currents(alone, frame.whitened)
+    current = currents_of(alone, frame.whitened)
     at_grounds = rows[:, :, frame.grounds]  # (C, 8, S)
 
     def leaning(radius: Array, slope: Array) -> tuple[Array, Array]:
@@ -73,11 +62,11 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]) -
     moves = jnp.concatenate([shift[None], by])  # and by x, y and radius
     moves = jnp.einsum("dsck,sckw->dscw", moves, each[:, :, :2], precision="highest")
     column = alone + moves[0]
-    current = _currents(column, frame.whitened)
+    current = currents_of(column, frame.whitened)
     # Twice: what one solve leaves by rounding is as large as the errors, in float32.
-    rest = frame.whitened - _made(current, column)
-    current = current + _currents(column, rest)
-    rest = frame.whitened - _made(current, column)
+    rest = frame.whitened - made_by(current, column)
+    current = current + currents_of(column, rest)
+    rest = frame.whitened - made_by(current, column)
     first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
     each = jnp.concatenate([first, each[:, :, 3:DISC]], 2)
     scale = current[:, :, None] * _chain(sheet, parameters, radius)
@@ -85,34 +74,10 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "C 5"]) -
     prior, by_parameter = _priors(parameters)
     moved = columns[:, count:].reshape(len(drop), count, 7, -1)[:, :, :2]
     moved = jnp.einsum("sck,sckm->scm", shift, moved, precision="highest")
-    volts = _made(current, columns[:, :count] + moved)
+    volts = made_by(current, columns[:, :count] + moved)
     none = jnp.zeros_like(place)
     fitted = Fitted(place, none, none[:, 0], radius, current, drop, volts)
-    return Discs(rest, column, tangent, prior, by_parameter, fitted)
-
-
-def normal_of(found: Discs, tolerance: Float[Array, ""]) -> Normal:
-    """Cost Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|², δ² `tolerance`, and its equations.
-
-    Slots that do not fit at all count little (Cauchy's loss). Currents follow what moves:
-    of the slopes what they do not explain, whose change by parameters is left out.
-    """
-    misfit = (found.rest**2).sum(1) / tolerance
-    weight = 1 / (1 + misfit)
-    cost = tolerance * jnp.log1p(misfit).sum() + (found.prior**2).sum()
-    count, sizes = found.column.shape[1], found.tangent.shape[1]
-    both = jnp.concatenate([found.column, found.tangent], 1)
-    gram = jnp.einsum("siw,sjw->sij", both, both, precision="highest")
-    across = gram[:, :count, count:]
-    own = regular(gram[:, :count, :count])
-    part = jnp.einsum(
-        "sci,scj->sij", across, solve_positive(own, across), precision="highest"
-    )
-    matrix = jnp.einsum("s,sij->ij", weight, gram[:, count:, count:] - part)
-    right = jnp.einsum("spw,sw->sp", found.tangent, found.rest, precision="highest")
-    gradient = found.prior @ found.slope - weight @ right
-    known = jnp.matmul(found.slope.T, found.slope, precision="highest")
-    return Normal(cost, matrix + known, gradient.reshape(sizes))
+    return Explained(rest, column, tangent, prior, by_parameter, fitted)
 
 
 def limits_of(sheet: Sheet, count: int) -> Limits:
@@ -121,22 +86,6 @@ def limits_of(sheet: Sheet, count: int) -> Limits:
     each = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
     longest = jnp.asarray(_LONGEST, each.dtype)
     return Limits(jnp.tile(each, count), jnp.tile(longest, count))
-
-
-def free_slopes(found: Discs) -> Float[Array, "P S W"]:
-    """Slopes of what is left by parameters, the currents being what fits best."""
-    gram = jnp.einsum("scw,sdw->scd", found.column, found.column, precision="highest")
-    along = jnp.einsum("scw,spw->scp", found.column, found.tangent, precision="highest")
-    share = solve_positive(regular(gram), along)
-    kept = jnp.einsum("scp,scw->spw", share, found.column, precision="highest")
-    return (kept - found.tangent).transpose(1, 0, 2)
-
-
-def regular(gram: Float[Array, "S C C"]) -> Float[Array, "S C C"]:
-    """Adds a little to the diagonal: the matrix of a slot without channels is zero."""
-    info = jnp.finfo(gram.dtype)
-    more = 16 * info.eps * jnp.trace(gram, axis1=1, axis2=2) + info.tiny
-    return gram + more[:, None, None] * jnp.eye(gram.shape[1], dtype=gram.dtype)
 
 
 def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Array, Array]:
@@ -172,23 +121,7 @@ def _columns(
     offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
     level = jnp.where(jnp.arange(len(flat))[:, None] < count, offset[:, None], 0)
     columns = flat - flat[:, grounds].T[:, :, None] + level
-    scaled = columns * frame.scale[:, None]
-    found = jnp.einsum("skm,sqm->skq", scaled, frame.filter, precision="highest")
-    shared = jnp.einsum("skq,sqm->skm", found, frame.common, precision="highest")
-    return columns, jnp.concatenate([scaled - shared, found], -1)
-
-
-def _currents(
-    column: Float[Array, "S C W"], measured: Float[Array, "S W"]
-) -> Float[Array, "S C"]:
-    """Each slot's currents: least squares, all whitened."""
-    gram = jnp.einsum("scw,sdw->scd", column, column, precision="highest")
-    right = jnp.einsum("scw,sw->sc", column, measured, precision="highest")
-    return solve_positive(regular(gram), right[..., None])[..., 0]
-
-
-def _made(current: Float[Array, "S C"], column: Float[Array, "S C W"]) -> Array:
-    return jnp.einsum("sc,scw->sw", current, column, precision="highest")
+    return columns, whitened_rows(frame, columns)
 
 
 def _chain(

@@ -27,7 +27,7 @@ def field_at(
     Once differentiable. Radii beyond the table's are taken as its last; beyond the edges
     the sheet is mirrored.
     """
-    part, nearby = _nearby(field, place)
+    part, nearby = _nearby(field.values, field.size, place)
     along = cubic(part)
     return _mixed(field, radius, along[0][:, None] * along[1], nearby)
 
@@ -45,7 +45,7 @@ def rows_at(
     current's second moments about its centre, m². Of their sum nothing is seen but beside
     electrodes: R is harmonic.
     """
-    part, nearby = _nearby(field, place)
+    part, nearby = _nearby(field.values, field.size, place)
     cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
     per = (cells / field.size)[:, None]  # of cells, 1/m
     jerk = jnp.array([-3.0, 9.0, -9.0, 3.0], place.dtype) * per**3
@@ -71,17 +71,37 @@ def rows_at(
     return jnp.matmul(weights, flat, precision="highest")
 
 
-def _nearby(field: Field, place: Float[Array, "2"]) -> tuple[Array, Array]:
+def thin_of(field: Field, radius: Float[Array, ""]) -> Float[Array, "nx ny M"]:
+    """The table for one radius: beside electrodes, what is smaller makes the same."""
+    by_size = lagrange(field.radii**2, radius**2)
+    return jnp.einsum("a,xyam->xym", by_size, field.values, precision="highest")
+
+
+def thin_rows_at(
+    thin: Float[Array, "nx ny M"], size: Float[Array, "2"], place: Float[Array, "2"]
+) -> Float[Array, "3 M"]:
+    """R_e of a table for one radius, and its derivatives by x and y, row by row."""
+    part, nearby = _nearby(thin[:, :, None], size, place)
+    per = ((jnp.asarray(thin.shape[:2], place.dtype) - 1) / size)[:, None]
+    along, slope = cubic(part), cubic_slope(part) * per
+    x, y = jnp.stack([along[0], slope[0], along[0]]), jnp.stack([along[1]] * 2 + [slope[1]])
+    weights = (x[:, :, None] * y[:, None]).reshape(3, 16)
+    return jnp.matmul(weights, nearby[:, 0], precision="highest")
+
+
+def _nearby(
+    values: Float[Array, "nx ny A M"], size: Float[Array, "2"], place: Float[Array, "2"]
+) -> tuple[Array, Array]:
     """Finds the place within its cell (2,), and the table's sixteen points around it."""
-    nx, ny = field.values.shape[:2]
+    nx, ny = values.shape[:2]
     cells = jnp.array([nx - 1, ny - 1], place.dtype)
-    at = place / field.size * cells
+    at = place / size * cells
     low = jnp.clip(jnp.floor(at), 0, cells - 1)
     steps = jnp.arange(-1, 3)
     i = mirrored(low[0].astype(int) + steps, nx - 1)
     j = mirrored(low[1].astype(int) + steps, ny - 1)
-    nearby = field.values[i[:, None], j[None]]
-    return at - low, nearby.reshape(16, -1, field.values.shape[-1])
+    nearby = values[i[:, None], j[None]]
+    return at - low, nearby.reshape(16, -1, values.shape[-1])
 
 
 def _mixed(

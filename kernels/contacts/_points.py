@@ -28,6 +28,9 @@ LONG, NOT_ROUND, LONGEST = 0.08, 3.0, 5.0
 # σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
 _VAGUE = 0.25
 
+# Of a usual contact's radius: that of a curve's points, and half a ring's width.
+NARROW = 0.5
+
 # Of the drive voltage: a contact's own drop is not told more finely.
 LEAST_DROP = 0.01
 
@@ -36,6 +39,7 @@ class Sheet(NamedTuple):
     """What the contacts are on."""
 
     field: Field
+    thin: Float[Array, "nx ny M"]  # the same for a curve's points, see `thin_of`
     sheet_resistance: Float[Array, ""]
     ground_resistance: Float[Array, "..."]
     drive_voltage: Float[Array, ""]

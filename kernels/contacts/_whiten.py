@@ -48,6 +48,16 @@ def whitened_columns(frame: WhitenedFrame, columns: Float[Array, "*C S M"]) -> A
     return jnp.concatenate([scaled - shared, found], -1)
 
 
+def whitened_rows(
+    frame: WhitenedFrame, columns: Float[Array, "S K M"]
+) -> Float[Array, "S K W"]:
+    """The same of K columns slot by slot."""
+    scaled = columns * frame.scale[:, None]
+    found = jnp.einsum("skm,sqm->skq", scaled, frame.filter, precision="highest")
+    shared = jnp.einsum("skq,sqm->skm", found, frame.common, precision="highest")
+    return jnp.concatenate([scaled - shared, found], -1)
+
+
 def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
     """From slopes of something by whitened voltages to those by voltages: the transpose."""
     count = frame.scale.shape[1]

@@ -13,8 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import (
     descend,
-    least_squares,
-    LeastSquares,
+    Limits,
     Normal,
     solve_positive,
 )
@@ -33,7 +32,7 @@ from tomojax.methods._errors import (
 LEFT, _UNUSUAL = 0.37, 4.0
 
 # Fits from several starts: the best, after a few steps, is gone on with.
-_FEW, _TRIED, _MOST = 5, 6, 30
+_FEW, _MOST = 5, 30
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
 # of more they do not stay in the processor's cache. And least and most frames of them.
@@ -44,6 +43,7 @@ class Found(NamedTuple):
     """Contacts of one frame as they were fitted, `count` of at most C."""
 
     cost: Float[Array, ""]  # per slot
+    usual: Float[Array, ""]  # of it, with as many channels
     misfits: Float[Array, " S"]  # of each slot
     count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
     parameters: Float[Array, "C P"]
@@ -104,36 +104,52 @@ class Ended(NamedTuple):
     normal: Float[Array, "P P"]  # JᵀWJ
     rest: Float[Array, "S W"]
     slope: Float[Array, "P S W"]  # of that, currents being what fits best
-    column: Float[Array, "S C W"]  # of each contact, per ampere
 
 
-def best_discs(scene: Fitting, starts: Float[Array, "n P"]) -> tuple[Found, Ended]:
-    """The best of the fits of discs from `starts`, and how it ended."""
-    parameters = _lowest(scene, lax.stop_gradient(starts))
-    sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
-    discs = model.discs(sheet, scene.frame, parameters.reshape(-1, model.DISC))
-    normal = model.normal_of(discs, tolerance)
-    slopes = model.free_slopes(discs)
-    ended = Ended(parameters, normal.matrix, discs.rest, slopes, discs.column)
-    found = _found(scene, discs.fitted, ended, normal.cost, parameters)
-    return found, ended
+class Kind(NamedTuple):
+    """What is fitted: what it makes of a frame, and its parameters' limits."""
+
+    explain: Callable[..., model.Explained]
+    limits: Callable[..., Limits]
+    parameters: int  # of one contact
+
+
+DISCS = Kind(model.discs, model.limits_of, model.DISC)
+BAR = Kind(model.bar, model.limits_of_bar, 6)
+RING = Kind(model.ring, model.limits_of_ring, 4)
+
+
+def best_fit(
+    scene: Fitting, kind: Kind, starts: Float[Array, "n P"]
+) -> tuple[Found, Ended]:
+    """The best of the fits from `starts`, and how it ended."""
+    parameters = _lowest(scene, kind, lax.stop_gradient(starts))
+    explained = kind.explain(scene.method.sheet, scene.frame, parameters)
+    normal = model.normal_of(explained, scene.prepared.tolerance)
+    # What ends the residuals of a curve is what is known of it, in no voltage.
+    width = scene.frame.whitened.shape[1]
+    slopes = model.free_slopes(explained)[..., :width]
+    ended = Ended(parameters, normal.matrix, explained.rest[:, :width], slopes)
+    return _found(scene, kind, explained, ended, normal.cost), ended
 
 
 @eqx.filter_custom_jvp
-def _lowest(scene: Fitting, starts: Float[Array, "n P"]) -> Float[Array, " P"]:
+def _lowest(scene: Fitting, kind: Kind, starts: Float[Array, "n P"]) -> Float[Array, " P"]:
     """Parameters of the lowest cost: of each start a few steps, and the best to its end."""
-    frame = scene.frame
+    frame, sheet = scene.frame, scene.method.sheet
     together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
-    of = scene.method.sheet, frame, scene.prepared.tolerance
-    limits = model.limits_of(scene.method.sheet, starts.shape[1] // model.DISC)
-    return descend(_cost, starts, limits, _FEW, _MOST, together, *of)
+    limits = kind.limits(sheet, starts.shape[1] // kind.parameters)
+    cost, of = _cost_of(kind), (sheet, frame, scene.prepared.tolerance)
+    return descend(cost, starts, limits, _FEW, _MOST, together, *of)
 
 
-def _cost(
-    p: Float[Array, " P"], sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
-) -> Normal:
-    discs = model.discs(sheet, frame, p.reshape(-1, model.DISC))
-    return model.normal_of(discs, tolerance)
+def _cost_of(kind: Kind) -> Callable[..., Normal]:
+    def cost(
+        p: Array, sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
+    ) -> Normal:
+        return model.normal_of(kind.explain(sheet, frame, p), tolerance)
+
+    return cost
 
 
 @_lowest.def_jvp
@@ -142,13 +158,14 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
     Only who differentiates pays: the search's loop cannot be, in reverse.
     """
-    scene, starts = primals
-    at = _lowest(scene, starts)
-    highest = model.limits_of(scene.method.sheet, len(at) // model.DISC).highest
+    scene, kind, starts = primals
+    at = _lowest(scene, kind, starts)
+    sheet, cost = scene.method.sheet, _cost_of(kind)
+    highest = kind.limits(sheet, len(at) // kind.parameters).highest
 
     def downhill(p: Array, scene: Fitting) -> Array:
         sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
-        slope = _cost(p, sheet, scene.frame, tolerance).gradient
+        slope = cost(p, sheet, scene.frame, tolerance).gradient
         return jnp.where(at >= highest, p, slope)
 
     moving, still = eqx.partition(scene, eqx.is_inexact_array)
@@ -169,34 +186,10 @@ def _solved(bent: Float[Array, "P P"], moved: Float[Array, " P"], at: Array) -> 
     return jnp.matmul(inverse, moved, precision="highest")
 
 
-def fit_of(scene: Fitting, kind: Callable) -> Callable:
-    """That model, of a flat vector of parameters."""
-    return lambda p: kind(scene.method.sheet, scene.frame, p)
-
-
-def best_curve(scene: Fitting, kind: Callable, starts: Float[Array, "n P"]) -> Found:
-    """The best of the fits of one long contact from `starts`."""
-    # The search itself is not differentiated (its loop cannot be, in reverse): what it
-    # ends at is, as the place where the cost's slope is zero.
-    still = jax.tree.map(
-        lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, scene
-    )
-    fit, prepared = fit_of(still, kind), scene.prepared
-    starts = lax.stop_gradient(starts)
-    search = least_squares(fit, starts, prepared.tolerance, _MOST, _TRIED)
-    ended: LeastSquares = jax.tree.map(lax.stop_gradient, search)
-    parameters = _implicit(scene, kind, ended)
-    rest, _, fitted = fit_of(scene, kind)(parameters)
-    end = Ended(ended.parameters, ended.normal, rest, ended.slope, rest[:, None])
-    # What is long is not added to.
-    none = jnp.zeros(model.DISC, rest.dtype)
-    return _found(scene, fitted, end, ended.cost, none)
-
-
 def _found(
-    scene: Fitting, fitted: model.Fitted, ended: Ended, cost: Array, of_discs: Array
+    scene: Fitting, kind: Kind, explained: model.Explained, ended: Ended, cost: Array
 ) -> Found:
-    prepared, rest = scene.prepared, ended.rest
+    prepared, rest, fitted = scene.prepared, ended.rest, explained.fitted
     cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
     slots = prepared.used.any(1)
     n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
@@ -204,6 +197,8 @@ def _found(
     current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
     drop = _drop(scene, fitted, rest)
     count = len(fitted.radius)
+    # What is long is not added to.
+    of_discs = ended.parameters if kind is DISCS else jnp.zeros(model.DISC, rest.dtype)
     # How sure a place is is not differentiated.
     known, of_size, limited = _uncertainty(_still(scene), _still(ended), count)
     vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
@@ -220,7 +215,8 @@ def _found(
     )
     return Found(
         cost / n,
-        misfit_cost((rest**2).sum(1), prepared.tolerance),
+        LEFT * (scene.frame.scale > 0).sum().astype(cost.dtype) / n,
+        misfit_cost((explained.rest**2).sum(1), prepared.tolerance),
         jnp.asarray(count),
         *(_padded(a, scene.most) for a in values),
         high=cost / n > highest_cost(prepared.tolerance),
@@ -234,35 +230,6 @@ def _still(tree: Any) -> Any:
     return jax.tree.map(
         lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, tree
     )
-
-
-@eqx.filter_custom_jvp
-def _implicit(scene: Fitting, kind: Callable, ended: LeastSquares) -> Array:
-    """The parameters themselves, where the cost's slope is zero: p' = −H⁻¹·∂(∂C/∂p).
-
-    C is `least_squares`' cost, H its second derivative. Only who differentiates pays.
-    """
-    return ended.parameters
-
-
-@_implicit.def_jvp
-def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    scene, kind, ended = primals
-    at, tolerance = ended.parameters, scene.prepared.tolerance
-
-    def cost(p: Array, scene: Fitting) -> Array:
-        rest, priors, _ = fit_of(scene, kind)(p)
-        lost = tolerance * jnp.log1p((rest**2).sum(1) / tolerance)
-        return (lost.sum() + (priors**2).sum()) / 2
-
-    moving, still = eqx.partition(scene, eqx.is_inexact_array)
-    # What does not move has no tangent.
-    along = jax.tree.map(
-        lambda a, t: jnp.zeros_like(a) if t is None else t, moving, tangents[0]
-    )
-    downhill = lambda moving: jax.grad(cost)(at, eqx.combine(moving, still))  # noqa: E731
-    _, moved = jax.jvp(downhill, (moving,), (along,))
-    return at, -_solved(jax.hessian(cost)(at, scene), moved, at)
 
 
 def _uncertainty(

@@ -6,13 +6,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.contacts import (
     along,
-    bar,
     best_pairs,
     best_places,
     explained,
@@ -20,20 +18,21 @@ from tomojax.kernels.contacts import (
     gains_beside,
     Look,
     own_beside,
-    ring,
     slot_columns,
     weighed_volts,
 )
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import (
-    best_curve,
-    best_discs,
+    BAR,
+    best_fit,
+    DISCS,
     Ended,
     Fitting,
     Found,
     LEFT,
     look_of,
+    RING,
     starts_at,
 )
 
@@ -51,9 +50,10 @@ _PROMISE = 0.6
 # the strongest, are what the model's error makes of fewer.
 _APART, _WEAKEST = 2.7, (0.04, 0.1)
 
-# Of the first guesses, in usual radii: half a bar's length, with its directions; radii of
-# rings. A ring narrower than the least is a disc.
-_BAR, _DIRECTIONS, _RINGS, _NARROWEST = 4.0, 4, (2.0, 5.0), 1.2
+# First guesses: half a bar's length, of half the way between two discs that fit best; a
+# ring's radius beside that half way itself, in usual radii. A ring narrower than the
+# least is a disc.
+_BAR, _RING, _NARROWEST = 1.3, 3.5, 1.2
 
 
 class Ladder(NamedTuple):
@@ -64,6 +64,7 @@ class Ladder(NamedTuple):
     discs: Found
     promise: Float[Array, ""]  # of one more disc, per slot, as far as slopes tell
     rival: Float[Array, "2"]  # where that would be, m
+    pair: Float[Array, "2 2"]  # two discs that fit best, believed or not, m
     asked: Bool[Array, ""]  # whether one disc does not do, more are believed or not
 
 
@@ -71,7 +72,22 @@ def _due(ladder: Ladder, size: int) -> Any:
     """Whether `size` discs are worth a try: the next step, with that much to gain."""
     enough = _PROMISE * _GAIN * (size - 1)
     # A promise that is no number is no reason not to try.
-    return ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
+    promised = ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
+    return promised & ~(_shaped(ladder.best) & _explains(ladder.best))
+
+
+def _asked(ladder: Ladder) -> Any:
+    """Whether a bar or a ring is worth a try: one disc does not do, nor do two."""
+    return ladder.asked & ~((ladder.discs.count == 2) & _explains(ladder.discs))
+
+
+def _explains(found: Found) -> Any:
+    """Whether less is left beyond what is usual than a larger model has to gain."""
+    return found.cost < found.usual + _GAIN
+
+
+def _shaped(found: Found) -> Any:
+    return ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
 
 
 def first(scene: Fitting) -> Ladder:
@@ -79,10 +95,11 @@ def first(scene: Fitting) -> Ladder:
     at, candidates = look_of(scene), scene.method.candidates
     scores = explained(_alone(scene, at), at.own)
     best = best_places(scores, candidates, _spacing(candidates), _STARTS)
-    found, ended = best_discs(scene, starts_at(scene, candidates[best][:, None]))
+    found, ended = best_fit(scene, DISCS, starts_at(scene, candidates[best][:, None]))
     found = _seen(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
-    return Ladder(found, found, found, promise, rival, jnp.array(False))
+    pair = jnp.stack([found.place[0], rival])
+    return Ladder(found, found, found, promise, rival, pair, jnp.array(False))
 
 
 def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
@@ -112,8 +129,10 @@ def _seen(scene: Fitting, found: Found) -> Found:
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """`size` discs, where they gain enough."""
-    best, one, discs, _, rival, asked = ladder
+    best, one, discs, _, rival, pair, asked = ladder
     new, ended = _more_discs(scene, discs, rival, size)
+    if size == 2:
+        pair = new.place[:2]
     # Nor does one disc explain what is neither: a ring, where two are no better.
     asked = asked | discs.high | _gains(scene, discs, new, size)
     new = _believed(scene, new, size)
@@ -121,7 +140,8 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     best = _choose(gained & (_score(new) < _score(best)), new, best)
     promise, rival = _promise(scene, new, ended, size)
     promise = jnp.where(gained, promise, 0)
-    return Ladder(best, one, _choose(gained, new, discs), promise, rival, asked)
+    discs = _choose(gained, new, discs)
+    return Ladder(best, one, discs, promise, rival, pair, asked)
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
@@ -130,8 +150,7 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     Tried as well where two were too near each other to be believed.
     """
     best, one = ladder.best, ladder.one
-    middle = one.parameters[0, :2]
-    for alone in (_bar(scene, middle), _ring(scene, middle)):
+    for alone in (_bar(scene, ladder.pair), _ring(scene, ladder)):
         gained = _gains(scene, one, alone, 2)
         best = _choose(gained & (_score(alone) < _score(best)), alone, best)
     return ladder._replace(best=best)
@@ -143,7 +162,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     for size in range(2, count + 1):
         found.append((partial(_due, size=size), partial(_larger, size=size)))
         if size == 2:
-            found.append((lambda ladder: ladder.asked, _longer))
+            found.append((_asked, _longer))
     return found
 
 
@@ -172,8 +191,7 @@ def _promise(
 
 def _score(found: Found) -> Array:
     """Cost, with what `_gains` asks of each contact beyond the first, and of a shape."""
-    shaped = ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
-    extra = jnp.where(shaped, 1, found.count * (found.count - 1) // 2)
+    extra = jnp.where(_shaped(found), 1, found.count * (found.count - 1) // 2)
     return found.cost + _GAIN * extra.astype(found.cost.dtype)
 
 
@@ -192,7 +210,7 @@ def _more_discs(
         pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
-    return best_discs(scene, starts)
+    return best_fit(scene, DISCS, starts)
 
 
 def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
@@ -229,9 +247,7 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     # Where the model's error is larger than thought, so is what a ghost would gain; what is
     # left beyond the tolerance is no error but a contact that is missing.
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
-    channels = (scene.frame.scale > 0).sum() / slots
-    usual = LEFT * channels.astype(new.cost.dtype)
-    enough = _GAIN * (size - 1) * jnp.clip(new.cost / usual, 1, 1 / LEFT)
+    enough = _GAIN * (size - 1) * jnp.clip(new.cost / new.usual, 1, 1 / LEFT)
     each = old.misfits - new.misfits
     over = jnp.maximum(each - 2 * enough, 0).sum() / slots.astype(each.dtype)
     return old.cost - new.cost - over > enough
@@ -246,23 +262,23 @@ def _believed(scene: Fitting, found: Found, size: int) -> Found:
     return found._replace(cost=jnp.where(near | weak, jnp.inf, found.cost))
 
 
-def _bar(scene: Fitting, middle: Float[Array, "2"]) -> Found:
-    turn = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
-    ends = jnp.asarray(np.stack([np.cos(turn), np.sin(turn)], 1), middle.dtype)
-    ends = _BAR * scene.method.sheet.size / scene.method.sheet.unit * ends
-    middles = jnp.broadcast_to(middle, ends.shape)
-    starts = jnp.concatenate([middles, ends, jnp.zeros_like(ends)], 1)
-    found = best_curve(scene, bar, starts)
+def _bar(scene: Fitting, pair: Float[Array, "2 2"]) -> Found:
+    middle, half = pair.mean(0), (pair[1] - pair[0]) / 2
+    start = jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit
+    found, _ = best_fit(scene, BAR, jnp.pad(start, (0, BAR.parameters - 4))[None])
     # No longer than wide: a disc, which says so with less.
     short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
     return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
 
 
-def _ring(scene: Fitting, middle: Float[Array, "2"]) -> Found:
-    sheet = scene.method.sheet
-    wide = jnp.array(_RINGS, middle.dtype) * sheet.size / sheet.unit
-    starts = [jnp.array([*middle, w, 0]) for w in wide]
-    found = best_curve(scene, ring, jnp.stack(starts))
+def _ring(scene: Fitting, ladder: Ladder) -> Found:
+    sheet, pair = scene.method.sheet, ladder.pair
+    half = jnp.sqrt(((pair[1] - pair[0]) ** 2).sum() + 1e-12) / 2
+    around = jnp.stack([ladder.one.place[0], pair.mean(0)])
+    wide = jnp.stack([_RING * sheet.size, half])
+    starts = jnp.concatenate([around, wide[:, None], jnp.zeros((2, 1), half.dtype)], 1)
+    starts = starts.at[:, :3].divide(sheet.unit)
+    found, _ = best_fit(scene, RING, starts)
     narrow = found.ring[0] < _NARROWEST * sheet.size
     return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
 

@@ -1,8 +1,9 @@
 """What a fit of compact contacts is told of the sheet."""
 
+import jax
 import jax.numpy as jnp
 
-from tomojax.kernels.contacts import Sheet
+from tomojax.kernels.contacts import NARROW, Sheet, thin_of
 from tomojax.sensor import make_field, Sensor
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
@@ -12,12 +13,14 @@ USUAL, UNIT = 0.3, 0.05
 
 def sheet_of(sensor: Sensor) -> Sheet:
     """Computes the electrodes' potentials and lengths that suit the sensor."""
-    pitch = sensor.mean_pitch
+    pitch, field = sensor.mean_pitch, make_field(sensor)
+    usual = jnp.asarray(USUAL * pitch, sensor.dtype)
     return Sheet(
-        make_field(sensor),
+        field,
+        jax.jit(thin_of)(field, NARROW * usual),
         jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
         sensor.ground_resistance,
         sensor.drive_voltage,
         jnp.asarray(UNIT * pitch, sensor.dtype),
-        jnp.asarray(USUAL * pitch, sensor.dtype),
+        usual,
     )
