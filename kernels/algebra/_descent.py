@@ -25,6 +25,10 @@ _NEAR = 0.35
 # Nothing is to be gained: the longest step, and χ² that equations promise.
 _SMALL, _LITTLE = 3e-3, 1e-3
 
+# A start is given up that so many times what its last step promised would not take below
+# what is asked for: in a valley steps gain little, and many of them much.
+_REACH, _REACHING, _TRIED = 30.0, 0.1, 2
+
 # A step is taken that raises χ² by no more than this. Where slopes are not exact, they
 # vanish a little beside the lowest cost.
 _SLACK = 0.01
@@ -69,13 +73,15 @@ def descend(
     few: int,
     most: int,
     together: int,
+    below: Float[Array, ""] | float,
     *given: Any,
 ) -> Float[Array, " P"]:
     """The parameters of the lowest cost.
 
     **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
     it closes over no array. Each start has `few` steps; the best goes on for `most`, or
-    until nothing is gained. Under `vmap`, `together` frames are worked on at once.
+    until nothing is gained, or costs `below` are out of reach. Under `vmap`, `together`
+    frames are worked on at once.
     """
     n, count = starts.shape
 
@@ -89,18 +95,24 @@ def descend(
         bent = 0 * first.matrix
         return _Descent(start, first, bent, damping, none, number, start, inf, none > 0)
 
-    def turn(run: _Descent, starts: Array, limits: Limits, *given: Any) -> _Descent:
+    def turn(
+        run: _Descent, starts: Array, limits: Limits, below: Array, *given: Any
+    ) -> _Descent:
         def once(_, run: _Descent) -> _Descent:
-            stepped = _onward(_step(model, run, limits, given), starts, few, most)
+            stepped = _step(model, run, limits, below, given)
+            stepped = _onward(stepped, starts, few, most)
             return jax.tree.map(lambda a, b: jnp.where(run.ended, a, b), run, stepped)
 
         return lax.fori_loop(0, _TURN, once, run)
 
-    run = _compacting(turn, together)(begun(starts[0]), starts, limits, *given)
+    below = jnp.asarray(below, starts.dtype)
+    run = _compacting(turn, together)(begun(starts[0]), starts, limits, below, *given)
     return run.parameters
 
 
-def _step(model: Callable, run: _Descent, limits: Limits, given: tuple) -> _Descent:
+def _step(
+    model: Callable, run: _Descent, limits: Limits, below: Array, given: tuple
+) -> _Descent:
     matrix, gradient = run.normal.matrix, run.normal.gradient
     # What is at its highest and would be higher stays.
     free = (run.parameters < limits.highest) | (gradient > 0)
@@ -118,10 +130,15 @@ def _step(model: Callable, run: _Descent, limits: Limits, given: tuple) -> _Desc
     new = model(trial, *given)
     better = new.cost < run.normal.cost + _SLACK
     damping = jnp.maximum(run.damping * jnp.where(better, _LESS, _MORE), _LEAST)
-    little = (jnp.abs(move).max() < _SMALL) | (jnp.abs(gradient @ move) < _LITTLE)
+    promised = jnp.abs(gradient @ move)
+    little = (jnp.abs(move).max() < _SMALL) | (promised < _LITTLE)
     # Not the start itself, whose cost was not known.
     known = jnp.isfinite(run.normal.cost)
-    ended = (better & little & known) | (damping > _HOPELESS)
+    nowhere = ~known & ~jnp.isfinite(new.cost)
+    # Damped steps promise less than there is.
+    whole = better & (damping < _REACHING) & (run.steps >= _TRIED)
+    beyond = whole & (new.cost - below > _REACH * promised)
+    ended = (known & (better & little | beyond)) | (damping > _HOPELESS) | nowhere
     change = new.gradient - gradient
     near = known & (jnp.abs(move) < _NEAR * limits.longest).all()
     bent = jnp.where(near, _secant(run.bent, matrix, -move, change), run.bent)

@@ -35,7 +35,10 @@ def whiten(
     common = common * scale[:, None]
     normal = jnp.einsum("sqm,spm->sqp", common, common, precision="highest")
     normal = normal + jnp.eye(common.shape[1], dtype=common.dtype)
-    found = solve_positive(normal, common)
+    # Fewer unknowns than channels: its inverse, and one product.
+    unit = jnp.eye(common.shape[1], dtype=common.dtype)
+    inverse = solve_positive(normal, jnp.broadcast_to(unit, normal.shape))
+    found = jnp.matmul(inverse, common, precision="highest")
     frame = WhitenedFrame(grounds, voltages, scale, common, found)
     return frame._replace(whitened=whitened_columns(frame, voltages))
 

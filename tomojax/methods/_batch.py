@@ -64,6 +64,7 @@ class Batch:
         self.contacts, self.images, self.threshold = int(contacts), images, threshold
         self.devices = jax.local_devices() if devices is None else devices
         self._prepared: OrderedDict[bytes, Any] = OrderedDict()
+        self._begun = False
 
     def __call__(
         self,
@@ -113,15 +114,16 @@ class Batch:
             with jax.enable_x64(wide):
                 self._run(prepared, part, voltages, grounds, good, rows)
 
-        # The first alone: what it compiles serves the others, and a thread costs more than
-        # one call. Then as many as the preparations that are kept, so that no more of them
-        # are ever held.
+        # The very first alone: what it compiles serves the others. Then as many as the
+        # preparations that are kept, so that no more of them are ever held.
         parts = [
             part for group in groups for part in _slices(group, self.method.blocks[-1])
         ]
-        for part in parts[:1]:
+        alone = parts[: 1 if len(parts) == 1 or not self._begun else 0]
+        for part in alone:
             work((of_frame(int(part[0])), part))
-        for some in _slices(parts[1:], _KEPT):
+        self._begun = True
+        for some in _slices(parts[len(alone) :], _KEPT):
             with ThreadPoolExecutor(_WORKERS) as pool:
                 list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
         return rows

@@ -120,10 +120,18 @@ RING = Kind(model.ring, model.limits_of_ring, 4)
 
 
 def best_fit(
-    scene: Fitting, kind: Kind, starts: Float[Array, "n P"]
+    scene: Fitting,
+    kind: Kind,
+    starts: Float[Array, "n P"],
+    below: Float[Array, " S"] | None = None,
 ) -> tuple[Found, Ended]:
-    """The best of the fits from `starts`, and how it ended."""
-    parameters = _lowest(scene, kind, lax.stop_gradient(starts))
+    """The best of the fits from `starts`, and how it ended.
+
+    Slots' costs `below`, if any, are asked for: what does not reach them may end early.
+    """
+    if below is None:
+        below = jnp.full(len(scene.voltages), jnp.inf, starts.dtype)
+    parameters = _lowest(scene, kind, lax.stop_gradient(starts), lax.stop_gradient(below))
     explained = kind.explain(scene.method.sheet, scene.frame, parameters)
     normal = model.normal_of(explained, scene.prepared.tolerance)
     # What ends the residuals of a curve is what is known of it, in no voltage.
@@ -134,13 +142,25 @@ def best_fit(
 
 
 @eqx.filter_custom_jvp
-def _lowest(scene: Fitting, kind: Kind, starts: Float[Array, "n P"]) -> Float[Array, " P"]:
-    """Parameters of the lowest cost: of each start a few steps, and the best to its end."""
-    frame, sheet = scene.frame, scene.method.sheet
-    together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
+def _lowest(
+    scene: Fitting, kind: Kind, starts: Float[Array, "n P"], below: Float[Array, " S"]
+) -> Float[Array, " P"]:
+    """Parameters of the lowest cost: of each start a few steps, and the best to its end.
+
+    Of many slots a few stand for all, until what is lowest there is known.
+    """
+    frame, sheet, some = scene.frame, scene.method.sheet, scene.prepared.compared
     limits = kind.limits(sheet, starts.shape[1] // kind.parameters)
-    cost, of = _cost_of(kind), (sheet, frame, scene.prepared.tolerance)
-    return descend(cost, starts, limits, _FEW, _MOST, together, *of)
+
+    def lowest(starts: Array, frame: WhitenedFrame, below: Array) -> Float[Array, " P"]:
+        together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
+        of = below.sum(), sheet, frame, scene.prepared.tolerance
+        return descend(_cost_of(kind), starts, limits, _FEW, _MOST, together, *of)
+
+    if len(some) < len(frame.grounds):
+        part = jax.tree.map(lambda a: a[some], (frame, below))
+        starts = lowest(starts, *part)[None]
+    return lowest(starts, frame, below)
 
 
 def _cost_of(kind: Kind) -> Callable[..., Normal]:
@@ -158,8 +178,8 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
 
     Only who differentiates pays: the search's loop cannot be, in reverse.
     """
-    scene, kind, starts = primals
-    at = _lowest(scene, kind, starts)
+    scene, kind, starts, below = primals
+    at = _lowest(scene, kind, starts, below)
     sheet, cost = scene.method.sheet, _cost_of(kind)
     highest = kind.limits(sheet, len(at) // kind.parameters).highest
 

@@ -150,7 +150,10 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     Tried as well where two were too near each other to be believed.
     """
     best, one = ladder.best, ladder.one
-    for alone in (_bar(scene, ladder.pair), _ring(scene, ladder)):
+    for fit in (_bar, _ring):
+        # With less it is not chosen.
+        less = _GAIN + jnp.maximum(0, one.cost - _score(best))
+        alone = fit(scene, ladder, _asked_of(scene, one, less))
         gained = _gains(scene, one, alone, 2)
         best = _choose(gained & (_score(alone) < _score(best)), alone, best)
     return ladder._replace(best=best)
@@ -210,7 +213,14 @@ def _more_discs(
         pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
-    return best_fit(scene, DISCS, starts)
+    return best_fit(scene, DISCS, starts, _asked_of(scene, discs, _GAIN * (size - 1)))
+
+
+def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, " S"]:
+    """The slots' costs of a fit that gains so much; what was known beforehand in them."""
+    slots = scene.prepared.used.any(1).astype(old.cost.dtype)
+    known = old.cost - old.misfits.sum() / jnp.maximum(slots.sum(), 1)
+    return (old.misfits + known - less) * slots
 
 
 def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
@@ -262,23 +272,25 @@ def _believed(scene: Fitting, found: Found, size: int) -> Found:
     return found._replace(cost=jnp.where(near | weak, jnp.inf, found.cost))
 
 
-def _bar(scene: Fitting, pair: Float[Array, "2 2"]) -> Found:
+def _bar(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
+    pair = ladder.pair
     middle, half = pair.mean(0), (pair[1] - pair[0]) / 2
     start = jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit
-    found, _ = best_fit(scene, BAR, jnp.pad(start, (0, BAR.parameters - 4))[None])
+    start = jnp.pad(start, (0, BAR.parameters - 4))
+    found, _ = best_fit(scene, BAR, start[None], below)
     # No longer than wide: a disc, which says so with less.
     short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
     return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
 
 
-def _ring(scene: Fitting, ladder: Ladder) -> Found:
+def _ring(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
     sheet, pair = scene.method.sheet, ladder.pair
     half = jnp.sqrt(((pair[1] - pair[0]) ** 2).sum() + 1e-12) / 2
     around = jnp.stack([ladder.one.place[0], pair.mean(0)])
     wide = jnp.stack([_RING * sheet.size, half])
     starts = jnp.concatenate([around, wide[:, None], jnp.zeros((2, 1), half.dtype)], 1)
     starts = starts.at[:, :3].divide(sheet.unit)
-    found, _ = best_fit(scene, RING, starts)
+    found, _ = best_fit(scene, RING, starts, below)
     narrow = found.ring[0] < _NARROWEST * sheet.size
     return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
 

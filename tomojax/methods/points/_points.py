@@ -1,8 +1,9 @@
 """`points`: a few compact contacts, fitted; as many as the voltages ask for."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -25,9 +26,9 @@ from tomojax.sensor import Calibration, Sensor
 # Candidates for each pitch.
 _CANDIDATES = 2.5
 
-# Slots of a compiled call: many for frames of few slots, where calls cost more than work;
-# few of many, as what fills a call up costs as much as what it is for.
-_CALL = 256
+# Slots of a compiled call, and least and most frames of it: of many, those that are done
+# leave the others' place.
+_CALL, _LEAST_MOST = 1024, (16, 128)
 
 
 class Points(AbstractMethod):
@@ -52,6 +53,7 @@ class Points(AbstractMethod):
     any_grounds: ClassVar[bool] = True
     stands_out: ClassVar[float] = 3.3
     padded: ClassVar[bool] = False
+    blocks: ClassVar[tuple[int, ...]] = (256,)
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
@@ -118,27 +120,32 @@ class Points(AbstractMethod):
     ) -> Rows:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
         frames, slots = voltages.shape[:2]
-        size = int(np.clip(_CALL // slots, 4, 32))
-        full = np.resize(np.arange(frames), -(-frames // size) * size)
-        voltages, under = voltages[full], jnp.asarray(grounds)[full]
-        blocks = [slice(k, k + size) for k in range(0, len(full), size)]
-        parts = [_first(self, prepared, voltages[b], under[b], count) for b in blocks]
-        ladder = jax.tree.map(lambda *p: np.concatenate(p), *parts)
+        size = int(np.clip(_CALL // slots, *_LEAST_MOST))
+        volts, grounds = np.asarray(voltages), np.asarray(grounds)
+
+        def calls(these: np.ndarray) -> Iterator[tuple[np.ndarray, tuple]]:
+            """Blocks of frames, filled up with what no start is good for: soon done."""
+            for k in range(0, len(these), size):
+                rows = these[k : k + size]
+                filled = np.resize(rows, size)
+                there = np.arange(size) < len(rows)
+                some = np.where(there[:, None, None], volts[filled], np.nan)
+                yield rows, (filled, (self, prepared, some, grounds[filled]))
+
+        ladder: Any = None
+        for rows, (_, of) in calls(np.arange(frames)):
+            new = _first(*of, count)
+            ladder = _put(ladder, rows, new, frames)
         for number, (due, _) in enumerate(steps(count)):
-            rest = np.flatnonzero(due(ladder))
-            for k in range(0, len(rest), size):
-                rows = np.resize(rest[k : k + size], size)
-                part = jax.tree.map(lambda a, rows=rows: a[rows], ladder)
-                new = _step(
-                    self, prepared, voltages[rows], under[rows], part, count, number
-                )
-                for old, values in zip(jax.tree.leaves(ladder), jax.tree.leaves(new)):
-                    old[rows] = values
-        rows = []
-        for b in blocks:
-            found = jax.tree.map(lambda a, b=b: a[b], ladder.best)
-            rows.append(_described_all(self, found, voltages[b], images))
-        return jax.tree.map(lambda *p: np.concatenate(p)[:frames], *rows)
+            for rows, (filled, of) in calls(np.flatnonzero(due(ladder))):
+                part = jax.tree.map(lambda a, filled=filled: a[filled], ladder)
+                _put(ladder, rows, _step(*of, part, count, number), frames)
+        described: Any = None
+        for rows, (filled, of) in calls(np.arange(frames)):
+            found = jax.tree.map(lambda a, filled=filled: a[filled], ladder.best)
+            new = _described_all(self, found, of[2], images)
+            described = _put(described, rows, new, frames)
+        return described
 
     def _described(self, found: Found) -> Estimate:
         contacts = points_as_contacts(
@@ -171,6 +178,15 @@ class Points(AbstractMethod):
         flags = flags | jnp.where(vague, Flag.CONDUCTANCE_UNCERTAIN.value, 0)
         each = found.by_electrode
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
+
+
+def _put(whole: Any, rows: np.ndarray, new: Any, frames: int) -> Any:
+    """Writes what was found of some frames; begins a whole that is None."""
+    if whole is None:
+        whole = jax.tree.map(lambda a: np.empty((frames, *a.shape[1:]), a.dtype), new)
+    for old, values in zip(jax.tree.leaves(whole), jax.tree.leaves(new)):
+        old[rows] = np.asarray(values)[: len(rows)]
+    return whole
 
 
 @eqx.filter_jit
