@@ -6,6 +6,7 @@ what it holds takes seconds to compile. Frames that are done leave it.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -110,6 +111,7 @@ def descend(
     return run.parameters
 
 
+@partial(jax.jit, static_argnums=0)
 def _step(
     model: Callable, run: _Descent, limits: Limits, below: Array, given: tuple
 ) -> _Descent:
@@ -175,6 +177,7 @@ def _secant(
     return bent + jnp.where(sound, missing[:, None] * missing / safe, 0)
 
 
+@partial(jax.jit, static_argnums=(2, 3))
 def _onward(run: _Descent, starts: Array, few: int, most: int) -> _Descent:
     """From a start that has had its steps to the next, and from the last to the best."""
     n = len(starts)

@@ -1,5 +1,6 @@
 """One fit of `points` to one frame: what it is given, and what is known when it ends."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -32,11 +33,11 @@ from tomojax.methods._errors import (
 LEFT, _UNUSUAL = 0.37, 4.0
 
 # Fits from several starts: the best, after a few steps, is gone on with.
-_FEW, _MOST = 5, 30
+_FEW, _MOST = 3, 20
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
 # of more they do not stay in the processor's cache. And least and most frames of them.
-_TOGETHER, _LEAST_MOST = 256, (4, 32)
+_TOGETHER, _LEAST_MOST = 64, (4, 16)
 
 
 class Found(NamedTuple):
@@ -114,9 +115,10 @@ class Kind(NamedTuple):
     parameters: int  # of one contact
 
 
-DISCS = Kind(model.discs, model.limits_of, model.DISC)
-BAR = Kind(model.bar, model.limits_of_bar, 6)
-RING = Kind(model.ring, model.limits_of_ring, 4)
+# Traced once for all that holds it.
+DISCS = Kind(jax.jit(model.discs), model.limits_of, model.DISC)
+BAR = Kind(jax.jit(model.bar), model.limits_of_bar, 6)
+RING = Kind(jax.jit(model.ring), model.limits_of_ring, 4)
 
 
 def best_fit(
@@ -163,9 +165,11 @@ def _lowest(
     return lowest(starts, frame, below)
 
 
+@functools.cache
 def _cost_of(kind: Kind) -> Callable[..., Normal]:
+    @jax.jit
     def cost(
-        p: Array, sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
+        p: Float[Array, " P"], sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
     ) -> Normal:
         return model.normal_of(kind.explain(sheet, frame, p), tolerance)
 

@@ -37,7 +37,7 @@ from tomojax.methods.points._fit import (
 )
 
 # Candidates that a fit of one disc begins from; that pairs are looked for with; pairs.
-_STARTS, _FIRST, _PAIRS = 3, 5, 3
+_STARTS, _FIRST, _PAIRS = 3, 5, 2
 
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
