@@ -47,13 +47,13 @@ def normal_of(found: Explained, tolerance: Float[Array, ""]) -> Normal:
     return Normal(cost, matrix + known, gradient.reshape(sizes))
 
 
-def free_slopes(found: Explained) -> Float[Array, "P S W"]:
+def free_slopes(found: Explained) -> Float[Array, "S P W"]:
     """Slopes of what is left by parameters, the currents being what fits best."""
     gram = jnp.einsum("scw,sdw->scd", found.column, found.column, precision="highest")
     along = jnp.einsum("scw,spw->scp", found.column, found.tangent, precision="highest")
     share = solve_positive(regular(gram), along)
     kept = jnp.einsum("scp,scw->spw", share, found.column, precision="highest")
-    return (kept - found.tangent).transpose(1, 0, 2)
+    return kept - found.tangent
 
 
 def regular(gram: Float[Array, "S C C"]) -> Float[Array, "S C C"]:

@@ -61,13 +61,13 @@ def whitened_rows(
     return jnp.concatenate([scaled - shared, found], -1)
 
 
-def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S W P"]) -> Float[Array, "S M P"]:
+def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S P W"]) -> Float[Array, "S P M"]:
     """From slopes of something by whitened voltages to those by voltages: the transpose."""
     count = frame.scale.shape[1]
-    rest, found = slope[:, :count], slope[:, count:]
-    back = jnp.einsum("sqm,smp->sqp", frame.common, rest, precision="highest")
-    back = jnp.einsum("sqm,sqp->smp", frame.filter, found - back, precision="highest")
-    return (rest + back) * frame.scale[..., None]
+    rest, found = slope[..., :count], slope[..., count:]
+    back = jnp.einsum("spm,sqm->spq", rest, frame.common, precision="highest")
+    back = jnp.einsum("spq,sqm->spm", found - back, frame.filter, precision="highest")
+    return (rest + back) * frame.scale[:, None]
 
 
 def currents(

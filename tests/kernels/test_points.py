@@ -134,10 +134,10 @@ def test_whitening_is_the_inverse_covariance(rng):
     other = whiten(jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common))
     np.testing.assert_array_equal(one.whitened, other.whitened)
     # <F v, r> = <v, Fᵀ r>.
-    v, r = rng.normal(size=(3, 9)), rng.normal(size=(3, 13, 1))
+    v, r = rng.normal(size=(3, 9)), rng.normal(size=(3, 1, 13))
     forward = whitened_columns(frame, jnp.asarray(v))
     back = unwhitened(frame, jnp.asarray(r))
-    np.testing.assert_allclose((forward * r[..., 0]).sum(), (v * back[..., 0]).sum())
+    np.testing.assert_allclose((forward * r[:, 0]).sum(), (v * back[:, 0]).sum())
 
 
 def test_image_holds_the_current():

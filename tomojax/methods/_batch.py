@@ -19,6 +19,9 @@ from tomojax.methods._rows import empty_rows, Rows
 # Calls that run side by side: the parts of one call are not all parallel.
 _WORKERS = 2
 
+# Fewer frames are not shared among them: each call has its costs.
+_LEAST = 16
+
 # A frame with no more than this part of its voltages places a contact badly.
 _FEW = 0.25
 
@@ -116,9 +119,7 @@ class Batch:
 
         # The very first alone: what it compiles serves the others. Then as many as the
         # preparations that are kept, so that no more of them are ever held.
-        parts = [
-            part for group in groups for part in _slices(group, self.method.blocks[-1])
-        ]
+        parts = [part for group in groups for part in _slices(group, self._most(group))]
         alone = parts[: 1 if len(parts) == 1 or not self._begun else 0]
         for part in alone:
             work((of_frame(int(part[0])), part))
@@ -127,6 +128,11 @@ class Batch:
             with ThreadPoolExecutor(_WORKERS) as pool:
                 list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
         return rows
+
+    def _most(self, group: np.ndarray) -> int:
+        """Frames of a part; of what is not filled up each worker has its part."""
+        most, each = self.method.blocks[-1], -(-len(group) // _WORKERS)
+        return most if self.method.padded else min(most, max(each, _LEAST))
 
     def _check(self, voltages, grounds, good) -> None:
         m = self.method.electrode_count

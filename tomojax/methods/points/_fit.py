@@ -32,8 +32,9 @@ from tomojax.methods._errors import (
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
 LEFT, _UNUSUAL = 0.37, 4.0
 
-# Fits from several starts: the best, after a few steps, is gone on with.
-_FEW, _MOST = 3, 20
+# Fits from several starts: the best, after a few steps, is gone on with. Of many slots,
+# whose errors are the same ones, so many steps are left when a few slots have ended.
+_FEW, _MOST, _LAST = 3, 20, 3
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
 # of more they do not stay in the processor's cache. And least and most frames of them.
@@ -104,7 +105,7 @@ class Ended(NamedTuple):
     parameters: Float[Array, " P"]
     normal: Float[Array, "P P"]  # JᵀWJ
     rest: Float[Array, "S W"]
-    slope: Float[Array, "P S W"]  # of that, currents being what fits best
+    slope: Float[Array, "S P W"]  # of that, currents being what fits best
 
 
 class Kind(NamedTuple):
@@ -154,15 +155,15 @@ def _lowest(
     frame, sheet, some = scene.frame, scene.method.sheet, scene.prepared.compared
     limits = kind.limits(sheet, starts.shape[1] // kind.parameters)
 
-    def lowest(starts: Array, frame: WhitenedFrame, below: Array) -> Float[Array, " P"]:
+    def lowest(starts: Array, frame: WhitenedFrame, below: Array, most: int) -> Array:
         together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
         of = below.sum(), sheet, frame, scene.prepared.tolerance
-        return descend(_cost_of(kind), starts, limits, _FEW, _MOST, together, *of)
+        return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 
     if len(some) < len(frame.grounds):
         part = jax.tree.map(lambda a: a[some], (frame, below))
-        starts = lowest(starts, *part)[None]
-    return lowest(starts, frame, below)
+        return lowest(lowest(starts, *part, _MOST)[None], frame, below, _LAST)
+    return lowest(starts, frame, below, _MOST)
 
 
 @functools.cache
@@ -269,18 +270,20 @@ def _uncertainty(
     normal, parameters = ended.normal, ended.parameters
     frame = scene.frame
     used = frame.scale > 0
-    slope = ended.slope.transpose(1, 2, 0)
     left = (ended.rest**2).sum(1)
     weight = 1 / (1 + left / scene.prepared.tolerance)
-    by_voltage = unwhitened(frame, slope * weight[:, None, None])  # (S, M, P)
-    noise = scene.prepared.noise**2 * jnp.einsum("smp,smq->pq", by_voltage, by_voltage)
+    by_voltage = unwhitened(frame, ended.slope * weight[:, None, None])  # (S, P, M)
     own = jnp.where(used, scene.own, 0)
+    # The slots' channels side by side, so that sums over them are products.
+    flat = by_voltage.transpose(1, 0, 2).reshape(len(parameters), -1)
+    noise = scene.prepared.noise**2 * jnp.matmul(flat, flat.T, precision="highest")
+    alike = scene.common[:, :-1].transpose(1, 0, 2).reshape(-1, flat.shape[1])
     shared = jnp.concatenate(
         [
-            jnp.einsum("smp,sm->mp", by_voltage, own),
-            jnp.einsum("smp,sqm->qp", by_voltage, scene.common[:, :-1]),
+            (by_voltage * own[:, None]).sum(0).T,
+            jnp.matmul(alike, flat.T, precision="highest"),
             # Another in each slot: its ground's.
-            jnp.einsum("smp,sm->sp", by_voltage, scene.common[:, -1]),
+            jnp.einsum("spm,sm->sp", by_voltage, scene.common[:, -1]),
         ]
     )
     # Of each contact the first two parameters are its place, then comes its size.

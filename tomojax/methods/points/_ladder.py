@@ -182,7 +182,7 @@ def _promise(
         return jnp.zeros_like(discs.cost), candidates[0]
     at, some, m = look_of(scene), scene.prepared.compared, scene.voltages.shape[1]
     scale = scene.frame.scale[some]
-    rest, slope = ended.rest[some], ended.slope[:, some]
+    rest, slope = ended.rest[some], ended.slope[some].transpose(1, 0, 2)
     own = own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
     normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
     right = jnp.einsum("psw,sw->p", slope, rest, precision="highest")
