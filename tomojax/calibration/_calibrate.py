@@ -180,7 +180,7 @@ def _frame(
     def fit(p: Array):
         # Known to _PLACE: a parameter of unit size is that far off.
         placed = unit + p[:2] * (_PLACE / UNIT)
-        found = model.discs(sheet, frame, model.round_disc(placed, p[2])[None])
+        found = model.discs(sheet, frame, model.round_disc(placed, p[2]))
         return found.rest[:, : volts.shape[1]], p, found.fitted
 
     tolerance = prepared.tolerance
