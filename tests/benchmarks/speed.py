@@ -6,7 +6,8 @@
 Scenes are a resistor network's (tests/rig.py; a new sheet for every eight), with noise and
 zeros; nominal values alone are told. Both commits get the same frames in the same batches,
 one after the other, each in a process of its own. The first call, with what it compiles,
-is a column of its own. Writes speed.json and speed.png. Half an hour.
+is a column of its own. Writes speed.json and speed.png; what --only leaves out stays in them.
+Half an hour.
 """
 
 import argparse
@@ -170,7 +171,7 @@ def main() -> None:
     commits = {"now": HERE.parents[1]}
     if options.beside:
         commits = {"older": options.beside.resolve()} | commits
-    rows = []
+    rows, settings = [], {"scenes": options.scenes, "seed": options.seed}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenes.npz"
         scenes(options.scenes, options.seed, path)
@@ -185,14 +186,17 @@ def main() -> None:
                     env=os.environ | {"PYTHONPATH": str(root)},
                 )
                 for line in found.stdout.splitlines():
-                    rows.append({"commit": commit, **json.loads(line)})
+                    rows.append({"commit": commit, **settings, **json.loads(line)})
                     print(json.dumps(rows[-1]), flush=True)
     sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
     from benchmarks.physics import environment
 
-    settings = {"scenes": options.scenes, "seed": options.seed}
-    report = {"environment": environment(), **settings, "rows": rows}
-    (options.out / "speed.json").write_text(json.dumps(report, indent=1) + "\n")
+    path = options.out / "speed.json"
+    before = json.loads(path.read_text())["rows"] if path.exists() else []
+    kept = [r for r in before if r["job"] not in options.only]
+    rows = sorted(kept + rows, key=lambda r: list(JOBS).index(r["job"]))
+    report = {"environment": environment(), "rows": rows}
+    path.write_text(json.dumps(report, indent=1) + "\n")
     draw(rows, options.out / "speed.png")
 
 

@@ -32,9 +32,12 @@ from tomojax.methods._errors import (
 # of are nearly the largest of what is usual. Beyond so many times that they are unusual.
 LEFT, _UNUSUAL = 0.37, 4.0
 
-# Fits from several starts: the best, after a few steps, is gone on with. Of many slots,
-# whose errors are the same ones, so many steps are left when a few slots have ended.
-_FEW, _MOST, _LAST = 3, 20, 3
+# Fits from several starts: the best, after a few steps, is gone on with.
+_FEW, _MOST = 3, 20
+
+# Of many slots, steps that are left when a few have ended: more steps would take the errors
+# that slots share for different ones. A curve is hardly told by a few.
+_LAST, _LAST_LONG = 3, 10
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
 # of more they do not stay in the processor's cache. And least and most frames of them.
@@ -114,12 +117,13 @@ class Kind(NamedTuple):
     explain: Callable[..., model.Explained]
     limits: Callable[..., Limits]
     parameters: int  # of one contact
+    last: int  # steps with all slots
 
 
 # Traced once for all that holds it.
-DISCS = Kind(jax.jit(model.discs), model.limits_of, model.DISC)
-BAR = Kind(jax.jit(model.bar), model.limits_of_bar, 6)
-RING = Kind(jax.jit(model.ring), model.limits_of_ring, 4)
+DISCS = Kind(jax.jit(model.discs), model.limits_of, model.DISC, _LAST)
+BAR = Kind(jax.jit(model.bar), model.limits_of_bar, 6, _LAST_LONG)
+RING = Kind(jax.jit(model.ring), model.limits_of_ring, 4, _LAST_LONG)
 
 
 def best_fit(
@@ -162,7 +166,7 @@ def _lowest(
 
     if len(some) < len(frame.grounds):
         part = jax.tree.map(lambda a: a[some], (frame, below))
-        return lowest(lowest(starts, *part, _MOST)[None], frame, below, _LAST)
+        return lowest(lowest(starts, *part, _MOST)[None], frame, below, kind.last)
     return lowest(starts, frame, below, _MOST)
 
 
