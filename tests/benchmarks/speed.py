@@ -6,8 +6,8 @@
 Scenes are a resistor network's (tests/rig.py; a new sheet for every eight), with noise and
 zeros; nominal values alone are told. Both commits get the same frames in the same batches,
 one after the other, each in a process of its own. The first call, with what it compiles,
-is a column of its own. Writes speed.json and speed.png; what --only leaves out stays in them.
-Half an hour.
+is a column of its own. Writes speed.json and speed.png; what --only leaves out stays in
+them. Half an hour.
 """
 
 import argparse

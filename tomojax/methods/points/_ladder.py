@@ -154,7 +154,8 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
         # With less it is not chosen.
         less = _GAIN + jnp.maximum(0, one.cost - _score(best))
         alone = fit(scene, ladder, _asked_of(scene, one, less))
-        gained = _gains(scene, one, alone, 2)
+        # What leaves more than errors is no shape: a curve fits a little of anything.
+        gained = _gains(scene, one, alone, 2) & ~alone.high
         best = _choose(gained & (_score(alone) < _score(best)), alone, best)
     return ladder._replace(best=best)
 
