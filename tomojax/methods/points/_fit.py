@@ -165,8 +165,9 @@ def _lowest(
         return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 
     if len(some) < len(frame.grounds):
-        part = jax.tree.map(lambda a: a[some], (frame, below))
-        return lowest(lowest(starts, *part, _MOST)[None], frame, below, kind.last)
+        part = jax.tree.map(lambda a: a[some], frame)
+        starts = lowest(starts, part, below[some], _MOST)[None]
+        return lowest(starts, frame, below, kind.last)
     return lowest(starts, frame, below, _MOST)
 
 

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Float, Integer
 
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
@@ -123,27 +123,27 @@ class Points(AbstractMethod):
         size = int(np.clip(_CALL // slots, *_LEAST_MOST))
         volts, grounds = np.asarray(voltages), np.asarray(grounds)
 
-        def calls(these: np.ndarray) -> Iterator[tuple[np.ndarray, tuple]]:
+        def calls(these: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
             """Blocks of frames, filled up with what no start is good for: soon done."""
             for k in range(0, len(these), size):
                 rows = these[k : k + size]
                 filled = np.resize(rows, size)
                 there = np.arange(size) < len(rows)
-                some = np.where(there[:, None, None], volts[filled], np.nan)
-                yield rows, (filled, (self, prepared, some, grounds[filled]))
+                yield rows, filled, np.where(there[:, None, None], volts[filled], np.nan)
 
         ladder: Any = None
-        for rows, (_, of) in calls(np.arange(frames)):
-            new = _first(*of, count)
+        for rows, filled, some in calls(np.arange(frames)):
+            new = _first(self, prepared, some, grounds[filled], count)
             ladder = _put(ladder, rows, new, frames)
         for number, (due, _) in enumerate(steps(count)):
-            for rows, (filled, of) in calls(np.flatnonzero(due(ladder))):
+            for rows, filled, some in calls(np.flatnonzero(due(ladder))):
                 part = jax.tree.map(lambda a, filled=filled: a[filled], ladder)
-                _put(ladder, rows, _step(*of, part, count, number), frames)
+                new = _step(self, prepared, some, grounds[filled], part, count, number)
+                _put(ladder, rows, new, frames)
         described: Any = None
-        for rows, (filled, of) in calls(np.arange(frames)):
+        for rows, filled, some in calls(np.arange(frames)):
             found = jax.tree.map(lambda a, filled=filled: a[filled], ladder.best)
-            new = _described_all(self, found, of[2], images)
+            new = _described_all(self, found, some, images)
             described = _put(described, rows, new, frames)
         return described
 
@@ -190,7 +190,7 @@ def _put(whole: Any, rows: np.ndarray, new: Any, frames: int) -> Any:
 
 
 @eqx.filter_jit
-def _first(method, prepared, voltages, grounds: Int[Array, "n S"], count: int) -> Ladder:
+def _first(method, prepared, voltages, grounds, count: int) -> Ladder:
     def one(v: Array, grounds: Array) -> Ladder:
         return first(fitting_of(method, prepared._replace(grounds=grounds), v, count))
 
