@@ -82,15 +82,15 @@ def ring(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "4"]) -> E
     return _curve(sheet, frame, points, even, modes, shape, known, parameters)
 
 
-def limits_of_bar(sheet: Sheet, count: int = 1) -> Limits:
-    """As wide as a disc may be; a step of 0.3 pitches, or of what is known."""
+def limits_of_bar(sheet: Sheet) -> Limits:
+    """A bar is at most as wide as the table's largest disc. See `_LONGEST_BAR`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
     highest = jnp.where(jnp.arange(6) == 4, largest, jnp.inf)
     return Limits(highest, jnp.asarray(_LONGEST_BAR, highest.dtype))
 
 
-def limits_of_ring(sheet: Sheet, count: int = 1) -> Limits:
-    """A step of 0.3 pitches, or of what is known."""
+def limits_of_ring(sheet: Sheet) -> Limits:
+    """A ring has no largest value. See `_LONGEST_RING`."""
     longest = jnp.asarray(_LONGEST_RING, sheet.size.dtype)
     return Limits(jnp.full_like(longest, jnp.inf), longest)
 

@@ -80,12 +80,11 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     return Explained(rest, column, tangent, prior, by_parameter, fitted)
 
 
-def limits_of(sheet: Sheet, count: int) -> Limits:
-    """The largest disc that the table has; a step of 0.3 pitches, or of what is known."""
+def limits_of(sheet: Sheet) -> Limits:
+    """Of one disc: it is at most the largest that the table has. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
-    each = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
-    longest = jnp.asarray(_LONGEST, each.dtype)
-    return Limits(jnp.tile(each, count), jnp.tile(longest, count))
+    highest = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
+    return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
 
 
 def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Array, Array]:
@@ -169,7 +168,7 @@ def _lean(
     drop: Float[Array, "S C"],
     pull: Float[Array, "S C 2"],
 ) -> Float[Array, "S C 2"]:
-    """How far the centre of a contact's current is from the contact's, m."""
+    """The distance from each contact's middle to the middle of its current, m."""
     least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
     forward = jnp.sign(sheet.drive_voltage)
     mean_drop = jnp.maximum((forward * drop).mean(0), least)

@@ -28,7 +28,7 @@ LONG, NOT_ROUND, LONGEST = 0.08, 3.0, 5.0
 # σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
 _VAGUE = 0.25
 
-# Of a usual contact's radius: that of a curve's points, and half a ring's width.
+# A curve's points have this part of a usual radius, and so has half a ring's width.
 NARROW = 0.5
 
 # Of the drive voltage: a contact's own drop is not told more finely.

@@ -35,8 +35,8 @@ LEFT, _UNUSUAL = 0.37, 4.0
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 3, 20
 
-# Of many slots, steps that are left when a few have ended: more steps would take the errors
-# that slots share for different ones. A curve is hardly told by a few.
+# Where a few of many slots are searched with, this many steps with all slots follow. Slots
+# share errors, and more steps would fit those. A few slots hardly tell a curve.
 _LAST, _LAST_LONG = 3, 10
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
@@ -112,7 +112,7 @@ class Ended(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What is fitted: what it makes of a frame, and its parameters' limits."""
+    """A model: what it explains of a frame, and the limits of its parameters."""
 
     explain: Callable[..., model.Explained]
     limits: Callable[..., Limits]
@@ -157,7 +157,7 @@ def _lowest(
     Of many slots a few stand for all, until what is lowest there is known.
     """
     frame, sheet, some = scene.frame, scene.method.sheet, scene.prepared.compared
-    limits = kind.limits(sheet, starts.shape[1] // kind.parameters)
+    limits = _limits(kind, sheet, starts.shape[1])
 
     def lowest(starts: Array, frame: WhitenedFrame, below: Array, most: int) -> Array:
         together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
@@ -169,6 +169,11 @@ def _lowest(
         starts = lowest(starts, part, below[some], _MOST)[None]
         return lowest(starts, frame, below, kind.last)
     return lowest(starts, frame, below, _MOST)
+
+
+def _limits(kind: Kind, sheet: model.Sheet, count: int) -> Limits:
+    each = count // kind.parameters
+    return jax.tree.map(lambda a: jnp.tile(a, each), kind.limits(sheet))
 
 
 @functools.cache
@@ -191,7 +196,7 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     scene, kind, starts, below = primals
     at = _lowest(scene, kind, starts, below)
     sheet, cost = scene.method.sheet, _cost_of(kind)
-    highest = kind.limits(sheet, len(at) // kind.parameters).highest
+    highest = _limits(kind, sheet, len(at)).highest
 
     def downhill(p: Array, scene: Fitting) -> Array:
         sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
