@@ -34,6 +34,8 @@ def solve_positive(
         return jnp.where((jnp.arange(n) == k)[:, None], row, both - column * row)
 
     n = matrix.shape[-1]
+    if n == 1:
+        return right / matrix
     both = jnp.concatenate([matrix, right], -1)
     return jax.lax.fori_loop(0, n, eliminate, both)[..., n:]
 

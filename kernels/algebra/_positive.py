@@ -1,21 +1,27 @@
 """Least squares for an image of positive values: g = e^y, y smooth beforehand."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra._blocktri import matmul
 
-# Steps of conjugate gradients within one of Gauss and Newton's, and how often a step that
-# does not fit better is halved; the gain, as a part, at which it is enough.
-_INNER, _HALVED, _ENOUGH = 30, 5, 3e-4
+# Steps of conjugate gradients for each of Gauss and Newton's, always as many: where they
+# end by how little is left, images stay spread out and twice as many steps are needed.
+_INNER = 12
 
-# The largest change of ln g in one step: beyond, the slopes say nothing.
-_LONGEST = 2.0
+# Of Gauss and Newton's steps within one evaluation of the model: at most, and the gain, as
+# a part of the cost, at which they are enough; and the latter of evaluations.
+_WITHIN, _ENOUGH_WITHIN, _ENOUGH = 8, 5e-3, 1e-3
+
+# The shortest part of a step that is tried. The largest change of ln g in one step: beyond,
+# the slopes say nothing.
+_SHORTEST, _LONGEST = 1 / 32, 2.0
 
 
 class SmoothPrior(NamedTuple):
@@ -32,6 +38,19 @@ class PositiveFit(NamedTuple):
     values: Float[Array, "nx ny"]
     cost: Float[Array, ""]  # of the data
     misfits: Float[Array, " S"]  # |r_s|²
+    state: Any  # the model's there
+
+
+class _Run(NamedTuple):
+    """The best so far, and what is tried next."""
+
+    w: Float[Array, "nx ny"]
+    move: Float[Array, "nx ny"]
+    part: Float[Array, ""]  # of the move
+    cost: Float[Array, ""]  # with the prior's
+    state: Any  # what was evaluated there
+    steps: Int[Array, ""]
+    ended: Bool[Array, ""]
 
 
 def smooth_prior(
@@ -66,6 +85,11 @@ def _smoothed(prior: SmoothPrior, w: Array) -> Array:
     return matmul(matmul(prior.along, w), prior.across.T)
 
 
+def _unsmoothed(prior: SmoothPrior, y: Array) -> Array:
+    """The transpose of `_smoothed`."""
+    return matmul(matmul(prior.along.T, y), prior.across)
+
+
 def near_positive(prior: SmoothPrior, values: Float[Array, "nx ny"]) -> Array:
     """A w whose image is about `values`; what is below the level is at it."""
     raised = jnp.log(jnp.maximum(values, jnp.exp(prior.level))) - prior.level
@@ -79,7 +103,9 @@ def near_positive(prior: SmoothPrior, values: Float[Array, "nx ny"]) -> Array:
 
 
 def positive_least_squares(
-    model: Callable[[Array], tuple[Float[Array, "S W"], Callable[[], Array]]],
+    model: Callable[[Array], tuple[Float[Array, "S W"], Any]],
+    slopes: Callable[[Any], Callable[[Array], Float[Array, "S W"]]],
+    own: Float[Array, "nx ny"],
     prior: SmoothPrior,
     start: Float[Array, "nx ny"],
     tolerance: Array | float,
@@ -87,86 +113,114 @@ def positive_least_squares(
 ) -> PositiveFit:
     """min over w of Σ_s δ²·ln(1 + |r_s(g)|²/δ²) + |w|², by Gauss and Newton's steps.
 
-    Each step's normal equations are solved by conjugate gradients, so that nothing is
-    formed for the pixels but the slopes. Rows s that do not fit at all count little
-    (Cauchy's loss). **Arguments:** `model`: from g to residuals and to what gives their
-    slopes ∂r/∂g (S, W, nx·ny); `start` w; `tolerance` δ²; `most` steps.
+    Rows s that do not fit at all count little (Cauchy's loss). Where the model was
+    evaluated last, at g₀, residuals are taken for linear in
+    (g − g₀)(1 + g₀R)/(1 + gR): what one value changes that saturates by 1/R. Least
+    squares of that cost products with the slopes alone, and bring most of what
+    evaluations of the model would. **Arguments:** `model`: from g to residuals and to a
+    state; `slopes`: from that state to the linear map from changes of g to those of the
+    residuals; `own` R; `start` w; `tolerance` δ²; `most` evaluations of the model.
     """
 
-    def cost_of(rest: Array) -> Array:
-        return tolerance * jnp.log1p((rest**2).sum(1) / tolerance).sum()
+    def cost_of(rest: Array, w: Array) -> Array:
+        return tolerance * jnp.log1p((rest**2).sum(1) / tolerance).sum() + (w**2).sum()
 
-    def total(w: Array) -> Array:
-        rest, _ = model(positive_values(prior, w))
-        return cost_of(rest) + (w**2).sum()
+    def evaluated(w: Array) -> tuple[Array, tuple[Array, Any]]:
+        rest, state = model(positive_values(prior, w))
+        return cost_of(rest, w), (rest, state)
 
-    def step(carry: tuple) -> tuple:
-        w, _, _, k = carry
-        values = positive_values(prior, w)
-        rest, slopes = model(values)
-        cost = cost_of(rest) + (w**2).sum()
-        weight = lax.rsqrt(1 + (rest**2).sum(1) / tolerance)[:, None]
-        rows = (slopes() * weight[..., None]).reshape(-1, values.size)
-        move = _gauss_newton(prior, rows, values, (rest * weight).ravel(), w)
-        change = jnp.abs(_smoothed(prior, move)).max()
-        move = move * jnp.minimum(1, _LONGEST / jnp.maximum(change, _LONGEST / 100))
-        w, new = _shortened(total, w, move, cost)
-        return w, new, cost - new, k + 1
+    def move_from(w: Array, at: tuple[Array, Any]) -> Array:
+        rest, state = at
+        before, linear = positive_values(prior, w), slopes(state)
 
-    def going(carry: tuple) -> Array:
-        _, cost, gain, k = carry
-        return (k < most) & (gain > _ENOUGH * cost)
+        def nearly(w: Array) -> tuple[Array, Array]:
+            g = positive_values(prior, w)
+            change = (g - before) * (1 + before * own) / (1 + g * own)
+            left = rest + linear(change)
+            return cost_of(left, w), left
 
-    infinite = jnp.asarray(jnp.inf, start.dtype)
-    # The first gain counts whatever it is.
-    first = step((start, infinite, infinite, jnp.zeros((), int)))
-    w, *_ = lax.while_loop(going, step, (*first[:2], infinite, first[3]))
-    values = positive_values(prior, w)
-    rest, _ = model(values)
-    return PositiveFit(values, cost_of(rest), (rest**2).sum(1))
+        transposed = jax.linear_transpose(linear, before)
+        back = lambda r: transposed(r)[0]  # noqa: E731
+
+        def newton(w: Array, left: Array) -> Array:
+            g = positive_values(prior, w)
+            steep = g * ((1 + before * own) / (1 + g * own)) ** 2
+            weight = 1 / (1 + (left**2).sum(1) / tolerance)[:, None]
+
+            def normal(v: Array) -> Array:
+                changed = weight * linear(steep * _smoothed(prior, v))
+                return v + _unsmoothed(prior, steep * back(changed))
+
+            uphill = w + _unsmoothed(prior, steep * back(weight * left))
+            move = _conjugate(normal, -uphill)
+            change = jnp.abs(_smoothed(prior, move)).max()
+            return move * jnp.minimum(1, _LONGEST / jnp.maximum(change, _LONGEST / 100))
+
+        return _descended(nearly, newton, w, _WITHIN, _ENOUGH_WITHIN).w - w
+
+    run = _descended(evaluated, move_from, start, most, _ENOUGH)
+    (rest, state), values = run.state, positive_values(prior, run.w)
+    cost = run.cost - (run.w**2).sum()
+    return PositiveFit(values, cost, (rest**2).sum(1), state)
 
 
-def _gauss_newton(
-    prior: SmoothPrior, rows: Array, values: Array, rest: Array, w: Array
-) -> Array:
-    """−(AᵀA + I)⁻¹(Aᵀr + w), A the slopes of r by w."""
+def _descended(
+    evaluated: Callable[[Array], tuple[Array, Any]],
+    move_from: Callable[[Array, Any], Array],
+    start: Array,
+    most: int,
+    enough: float,
+) -> _Run:
+    """Moves while that lowers the cost by more than a part; halves what does not.
 
-    def along(v: Array) -> Array:
-        return matmul(rows, (values * _smoothed(prior, v)).ravel())
+    **Arguments:** `evaluated`: cost and state at w; `move_from` w and state; `most`
+    evaluations.
+    """
 
-    def back(r: Array) -> Array:
-        at = values * matmul(r, rows).reshape(values.shape)
-        return matmul(matmul(prior.along.T, at), prior.across)
+    def step(run: _Run) -> _Run:
+        w = run.w + run.part * run.move
+        cost, state = evaluated(w)
+        steps = run.steps + 1
+
+        def onward() -> _Run:
+            ended = run.cost - cost <= enough * cost
+            # What would not be tried is not worked out.
+            still = ~ended & (steps < most)
+            move = lax.cond(still, move_from, lambda w, _: w, w, state)
+            return _Run(w, move, one, cost, state, steps, ended)
+
+        def shorter() -> _Run:
+            short = run.part <= _SHORTEST
+            return run._replace(part=run.part / 2, steps=steps, ended=short)
+
+        return lax.cond(cost < run.cost, onward, shorter)
+
+    def going(run: _Run) -> Array:
+        return ~run.ended & (run.steps < most)
+
+    one = jnp.ones((), start.dtype)
+    cost, state = jax.eval_shape(evaluated, start)
+    nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), state)
+    highest = jnp.asarray(jnp.inf, cost.dtype)
+    zero, ended = jnp.zeros((), int), jnp.zeros((), bool)
+    first = _Run(start, jnp.zeros_like(start), one, highest, nothing, zero, ended)
+    return lax.while_loop(going, step, first)
+
+
+def _conjugate(
+    normal: Callable[[Array], Array], downhill: Float[Array, "nx ny"]
+) -> Float[Array, "nx ny"]:
+    """The solution of normal(x) = downhill, nearly: by conjugate gradients."""
+    tiny = jnp.finfo(downhill.dtype).tiny
 
     def inner(_: Array, state: tuple) -> tuple:
         move, left, direction, size = state
-        ahead = back(along(direction)) + direction
-        far = size / jnp.maximum(jnp.vdot(direction, ahead), jnp.finfo(size.dtype).tiny)
+        ahead = normal(direction)
+        far = size / jnp.maximum(jnp.vdot(direction, ahead), tiny)
         left = left - far * ahead
         new = jnp.vdot(left, left)
-        turned = left + new / jnp.maximum(size, jnp.finfo(size.dtype).tiny) * direction
+        turned = left + new / jnp.maximum(size, tiny) * direction
         return move + far * direction, left, turned, new
 
-    downhill = -(back(rest) + w)
-    start = (jnp.zeros_like(w), downhill, downhill, jnp.vdot(downhill, downhill))
+    start = jnp.zeros_like(downhill), downhill, downhill, jnp.vdot(downhill, downhill)
     return lax.fori_loop(0, _INNER, inner, start)[0]
-
-
-def _shortened(
-    total: Callable[[Array], Array], w: Array, move: Array, cost: Array
-) -> tuple[Array, Array]:
-    """The step, halved until it is one forward; none where it never is."""
-
-    def halve(state: tuple) -> tuple:
-        part, _, k = state
-        part = part / 2
-        return part, total(w + part * move), k + 1
-
-    def going(state: tuple) -> Array:
-        return ~(state[1] < cost) & (state[2] < _HALVED)
-
-    one = jnp.ones((), w.dtype)
-    first = one, total(w + move), jnp.zeros((), int)
-    part, new, _ = lax.while_loop(going, halve, first)
-    better = new < cost
-    return jnp.where(better, w + part * move, w), jnp.where(better, new, cost)

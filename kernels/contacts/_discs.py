@@ -8,6 +8,7 @@ off by what is left out.
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import Limits
@@ -24,6 +25,7 @@ from tomojax.kernels.contacts._points import (
     polarisability,
     Sheet,
     SIZE_WIDTH,
+    slope_of,
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
@@ -51,10 +53,17 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     current = currents_of(alone, frame.whitened)
     at_grounds = rows[:, :, frame.grounds]  # (C, 8, S)
 
-    def leaning(radius: Array, slope: Array) -> tuple[Array, Array]:
-        around = place, at_grounds[:, 0], slope, current
-        drop, pull = _surroundings(sheet, frame.grounds, *around, radius)
-        return _lean(sheet, radius, current, drop, pull), drop
+    steep = slope_of(sheet, place, radius)
+    among = jax.vmap(green_of(sheet, place, radius))(place)
+    within = _within(sheet, place, radius)
+
+    def leaning(moved: Array, slope: Array) -> tuple[Array, Array]:
+        # A rim's own potential falls with ln of its radius; outside it does not change.
+        near = among - within * (moved / radius - 1)
+        drop = drops(sheet, frame.grounds, near, at_grounds[:, 0].T, current)
+        towards = current.sum(1)[:, None, None] * slope.transpose(2, 0, 1)
+        pull = jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
+        return _lean(sheet, moved, current, drop, towards - pull), drop
 
     now = radius, at_grounds[:, 1:3]
     turned = jax.vmap(lambda *t: jax.jvp(leaning, now, t), out_axes=(None, 0))
@@ -81,7 +90,7 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
 
 
 def limits_of(sheet: Sheet) -> Limits:
-    """Of one disc: it is at most the largest that the table has. See `_LONGEST`."""
+    """A disc is at most the largest that the table has. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
     highest = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
     return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
@@ -146,19 +155,13 @@ def _priors(parameters: Float[Array, "C 5"]) -> tuple[Array, Array]:
     return values.ravel(), whole.reshape(values.size, -1)
 
 
-def _surroundings(
-    sheet, grounds, place, at_grounds, slope, current, radius
-) -> tuple[Float[Array, "S C"], Float[Array, "S C 2"]]:
-    """V0 − u at each contact, V, and −∇u of what is outside it, V/m.
-
-    `at_grounds` (C, S) and `slope` (C, 2, S) of what an ampere makes at the grounds.
-    """
-    green = green_of(sheet, place, radius)
-    among, steep = jax.vmap(lambda x: (green(x), jax.jacfwd(green)(x)))(place)
-    drop = drops(sheet, grounds, among, at_grounds.T, current)
-    towards = current.sum(1)[:, None, None] * slope.transpose(2, 0, 1)
-    pull = towards - jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
-    return drop, pull
+def _within(
+    sheet: Sheet, place: Float[Array, "C 2"], radius: Float[Array, " C"]
+) -> Float[Array, "C C"]:
+    """ρ/2π where a place lies within the rim of another disc, or its own; else 0."""
+    rim = radius * float(np.exp(-0.25))
+    square = ((place[:, None] - place) ** 2).sum(-1)
+    return jnp.where(square < rim**2, sheet.sheet_resistance / (2 * np.pi), 0)
 
 
 def _lean(

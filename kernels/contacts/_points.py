@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts._field import Field
-from tomojax.kernels.sheet import rectangle_green
+from tomojax.kernels.sheet import rectangle_green, rectangle_slope
 
 # ln of the width of what is known of a contact's size beforehand.
 SIZE_WIDTH = 0.5
@@ -93,6 +93,15 @@ def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
     rim = radius * float(np.exp(-0.25))
     rho, size = sheet.sheet_resistance, sheet.field.size
     return lambda x: rho * rectangle_green(x, place, rim, size)
+
+
+def slope_of(
+    sheet: Sheet, place: Float[Array, "C 2"], radius: Float[Array, " C"]
+) -> Float[Array, "C C 2"]:
+    """∇ at each place of what an ampere into each of the discs makes, Ω/m."""
+    rim = radius * float(np.exp(-0.25))
+    slope = rectangle_slope(place[:, None], place, rim, sheet.field.size)
+    return sheet.sheet_resistance * slope
 
 
 def drops(

@@ -7,6 +7,7 @@ images, of noise or of how contacts are found.
 from tomojax.kernels.sheet._fem import (
     fem_contact as fem_contact,
     fem_resistances as fem_resistances,
+    fem_shared_resistances as fem_shared_resistances,
     fem_sheet as fem_sheet,
     fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
@@ -25,6 +26,10 @@ from tomojax.kernels.sheet._rectangle import (
     rectangle_fields as rectangle_fields,
     rectangle_green as rectangle_green,
     rectangle_resistances as rectangle_resistances,
+    rectangle_slope as rectangle_slope,
+)
+from tomojax.kernels.sheet._rectangle_grid import (
+    rectangle_grid_fields as rectangle_grid_fields,
 )
 from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
@@ -32,9 +37,11 @@ from tomojax.kernels.sheet._reduction import (
     ground_voltages as ground_voltages,
     reduce_contact as reduce_contact,
     shared_ground_voltages as shared_ground_voltages,
+    voltage_change as voltage_change,
     voltage_drop as voltage_drop,
     voltage_sensitivity as voltage_sensitivity,
 )
+from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._slots import (
     contact_jacobian as contact_jacobian,
     loop_resistance as loop_resistance,

@@ -170,25 +170,33 @@ def fem_site_resistances(
     A site is a node, or electrode e as N + e: all that `fem_contact` can touch. With
     them `reduce_contact` gives what `fem_contact` does without another factorisation.
     """
-    _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
     n, m = fem.feeds.shape
-    dipoles = fem.dipoles.shape[1]
-    is_node = sites < n
-    load = jnp.where(is_node, 0, fem.feeds[:, jnp.clip(sites - n, 0)])
-    load = load.at[sites, jnp.arange(sites.size)].add(
-        is_node.astype(load.dtype), mode="drop"
-    )
-    everything = jnp.concatenate([fem.feeds, fem.dipoles, load], 1)
-    fields = pinned_solve(everything)
-    ports = _ports(fem, fields[:, : m + dipoles])
+    shares = jnp.zeros((n + m, sites.size), fem.sheet.dtype)
+    shares = shares.at[sites, jnp.arange(sites.size)].set(1, mode="drop")
+    return fem_shared_resistances(fem, shares, shape)
+
+
+def fem_shared_resistances(
+    fem: FemSheet, shares: Float[Array, "sites c"], shape: Shape
+) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
+    """The same of groups of sites: each of the c has its current in these shares.
+
+    Columns of `shares` sum to 1.
+    """
+    _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
+    n = len(fem.feeds)
+    on_metal = shares[n:]
+    load = shares[:n] + matmul(fem.feeds, on_metal)
+    own = fem.feeds.shape[1] + fem.dipoles.shape[1]
+    fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles, load], 1))
+    fields, loaded = fields[:, :own], fields[:, own:]
+    ports = _ports(fem, fields)
     shunt = ports.answer(ports.feed_dipole.T)
-    site_shunt = ports.answer(matmul(fem.dipoles.T, fields[:, m + dipoles :]))
-    same = jnp.arange(n, n + m, dtype=sites.dtype)[:, None] == sites
-    ec = matmul(fem.feeds.T, fields[:, m + dipoles :]) - matmul(shunt.T, site_shunt)
-    ec = ec + jnp.where(same, fem.series[:, None], 0)
-    own = jnp.where(is_node, 0, fem.series[jnp.clip(sites - n, 0)])
-    cc = matmul(load.T, fields[:, m + dipoles :]) - matmul(site_shunt.T, site_shunt)
-    cc = (cc + cc.T) / 2 + jnp.where(sites[:, None] == sites, own, 0)
+    load_shunt = ports.answer(matmul(fem.dipoles.T, loaded))
+    in_series = fem.series[:, None] * on_metal
+    ec = matmul(fem.feeds.T, loaded) - matmul(shunt.T, load_shunt) + in_series
+    cc = matmul(load.T, loaded) - matmul(load_shunt.T, load_shunt)
+    cc = (cc + cc.T) / 2 + matmul(on_metal.T, in_series)
     row, column, mean = ports.q.mean(0), ec.mean(0), ports.q.mean()
     return (
         ec - row[:, None] - column[None, :] + mean,

@@ -10,6 +10,7 @@ how j follows from v. No term of it cancels when the contact is weak or strong. 
 contact has sites k: nodes of a mesh, elements, or electrodes.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -154,11 +155,7 @@ def voltage_sensitivity(
     and the object at 0 V: X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with
     t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 it is T.
     """
-    g = _ground(contact, grounds, ground_resistance)
-    f = contact.shortfall
-    over = 1 / g.denominator[:, None]
-    share = (contact.conductance * g.q + f * g.f[:, None]) * over
-    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
+    share, lift = _answers(contact, grounds, ground_resistance)
     potential = (
         contact.field.T[None]
         - share[:, :, None] * contact.field.T[grounds][:, None]
@@ -166,6 +163,39 @@ def voltage_sensitivity(
     )
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
     return potential * drop[:, None, :]
+
+
+def _answers(
+    contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
+) -> tuple[Float[Array, "L M"], Float[Array, "L M"]]:
+    """What X_l and c are multiplied by in ψ_i^l: t_il, and the factor of c."""
+    g = _ground(contact, grounds, ground_resistance)
+    f, over = contact.shortfall, 1 / g.denominator[:, None]
+    share = (contact.conductance * g.q + f * g.f[:, None]) * over
+    return share, (f * g.total[:, None] - g.f[:, None] * g.q) * over
+
+
+def voltage_change(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Callable[[Float[Array, " sites"]], Float[Array, "L M"]]:
+    """dg ↦ Σ_k ∂V_i^l/∂g_k·dg_k, V: `voltage_sensitivity` without its L·M·sites numbers.
+
+    The slopes are products of L + M fields, so that one product of matrices of these
+    does: of L·(M + 1)·sites terms.
+    """
+    share, lift = _answers(contact, grounds, ground_resistance)
+    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
+    fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
+
+    def change(dg: Float[Array, " sites"]) -> Float[Array, "L M"]:
+        at = matmul(drop * dg, fields)
+        own = jnp.take_along_axis(at, grounds[:, None], 1)
+        return at[:, :-1] - share * own + lift * at[:, -1:]
+
+    return change
 
 
 def shared_ground_voltages(

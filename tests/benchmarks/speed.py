@@ -1,4 +1,4 @@
-"""Frames a second of `points` and `auto`, beside those of an older commit.
+"""Frames a second of `points`, `auto` and `conductance`, beside those of an older commit.
 
     git worktree add /tmp/older COMMIT
     python tests/benchmarks/speed.py --beside /tmp/older [--scenes 96] [--seed 7]
@@ -7,7 +7,7 @@ Scenes are a resistor network's (tests/rig.py; a new sheet for every eight), wit
 zeros; nominal values alone are told. Both commits get the same frames in the same batches,
 one after the other, each in a process of its own. The first call, with what it compiles,
 is a column of its own. Writes speed.json and speed.png; what --only leaves out stays in
-them. Half an hour.
+them. An hour.
 """
 
 import argparse
@@ -29,6 +29,8 @@ JOBS = {
     "points, two slots": ("points", (0, 63), 512),
     "points, 64 slots": ("points", tuple(range(64)), 128),
     "auto, two slots": ("auto", (0, 63), 1000),
+    "conductance, ten slots": ("conductance", (0, 63, 7, 56, 18, 21, 42, 45, 27, 36), 8),
+    "conductance, 64 slots": ("conductance", tuple(range(64)), 8),
 }
 # A day's frames: nothing, and kinds.
 MIX = {"nothing": 0.7, "one": 0.2, "two30": 0.03, "two20": 0.03, "three": 0.02}
@@ -127,9 +129,10 @@ def _judged(rows, true: np.ndarray | None) -> dict:
         error.append(1e3 * min(ways) if right else np.nan)
     error = np.array(error)
     told = error[np.isfinite(error)]
-    return {
-        "frames": len(error),
-        "count_right": float(np.isfinite(error).mean()),
+    counted = {"frames": len(error), "count_right": float(np.isfinite(error).mean())}
+    if not len(told):
+        return counted
+    return counted | {
         "median_mm": float(np.median(told)),
         "p90_mm": float(np.quantile(told, 0.9)),
         "max_mm": float(told.max()),

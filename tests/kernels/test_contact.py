@@ -13,16 +13,19 @@ from tomojax.kernels.sheet import (
     contact_jacobian,
     ContactReduction,
     fem_contact,
+    fem_shared_resistances,
     fem_site_resistances,
     ground_currents,
     ground_voltages,
     loop_resistance,
     reduce_contact,
+    reduce_sites,
     Resistances,
     shared_ground_voltages,
     shared_slot_map,
     site_conductance,
     slot_map,
+    voltage_change,
     voltage_drop,
     voltage_sensitivity,
 )
@@ -257,3 +260,34 @@ def test_element_on_the_grounded_electrode_is_finite(dtype) -> None:
     slope = jax.jacrev(j, (0, 1))(zero, zero)
     assert all(np.isfinite(s).all() for s in slope)
     assert np.isfinite(j(zero, jnp.asarray(4.0, dtype))).all()
+
+
+def all_sites(sensor: tx.Sensor) -> jax.Array:
+    """R between all nodes and electrodes."""
+    shares = jnp.eye(NODES + ELECTRODES)
+    shared = jax.jit(fem_shared_resistances, static_argnums=2)
+    return shared(on_mesh(sensor), shares, SHAPE)[1]
+
+
+@pytest.mark.parametrize("weakest", [1e-30, 1e-9])
+def test_few_strong_sites_of_many(sensor, weakest, rng) -> None:
+    """Exact where the rest carry nothing; else off by the square of it, fields by it."""
+    table = all_sites(sensor)
+    g = np.full(NODES + ELECTRODES, weakest)
+    g[rng.choice(len(g), 12, replace=False)] = 10 ** rng.uniform(-5, -1, 12)
+    got = jax.jit(reduce_sites, static_argnums=2)(table, jnp.asarray(g), ELECTRODES)
+    want = mesh_reduction(sensor, g)
+    drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
+    weak = (weakest * jnp.diagonal(table)).sum()
+    for of, off in ((ground_voltages, weak**2), (voltage_drop, weak)):
+        atol = 4.5 * max(float(off), 1e-9)
+        np.testing.assert_allclose(of(got, *drive), of(want, *drive), atol=atol, rtol=0)
+
+
+def test_change_of_voltages_is_that_of_the_sensitivity(sensor, rng) -> None:
+    contact = mesh_reduction(sensor, patchy(rng))
+    drive = jnp.array([0, 5]), sensor.ground_resistance, sensor.drive_voltage
+    dg = jnp.asarray(1e-6 * rng.standard_normal(NODES + ELECTRODES))
+    want = voltage_sensitivity(contact, *drive) @ dg
+    got = voltage_change(contact, *drive)(dg)
+    np.testing.assert_allclose(got, want, atol=1e-12 * np.abs(want).max(), rtol=1e-9)

@@ -16,7 +16,12 @@ from tomojax.kernels.contacts import (
     whitened_columns,
 )
 from tomojax.kernels.images import points_image
-from tomojax.kernels.sheet import rectangle_fields, rectangle_green
+from tomojax.kernels.sheet import (
+    rectangle_fields,
+    rectangle_green,
+    rectangle_grid_fields,
+    rectangle_slope,
+)
 from tomojax.sensor import make_field
 
 
@@ -183,3 +188,41 @@ def test_descent_ends_where_scipy_does():
                 lambda p, t=target: np.asarray(residuals(p, t)), [0.5, 0.2], bounds=bounds
             )
             np.testing.assert_allclose(found, want.x, atol=2e-2)
+
+
+def test_the_grid_is_the_same_along_both_sides(paper_sensor):
+    """A square turned by a quarter is itself, also where places nearly meet the grid's."""
+    xy = np.asarray(paper_sensor.electrode_xy, float)
+    near = rectangle_grid_fields(
+        xy.astype(np.float32).astype(float),
+        *[np.linspace(0, 0.16, 33)] * 2,
+        0.0025,
+        np.array([0.16, 0.16]),
+        1.0,
+    )[1]
+    size, radius = np.asarray(paper_sensor.size, float), 0.0025
+    axis = np.linspace(0, size[0], 33)
+    ee, ep = rectangle_grid_fields(xy, axis, axis, radius, size, 1.0)
+    turned = np.argsort(np.lexsort((xy[:, 0], xy[:, 1])))
+    np.testing.assert_allclose(ee[turned][:, turned], ee, atol=1e-8)
+    np.testing.assert_allclose(ep[turned].transpose(0, 2, 1), ep, atol=1e-8)
+    np.testing.assert_allclose(near, ep, atol=1e-6)
+    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
+    args = (jnp.asarray(a) for a in (xy, points, radius, size))
+    bare = rectangle_fields(*args, None)[1]
+    expected = rectangle_grid_fields(xy, axis, axis, radius, size)[1]
+    np.testing.assert_allclose(np.reshape(bare, expected.shape), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("dtype", "atol"), [(np.float64, 1e-11), (np.float32, 1e-3)])
+@pytest.mark.parametrize("size", [(0.16, 0.16), (0.16, 0.1), (0.1, 0.3)])
+def test_slope_of_green_is_its_derivative(rng, size, dtype, atol):
+    """Far from each other, within the rim, at one place, and on either longer side."""
+    size = jnp.asarray(size, dtype)
+    at = jnp.asarray(rng.random((40, 2)), dtype) * size
+    beside = at[:20] + jnp.asarray(rng.normal(0, 4e-3, (20, 2)), dtype)
+    other = jnp.concatenate([beside, at[20:21], at[:19]])
+    rim = jnp.asarray(5e-3, dtype)
+    expected = jax.vmap(jax.jacfwd(rectangle_green), (0, 0, None, None))
+    got = rectangle_slope(at, other, rim, size)
+    np.testing.assert_allclose(got, expected(at, other, rim, size), atol=atol)

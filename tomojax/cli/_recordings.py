@@ -50,13 +50,16 @@ _tdms_option = click.option(
 @click.argument("rec", type=_FILE)
 @click.option("-o", "--out", type=_FILE, help="Results file. [default: REC.results.h5]")
 @click.option(
-    "--rate", type=click.Choice(["scan", "slot"]), default="scan", show_default=True
+    "--rate",
+    type=click.Choice(["scan", "slot"]),
+    help="A row for each. [default: scan; slot with --method follow]",
 )
 @click.option(
     "--method",
     default="source",
     show_default=True,
-    help="auto, points, source, positive, conductance or linear.",
+    help="auto, points, source, positive, conductance or linear; or follow, which carries "
+    "contacts on from slot to slot.",
 )
 @click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
 @click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
@@ -85,6 +88,7 @@ _tdms_option = click.option(
 @click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
 @click.option("--picture", type=_REPORT, help="Draw the contacts over time here (PNG).")
 @click.option("--json", "json_path", type=_REPORT, help="Write the printed summary here.")
+@click.option("--verbose", is_flag=True, help="Print what was compiled, and for how long.")
 @click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
 @click.option("--processes", type=int, help="How many share it.")
 @click.option("--process", type=int, help="Which of them this is, from 0.")
@@ -97,14 +101,18 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     --coordinator and --processes; one that was killed is started again with --resume.
     """
     from tomojax._environment import environment
+    from tomojax.cli.compiled import compiling
     from tomojax.recordings import open_recording
     from tomojax.results import distributed, reconstruct_recording, report, Settings
 
     out = out or rec.with_name(rec.stem + ".results.h5")
-    given = (options[n] for n in ("coordinator", "processes", "process"))
+    given = [options[n] for n in ("coordinator", "processes", "process")]
+    follows = options["method"] == "follow"
+    if follows and any(value is not None for value in given):
+        raise ValueError("--coordinator: follow goes from slot to slot; use one process")
     share = distributed.join(*given, out=out, resume=options["resume"])
     images = options["images"]
-    rate = options["rate"]
+    rate = options["rate"] or ("slot" if follows else "scan")
     settings = Settings(
         method=options["method"],
         rate=rate,
@@ -125,6 +133,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         open_recording(rec, **options["tdms"]) as recording,
         _bar(share) as bar,
         interrupts() as interrupted,
+        compiling(bar.set_postfix_str) as compiled,
     ):
 
         def progress(done: int, total: int) -> None:
@@ -148,6 +157,8 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
             print(f"\ntomojax: stopped; --resume goes on with {out}", file=sys.stderr)
             raise SystemExit(130) from None
     distributed.leave(share, out)
+    if options["verbose"]:
+        print(compiled.table())
     if share[0] > 0:
         print(f"process {share[0]} of {share[1]}: done; process 0 names the file")
         return

@@ -1,20 +1,35 @@
-"""Keeps the programs that commands compile: JAX's cache, in the user's cache folder."""
+"""Keeps the programs that commands compile, in the user's cache folder; counts them."""
 
 import hashlib
 import os
 import platform
 import sys
-from contextlib import suppress
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
+from time import perf_counter
 
-# Bytes of all folders together; a method's programs take about 1 MB. JAX's own limit
-# (jax_compilation_cache_max_size) needs the package `filelock`, and reads the times of all
-# files again for each program that it writes.
-LIMIT = 256 << 20
+# Bytes of all folders together; the programs of `points` for one number of slots take 40
+# MB. JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
+# reads the times of all files again for each program that it writes.
+LIMIT = 512 << 20
 
 # The lines of /proc/cpuinfo that name the processor and its features, on x86 and ARM.
 _PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
+
+# What JAX reports of each program.
+_LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_FOUND = "/jax/compilation_cache/cache_retrieval_time_sec"
+
+# A program that takes this long to lower, s, is worth a word while it compiles.
+_LONG = 0.1
+
+# Programs with a line of their own in the table.
+_LINES = 12
 
 
 def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
@@ -39,6 +54,9 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
             return
         _drop_oldest(folder.parent, kind, limit)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        if kind == "compiled":
+            # See `tomojax._programs`. Tests change constants, which it cannot see.
+            os.environ["TOMOJAX_PROGRAMS"] = str(folder)
         # By default JAX leaves out what compiles in under a second: nearly all programs.
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         # XLA prints two false alarms for each program that it loads: jax#36294, and
@@ -90,3 +108,52 @@ def _drop_oldest(cache: Path, kind: str, limit: int) -> None:
         with suppress(OSError):
             path.unlink()
         size -= bytes_there
+
+
+@dataclass
+class Compiling:
+    """Counts programs and adds up seconds, by the name of the compiled function."""
+
+    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    programs: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    kept: int = 0  # programs that JAX's cache had
+    begun: float = field(default_factory=perf_counter)
+
+    def table(self) -> str:
+        """Writes the programs that took longest, and the sum of all."""
+        lines = [
+            f"{perf_counter() - self.begun:.1f} s in all; {sum(self.programs.values())} "
+            f"programs compiled in {sum(self.seconds.values()):.1f} s, {self.kept} of them "
+            f"kept from before"
+        ]
+        for name in sorted(self.seconds, key=self.seconds.__getitem__, reverse=True):
+            lines.append(f"{self.seconds[name]:8.2f} s {self.programs[name]:4d}  {name}")
+        return "\n".join(lines[: 1 + _LINES])
+
+
+@contextmanager
+def compiling(say: Callable[[str], None] = lambda text: None) -> Iterator[Compiling]:
+    """Counts what is compiled until the end; calls `say` before each long program."""
+    import jax
+
+    told = Compiling()
+
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        name = str(kwargs.get("fun_name", "?"))
+        name = name.removeprefix("jit(").removesuffix(")").strip("_")
+        if event == _FOUND:
+            told.kept += 1
+        elif event == _LOWERED:
+            told.seconds[name] += duration_secs
+            if duration_secs > _LONG:
+                say(f"compiling program {sum(told.programs.values()) + 1}: {name}")
+        elif event == _COMPILED:
+            told.seconds[name] += duration_secs
+            told.programs[name] += 1
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield told
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+        say("")

@@ -8,8 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer
 
+from tomojax._programs import kept
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
@@ -51,6 +52,7 @@ class Auto(AbstractMethod):
     tells_covariance: ClassVar[bool] = True
     tells_rung: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
+    films: ClassVar[bool] = True
     stands_out: ClassVar[float] = Points.stands_out
     padded: ClassVar[bool] = False
     cells_per_diameter: ClassVar[int] = Conductance.cells_per_diameter
@@ -123,9 +125,10 @@ class Auto(AbstractMethod):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
+        films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
-        found = self.points.block(prepared.errors, voltages, grounds, count, images)
+        found = self.points.block(prepared.errors, voltages, grounds, count, images, films)
         rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
@@ -163,7 +166,7 @@ class Auto(AbstractMethod):
         return estimate._replace(rung=jnp.asarray(Rung.CONDUCTANCE.value))
 
 
-@eqx.filter_jit
+@kept
 def _larger(
     method: Auto,
     prepared: PreparedAuto,

@@ -25,6 +25,9 @@ _LEAST = 16
 # A frame with no more than this part of its voltages places a contact badly.
 _FEW = 0.25
 
+# Films of a part: a call has as many frames, of which each film has a first.
+_FILMS = 128
+
 # Ground sets whose preparation is kept: 2 MB each for 64 slots.
 _KEPT = 128
 
@@ -34,7 +37,8 @@ class Batch:
 
     **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
     leaves them out; `threshold`: volts that no channel exceeds without a contact (the
-    method's own by default);
+    method's own by default); `film`: frames in a row that follow each other so closely
+    that all but the first may begin where that ends (1: none do), of a method that `films`;
     `devices` that share the frames (all of this process by default), by
     `jax.sharding` along the scan axis.
 
@@ -60,12 +64,15 @@ class Batch:
         images: bool = True,
         threshold: float | None = None,
         devices: list[Any] | None = None,
+        film: int = 1,
     ):
         threshold = float(method.threshold) if threshold is None else threshold
         check_limits(lam, contacts, threshold)
         self.method, self.lam = method, float(lam)
         self.contacts, self.images, self.threshold = int(contacts), images, threshold
         self.devices = jax.local_devices() if devices is None else devices
+        require(film >= 1, "film", film, "frames, 1 or more")
+        self.film = film if method.films else 1
         self._prepared: OrderedDict[bytes, Any] = OrderedDict()
         self._begun = False
 
@@ -119,7 +126,7 @@ class Batch:
 
         # The very first alone: what it compiles serves the others. Then as many as the
         # preparations that are kept, so that no more of them are ever held.
-        parts = [part for group in groups for part in _slices(group, self._most(group))]
+        parts = [part for group in groups for part in self._parts(group)]
         alone = parts[: 1 if len(parts) == 1 or not self._begun else 0]
         for part in alone:
             work((of_frame(int(part[0])), part))
@@ -128,6 +135,13 @@ class Batch:
             with ThreadPoolExecutor(_WORKERS) as pool:
                 list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
         return rows
+
+    def _parts(self, group: np.ndarray) -> list[np.ndarray]:
+        """A group in parts; a film stays whole."""
+        if self.film == 1:
+            return _slices(group, self._most(group))
+        which = group // self.film // _FILMS
+        return np.split(group, np.flatnonzero(np.diff(which)) + 1)
 
     def _most(self, group: np.ndarray) -> int:
         """Frames of a part; of what is not filled up each worker has its part."""
@@ -195,7 +209,9 @@ class Batch:
             self._shared(jnp.asarray(block)),
             np.resize(grounds[part], (size, grounds.shape[1])),
         )
-        found = self.method.block(prepared, shared, under, self.contacts, self.images)
+        films = part // self.film if self.film > 1 else None
+        given = prepared, shared, under, self.contacts, self.images
+        found = self.method.block(*given, films)
         for name, values in found._asdict().items():
             if values is None:
                 continue

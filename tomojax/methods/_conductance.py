@@ -8,8 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer
 
+from tomojax._programs import kept
 from tomojax.kernels.algebra import (
     gaussian,
     matmul,
@@ -24,17 +25,16 @@ from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import read_regions
 from tomojax.kernels.sheet import (
     ContactReduction,
-    fem_contact,
-    FemSheet,
     ground_voltages,
-    site_conductance,
+    reduce_sites,
+    voltage_change,
     voltage_drop,
-    voltage_sensitivity,
 )
 from tomojax.methods._contract import (
     AbstractMethod,
     Estimate,
     Frame,
+    judged,
     rms,
     rms_by_electrode,
 )
@@ -46,17 +46,21 @@ from tomojax.methods._errors import (
     whitened,
     without_offset,
 )
-from tomojax.methods._pixels import pixels_of
+from tomojax.methods._pixels import pixels_of, site_table
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
-from tomojax.sensor import Calibration, Sensor, sheet_on_mesh
+from tomojax.sensor import Calibration, Sensor
 
 # What is known of ln g beforehand: its mean below the start's highest and its standard
 # deviation; and the length over which it is alike, of the electrodes' pitch.
 _LEVEL, _WIDTH, _LENGTH = -6.0, 2.5, 0.2
 
-# V0 − u at a contact is no less than this part of V0, for a start; steps of the fit.
+# V0 − u at a contact is no less than this part of V0, for a start; evaluations of a fit.
 _DROP, _STEPS = 0.1, 25
+
+# A pixel's current saturates with its g by its own resistance, and by what its neighbours
+# that carry current as well add to that: so many times as much.
+_TOGETHER = 3.0
 
 # Contacts are read off an image blurred by as much, of the electrodes' pitch; from
 # this part of their peak on.
@@ -99,9 +103,10 @@ class Fitted(NamedTuple):
 class Conductance(AbstractMethod):
     """The likeliest g: ln g is smooth beforehand, as wide as decades. λ as for `points`.
 
-    The start is `source`'s image; each of Gauss and Newton's steps solves the loaded
-    sheet once, on a mesh that resolves the electrodes. Where an object is much better
-    than the sheet, only that it is so can be known: g there is a lower bound.
+    The start is `source`'s image. The sheet is solved once, on a mesh that resolves the
+    electrodes, for the resistances between pixels and electrodes; a frame needs factors
+    of the pixels in contact alone. Where an object is much better than the sheet, only
+    that it is so can be known: g there is a lower bound.
     """
 
     image_unit: ClassVar[str] = "S/m^2"  # pyright: ignore
@@ -112,9 +117,10 @@ class Conductance(AbstractMethod):
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
-    divisions: tuple[int, int] = eqx.field(static=True)
     source: Source
-    sheet: FemSheet
+    table: Float[Array, "sites sites"]  # Ω, between pixels and electrodes, those last
+    on_sheet: Float[Array, " pixels"]  # the part of a pixel's contact on no electrode
+    metal: Float[Array, "pixels M"]  # and the part on each
     errors: Errors
     sheet_resistance: Float[Array, ""]
     ground_resistance: Float[Array, "..."]
@@ -130,12 +136,14 @@ class Conductance(AbstractMethod):
         source = Source.of(sensor, shape)
         pixels = pixels_of(sensor, shape, cls.cells_per_diameter)
         fine = pixels.sensor
+        table, on_sheet, metal = site_table(fine, shape)
         return cls(
             shape,
             pixels.cell,
-            fine.divisions,
             source,
-            sheet_on_mesh(fine),
+            table,
+            on_sheet,
+            metal,
             Errors.of(sensor),
             jnp.exp(jnp.mean(jnp.log(fine.sheet_resistance))),
             fine.ground_resistance,
@@ -184,14 +192,11 @@ class Conductance(AbstractMethod):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
+        films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """As `estimate`, frame by frame: each ends after steps of its own."""
-        rows = []
-        for k in range(len(voltages)):
-            one = voltages[k : k + 1], grounds[k : k + 1]
-            row = super().block(prepared, *one, count, images)
-            rows.append(jax.tree.map(np.asarray, row))
-        return jax.tree.map(lambda *r: np.concatenate(r), *rows)
+        rows = [_row(self, prepared, v, count, images) for v in voltages]
+        return jax.tree.map(lambda *r: np.stack(r), *rows)
 
     def fitted(
         self, prepared: PreparedConductance, voltages: Float[Array, "S M"]
@@ -200,32 +205,32 @@ class Conductance(AbstractMethod):
         errors, z, v0 = prepared.errors, self.ground_resistance, self.drive_voltage
         frame = whitened(errors, voltages).frame
 
-        def model(values: Array) -> tuple[Array, Callable[[], Array]]:
-            contact = self._contact(values)
+        def model(values: Array) -> tuple[Array, ContactReduction]:
+            sites = self._sites(values)
+            contact = reduce_sites(self.table, sites, self.electrode_count)
             volts = ground_voltages(contact, frame.grounds, z, v0)
-            at_pixels = self._at_pixels(contact)
+            return whitened_columns(frame, volts - voltages), contact
 
-            def slopes() -> Float[Array, "S W pixels"]:
-                steep = voltage_sensitivity(at_pixels, frame.grounds, z, v0)
-                columns = whitened_columns(frame, jnp.moveaxis(steep, -1, 0))
-                return jnp.moveaxis(columns, 0, -1)
-
-            return whitened_columns(frame, volts - voltages), slopes
+        def slopes(contact: ContactReduction) -> Callable[[Array], Array]:
+            change = voltage_change(contact, frame.grounds, z, v0)
+            return lambda values: whitened_columns(frame, change(self._sites(values)))
 
         prior, start = self._start(prepared.source, voltages)
+        own = _TOGETHER * jnp.diagonal(self.table)[: start.size].reshape(self.shape)
         fit: PositiveFit = positive_least_squares(
-            model, prior, start, errors.tolerance, _STEPS
+            model, slopes, own, prior, start, errors.tolerance, _STEPS
         )
-        contact = self._contact(fit.values)
-        drop = voltage_drop(self._at_pixels(contact), frame.grounds, z, v0)
+        contact = fit.state
+        drop = voltage_drop(contact, frame.grounds, z, v0)
         slots = errors.used.any(1)
         n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
         mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+        (at_pixels,) = jax.linear_transpose(self._sites, fit.values)(mean)
         volts = ground_voltages(contact, frame.grounds, z, v0)
         misfit, used = without_offset(errors, volts - voltages)
         return Fitted(
             fit.values,
-            fit.values * mean.reshape(self.shape),
+            fit.values * at_pixels,
             fit.cost / n / errors.tolerance,
             seen(errors, frame, misfit_cost(fit.misfits, errors.tolerance)),
             rms(misfit, used),
@@ -275,28 +280,10 @@ class Conductance(AbstractMethod):
             contacts, image, fitted.residual, flags, by_electrode=fitted.by_electrode
         )
 
-    def _contact(self, values: Float[Array, "nx ny"]) -> ContactReduction:
-        sites = self._sites(values)
-        return fem_contact(self.sheet, sites, self.divisions)
-
     def _sites(self, values: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
-        """From pixels to the mesh's nodes and the electrodes' metal."""
-        mx, my = (m // n for m, n in zip(self.divisions, self.shape))
-        each = jnp.repeat(jnp.repeat(values / (2 * mx * my), mx, 0), my, 1)
-        elements = jnp.repeat(each.ravel(), 2)
-        return site_conductance(self.sheet, elements, self.divisions)
-
-    def _at_pixels(self, contact: ContactReduction) -> ContactReduction:
-        """Fields at pixels, as means over their sites: for slopes and currents.
-
-        A mean of products is taken for the product of means, which is the slopes' own
-        error, not the fit's.
-        """
-        flat = jax.ShapeDtypeStruct(self.shape, contact.gap.dtype)
-        back = jax.linear_transpose(self._sites, flat)
-        mean = lambda at_sites: back(at_sites)[0].ravel()  # noqa: E731
-        field = jax.vmap(mean, 1, 1)(contact.field)
-        return contact._replace(field=field, gap=mean(contact.gap))
+        """From pixels to their own sites and the electrodes' metal."""
+        flat = values.ravel()
+        return jnp.concatenate([flat * self.on_sheet, matmul(flat, self.metal)])
 
     def _start(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
@@ -311,3 +298,14 @@ class Conductance(AbstractMethod):
         length = _LENGTH * self.pitch / self.cell
         prior = smooth_prior(self.shape, length, _WIDTH, level)
         return prior, near_positive(prior, guess)
+
+
+@kept
+def _row(
+    method: Conductance,
+    prepared: PreparedConductance,
+    voltages: Float[Array, "S M"],
+    count: int,
+    images: bool,
+) -> Rows:
+    return judged(method, method.estimate(prepared, voltages, count), voltages, images)

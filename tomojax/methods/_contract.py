@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
+from tomojax._programs import kept
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
@@ -131,6 +132,8 @@ class AbstractMethod(eqx.Module):
     tells_rung: ClassVar[bool] = False
     # Whether a call may have frames of different grounds.
     any_grounds: ClassVar[bool] = False
+    # Whether frames of a film begin where its first ends.
+    films: ClassVar[bool] = False
     # What no channel exceeds without a contact, in the noise.
     stands_out: ClassVar[float] = 11.0
     # How fine a mesh is needed beside the electrodes.
@@ -198,15 +201,17 @@ class AbstractMethod(eqx.Module):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
+        films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """`estimate` of n frames, `judged`; a method may do it in several calls.
 
         The grounds are those prepared for, but where the method takes `any_grounds`.
+        `films`: the number of each frame's film, of a method that `films`.
         """
         return _block(self, prepared, voltages, count, images)
 
 
-@eqx.filter_jit
+@kept
 def _block(
     method: AbstractMethod,
     prepared: Any,

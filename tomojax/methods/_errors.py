@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -115,17 +116,27 @@ class Errors(eqx.Module):
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
         """What a step takes for the errors of one slot: of the waves the longest."""
         ready = self.prepare(np.array([0]), good[None], 1.0)
-        strength = np.asarray((ready.smooth**2).mean(1))
+        # In NumPy: each operation of JAX's would be a program to compile.
+        ready = jax.tree.map(np.asarray, ready)
+        strength = (ready.smooth**2).mean(1)
         longest = np.sort(np.argsort(-strength, kind="stable")[:_LONGEST])
         smooth = ready.smooth[longest]
-        shaped = jnp.array([_ROUND, _SLOPED, _SLOPED], ready.local.dtype)
+        dtype = ready.local.dtype
+        shaped = np.array([_ROUND, _SLOPED, _SLOPED], dtype)
         local = shaped[:, None, None] * ready.local
-        return Noise(ready.noise, _ROUND * ready.own, local, smooth, ready.offset)
+        own = np.asarray(_ROUND * ready.own, dtype)
+        found = Noise(ready.noise, jnp.asarray(own), local, smooth, ready.offset)
+        return jax.tree.map(jnp.asarray, found)
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
         """What neighbours' relative errors have in common, 1 σ of each wave."""
-        modes, strength = smooth_modes(places, self.size)
-        return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
+        return _smooth(places, self.size)
+
+
+@jax.jit  # as one program to compile
+def _smooth(places: Float[Array, "n 2"], size: Float[Array, "2"]) -> Float[Array, "q n"]:
+    modes, strength = smooth_modes(places, size)
+    return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)
 
 
 def noise_as(calibration: Calibration, nominal: Float[Array, ""]) -> Float[Array, ""]:

@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tomojax._programs import kept
 from tomojax._require import require
-from tomojax.sensor import Sensor
+from tomojax.kernels.sheet import fem_shared_resistances, site_conductance
+from tomojax.sensor import Sensor, sheet_on_mesh
 
 
 class Pixels(NamedTuple):
@@ -48,3 +50,35 @@ def pixel_divisions(
     finer = np.ceil(size / np.array(shape) / widest).astype(int)
     nx, ny = np.array(shape) * finer
     return int(nx), int(ny)
+
+
+@kept
+def site_table(
+    sensor: Sensor, shape: tuple[int, int]
+) -> tuple[Float[Array, "sites sites"], Float[Array, " pixels"], Float[Array, "pixels M"]]:
+    """Resistances between all pixels and electrodes, for `reduce_sites`.
+
+    A pixel's current is even over its nodes but for those on metal. **Returns:** the
+    resistances (Ω), electrodes last; the part of a pixel's contact that is on no
+    electrode; and the parts that are on each.
+    """
+    fem, (mx, my) = sheet_on_mesh(sensor), (m // n for m, n in zip(sensor.divisions, shape))
+
+    def spread(pixel: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
+        each = jnp.repeat(jnp.repeat(pixel / (2 * mx * my), mx, 0), my, 1)
+        return site_conductance(fem, jnp.repeat(each.ravel(), 2), sensor.divisions)
+
+    (n, m), pixels = fem.feeds.shape, shape[0] * shape[1]
+    unit = jnp.eye(pixels, dtype=sensor.dtype).reshape(pixels, *shape)
+    parts = jax.vmap(spread)(unit)
+    on_sheet = parts[:, :n].sum(1)
+    # A pixel all on metal has no current of its own: anything will do.
+    none = on_sheet < jnp.finfo(on_sheet.dtype).eps ** 0.5
+    own = jnp.where(
+        none[:, None], 1 / n, parts[:, :n] / jnp.where(none, 1, on_sheet)[:, None]
+    )
+    shares = jnp.zeros((pixels + m, n + m), sensor.dtype)
+    shares = shares.at[:pixels, :n].set(own)
+    shares = shares.at[pixels:, n:].set(jnp.eye(m, dtype=sensor.dtype))
+    _, table = fem_shared_resistances(fem, shares.T, sensor.divisions)
+    return table, jnp.where(none, 0, on_sheet), parts[:, n:]

@@ -120,7 +120,7 @@ def exploration(sensor: Sensor) -> Int[Array, "2"]:
     >>> print(tx.paper.exploration(sensor))
     [ 0 15]
     """
-    return _corners(sensor)[jnp.array([0, 3])]
+    return _corners(sensor)[::3]
 
 
 class AdaptiveScan(eqx.Module):
@@ -213,7 +213,11 @@ class AdaptiveScan(eqx.Module):
 
 
 def _corners(sensor: Sensor) -> Int[Array, "4"]:
-    xy = sensor.electrode_xy
+    return _corners_of(sensor.electrode_xy)
+
+
+@jax.jit  # as one program to compile
+def _corners_of(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
     low, high = xy.min(0), xy.max(0)
     mixed = [low, jnp.stack([low[0], high[1]]), jnp.stack([high[0], low[1]]), high]
     return nearest_electrodes(jnp.stack(mixed), xy)

@@ -108,9 +108,29 @@ class ResultsFile:
         """Whether that chunk is written by now."""
         return bool(self.done()[chunk])
 
+    @property
+    def _state(self) -> Path:
+        return self.partial.with_name(self.partial.name + ".state")
+
+    def keep(self, **arrays: Any) -> None:
+        """Puts arrays beside the rows, in place of those before: at once or not at all."""
+        new = self._state.with_name(self._state.name + ".new")
+        with open(new, "wb") as file:
+            np.savez(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(self._state)
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Reads what `keep` has put there last; nothing where it never did."""
+        if not self._state.exists():
+            return {}
+        with np.load(self._state) as arrays:
+            return dict(arrays)
+
     def discard(self) -> None:
         """Removes what an earlier run left."""
-        for path in (self._done, self.partial):
+        for path in (self._done, self.partial, self._state):
             path.unlink(missing_ok=True)
 
     def finish(self) -> None:
@@ -118,6 +138,7 @@ class ResultsFile:
         with contextlib.suppress(FileNotFoundError):  # another process was first
             self.partial.replace(self.out)
             self._done.unlink()
+        self._state.unlink(missing_ok=True)
 
     def writer(self) -> "RowWriter":
         """Writes into OUT.partial."""

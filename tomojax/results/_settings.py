@@ -2,12 +2,22 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tomojax._require import require
-from tomojax.methods import check_limits
+from tomojax.methods import check_limits, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, Recording
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
+
+# A film's contacts move by this part of a pitch at most, at the speed of a fast hand (m/s):
+# half of what a candidate is off. More rows than the last save little: its first is
+# searched.
+_MOVED, _SPEED, _LONGEST = 0.2, 1.0, 16
+
+# Films' programs take seconds to compile, which as many rows are worth.
+_WORTH = 20_000
 
 
 @dataclass(frozen=True)
@@ -19,7 +29,9 @@ class Settings:
     off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
     memory; `threshold` None is the method's own. `calibration`: a file of
     `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are;
-    `policy`: a file of `save_policy`, whose slots alone are used, with its λ.
+    `policy`: a file of `save_policy`, whose slots alone are used, with its λ; `films`:
+    whether a row may begin at the contacts of one shortly before (None: where rows follow
+    each other closely enough, in a recording long enough to be worth it).
 
     **Example:**
 
@@ -30,8 +42,8 @@ class Settings:
     """
 
     method: str = "source"
-    rate: Rate = "scan"
-    images: bool = True
+    rate: Rate = None  # pyright: ignore
+    images: bool = None  # pyright: ignore
     lam: float | None = None
     grid: int | None = None
     contacts: int = 4
@@ -40,6 +52,14 @@ class Settings:
     calibration: str | None = None
     tare: bool = True
     policy: str | None = None
+    films: bool | None = None
+
+    def __post_init__(self):
+        follows = self.method == "follow"
+        if self.rate is None:
+            object.__setattr__(self, "rate", "slot" if follows else "scan")
+        if self.images is None:
+            object.__setattr__(self, "images", not follows)
 
     @property
     def pixels(self) -> int:
@@ -50,6 +70,13 @@ class Settings:
         """**Raises:** `ValueError` naming the setting."""
         rates = ("slot", "scan")
         require(self.rate in rates, "rate", repr(self.rate), "'slot' or 'scan'")
+        if self.method == "follow":
+            slots = "'slot': follow goes from slot to slot"
+            require(self.rate == "slot", "rate", repr(self.rate), slots)
+            require(not self.images, "images", self.images, "none with follow")
+            for name in ("lam", "threshold", "policy"):
+                given = getattr(self, name)
+                require(given is None, name, given, "none with follow")
         require(
             self.chunk is None or self.chunk > 0, "chunk", self.chunk, "scans, 1 or more"
         )
@@ -59,8 +86,26 @@ class Settings:
         check_limits(lam, self.contacts, self.threshold or 0.0)
 
 
+def film_rows(recording: Recording, settings: Settings) -> int:
+    """Rows of a film: see `Batch`; 1 where each is worked on by itself."""
+    per_scan = recording.slots if settings.rate == "slot" else 1
+    long = recording.scans * per_scan >= _WORTH
+    asked = long if settings.films is None else settings.films
+    able = getattr(METHODS.get(settings.method), "films", False)
+    if not (asked and able) or settings.policy:
+        return 1
+    pitch = np.sqrt(np.prod(recording.rig.size) / recording.electrodes)
+    seconds = _MOVED * pitch / _SPEED
+    return int(np.clip(seconds * per_scan / recording.interval, 1, _LONGEST))
+
+
 def chunk_scans(recording: Recording, settings: Settings) -> int:
-    """Scans of a chunk."""
+    """Scans of a chunk: whole films, so that no row depends on how many there are."""
+    film = film_rows(recording, settings)
+    return -(-_asked_or_fitting(recording, settings) // film) * film
+
+
+def _asked_or_fitting(recording: Recording, settings: Settings) -> int:
     if settings.chunk:
         return settings.chunk
     slots = recording.slots

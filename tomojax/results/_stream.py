@@ -1,7 +1,8 @@
 """A recording of any length to a results file: read ahead, compute, write behind.
 
 Chunks are judged, solved and written one by one; none depends on another, so that what a
-run leaves undone any later run, or another process, does with the same bytes.
+run leaves undone any later run, or another process, does with the same bytes. `follow`
+alone goes through them in order, see `_following`.
 """
 
 import json
@@ -22,7 +23,7 @@ from tomojax.calibration import force, tare
 from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
 from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
 from tomojax.results._chosen import Chosen
-from tomojax.results._settings import chunk_scans, Settings
+from tomojax.results._settings import chunk_scans, film_rows, Settings
 from tomojax.sensor import Calibration
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
@@ -86,11 +87,13 @@ def reconstruct_recording(
     ...     print(results["contact_xy"].shape, results["image"].shape)
     (1, 2, 2) (1, 16, 16)
     """
-    from tomojax.results import _file
+    from tomojax.results import _file, _following
 
     settings, out = settings or Settings(), Path(out)
     settings.check()
-    alone = share == (0, 1)
+    alone, follows = share == (0, 1), settings.method == "follow"
+    if follows:
+        _following.require_alone(share)
     _file.check_output(out, resume or share[0] > 0, overwrite)
     size = chunk_scans(recording, settings)
     file = _file.ResultsFile(out, -(-recording.scans // size))
@@ -101,9 +104,11 @@ def reconstruct_recording(
             file.discard()  # the marks of a run that was killed as it ended
         return out
     calibration = calibration_of(recording, settings)
-    model = make_method(
-        recording.rig.sensor(), settings.method, settings.pixels, calibration
-    )
+    if follows:
+        model: Any = _following.Following(recording, settings, calibration, size)
+    else:
+        sensor = recording.rig.sensor()
+        model = make_method(sensor, settings.method, settings.pixels, calibration)
     given = settings.policy
     chosen = None
     if given:
@@ -113,24 +118,35 @@ def reconstruct_recording(
     begun = file.partial.exists() and not (overwrite and share[0] == 0)
     if not begun:
         file.discard()
-        if settings.lam is None and chosen is not None and chosen.median:
+        if follows:
+            lam = model.scale()
+        elif settings.lam is None and chosen is not None and chosen.median:
             lam = chosen.median * model.scale()
         else:
             lam = choose_lambda(recording, model, settings, calibration)
         _create(file, recording, settings, calibration, model, lam, config)
     attributes = _file.attributes(file.partial)
     _require_same(config, attributes, file.partial)
+    if follows:
+        model.resume(file.kept())
+        with closing(file.writer()) as writer:
+            work = partial(_work, recording, settings, calibration, model, file, writer)
+            work(np.arange(model.start, file.chunks), progress)
+        file.finish()
+        return out
     batch = Batch(
         model,
         float(attributes["lam"]),
         settings.contacts,
         settings.images,
         settings.threshold,
+        film=film_rows(recording, settings),
     )
     with closing(file.writer()) as writer:
         left = np.flatnonzero(~file.done())
         mine = left % share[1] == share[0]
-        work = partial(_work, recording, settings, calibration, chosen, batch, file, writer)
+        solve = partial(_solved, settings, calibration, chosen, batch)
+        work = partial(_work, recording, settings, calibration, solve, file, writer)
         work(left[mine], progress)
         if not alone:
             # What another process has not done comes last, from its end: done twice it is
@@ -216,10 +232,11 @@ def _wait_for(path: Path, seconds: float = 600.0) -> None:
         sleep(0.1)
 
 
-def _work(
-    recording, settings, calibration, chosen, batch, file, writer, todo, progress
-) -> None:
-    """Chunks `todo`: one is read and one written while one is computed."""
+def _work(recording, settings, calibration, solve, file, writer, todo, progress) -> None:
+    """Chunks `todo`: one is read and one written while one is computed.
+
+    `solve` gives a chunk's rows, and what is to be kept beside them once they are marked.
+    """
     size = chunk_scans(recording, settings)
     per_scan = recording.slots if settings.rate == "slot" else 1
 
@@ -229,17 +246,23 @@ def _work(
             recording, start, min(start + size, recording.scans), settings.rate
         )
 
-    marked = monotonic()
+    marked, kept = monotonic(), None
 
-    def write(chunk: int, t: np.ndarray, rows: Rows) -> None:
-        nonlocal marked
+    def mark() -> None:
+        writer.mark()
+        if kept is not None:
+            file.keep(**kept)
+
+    def write(chunk: int, t: np.ndarray, rows: Rows, state: Any) -> None:
+        nonlocal marked, kept
         more = {}
         if calibration.pressure is not None:
             g, radius = rows.contact_conductance, rows.contact_radius
             more["contact_force"] = force(calibration, g, radius)
         writer.write(chunk, chunk * size * per_scan, t, rows, **more)
+        kept = state
         if monotonic() - marked > _MARK_SECONDS:
-            writer.mark()
+            mark()
             marked = monotonic()
 
     done = int(file.done().sum())
@@ -248,26 +271,29 @@ def _work(
     with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as behind:
         try:
             for chunk, frames in _read_ahead(reader, read, [int(c) for c in todo]):
-                if file.finished(chunk):
+                # What is marked may be done again where the state is of earlier.
+                if file.finished(chunk) and settings.method != "follow":
                     continue
-                rows = _solved(settings, calibration, chosen, batch, frames)
+                rows, state = solve(chunk, frames)
                 if writing:
                     writing.result()
-                writing = behind.submit(write, chunk, frames.t, rows)
-                done += 1
+                writing = behind.submit(write, chunk, frames.t, rows, state)
+                done = min(done + 1, file.chunks)
                 progress(done, file.chunks)
         finally:  # also when interrupted: what is computed is kept
             if writing:
                 writing.result()
-            writer.mark()
+            mark()
 
 
-def _solved(settings, calibration, chosen, batch: Batch, frames: Chunk) -> Rows:
+def _solved(
+    settings, calibration, chosen, batch: Batch, chunk: int, frames: Chunk
+) -> tuple[Rows, None]:
     """Rows of a chunk; from the slots alone that a table has chosen, where there is one."""
     _, voltages, grounds, good, flags = frames
     volts = calibration.voltages(voltages)
     if chosen is None:
-        return batch(volts, grounds, good, flags)
+        return batch(volts, grounds, good, flags), None
     parts, lams = chosen(frames, volts)
     rows = batch.empty(len(volts))
     for part in parts:
@@ -278,7 +304,7 @@ def _solved(settings, calibration, chosen, batch: Batch, frames: Chunk) -> Rows:
             else None
         )
         rows.put(part.frames, batch(*some, each))
-    return rows
+    return rows, None
 
 
 def _read_ahead(reader, read, todo) -> Iterator[tuple[int, Any]]:

@@ -2,15 +2,14 @@
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy import fft, special
 
 from tomojax._require import require
 from tomojax.kernels.contacts import Field
-from tomojax.kernels.sheet import rectangle_fields
+from tomojax.kernels.sheet import rectangle_grid_fields
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
@@ -26,8 +25,8 @@ _MOST = 640
 # Cells of the mesh for what a sheet's variation adds, of a diameter.
 _MESH = 4
 
-# Points whose potentials are computed at once; electrodes whose averages are.
-_BLOCK, _TOGETHER = 2048, 16
+# Electrodes whose averages are computed at once.
+_TOGETHER = 16
 
 
 def make_field(sensor: Sensor) -> Field:
@@ -41,11 +40,12 @@ def make_field(sensor: Sensor) -> Field:
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
     sensor, even, cells, every = _parts(sensor)
-    axes = [np.linspace(0, s, n + 1) for s, n in zip(np.asarray(sensor.size, float), cells)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    size, radius = np.asarray(sensor.size, float), float(sensor.electrode_diameter) / 2
+    x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
+    places = np.asarray(sensor.electrode_xy, float)
+    shunt = float(np.asarray(even.electrode_shunt))
     rho = float(even.sheet_resistance)
-    ee, ep = (rho * r for r in _potentials(even, points))
-    rows = ep.reshape(-1, *(cells + 1))
+    ee, rows = (rho * r for r in rectangle_grid_fields(places, x, y, radius, size, shunt))
     if sensor.sheet_resistance.ndim:
         more_ee, more = _variation(sensor, even, cells)
         ee, rows = ee + more_ee, rows + more
@@ -117,26 +117,6 @@ def _variation(
     padded[:, : mesh[0], : mesh[1]] = waves
     padded = padded[:, : cells[0] + 1, : cells[1] + 1]
     return ee, np.asarray(fft.dctn(padded, 1, axes=(1, 2)))
-
-
-def _potentials(sensor: Sensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    dtype, ee = sensor.dtype, np.zeros(0)
-    padded = np.resize(points, (-(-len(points) // _BLOCK) * _BLOCK, 2))
-    parts = []
-    for start in range(0, len(padded), _BLOCK):
-        part = jnp.asarray(padded[start : start + _BLOCK], dtype)
-        ee, ep = _rectangle(sensor, part)
-        parts.append(np.asarray(ep, float))
-    return np.asarray(ee, float), np.concatenate(parts, 1)[:, : len(points)]
-
-
-@eqx.filter_jit
-def _rectangle(sensor: Sensor, points: Float[Array, "P 2"]) -> tuple[Array, Array]:
-    radius = sensor.electrode_diameter / 2
-    ee, ep, _ = rectangle_fields(
-        sensor.electrode_xy, points, radius, sensor.size, sensor.electrode_shunt
-    )
-    return ee, ep
 
 
 def disc_average(

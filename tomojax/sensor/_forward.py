@@ -18,6 +18,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._programs import kept
 from tomojax.kernels.sheet import (
     contact_jacobian,
     element_area,
@@ -74,7 +75,7 @@ def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
     return compiled_resistances(sensor, route)
 
 
-@eqx.filter_jit
+@kept
 def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
     if route == "series":
         return rectangle_resistances(

@@ -5,6 +5,7 @@ rig that a slot comes from.
 """
 
 from tomojax.step._make import make_step as make_step
+from tomojax.step._packing import Packed as Packed
 from tomojax.step._policies import (
     ADAPTIVE as ADAPTIVE,
     Lookup as Lookup,
@@ -20,6 +21,7 @@ __all__ = [
     "Lookup",
     "make_step",
     "Output",
+    "Packed",
     "POLICIES",
     "save_policy",
     "Step",

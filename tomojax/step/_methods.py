@@ -17,6 +17,7 @@ from tomojax.kernels.contacts import (
     Noise,
     nothing_followed,
     radius_of,
+    Sheet,
     tangents,
 )
 from tomojax.kernels.flags import Flag
@@ -102,11 +103,7 @@ class Follow(AbstractStepMethod):
         f_switch: float = 10e3,
     ) -> "Follow":
         """Up to `count` contacts, from the channels that are `good`, at so many slots/s."""
-        every = jax.vmap(tangents, (None, 0, None))
-        none = jnp.zeros((), points.cell.dtype)
-        tangent = jax.jit(every)(points.sheet, points.candidates, none)
-        potential = tangent[:, 0]
-        candidates = Candidates(points.candidates, potential, potential**2, tangent)
+        candidates = _candidates(points.sheet, points.candidates)
         errors, dtype = points.errors.in_slot(good), points.cell.dtype
         slot_time = jnp.asarray(1 / f_switch, dtype)
         return cls(count, points, candidates, errors, slot_time)
@@ -176,6 +173,15 @@ class Follow(AbstractStepMethod):
             self.points.cell,
             self.points.shape,
         )
+
+
+@jax.jit
+def _candidates(sheet: Sheet, places: Float[Array, "K 2"]) -> Candidates:
+    """Usual contacts at these places."""
+    none = jnp.zeros((), places.dtype)
+    tangent = jax.vmap(tangents, (None, 0, None))(sheet, places, none)
+    potential = tangent[:, 0]
+    return Candidates(places, potential, potential**2, tangent)
 
 
 class EachSlot(AbstractStepMethod):

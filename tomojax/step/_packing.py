@@ -9,7 +9,16 @@ from jaxtyping import Array, Float, Int
 
 
 class Packed(NamedTuple):
-    """A pytree's numbers: two arrays, to be saved and restored as such."""
+    """A pytree's numbers: two arrays, to be saved and restored as such.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> step = tx.make_step(sensor, "source", ["boundary"], contacts=1, grid=8)
+    >>> isinstance(step.state, tx.step.Packed), step.state.numbers.ndim
+    (True, 1)
+    """
 
     numbers: Float[Array, "*batch n"]
     whole: Int[Array, "*batch k"]  # int32; also truths

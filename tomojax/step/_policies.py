@@ -9,6 +9,7 @@ from typing import Any, cast, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._require import require
@@ -186,17 +187,18 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
     """*Around* a small contact anywhere: its grounds by place."""
     grid = cell_centres((_PLACES, _PLACES))
-    places = jnp.asarray(grid, sensor.dtype) * sensor.size
-    xy = sensor.electrode_xy
-    zero = jnp.zeros((), int)
-    direction = jnp.zeros((), sensor.dtype)
+    places = jnp.asarray(grid * np.asarray(sensor.size), sensor.dtype)
 
-    def one(place: Array) -> Array:
+    def one(place: Array, xy: Array) -> Array:
+        zero, direction = jnp.zeros((), int), jnp.zeros((), place.dtype)
         inside = jnp.zeros(len(xy), bool)
         region = Region(zero, inside, place, place, direction, zero, zero)
         return around(region, xy)
 
-    return jax.jit(jax.vmap(one))(places).reshape(_PLACES, _PLACES, -1)
+    def every(places: Array, xy: Array) -> Array:
+        return jax.vmap(one, (0, None))(places, xy).reshape(_PLACES, _PLACES, -1)
+
+    return jax.jit(every)(places, sensor.electrode_xy)
 
 
 def _information(follow: Any) -> Float[Array, "K M 3"]:

@@ -16,9 +16,13 @@ from tomojax.methods import judge
 from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, Told
+from tomojax.step._one_function import one_function
 from tomojax.step._packing import Packed, Packing
 from tomojax.step._policies import AbstractPolicy, Plan, Seen
 from tomojax.step._state import Doubt, Output, Read, Remembered, Slot
+
+# Slots of a compiled call of `replay`: a tenth of a second of work, 1 MB.
+_BLOCK = 4096
 
 
 class Step:
@@ -64,14 +68,12 @@ class Step:
         zero, gain = calibration.offset, calibration.gain
         self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
         self.traces = 0
-        begun = self._begun()
-        self._packing = Packing(begun, self.dtype)
-        said = jax.eval_shape(self._run, begun, begun.last)[1]
-        self._said = Packing(said, self.dtype)
-        self.contact_count = len(said.contacts.radius)
-        self.state = jax.jit(self._packing.pack)(begun)
+        self._packing = Packing(jax.eval_shape(self._begun), self.dtype)
+        # One program for all of it: each operation by itself would be one to compile.
+        self.state = jax.jit(lambda: self._packing.pack(self._begun()))()
+        self._each = one_function(self._packed)
         slot = self._slot(np.zeros(self.electrode_count), 0, 0, False)
-        self._compiled = jax.jit(self._counted).lower(self.state, *slot).compile()
+        self._compiled = jax.jit(self._each).lower(self.state, *slot).compile()
         self._image = jax.jit(self._drawn)
         self._replay = jax.jit(self._replayed)
 
@@ -100,8 +102,16 @@ class Step:
         gone = np.zeros(len(v), np.int32) if lost is None else np.asarray(lost, np.int32)
         require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
         whole = np.stack([g.astype(np.int32), gone, np.zeros_like(gone)], 1)
-        state, said = self._replay(state, v, whole)
-        return state, self._output(said)
+        # Blocks of one size, the last filled up: one program serves any number of slots.
+        parts = []
+        for start in range(0, max(1, len(v)), _BLOCK):
+            some = v[start : start + _BLOCK], whole[start : start + _BLOCK]
+            count = len(some[0])
+            some = [np.resize(a, (_BLOCK, *a.shape[1:])) for a in some]
+            state, said = self._replay(state, *some, np.int32(count))
+            parts.append([np.asarray(a)[:count] for a in said])
+        numbers, whole = map(np.concatenate, zip(*parts))
+        return state, self._output(Packed(numbers, whole))  # pyright: ignore
 
     def image(self, state: Packed) -> Float[Array, "nx ny"]:
         """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
@@ -138,29 +148,26 @@ class Step:
         last = Slot(volts, none, none, jnp.array(False))
         return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
 
-    def _counted(self, state: Packed, volts: Array, whole: Array) -> tuple:
-        """`_packed` as one turn of a loop.
-
-        A loop that XLA takes for a small one becomes a single function; else each of some
-        hundred operations is a task of its own, of a third of a microsecond at least.
-        """
-        self.traces += 1
-        shapes = jax.eval_shape(self._packed, state, volts, whole)
-        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
-
-        def turn(carry: tuple) -> tuple:
-            return jnp.array(False), self._packed(state, volts, whole)
-
-        once = whole[0] == whole[0]  # not known before
-        return lax.while_loop(lambda carry: carry[0], turn, (once, nothing))[1]
-
     def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
+        """One slot; while it is traced it notes how what it says is packed."""
+        self.traces += 1
         slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
         remembered, said = self._run(self._packing.unpack(state), slot)
+        self._said = Packing(said, self.dtype)
+        self.contact_count = len(said.contacts.radius)
         return self._packing.pack(remembered), self._said.pack(said)
 
-    def _replayed(self, state: Packed, volts: Array, whole: Array) -> tuple:
-        return lax.scan(lambda s, slot: self._packed(s, *slot), state, (volts, whole))
+    def _replayed(self, state: Packed, volts: Array, whole: Array, count: Array) -> tuple:
+        """The first `count` of the slots; what is said of the others is 0."""
+        said = jax.eval_shape(self._each, state, volts[0], whole[0])[1]
+        said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), said)
+
+        def turn(k: Array, carry: tuple) -> tuple:
+            state, said = carry
+            state, new = self._each(state, volts[k], whole[k])
+            return state, jax.tree.map(lambda a, b: a.at[k].set(b), said, new)
+
+        return lax.fori_loop(0, count, turn, (state, said))
 
     def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
         read = self._checked(slot)

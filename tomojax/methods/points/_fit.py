@@ -35,7 +35,7 @@ LEFT, _UNUSUAL = 0.37, 4.0
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 3, 20
 
-# Where a few of many slots are searched with, this many steps with all slots follow. Slots
+# A few of many slots are searched with; then this many steps with all slots follow. Slots
 # share errors, and more steps would fit those. A few slots hardly tell a curve.
 _LAST, _LAST_LONG = 3, 10
 

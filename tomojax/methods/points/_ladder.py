@@ -41,7 +41,7 @@ _STARTS, _FIRST, _PAIRS = 3, 5, 2
 
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
-_GAIN = 8.0
+GAIN = 8.0
 
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.6
@@ -70,10 +70,16 @@ class Ladder(NamedTuple):
 
 def _due(ladder: Ladder, size: int) -> Any:
     """Whether `size` discs are worth a try: the next step, with that much to gain."""
-    enough = _PROMISE * _GAIN * (size - 1)
     # A promise that is no number is no reason not to try.
-    promised = ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
-    return promised & ~(_shaped(ladder.best) & _explains(ladder.best))
+    worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
+    # As many discs that leave what is usual are no better than a curve that leaves this.
+    best, more = ladder.best, GAIN * (_extra(size) - 1)
+    return worth & ~(_shaped(best) & (best.cost < best.usual + more))
+
+
+def _enough_for(size: int) -> float:
+    """The promise for which `size` discs are worth a try."""
+    return _PROMISE * GAIN * (size - 1)
 
 
 def _asked(ladder: Ladder) -> Any:
@@ -83,7 +89,7 @@ def _asked(ladder: Ladder) -> Any:
 
 def _explains(found: Found) -> Any:
     """Whether less is left beyond what is usual than a larger model has to gain."""
-    return found.cost < found.usual + _GAIN
+    return found.cost < found.usual + GAIN
 
 
 def _shaped(found: Found) -> Any:
@@ -96,7 +102,7 @@ def first(scene: Fitting) -> Ladder:
     scores = explained(_alone(scene, at), at.own)
     best = best_places(scores, candidates, _spacing(candidates), _STARTS)
     found, ended = best_fit(scene, DISCS, starts_at(scene, candidates[best][:, None]))
-    found = _seen(scene, found)
+    found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
     pair = jnp.stack([found.place[0], rival])
     return Ladder(found, found, found, promise, rival, pair, jnp.array(False))
@@ -112,7 +118,7 @@ def _spacing(candidates: Float[Array, "K 2"]) -> Float[Array, ""]:
     return 1.5 * (candidates[1, 1] - candidates[0, 1])
 
 
-def _seen(scene: Fitting, found: Found) -> Found:
+def seen_at_all(scene: Fitting, found: Found) -> Found:
     """No contact where none is the better explanation: noise and channels' zeros."""
     used = scene.prepared.used
     towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
@@ -152,7 +158,7 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     best, one = ladder.best, ladder.one
     for fit in (_bar, _ring):
         # With less it is not chosen.
-        less = _GAIN + jnp.maximum(0, one.cost - _score(best))
+        less = GAIN + jnp.maximum(0, one.cost - _score(best))
         alone = fit(scene, ladder, _asked_of(scene, one, less))
         # What leaves more than errors is no shape: a curve fits a little of anything.
         gained = _gains(scene, one, alone, 2) & ~alone.high
@@ -195,8 +201,13 @@ def _promise(
 
 def _score(found: Found) -> Array:
     """Cost, with what `_gains` asks of each contact beyond the first, and of a shape."""
-    extra = jnp.where(_shaped(found), 1, found.count * (found.count - 1) // 2)
-    return found.cost + _GAIN * extra.astype(found.cost.dtype)
+    extra = jnp.where(_shaped(found), 1, jnp.asarray(_extra(found.count)))
+    return found.cost + GAIN * extra.astype(found.cost.dtype)
+
+
+def _extra(count: Any) -> Any:
+    """How often `_gains` asks for a gain, from one disc to `count`."""
+    return count * (count - 1) // 2
 
 
 def _more_discs(
@@ -214,7 +225,7 @@ def _more_discs(
         pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
-    return best_fit(scene, DISCS, starts, _asked_of(scene, discs, _GAIN * (size - 1)))
+    return best_fit(scene, DISCS, starts, _asked_of(scene, discs, GAIN * (size - 1)))
 
 
 def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, " S"]:
@@ -258,7 +269,7 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     # Where the model's error is larger than thought, so is what a ghost would gain; what is
     # left beyond the tolerance is no error but a contact that is missing.
     slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
-    enough = _GAIN * (size - 1) * jnp.clip(new.cost / new.usual, 1, 1 / LEFT)
+    enough = GAIN * (size - 1) * jnp.clip(new.cost / new.usual, 1, 1 / LEFT)
     each = old.misfits - new.misfits
     over = jnp.maximum(each - 2 * enough, 0).sum() / slots.astype(each.dtype)
     return old.cost - new.cost - over > enough
@@ -266,11 +277,17 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
 
 def _believed(scene: Fitting, found: Found, size: int) -> Found:
     """At infinite cost where two discs are one, or one is a ghost."""
+    sound = apart_and_strong(scene, found, size)
+    return found._replace(cost=jnp.where(sound, found.cost, jnp.inf))
+
+
+def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
+    """Whether no two discs are one, and none is a ghost."""
     place, current = found.place[:size], found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
     near = apart.min() < (_APART * scene.method.sheet.size) ** 2
     weak = current.min() < _WEAKEST[size > 2] * current.max()
-    return found._replace(cost=jnp.where(near | weak, jnp.inf, found.cost))
+    return ~(near | weak)
 
 
 def _bar(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
@@ -279,9 +296,7 @@ def _bar(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
     start = jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit
     start = jnp.pad(start, (0, BAR.parameters - 4))
     found, _ = best_fit(scene, BAR, start[None], below)
-    # No longer than wide: a disc, which says so with less.
-    short = (found.extent[0] ** 2).sum() < found.radius[0] ** 2
-    return found._replace(cost=jnp.where(short, jnp.inf, found.cost))
+    return found._replace(cost=jnp.where(long_enough(found), found.cost, jnp.inf))
 
 
 def _ring(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
@@ -292,8 +307,18 @@ def _ring(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
     starts = jnp.concatenate([around, wide[:, None], jnp.zeros((2, 1), half.dtype)], 1)
     starts = starts.at[:, :3].divide(sheet.unit)
     found, _ = best_fit(scene, RING, starts, below)
-    narrow = found.ring[0] < _NARROWEST * sheet.size
-    return found._replace(cost=jnp.where(narrow, jnp.inf, found.cost))
+    wide = wide_enough(scene, found)
+    return found._replace(cost=jnp.where(wide, found.cost, jnp.inf))
+
+
+def long_enough(bar: Found) -> Bool[Array, ""]:
+    """Whether a bar is longer than wide; else a disc says so with less."""
+    return (bar.extent[0] ** 2).sum() >= bar.radius[0] ** 2
+
+
+def wide_enough(scene: Fitting, ring: Found) -> Bool[Array, ""]:
+    """Whether a ring is wider than what a disc looks like."""
+    return ring.ring[0] >= _NARROWEST * scene.method.sheet.size
 
 
 def _choose(first: Array, one: Found, other: Found) -> Found:

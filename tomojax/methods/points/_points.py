@@ -1,16 +1,16 @@
 """`points`: a few compact contacts, fitted; as many as the voltages ask for."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Integer
+from jaxtyping import Array, Float, Int, Integer
 
+from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
@@ -18,17 +18,15 @@ from tomojax.kernels.sheet import cell_centres
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
+from tomojax.methods.points._blocks import called, Frames, searched
+from tomojax.methods.points._films import filmed
 from tomojax.methods.points._fit import fitting_of, Found
-from tomojax.methods.points._ladder import first, Ladder, steps
+from tomojax.methods.points._ladder import first, steps
 from tomojax.methods.points._sheet import sheet_of, UNIT
 from tomojax.sensor import Calibration, Sensor
 
 # Candidates for each pitch.
 _CANDIDATES = 2.5
-
-# Slots of a compiled call, and least and most frames of it: of many, those that are done
-# leave the others' place.
-_CALL, _LEAST_MOST = 1024, (16, 128)
 
 
 class Points(AbstractMethod):
@@ -51,6 +49,7 @@ class Points(AbstractMethod):
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
     tells_covariance: ClassVar[bool] = True
     any_grounds: ClassVar[bool] = True
+    films: ClassVar[bool] = True
     stands_out: ClassVar[float] = 3.3
     padded: ClassVar[bool] = False
     blocks: ClassVar[tuple[int, ...]] = (256,)
@@ -117,35 +116,16 @@ class Points(AbstractMethod):
         grounds: Integer[np.ndarray, "n S"],
         count: int,
         images: bool,
+        films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """As `estimate`; a larger model is fitted only to the frames that ask for it."""
-        frames, slots = voltages.shape[:2]
-        size = int(np.clip(_CALL // slots, *_LEAST_MOST))
         volts, grounds = np.asarray(voltages), np.asarray(grounds)
-
-        def calls(these: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-            """Blocks of frames, filled up with what no start is good for: soon done."""
-            for k in range(0, len(these), size):
-                rows = these[k : k + size]
-                filled = np.resize(rows, size)
-                there = np.arange(size) < len(rows)
-                yield rows, filled, np.where(there[:, None, None], volts[filled], np.nan)
-
-        ladder: Any = None
-        for rows, filled, some in calls(np.arange(frames)):
-            new = _first(self, prepared, some, grounds[filled], count)
-            ladder = _put(ladder, rows, new, frames)
-        for number, (due, _) in enumerate(steps(count)):
-            for rows, filled, some in calls(np.flatnonzero(due(ladder))):
-                part = jax.tree.map(lambda a, filled=filled: a[filled], ladder)
-                new = _step(self, prepared, some, grounds[filled], part, count, number)
-                _put(ladder, rows, new, frames)
-        described: Any = None
-        for rows, filled, some in calls(np.arange(frames)):
-            found = jax.tree.map(lambda a, filled=filled: a[filled], ladder.best)
-            new = _described_all(self, found, some, images)
-            described = _put(described, rows, new, frames)
-        return described
+        frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
+        if films is None:
+            found = searched(frames, every).best
+        else:
+            found = filmed(frames, films)
+        return called(frames, every, _described_all, found, images)
 
     def _described(self, found: Found) -> Estimate:
         contacts = points_as_contacts(
@@ -180,36 +160,10 @@ class Points(AbstractMethod):
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 
 
-def _put(whole: Any, rows: np.ndarray, new: Any, frames: int) -> Any:
-    """Writes what was found of some frames; begins a whole that is None."""
-    if whole is None:
-        whole = jax.tree.map(lambda a: np.empty((frames, *a.shape[1:]), a.dtype), new)
-    for old, values in zip(jax.tree.leaves(whole), jax.tree.leaves(new)):
-        old[rows] = np.asarray(values)[: len(rows)]
-    return whole
-
-
-@eqx.filter_jit
-def _first(method, prepared, voltages, grounds, count: int) -> Ladder:
-    def one(v: Array, grounds: Array) -> Ladder:
-        return first(fitting_of(method, prepared._replace(grounds=grounds), v, count))
-
-    return jax.vmap(one)(voltages, grounds)
-
-
-@eqx.filter_jit
-def _step(
-    method, prepared, voltages, grounds, ladder: Ladder, count: int, number: int
-) -> Ladder:
-    def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
-        scene = fitting_of(method, prepared._replace(grounds=grounds), v, count)
-        return steps(count)[number][1](scene, ladder=ladder)
-
-    return jax.vmap(one)(voltages, grounds, ladder)
-
-
-@eqx.filter_jit
-def _described_all(method, found: Found, voltages, images: bool) -> Rows:
+@kept
+def _described_all(
+    method, prepared, voltages, grounds, found: Found, most: int, images: bool
+) -> Rows:
     def one(found: Found, v: Array) -> Rows:
         return judged(method, method._described(found), v, images)
 

@@ -2,8 +2,9 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from tomojax.kernels.contacts import NARROW, Sheet, thin_of
+from tomojax.kernels.contacts import Field, NARROW, Sheet, thin_of
 from tomojax.sensor import make_field, Sensor
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
@@ -15,12 +16,20 @@ def sheet_of(sensor: Sensor) -> Sheet:
     """Computes the electrodes' potentials and lengths that suit the sensor."""
     pitch, field = sensor.mean_pitch, make_field(sensor)
     usual = jnp.asarray(USUAL * pitch, sensor.dtype)
+    narrow = jnp.asarray(NARROW * USUAL * pitch, sensor.dtype)
+    thin, resistance = _beside(field, narrow, sensor.sheet_resistance)
     return Sheet(
         field,
-        jax.jit(thin_of)(field, NARROW * usual),
-        jnp.exp(jnp.mean(jnp.log(sensor.sheet_resistance))),
+        thin,
+        resistance,
         sensor.ground_resistance,
         sensor.drive_voltage,
         jnp.asarray(UNIT * pitch, sensor.dtype),
         usual,
     )
+
+
+@jax.jit  # as one program to compile
+def _beside(field: Field, narrow: Array, resistance: Array) -> tuple[Array, Array]:
+    """The table for narrow contacts, and the sheet's mean resistance."""
+    return thin_of(field, narrow), jnp.exp(jnp.mean(jnp.log(resistance)))

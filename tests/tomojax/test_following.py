@@ -1,0 +1,134 @@
+"""`follow` on a recording: what the step says slot by slot, whatever the chunks are."""
+
+import h5py
+import numpy as np
+import pytest
+import recordings
+
+import tomojax as tx
+from tomojax import cli, Flag
+from tomojax.results import partial_path, Settings
+
+SCANS, SLOTS = 1100, 2
+FIELDS = ("contact_count", "flags", "contact_xy", "contact_current", "residual")
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A contact in the middle third; lost scans, an unknown ground, channels gone."""
+    codes, _ = recordings.touched(scans=SCANS)
+    codes[500, 1, 9] = 32767
+    grounds = np.broadcast_to(np.array([0, 63], np.uint8), (SCANS, SLOTS)).copy()
+    grounds[600, 0] = 200
+    codes[650:680, :, 7] = codes[650, 0, 7]
+    t0 = np.arange(SCANS) * SLOTS / 10e3
+    t0[450:] += 12 * SLOTS / 10e3
+    file = tmp_path_factory.mktemp("follow") / "rec.h5"
+    return recordings.write(file, codes, grounds, t0=t0, gaps=np.array([[450, 12]]))
+
+
+def rows(path, out, *, resume=False, progress=None, **settings):
+    chosen = Settings(method="follow", contacts=2, tare=False, **settings)
+    more = {} if progress is None else {"progress": progress}
+    with tx.open_recording(path) as recording:
+        tx.reconstruct_recording(recording, out, chosen, resume=resume, **more)
+    with h5py.File(out) as file:
+        assert file.attrs["rate"] == "slot" and "image" not in file
+        return {name: file[name][:] for name in (*FIELDS, "t", "contact_covariance")}
+
+
+@pytest.fixture(scope="module")
+def whole(path):
+    return rows(path, path.with_name("whole.h5"), chunk=1000)
+
+
+def same(one, other) -> None:
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def test_as_the_step_says_slot_by_slot(path, whole):
+    with tx.open_recording(path) as recording:
+        rig = recording.rig
+        step = tx.make_step(rig.sensor(), contacts=2, f_switch=rig.f_switch)
+        scans = recording.read(0, SCANS)
+        chunk = tx.recordings.read_chunk(recording, 0, SCANS, "slot")
+    volts = np.where(chunk.good[:, 0], chunk.voltages[:, 0], np.nan)
+    state, told = step.state, []
+    for k, ground in enumerate(scans.grounds.ravel()):
+        lost = 12 * SLOTS if k == 450 * SLOTS else 0
+        state, out = step(state, volts[k], int(ground), lost)
+        told.append(out)
+    count = np.array([int(out.contacts.count) for out in told])
+    np.testing.assert_array_equal(whole["contact_count"], count)
+    places = np.stack([out.contacts.xy for out in told])
+    np.testing.assert_allclose(whole["contact_xy"], places, atol=1e-6)
+    spread = np.stack([out.contacts.covariance for out in told])
+    np.testing.assert_allclose(whole["contact_covariance"], spread, rtol=1e-3)
+    own = np.array([int(out.flags) for out in told]) & ~Flag.BAD_VOLTAGES.value
+    np.testing.assert_array_equal(whole["flags"], own | chunk.flags)
+    assert whole["flags"][450 * SLOTS] & Flag.GAP
+    assert whole["flags"][500 * SLOTS + 1] & Flag.SATURATED
+    unknown = Flag.UNKNOWN_GROUND | Flag.NO_DATA
+    assert whole["flags"][600 * SLOTS] & unknown == unknown
+    assert (whole["flags"][660 * SLOTS : 670 * SLOTS] & Flag.STUCK_CHANNEL).all()
+    _, place = recordings.touched()
+    near = whole["contact_xy"][400 * SLOTS : 700 * SLOTS, 0]
+    assert np.nanmax(np.hypot(*(near - place).T)) < 2e-3
+
+
+@pytest.mark.parametrize("chunk", [7, 64])
+def test_chunks_do_not_show(path, whole, tmp_path, chunk):
+    same(rows(path, tmp_path / "o.h5", chunk=chunk), whole)
+
+
+def test_chunks_of_one_scan(path, whole, tmp_path):
+    """Takes the first scans alone: each chunk costs the time of several files."""
+    with h5py.File(path) as file:
+        codes, grounds = file["v"][:60], file["ground"][:60]
+    few = recordings.write(tmp_path / "few.h5", codes, grounds)
+    once = rows(few, tmp_path / "one.h5")
+    same(rows(few, tmp_path / "o.h5", chunk=1), once)
+
+
+@pytest.mark.parametrize("last", [1, 9])
+def test_interrupted_and_resumed(path, whole, tmp_path, last):
+    """Also where what the step remembers is of before what is marked as done."""
+    out = tmp_path / "o.h5"
+
+    def stop(done: int, total: int) -> None:
+        if done == last:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rows(path, out, chunk=64, progress=stop)
+    if last == 1:
+        partial = partial_path(out)
+        partial.with_name(partial.name + ".state").unlink(missing_ok=True)
+    same(rows(path, out, chunk=64, resume=True), whole)
+    assert sorted(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--rate", "scan"), "rate: got 'scan', expected 'slot': follow goes"),
+        (("--images",), "images: got True, expected none with follow"),
+        (("--lam", "2"), "lam: got 2.0, expected none with follow"),
+        (("--contacts", "9"), "contacts: got 9, expected a whole number from 1 to 8"),
+        (
+            ("--coordinator", "localhost:1", "--processes", "2", "--process", "0"),
+            "--coordinator: follow goes from slot to slot; use one process",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(
+    path, tmp_path, capsys, monkeypatch, options, told
+):
+    words = ("tomojax", "reconstruct", path, "--method", "follow", "-o", tmp_path / "o.h5")
+    monkeypatch.setattr("sys.argv", [str(w) for w in (*words, *options)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert ended.value.code == 2 and len(lines) == 1 and told in lines[0]
+    assert not (tmp_path / "o.h5").exists()

@@ -1,0 +1,104 @@
+"""Programs that are kept between processes."""
+
+import os
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tomojax import _programs
+from tomojax._programs import kept
+
+traces = []
+
+
+@kept
+def scaled(tree: dict, factor: float) -> dict:
+    traces.append(factor)
+    return {"sum": factor * tree["x"].sum(), "none": None, "pair": (tree["x"], tree["n"])}
+
+
+def forgotten() -> None:
+    """Makes a process of this one that has called nothing yet."""
+    scaled.loaded.clear()
+    jax.clear_caches()
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    monkeypatch.setenv(_programs.FOLDER, str(tmp_path))
+    traces.clear()
+    forgotten()
+    return tmp_path
+
+
+def tree(n: int = 3, dtype=np.float64) -> dict:
+    return {"x": jnp.arange(n, dtype=dtype), "n": 7}
+
+
+def test_a_program_is_traced_once_for_all_processes(folder) -> None:
+    first = scaled(tree(), 2.0)
+    forgotten()
+    again = scaled(tree(), 2.0)
+    assert traces == [2.0] and len(list(folder.glob("*.program"))) == 1
+    assert float(again["sum"]) == float(first["sum"]) == 6 and again["none"] is None
+    assert int(again["pair"][1]) == 7
+
+
+def test_other_values_shapes_and_types_are_other_programs(folder) -> None:
+    for args in ((tree(), 2.0), (tree(), 3.0), (tree(4), 2.0), (tree(3, np.float32), 2.0)):
+        assert float(scaled(*args)["sum"]) == args[1] * float(args[0]["x"].sum())
+    assert len(list(folder.glob("*.program"))) == len(traces) == 4
+
+
+def test_other_source_is_another_program(folder, monkeypatch) -> None:
+    scaled(tree(), 2.0)
+    forgotten()
+    monkeypatch.setattr(_programs, "_source", lambda: "another")
+    scaled(tree(), 2.0)
+    assert len(list(folder.glob("*.program"))) == 2
+
+
+def test_a_file_that_was_cut_short_is_made_anew(folder) -> None:
+    scaled(tree(), 2.0)
+    (path,) = folder.glob("*.program")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1000])
+    forgotten()
+    assert float(scaled(tree(), 2.0)["sum"]) == 6
+    assert len(traces) == 2 and path.stat().st_size > 1000
+
+
+def test_a_folder_that_cannot_be_written_keeps_nothing(monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv(_programs.FOLDER, str(tmp_path / "absent"))
+    forgotten()
+    assert float(scaled(tree(), 2.0)["sum"]) == 6 and not os.listdir(tmp_path)
+
+
+def test_transformations_go_through(folder) -> None:
+    slope = jax.grad(lambda x: scaled({"x": x, "n": 7}, 2.0)["sum"])(jnp.ones(3))
+    many = eqx.filter_vmap(lambda x: scaled({"x": x, "n": 7}, 2.0)["sum"])(jnp.ones((2, 3)))
+    assert slope.tolist() == [2, 2, 2] and many.tolist() == [6, 6]
+    assert not list(folder.glob("*.program"))
+
+
+def test_a_process_that_lowers_nothing_has_lapack(tmp_path) -> None:
+    """A program that is loaded calls LAPACK, which JAX looks for as it lowers."""
+    code = """
+import jax.numpy as jnp
+from tomojax._programs import kept
+@kept
+def factor(a):
+    return jnp.linalg.cholesky(a)
+print(factor(2 * jnp.eye(40, dtype="float32"))[0, 0])
+"""
+    environment = os.environ | {_programs.FOLDER: str(tmp_path)}
+    command = [sys.executable, "-c", code]
+    for _ in range(2):
+        run = subprocess.run(command, env=environment, capture_output=True, text=True)
+        assert run.returncode == 0 and run.stdout.startswith("1.41"), run.stderr
+    assert len(list(tmp_path.glob("*.program"))) == 1

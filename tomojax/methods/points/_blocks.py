@@ -1,0 +1,97 @@
+"""Many frames up the ladder: a larger model is fitted only to those that ask for it."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int, Integer
+
+from tomojax._programs import kept
+from tomojax.methods.points._fit import fitting_of
+from tomojax.methods.points._ladder import first, Ladder, steps
+
+# Slots of a compiled call, and least and most frames of it: of many, those that are done
+# leave the others' place.
+_CALL, _LEAST_MOST = 1024, (16, 128)
+
+
+class Frames(NamedTuple):
+    """Frames of a batch, and what they are fitted with."""
+
+    method: Any
+    prepared: Any
+    voltages: Float[np.ndarray, "n S M"]
+    grounds: Integer[np.ndarray, "n S"]
+    most: int  # contacts
+
+
+def call_size(slots: int) -> int:
+    """Frames of a compiled call."""
+    return int(np.clip(_CALL // slots, *_LEAST_MOST))
+
+
+def called(
+    frames: Frames,
+    rows: Int[np.ndarray, " k"],
+    program: Callable,
+    given: Any = (),
+    *static: int,
+) -> Any:
+    """Runs a program for some frames, in calls of one size; its results in NumPy's arrays.
+
+    **Arguments:** `given` has an entry for each of `rows`; `static` arguments come last.
+    A call is filled up with voltages that no start is good for: those frames end at once.
+    """
+    size = call_size(frames.voltages.shape[1])
+    whole: Any = None
+    for k in range(0, len(rows), size):
+        part = np.arange(k, min(k + size, len(rows)))
+        filled = np.resize(part, size)
+        there = (np.arange(size) < len(part))[:, None, None]
+        volts = np.where(there, frames.voltages[rows[filled]], np.nan)
+        own = jax.tree.map(lambda a, filled=filled: a[filled], given)
+        about = frames.method, frames.prepared, volts, frames.grounds[rows[filled]]
+        new = program(*about, own, frames.most, *static)
+        whole = put(whole, part, new, len(rows))
+    return whole
+
+
+def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
+    """Writes what was found of some frames; begins a whole that is None."""
+    if whole is None:
+        whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), new)
+    for old, values in zip(jax.tree.leaves(whole), jax.tree.leaves(new)):
+        old[rows] = np.asarray(values)[: len(rows)]
+    return whole
+
+
+def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
+    """Climbs the ladder with some frames."""
+    ladder: Ladder = called(frames, rows, _first)
+    for number, (due, _) in enumerate(steps(frames.most)):
+        asking = np.flatnonzero(due(ladder))
+        if len(asking):
+            part = jax.tree.map(lambda a, asking=asking: a[asking], ladder)
+            new = called(frames, rows[asking], _step, part, number)
+            put(ladder, asking, new, len(rows))
+    return ladder
+
+
+@kept
+def _first(method, prepared, voltages, grounds, given: tuple, most: int) -> Ladder:
+    def one(v: Array, grounds: Array) -> Ladder:
+        return first(fitting_of(method, prepared._replace(grounds=grounds), v, most))
+
+    return jax.vmap(one)(voltages, grounds)
+
+
+@kept
+def _step(
+    method, prepared, voltages, grounds, ladder: Ladder, most: int, number: int
+) -> Ladder:
+    def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
+        scene = fitting_of(method, prepared._replace(grounds=grounds), v, most)
+        return steps(most)[number][1](scene, ladder=ladder)
+
+    return jax.vmap(one)(voltages, grounds, ladder)

@@ -1,0 +1,82 @@
+"""`follow` on a recording: slots in order, and what is remembered kept beside the rows.
+
+Chunks depend on those before, so they are done in order by one process. Beside OUT.partial
+lies OUT.partial.state: what the step remembers after the chunks that are marked, so that a
+run that goes on says what one in a single go says.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.kernels.flags import Flag
+from tomojax.methods import Rows
+from tomojax.recordings import Chunk, read_chunk, Recording
+from tomojax.results._settings import Settings
+from tomojax.sensor import Calibration
+from tomojax.step import make_step, Packed
+
+
+class Following:
+    """A step on a recording's chunks, in order from `start`."""
+
+    # As of `AbstractMethod`, for the file's layout.
+    image_unit, tells_covariance, tells_rung = "1", True, False
+
+    def __init__(
+        self, recording: Recording, settings: Settings, calibration: Calibration, size: int
+    ):
+        rig = recording.rig
+        self._step = make_step(
+            rig.sensor(),
+            contacts=settings.contacts,
+            f_switch=rig.f_switch,
+            calibration=calibration,
+        )
+        self._recording, self._size = recording, size
+        self.start, self.state = 0, self._step.state
+
+    def sizes(self, contacts: int, images: bool) -> dict[str, int]:
+        return {"C": contacts}
+
+    def scale(self) -> float:
+        return 1.0
+
+    def resume(self, kept: dict[str, np.ndarray]) -> None:
+        """Goes on from the state after a chunk; from the beginning where there is none."""
+        if kept:
+            self.start = int(kept["chunk"])
+            self.state = Packed(kept["numbers"], kept["whole"])  # pyright: ignore
+
+    def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any]]:
+        """Returns the rows of the next chunk's slots, and the state after them."""
+        good, grounds = frames.good[:, 0], frames.grounds[:, 0].astype(np.int32)
+        volts = np.where(good, frames.voltages[:, 0], np.nan)
+        lost = self._lost(chunk, frames)
+        self.state, out = self._step.replay(self.state, volts, grounds, lost)
+        n = len(volts)
+        # A voltage left out is NaN to the step; why it is, the recording's rules say.
+        own = out.flags.astype(np.uint32) & ~np.uint32(Flag.BAD_VOLTAGES)
+        flags = own | frames.flags.astype(np.uint32)
+        rung = np.zeros(n, np.uint8)
+        rows = Rows.of(out.contacts, residual=out.residual, flags=flags, rung=rung)
+        numbers, whole = (np.asarray(a) for a in self.state)
+        return rows, {"chunk": chunk + 1, "numbers": numbers, "whole": whole}
+
+    def _lost(self, chunk: int, frames: Chunk) -> np.ndarray:
+        """Slots lost before each, one at least where scans are missing."""
+        start, recording = chunk * self._size, self._recording
+        before = frames.t[:1]
+        if start > 0:
+            last = read_chunk(recording, start - 1, start, "slot").t[-1:]
+            before = last
+        apart = np.diff(frames.t, prepend=before) * recording.rig.f_switch
+        gone = np.clip(np.round(apart) - 1, 1, 1 << 30).astype(np.int32)
+        return np.where(frames.flags & np.uint32(Flag.GAP), gone, 0).astype(np.int32)
+
+
+def require_alone(share: tuple[int, int]) -> None:
+    """**Raises:** `ValueError` for several processes: a slot needs those before it."""
+    alone = "one process: follow goes from slot to slot"
+    require(share[1] == 1, "--processes", share[1], alone)
