@@ -75,14 +75,16 @@ def descend(
     most: int,
     together: int,
     below: Float[Array, ""] | float,
+    enough: Float[Array, ""] | float,
     *given: Any,
 ) -> Float[Array, " P"]:
     """The parameters of the lowest cost.
 
     **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
     it closes over no array. Each start has `few` steps; the best goes on for `most`, or
-    until nothing is gained, or costs `below` are out of reach. Under `vmap`, `together`
-    frames are worked on at once.
+    until nothing is gained, or costs `below` are out of reach. A start whose cost is less
+    than `enough` by then is the best: no other is tried. A start of NaN is none.
+    Under `vmap`, `together` frames are worked on at once.
     """
     n, count = starts.shape
 
@@ -91,23 +93,29 @@ def descend(
         first = Normal(inf, jnp.eye(count, dtype=starts.dtype), 0 * start)
         none = jnp.zeros((), jnp.int32)
         # One start alone is the best.
-        number = none if n > 1 else none + n
+        alone = ~jnp.isfinite(starts[1:]).any()
+        number = jnp.where(alone, none + n, none)
         damping = jnp.full((), _DAMPING, starts.dtype)
         bent = 0 * first.matrix
         return _Descent(start, first, bent, damping, none, number, start, inf, none > 0)
 
     def turn(
-        run: _Descent, starts: Array, limits: Limits, below: Array, *given: Any
+        run: _Descent,
+        starts: Array,
+        limits: Limits,
+        below: Array,
+        enough: Array,
+        *given: Any,
     ) -> _Descent:
         def once(_, run: _Descent) -> _Descent:
             stepped = _step(model, run, limits, below, given)
-            stepped = _onward(stepped, starts, few, most)
+            stepped = _onward(stepped, starts, few, most, enough)
             return jax.tree.map(lambda a, b: jnp.where(run.ended, a, b), run, stepped)
 
         return lax.fori_loop(0, _TURN, once, run)
 
-    below = jnp.asarray(below, starts.dtype)
-    run = _compacting(turn, together)(begun(starts[0]), starts, limits, below, *given)
+    bounds = (jnp.asarray(a, starts.dtype) for a in (below, enough))
+    run = _compacting(turn, together)(begun(starts[0]), starts, limits, *bounds, *given)
     return run.parameters
 
 
@@ -178,16 +186,22 @@ def _secant(
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _onward(run: _Descent, starts: Array, few: int, most: int) -> _Descent:
-    """From a start that has had its steps to the next, and from the last to the best."""
+def _onward(
+    run: _Descent, starts: Array, few: int, most: int, enough: Array
+) -> _Descent:
+    """From a start that has had its steps to the next, and from the last to the best.
+
+    One that is good enough goes on as it is.
+    """
     n = len(starts)
     last = run.start >= n
     over = run.ended | (run.steps >= jnp.where(last, most, few))
+    good = over & ~last & (run.normal.cost < enough)
     better = over & ~last & (run.normal.cost < run.lowest)
     best = jnp.where(better, run.parameters, run.best)
     lowest = jnp.where(better, run.normal.cost, run.lowest)
-    number = jnp.where(over & ~last, run.start + 1, run.start)
-    again = over & ~last
+    again = over & ~last & ~good
+    number = jnp.where(again, run.start + 1, jnp.where(good, n, run.start))
     start = jnp.where(number < n, starts[jnp.minimum(number, n - 1)], best)
     inf, unit = jnp.full_like(lowest, jnp.inf), jnp.eye(len(start), dtype=start.dtype)
     fresh = run._replace(
@@ -198,7 +212,8 @@ def _onward(run: _Descent, starts: Array, few: int, most: int) -> _Descent:
         steps=jnp.zeros_like(run.steps),
     )
     run = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, run)
-    return run._replace(start=number, best=best, lowest=lowest, ended=over & last)
+    ended = over & last | good & run.ended
+    return run._replace(start=number, best=best, lowest=lowest, ended=ended)
 
 
 def _compacting(turn: Callable[..., _Descent], together: int) -> Callable[..., _Descent]:

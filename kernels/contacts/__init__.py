@@ -15,10 +15,9 @@ from tomojax.kernels.contacts._candidates import (
     weighed_volts as weighed_volts,
 )
 from tomojax.kernels.contacts._curves import (
-    bar as bar,
-    limits_of_bar as limits_of_bar,
-    limits_of_ring as limits_of_ring,
-    ring as ring,
+    CURVE as CURVE,
+    curve as curve,
+    limits_of_curve as limits_of_curve,
 )
 from tomojax.kernels.contacts._discs import discs as discs, limits_of as limits_of
 from tomojax.kernels.contacts._equations import (

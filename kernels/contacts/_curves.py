@@ -6,12 +6,12 @@ is uneven beside that is a sum of a few modes, other ones in each slot. Slopes l
 how those shares change with place and shape: modes make up for it.
 """
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra import Limits, solve_positive
 from tomojax.kernels.contacts._equations import currents_of, Explained, made_by
@@ -27,75 +27,84 @@ from tomojax.kernels.contacts._points import (
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
 
-# Points on the axis of a bar, and around a ring; a mode's current is this part of the
+# Points of a curve. A bar's are two rows of half as many along its axis, at this part of
+# half its width: of metal, what flows is at its rim. A mode's current is `_UNEVEN` of the
 # mean's, about.
-_ALONG, _AROUND, _UNEVEN = 9, 16, 0.3
-
-# Two rows along a bar, of half its width.
-_ROW = 0.58
+_POINTS, _ROW, _UNEVEN = 18, 0.58, 0.3
 
 # Conductance that is likely beforehand, beside a square of the sheet, and ln of how far
 # from that it may be: from a current source to metal.
 _STRENGTH, _STRENGTH_WIDTH = 30.0, 1.5
 
-# The longest step of each parameter, as `discs` has them; a ring's radius as a place.
-_LONGEST_BAR = 6.0, 6.0, 6.0, 6.0, 0.7, 1.0
-_LONGEST_RING = 6.0, 6.0, 4.0, 1.0
+# Parameters of a curve: middle; from there to a bar's end, or a ring's radius and nothing;
+# half a bar's width; strength; and 0 of a bar, 1 of a ring, which stays as it is.
+CURVE = 7
+
+# The longest step of each, as `discs` has them.
+_LONGEST = 6.0, 6.0, 6.0, 6.0, 0.7, 1.0, 0.0
 
 
-def bar(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "6"]) -> Explained:
-    """Middle, from there to its end, half its width, strength; modes: Legendre's."""
-    nodes, weights = np.polynomial.legendre.leggauss(_ALONG)
-    # Two rows: of metal, what flows is at its rim.
-    nodes, weights = np.tile(nodes, 2), np.tile(weights, 2) / 4
-    modes = np.stack([np.ones(2 * _ALONG), nodes, 1.5 * nodes**2 - 0.5])
-    side = np.repeat([_ROW, -_ROW], _ALONG)
+class _Shape(NamedTuple):
+    """Where the points lie, and what flows at each, of a bar or of a ring."""
 
-    def points(p: Float[Array, "6"]) -> Float[Array, "N 2"]:
-        place, radius, extent = _stretch(sheet, p)
-        along = extent / jnp.sqrt((extent**2).sum() + 1e-12)
-        across = jnp.stack([-along[1], along[0]]) * radius
-        at = place + jnp.asarray(nodes, p.dtype)[:, None] * extent
-        return at + jnp.asarray(side, p.dtype)[:, None] * across
-
-    place, radius, extent = _stretch(sheet, parameters)
-    shape = place[None], extent[None], jnp.zeros_like(radius)[None], radius[None]
-    known = np.eye(6)[4:]
-    return _curve(sheet, frame, points, weights, modes, shape, known, parameters)
+    at: Float[Array, "N 2"]
+    weights: Float[Array, " N"]
+    modes: Float[Array, "k N"]  # the first is 1
 
 
-def ring(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "4"]) -> Explained:
-    """Middle, radius and strength of a rim; modes: cos, sin of the angle and its double."""
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    waves = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
-    modes = np.stack([np.ones(_AROUND), *waves])
-    around = np.stack([modes[1], modes[2]], 1)
+def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "7"]) -> Explained:
+    """A bar, with Legendre's modes; or a rim, with cos and sin of the angle and its double.
 
-    def points(p: Float[Array, "4"]) -> Float[Array, "N 2"]:
-        place, _ = unpack(sheet, p[None, :3])
-        return place[0] + jnp.abs(p[2]) * sheet.unit * jnp.asarray(around, p.dtype)
+    One model of both: as a program it takes seconds to compile.
+    """
+    is_ring = parameters[-1] > 0.5
+    moving = jax.jacfwd(lambda p: _shape_of(sheet, p, is_ring).at)(parameters)
+    shape = _shape_of(sheet, parameters, is_ring)
+    place, radius, reach = _stretch(sheet, parameters)
+    fitted = (
+        place[None],
+        jnp.where(is_ring, 0, reach)[None],
+        jnp.where(is_ring, jnp.abs(reach[:1]), 0),
+        jnp.where(is_ring, NARROW * sheet.size, radius)[None],
+    )
+    # A ring has no width, nor a second length: they are known to be 0.
+    unused = jnp.where(is_ring, jnp.eye(CURVE, dtype=moving.dtype)[3], 0)
+    known = jnp.concatenate([unused[None], jnp.eye(CURVE, dtype=moving.dtype)[4:]])
+    prior = jnp.matmul(known, parameters.at[-1].set(0), precision="highest")
+    return _curve(sheet, frame, shape, moving, fitted, prior, known, parameters)
 
-    place, _ = unpack(sheet, parameters[None, :3])
-    wide = jnp.abs(parameters[2:3]) * sheet.unit
-    shape = place, jnp.zeros_like(place), wide, NARROW * sheet.size[None]
-    even, known = np.full(_AROUND, 1 / _AROUND), np.eye(4)[3:]
-    return _curve(sheet, frame, points, even, modes, shape, known, parameters)
 
-
-def limits_of_bar(sheet: Sheet) -> Limits:
-    """A bar is at most as wide as the table's largest disc. See `_LONGEST_BAR`."""
+def limits_of_curve(sheet: Sheet) -> Limits:
+    """A bar is at most as wide as the table's largest disc. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
-    highest = jnp.where(jnp.arange(6) == 4, largest, jnp.inf)
-    return Limits(highest, jnp.asarray(_LONGEST_BAR, highest.dtype))
+    highest = jnp.where(jnp.arange(CURVE) == 4, largest, jnp.inf)
+    return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
 
 
-def limits_of_ring(sheet: Sheet) -> Limits:
-    """A ring has no largest value. See `_LONGEST_RING`."""
-    longest = jnp.asarray(_LONGEST_RING, sheet.size.dtype)
-    return Limits(jnp.full_like(longest, jnp.inf), longest)
+def _shape_of(sheet: Sheet, p: Float[Array, "7"], is_ring: Bool[Array, ""]) -> _Shape:
+    place, radius, reach = _stretch(sheet, p)
+    nodes, weights = np.polynomial.legendre.leggauss(_POINTS // 2)
+    nodes, weights = np.tile(nodes, 2), np.tile(weights, 2) / 4
+    side = np.repeat([_ROW, -_ROW], _POINTS // 2)
+    along = reach / jnp.sqrt((reach**2).sum() + 1e-12)
+    across = jnp.stack([-along[1], along[0]]) * radius
+    bar = jnp.asarray(nodes, p.dtype)[:, None] * reach
+    bar = bar + jnp.asarray(side, p.dtype)[:, None] * across
+    angle = 2 * np.pi * np.arange(_POINTS) / _POINTS
+    waves = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
+    ring = jnp.abs(reach[0]) * jnp.asarray(np.stack(waves[:2], 1), p.dtype)
+    even, none = np.ones(_POINTS), np.zeros(_POINTS)
+    legendre = np.stack([even, nodes, 1.5 * nodes**2 - 0.5, none, none])
+    both = (bar, weights, legendre), (ring, even / _POINTS, np.stack([even, *waves]))
+    chosen = (
+        jnp.where(is_ring, jnp.asarray(b, p.dtype), jnp.asarray(a, p.dtype))
+        for a, b in zip(*both)
+    )
+    at, weights, modes = chosen
+    return _Shape(place + at, weights, modes)
 
 
-def _stretch(sheet: Sheet, p: Float[Array, "6"]) -> tuple[Array, Array, Array]:
+def _stretch(sheet: Sheet, p: Float[Array, "7"]) -> tuple[Array, Array, Array]:
     place, radius = unpack(sheet, jnp.concatenate([p[:2], p[4:5]])[None])
     return place[0], radius[0], p[2:4] * sheet.unit
 
@@ -103,25 +112,25 @@ def _stretch(sheet: Sheet, p: Float[Array, "6"]) -> tuple[Array, Array, Array]:
 def _curve(
     sheet: Sheet,
     frame: WhitenedFrame,
-    points: Callable[[Array], Float[Array, "N 2"]],
-    weights: np.ndarray,
-    modes: np.ndarray,
-    shape: tuple[Array, Array, Array, Array],
-    known: np.ndarray,
+    shape: _Shape,
+    moving: Float[Array, "N 2 P"],
+    about: tuple[Array, Array, Array, Array],
+    prior: Float[Array, " p"],
+    known: Float[Array, "p P"],
     parameters: Float[Array, " P"],
 ) -> Explained:
-    """A curve whose last parameter is its strength; `known` are those with a prior."""
+    """Points that move with the parameters; `about` begins what is `Fitted`."""
     dtype, slots = parameters.dtype, len(frame.grounds)
-    at = points(parameters)
+    at, weights, modes = shape
     rows = jax.vmap(thin_rows_at, (None, None, 0))(sheet.thin, sheet.field.size, at)
     green = green_of(sheet, at, jnp.full(len(at), NARROW * sheet.size))
     among = jax.vmap(green)(at)
-    strength = _STRENGTH * jnp.exp(_STRENGTH_WIDTH * parameters[-1])
-    own = sheet.sheet_resistance / (strength * jnp.asarray(weights, dtype))
+    strength = _STRENGTH * jnp.exp(_STRENGTH_WIDTH * parameters[5])
+    own = sheet.sheet_resistance / (strength * weights)
     at_grounds = rows[:, 0, frame.grounds]
     base, by_strength = (a.T for a in _even(among, own, at_grounds))  # (S, N)
     # Modes carry nothing in all.
-    shares = jnp.asarray(modes[1:] * weights, dtype)
+    shares = modes[1:] * weights
     each = _made(base, rows[:, 0])[:, None]
     others = jnp.broadcast_to(
         _made(shares, rows[:, 0]), (slots, len(shares), rows.shape[-1])
@@ -139,19 +148,16 @@ def _curve(
     current = current + currents_of(column, measured - made_by(current, column))
     rest = measured - made_by(current, column)
     fed = current[:, :1] * base + _made(current[:, 1:], shares)
-    moving = jax.jacfwd(points)(parameters)  # (N, 2, P)
     tangent = jnp.einsum("nkp,nkm->npm", moving, rows[:, 1:], precision="highest")
     tangent = _made(fed, tangent.reshape(len(at), -1)).reshape(slots, -1, rows.shape[-1])
     stronger = current[:, :1] * _made(by_strength, rows[:, 0])
-    tangent = tangent.at[:, -1].add(stronger)
+    tangent = tangent.at[:, 5].add(stronger)
     tangent = whitened_rows(frame, _in_slots(sheet, frame, tangent, jnp.zeros((), dtype)))
     tangent = jnp.pad(tangent, ((0, 0), (0, 0), (0, len(shares))))
     drop = drops(sheet, frame.grounds, among, at_grounds.T, fed)
-    drop = jnp.matmul(drop, jnp.asarray(weights, dtype)[:, None], precision="highest")
-    fitted = Fitted(*shape, current[:, :1], drop, made_by(current, columns))
-    slope = jnp.asarray(known, dtype)
-    prior = jnp.matmul(slope, parameters, precision="highest")
-    return Explained(rest, column, tangent, prior, slope, fitted)
+    drop = jnp.matmul(drop, weights[:, None], precision="highest")
+    fitted = Fitted(*about, current[:, :1], drop, made_by(current, columns))
+    return Explained(rest, column, tangent, prior, known, fitted)
 
 
 def _made(weights: Float[Array, "i N"], rows: Float[Array, "N j"]) -> Float[Array, "i j"]:

@@ -176,7 +176,7 @@ def test_descent_ends_where_scipy_does():
 
     def ends(highest):
         limits = Limits(jnp.array([highest, jnp.inf]), jnp.ones(2))
-        one = lambda target: descend(model, starts, limits, 4, 60, 2, jnp.inf, target)  # noqa: E731
+        one = lambda target: descend(model, starts, limits, 4, 60, 2, jnp.inf, 0.0, target)  # noqa: E731
         return jax.jit(jax.vmap(one))(targets), jnp.stack([one(t) for t in targets])
 
     for highest in (jnp.inf, 0.7):

@@ -1,6 +1,5 @@
 """Films: rows that follow each other closely. The others begin where their first ends."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -13,21 +12,21 @@ from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
 from tomojax.methods.points._blocks import called, Frames, put, searched
 from tomojax.methods.points._fit import (
-    BAR,
     best_fit,
+    CURVE,
     DISCS,
     Ended,
     Fitting,
     fitting_of,
     Found,
-    RING,
 )
 from tomojax.methods.points._ladder import (
     apart_and_strong,
+    bar_at,
     GAIN,
     long_enough,
+    ring_at,
     seen_at_all,
-    wide_enough,
 )
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
@@ -58,12 +57,12 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
     found: Any = put(None, firsts, whole, n)
     done = np.zeros(n, bool)
     done[firsts] = True
-    for kind, size in _kinds(frames.most):
-        rows = np.flatnonzero(_is_of(whole, kind, size)[film] & ~done)
+    for size in range(frames.most + 1):
+        rows = np.flatnonzero(_is_of(whole, size)[film] & ~done)
         if not len(rows):
             continue
         before = jax.tree.map(lambda a, rows=rows: a[film[rows]], whole)
-        again: Again = called(frames, rows, _again, before, kind, size)
+        again: Again = called(frames, rows, _again, before, size)
         good = again.sound & (again.found.cost < before.cost + _MORE * GAIN)
         put(found, rows[good], jax.tree.map(lambda a, good=good: a[good], again.found), n)
         done[rows[good]] = True
@@ -73,23 +72,19 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
     return found
 
 
-def _kinds(most: int) -> list[tuple[int, int]]:
-    return [(0, size) for size in range(1, most + 1)] + [(1, 1), (2, 1)]
-
-
-def _is_of(found: Found, kind: int, size: int) -> Bool[np.ndarray, " n"]:
-    bar, ring = (found.extent**2).sum((1, 2)) > 0, found.ring.sum(1) > 0
-    shape = np.where(bar, 1, np.where(ring, 2, 0))
-    return (shape == kind) & (found.count == size) & ~found.high
+def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
+    """Whether `size` discs were found; of 0, a bar or a ring."""
+    curve = ((found.extent**2).sum((1, 2)) > 0) | (found.ring.sum(1) > 0)
+    return (np.where(curve, 0, found.count) == size) & (found.count > 0) & ~found.high
 
 
 @kept
 def _again(
-    method, prepared, voltages, grounds, before: Found, most: int, kind: int, size: int
+    method, prepared, voltages, grounds, before: Found, most: int, size: int
 ) -> Again:
     def one(v: Array, grounds: Array, before: Found) -> Again:
         scene = fitting_of(method, prepared._replace(grounds=grounds), v, most)
-        return (partial(_discs, size=size), _bar, _ring)[kind](scene, before)
+        return _discs(scene, before, size) if size else _curve(scene, before)
 
     return jax.vmap(one)(voltages, grounds, before)
 
@@ -104,19 +99,14 @@ def _discs(scene: Fitting, before: Found, size: int) -> Again:
     return Again(found, _explained(found) & needed & apart)
 
 
-def _bar(scene: Fitting, before: Found) -> Again:
+def _curve(scene: Fitting, before: Found) -> Again:
     sheet = scene.method.sheet
-    lengths = jnp.concatenate([before.place[0], before.extent[0]]) / sheet.unit
-    size = jnp.log(before.radius[0] / sheet.size) / model.SIZE_WIDTH
-    start = jnp.concatenate([lengths, jnp.stack([size, 0 * size])])
-    found, _ = best_fit(scene, BAR, start[None])
-    return Again(found, _explained(found) & long_enough(found))
-
-
-def _ring(scene: Fitting, before: Found) -> Again:
-    lengths = jnp.concatenate([before.place[0], before.ring[:1]]) / scene.method.sheet.unit
-    found, _ = best_fit(scene, RING, jnp.pad(lengths, (0, 1))[None])
-    return Again(found, _explained(found) & wide_enough(scene, found))
+    place, reach, wide = before.place[0], before.extent[0], before.ring[:1]
+    size = jnp.log(before.radius[:1] / sheet.size) / model.SIZE_WIDTH
+    bar = bar_at(jnp.concatenate([place / sheet.unit, reach / sheet.unit, size]))
+    ring = ring_at(jnp.concatenate([place, wide]) / sheet.unit)
+    found, _ = best_fit(scene, CURVE, jnp.where(wide > 0, ring, bar)[None])
+    return Again(found, _explained(found) & long_enough(scene, found))
 
 
 def _explained(found: Found) -> Bool[Array, ""]:

@@ -35,6 +35,9 @@ LEFT, _UNUSUAL = 0.37, 4.0
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 3, 20
 
+# A start that leaves less than this part of what is usual is the best of them.
+_ENOUGH = 1.0
+
 # A few of many slots are searched with; then this many steps with all slots follow. Slots
 # share errors, and more steps would fit those. A few slots hardly tell a curve.
 _LAST, _LAST_LONG = 3, 10
@@ -122,8 +125,7 @@ class Kind(NamedTuple):
 
 # Traced once for all that holds it.
 DISCS = Kind(jax.jit(model.discs), model.limits_of, model.DISC, _LAST)
-BAR = Kind(jax.jit(model.bar), model.limits_of_bar, 6, _LAST_LONG)
-RING = Kind(jax.jit(model.ring), model.limits_of_ring, 4, _LAST_LONG)
+CURVE = Kind(jax.jit(model.curve), model.limits_of_curve, model.CURVE, _LAST_LONG)
 
 
 def best_fit(
@@ -161,7 +163,8 @@ def _lowest(
 
     def lowest(starts: Array, frame: WhitenedFrame, below: Array, most: int) -> Array:
         together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
-        of = below.sum(), sheet, frame, scene.prepared.tolerance
+        enough = _ENOUGH * LEFT * (frame.scale > 0).sum().astype(starts.dtype)
+        of = below.sum(), enough, sheet, frame, scene.prepared.tolerance
         return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 
     if len(some) < len(frame.grounds):

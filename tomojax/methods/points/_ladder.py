@@ -24,15 +24,14 @@ from tomojax.kernels.contacts import (
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import (
-    BAR,
     best_fit,
+    CURVE,
     DISCS,
     Ended,
     Fitting,
     Found,
     LEFT,
     look_of,
-    RING,
     starts_at,
 )
 
@@ -155,14 +154,19 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
 
     Tried as well where two were too near each other to be believed.
     """
-    best, one = ladder.best, ladder.one
-    for fit in (_bar, _ring):
+    one = ladder.one
+
+    def tried(best: Found, starts: Float[Array, "n P"]) -> tuple[Found, None]:
         # With less it is not chosen.
         less = GAIN + jnp.maximum(0, one.cost - _score(best))
-        alone = fit(scene, ladder, _asked_of(scene, one, less))
+        alone, _ = best_fit(scene, CURVE, starts, _asked_of(scene, one, less))
         # What leaves more than errors is no shape: a curve fits a little of anything.
-        gained = _gains(scene, one, alone, 2) & ~alone.high
-        best = _choose(gained & (_score(alone) < _score(best)), alone, best)
+        gained = _gains(scene, one, alone, 2) & ~alone.high & long_enough(scene, alone)
+        return _choose(gained & (_score(alone) < _score(best)), alone, best), None
+
+    starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
+    # One after the other: the model is compiled once.
+    best, _ = jax.lax.scan(tried, ladder.best, starts)
     return ladder._replace(best=best)
 
 
@@ -290,35 +294,42 @@ def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]
     return ~(near | weak)
 
 
-def _bar(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
+def _bars(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
+    """Where a bar's fit begins; a second start would be NaN: there is none."""
     pair = ladder.pair
     middle, half = pair.mean(0), (pair[1] - pair[0]) / 2
-    start = jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit
-    start = jnp.pad(start, (0, BAR.parameters - 4))
-    found, _ = best_fit(scene, BAR, start[None], below)
-    return found._replace(cost=jnp.where(long_enough(found), found.cost, jnp.inf))
+    start = bar_at(jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit)
+    return jnp.stack([start, jnp.full_like(start, jnp.nan)])
 
 
-def _ring(scene: Fitting, ladder: Ladder, below: Float[Array, " S"]) -> Found:
+def _rings(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
+    """Where a ring's fits begin."""
     sheet, pair = scene.method.sheet, ladder.pair
     half = jnp.sqrt(((pair[1] - pair[0]) ** 2).sum() + 1e-12) / 2
     around = jnp.stack([ladder.one.place[0], pair.mean(0)])
     wide = jnp.stack([_RING * sheet.size, half])
-    starts = jnp.concatenate([around, wide[:, None], jnp.zeros((2, 1), half.dtype)], 1)
-    starts = starts.at[:, :3].divide(sheet.unit)
-    found, _ = best_fit(scene, RING, starts, below)
-    wide = wide_enough(scene, found)
-    return found._replace(cost=jnp.where(wide, found.cost, jnp.inf))
+    lengths = jnp.concatenate([around, wide[:, None]], 1) / sheet.unit
+    return jax.vmap(ring_at)(lengths)
 
 
-def long_enough(bar: Found) -> Bool[Array, ""]:
-    """Whether a bar is longer than wide; else a disc says so with less."""
-    return (bar.extent[0] ** 2).sum() >= bar.radius[0] ** 2
+def bar_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
+    """A bar's parameters of which the first are known."""
+    return jnp.pad(known, (0, CURVE.parameters - len(known)))
 
 
-def wide_enough(scene: Fitting, ring: Found) -> Bool[Array, ""]:
-    """Whether a ring is wider than what a disc looks like."""
-    return ring.ring[0] >= _NARROWEST * scene.method.sheet.size
+def ring_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
+    """A ring's."""
+    return bar_at(known).at[-1].set(1)
+
+
+def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
+    """Whether a bar is longer than wide, a ring wider than what a disc looks like.
+
+    Else a disc says so with less.
+    """
+    long = (curve.extent[0] ** 2).sum() >= curve.radius[0] ** 2
+    wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size
+    return jnp.where(curve.ring[0] > 0, wide, long)
 
 
 def _choose(first: Array, one: Found, other: Found) -> Found:
