@@ -83,7 +83,8 @@ def descend(
     **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
     it closes over no array. Each start has `few` steps; the best goes on for `most`, or
     until nothing is gained, or costs `below` are out of reach. A start whose cost is less
-    than `enough` by then is the best: no other is tried. A start of NaN is none.
+    than `enough` by then is the best: no other is tried. A start of NaN is none, and
+    where the first is there is no descent.
     Under `vmap`, `together` frames are worked on at once.
     """
     n, count = starts.shape
@@ -97,7 +98,8 @@ def descend(
         number = jnp.where(alone, none + n, none)
         damping = jnp.full((), _DAMPING, starts.dtype)
         bent = 0 * first.matrix
-        return _Descent(start, first, bent, damping, none, number, start, inf, none > 0)
+        lost = ~jnp.isfinite(start).all()
+        return _Descent(start, first, bent, damping, none, number, start, inf, lost)
 
     def turn(
         run: _Descent,

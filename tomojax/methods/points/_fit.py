@@ -35,8 +35,9 @@ LEFT, _UNUSUAL = 0.37, 4.0
 # Fits from several starts: the best, after a few steps, is gone on with.
 _FEW, _MOST = 3, 20
 
-# A start that leaves less than this part of what is usual is the best of them.
-_ENOUGH = 1.0
+# A start of one disc that leaves less than this part of what is usual is the best of them;
+# two discs that explain as much may still be two others.
+_ENOUGH = 1.5
 
 # A few of many slots are searched with; then this many steps with all slots follow. Slots
 # share errors, and more steps would fit those. A few slots hardly tell a curve.
@@ -159,11 +160,15 @@ def _lowest(
     Of many slots a few stand for all, until what is lowest there is known.
     """
     frame, sheet, some = scene.frame, scene.method.sheet, scene.prepared.compared
+    # No start is good for a frame without voltages, as fill a call up: it ends at once.
+    starts = jnp.where(jnp.isfinite(frame.whitened).all(), starts, jnp.nan)
     limits = _limits(kind, sheet, starts.shape[1])
 
     def lowest(starts: Array, frame: WhitenedFrame, below: Array, most: int) -> Array:
         together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
-        enough = _ENOUGH * LEFT * (frame.scale > 0).sum().astype(starts.dtype)
+        alone = kind is DISCS and starts.shape[1] == kind.parameters
+        usual = LEFT * (frame.scale > 0).sum().astype(starts.dtype)
+        enough = _ENOUGH * usual if alone else 0 * usual
         of = below.sum(), enough, sheet, frame, scene.prepared.tolerance
         return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 

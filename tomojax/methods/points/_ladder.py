@@ -43,7 +43,7 @@ _STARTS, _FIRST, _PAIRS = 3, 5, 2
 GAIN = 8.0
 
 # Part of that gain which slopes have to promise before a larger model is fitted.
-_PROMISE = 0.6
+_PROMISE = 0.65
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
 # the strongest, are what the model's error makes of fewer.

@@ -52,7 +52,7 @@ class Points(AbstractMethod):
     films: ClassVar[bool] = True
     stands_out: ClassVar[float] = 3.3
     padded: ClassVar[bool] = False
-    blocks: ClassVar[tuple[int, ...]] = (256,)
+    blocks: ClassVar[tuple[int, ...]] = (2048,)
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
