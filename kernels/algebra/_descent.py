@@ -77,8 +77,8 @@ def descend(
     below: Float[Array, ""] | float,
     enough: Float[Array, ""] | float,
     *given: Any,
-) -> Float[Array, " P"]:
-    """The parameters of the lowest cost.
+) -> tuple[Float[Array, " P"], Float[Array, ""]]:
+    """The parameters of the lowest cost, and that cost.
 
     **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
     it closes over no array. Each start has `few` steps; the best goes on for `most`, or
@@ -118,7 +118,7 @@ def descend(
 
     bounds = (jnp.asarray(a, starts.dtype) for a in (below, enough))
     run = _compacting(turn, together)(begun(starts[0]), starts, limits, *bounds, *given)
-    return run.parameters
+    return run.parameters, run.normal.cost
 
 
 @partial(jax.jit, static_argnums=0)

@@ -39,6 +39,10 @@ _FEW, _MOST = 3, 20
 # two discs that explain as much may still be two others.
 _ENOUGH = 1.5
 
+# Beyond so many times the cost that is asked for, and what is usual, a fit to a few slots
+# is not gone on with.
+_HOPELESS = 2.0
+
 # A few of many slots are searched with; then this many steps with all slots follow. Slots
 # share errors, and more steps would fit those. A few slots hardly tell a curve.
 _LAST, _LAST_LONG = 3, 10
@@ -164,19 +168,28 @@ def _lowest(
     starts = jnp.where(jnp.isfinite(frame.whitened).all(), starts, jnp.nan)
     limits = _limits(kind, sheet, starts.shape[1])
 
-    def lowest(starts: Array, frame: WhitenedFrame, below: Array, most: int) -> Array:
+    def lowest(
+        starts: Array, frame: WhitenedFrame, below: Array, most: int
+    ) -> tuple[Array, Array]:
         together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
         alone = kind is DISCS and starts.shape[1] == kind.parameters
-        usual = LEFT * (frame.scale > 0).sum().astype(starts.dtype)
-        enough = _ENOUGH * usual if alone else 0 * usual
+        enough = (_ENOUGH if alone else 0.0) * _usual(frame)
         of = below.sum(), enough, sheet, frame, scene.prepared.tolerance
         return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 
     if len(some) < len(frame.grounds):
         part = jax.tree.map(lambda a: a[some], frame)
-        starts = lowest(starts, part, below[some], _MOST)[None]
-        return lowest(starts, frame, below, kind.last)
-    return lowest(starts, frame, below, _MOST)
+        found, cost = lowest(starts, part, below[some], _MOST)
+        # What is far from explaining these explains no more of all.
+        hopeless = cost > _HOPELESS * below[some].sum() + _usual(part)
+        found = jnp.where(hopeless, jnp.nan, found)
+        return lowest(found[None], frame, below, kind.last)[0]
+    return lowest(starts, frame, below, _MOST)[0]
+
+
+def _usual(frame: WhitenedFrame) -> Float[Array, ""]:
+    """What errors leave of a frame, usually."""
+    return LEFT * (frame.scale > 0).sum().astype(frame.scale.dtype)
 
 
 def _limits(kind: Kind, sheet: model.Sheet, count: int) -> Limits:

@@ -137,7 +137,8 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     best, one, discs, _, rival, pair, asked = ladder
     new, ended = _more_discs(scene, discs, rival, size)
     if size == 2:
-        pair = new.place[:2]
+        # Of a fit that was given up nothing is known.
+        pair = jnp.where(jnp.isfinite(new.place[:2]).all(), new.place[:2], pair)
     # Nor does one disc explain what is neither: a ring, where two are no better.
     asked = asked | discs.high | _gains(scene, discs, new, size)
     new = _believed(scene, new, size)
