@@ -26,6 +26,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 import tomojax as tx
+from tomojax._programs import forget
 
 # Tracing makes millions of objects that live on: looking through them all again and again
 # is a quarter of the tests' time.
@@ -80,4 +81,5 @@ def _little_compiled_code():
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and maps.read_bytes().count(b"\n") > 45_000:
+        forget()
         jax.clear_caches()

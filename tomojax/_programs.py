@@ -10,10 +10,11 @@ import importlib.util
 import os
 import pickle
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -33,42 +34,94 @@ _WRITES = importlib.util.find_spec("flatbuffers") is not None
 _QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 1}
 
 
-def kept(function: Callable) -> Callable:
-    """Compiles a function of pytrees, as `eqx.filter_jit` does, and keeps its programs.
+class Kept:
+    """A function of pytrees, compiled as `eqx.filter_jit` does; keeps its programs.
 
     A program is told by the function's name, the package's source, and the arguments:
     their structure, the shapes and types of arrays, the values of all else. Where it cannot
-    be kept, it is compiled all the same.
+    be kept, it is compiled all the same. Compilers run beside the caller: `begin` several
+    programs, and they are compiled side by side.
     """
-    part = eqx.filter_jit(function)
-    asked = lambda: {"compiler_options": options()}  # noqa: E731
-    plain = functools.cache(lambda: eqx.filter_jit(function, **asked()))  # pyright: ignore
-    loaded: dict[Any, Callable] = {}
-    lock = threading.Lock()
 
-    @functools.wraps(function)
-    def call(*args: Any) -> Any:
-        folder = os.environ.get(FOLDER)
+    def __init__(self, function: Callable):
+        functools.update_wrapper(self, function)
+        self._function, self._inside = function, eqx.filter_jit(function)
+        # On several devices arrays come in parts, which a program that is kept does not.
+        self._shared = functools.cache(lambda: _with_options(function))
+        self._programs: dict[Any, _Program] = {}
+        self._lock = threading.Lock()
+        _KEPT.append(self)
+
+    def __call__(self, *args: Any) -> Any:
         if not jax.core.trace_ctx.is_top_level():
-            return part(*args)  # of another program, which has the compiler's options
-        # A program that is kept is of one device.
-        if not folder or not _WRITES or jax.device_count() > 1:
-            return plain()(*args)
+            return self._inside(
+                *args
+            )  # of another program, which has the compiler's options
+        if jax.device_count() > 1:
+            return self._shared()(*args)
+        program, flat = self._program(args)
+        return program(flat)
+
+    def begin(self, *args: Any) -> Any:
+        """Traces, and lets a thread compile; returns shapes and types of the results."""
+        if jax.device_count() > 1:
+            return eqx.filter_eval_shape(self._function, *args)
+        return self._program(args)[0].shapes
+
+    def forget(self) -> None:
+        """Drops the programs that this process holds."""
+        self._programs.clear()
+
+    def _program(self, args: tuple) -> "tuple[_Program, list]":
         arrays, static = eqx.partition(args, _is_array)
         flat, tree = jax.tree.flatten(arrays)
-        shapes = tuple((a.shape, a.dtype) for a in flat)
-        still = jax.tree.flatten(static)
+        shapes = tuple((a.shape, np.dtype(a.dtype)) for a in flat)
+        leaves, still = jax.tree.flatten(static)
         # What `jax.enable_x64` says makes other constants.
         wide = jax.config.jax_enable_x64  # pyright: ignore
-        key = tree, still[1], tuple(map(repr, still[0])), shapes, wide
-        with lock:
-            if key not in loaded:
-                path = Path(folder) / f"{_named(function, key)}.program"
-                loaded[key] = _loaded(function, args, flat, path)
-        return loaded[key](*flat)
+        key = tree, still, tuple((type(a), a) for a in leaves), shapes, wide
+        with self._lock:
+            if key not in self._programs:
+                folder, path = os.environ.get(FOLDER), None
+                if folder and _WRITES:
+                    told = tree, still, tuple(map(repr, leaves)), shapes, wide
+                    path = Path(folder) / f"{_named(self._function, told)}.program"
+                self._programs[key] = _made(self._function, args, flat, path)
+        return self._programs[key], flat
 
-    call.loaded = loaded  # pyright: ignore
-    return call
+
+_KEPT: list[Kept] = []
+
+
+def kept(function: Callable) -> Kept:
+    """See `Kept`."""
+    return Kept(function)
+
+
+def forget() -> None:
+    """Drops all programs that this process holds; `jax.clear_caches` drops others."""
+    for one in _KEPT:
+        one.forget()
+
+
+class _Program(NamedTuple):
+    """A program that is compiled, or will be."""
+
+    compiled: Future
+    structure: Any  # of what it returns
+    shapes: Any
+
+    def __call__(self, flat: list) -> Any:
+        return jax.tree.unflatten(self.structure, self.compiled.result()(*flat))
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), "compiling")
+
+
+def _with_options(function: Callable) -> Callable:
+    return eqx.filter_jit(function, **{"compiler_options": options()})  # pyright: ignore
 
 
 @functools.cache
@@ -104,12 +157,13 @@ def _source() -> str:
     return digest.hexdigest()
 
 
-def _loaded(function: Callable, args: tuple, flat: list, path: Path) -> Callable:
-    """The program of a file; made, and written, where there is none that can be read."""
-    with suppress(Exception):  # a file that was cut short, or is of another JAX
-        program, template = pickle.loads(path.read_bytes())
-        _prepare_lapack()
-        return _called(jax.export.deserialize(bytearray(program)), template)
+def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Program:
+    """The program of a file; traced, and written, where there is none that can be read."""
+    if path is not None:
+        with suppress(Exception):  # a file that was cut short, or is of another JAX
+            program, template = pickle.loads(path.read_bytes())
+            _prepare_lapack()
+            return _compiling(jax.export.deserialize(bytearray(program)), template, flat)
     dynamic, static = eqx.partition(args, _is_array)
     tree = jax.tree.structure(dynamic)
     template: Any = None
@@ -122,24 +176,40 @@ def _loaded(function: Callable, args: tuple, flat: list, path: Path) -> Callable
         return leaves
 
     flattened.__name__ = function.__name__
+    if path is None:
+        traced = jax.jit(flattened, compiler_options=options()).trace(*flat)
+        return _later(traced.lower, template, jax.tree.leaves(traced.out_info))
     exported = jax.export.export(jax.jit(flattened))(*flat)
     with suppress(OSError):
         part = path.with_suffix(f".{os.getpid()}")
         part.write_bytes(pickle.dumps((bytes(exported.serialize()), template)))
         part.replace(path)
-    return _called(exported, template)
+    return _compiling(exported, template, flat)
 
 
-def _called(exported: Any, template: Any) -> Callable:
-    structure = jax.tree.structure(template)
-    name = exported.fun_name
-
+def _compiling(exported: Any, template: Any, flat: list) -> _Program:
     def call(*flat: Any) -> list:
         return exported.call(*flat)
 
-    call.__name__ = name  # JAX tells what it compiles by that
-    compiled = jax.jit(call, compiler_options=options())
-    return lambda *flat: jax.tree.unflatten(structure, compiled(*flat))
+    call.__name__ = exported.fun_name  # JAX tells what it compiles by that
+    program = jax.jit(call, compiler_options=options())
+    lower = functools.partial(program.lower, *flat)
+    return _later(lower, template, exported.out_avals)
+
+
+def _later(lower: Callable, template: Any, shapes: Sequence[Any]) -> _Program:
+    # What `jax.enable_x64` says here holds in this thread alone.
+    wide = jax.config.jax_enable_x64  # pyright: ignore
+
+    def compiled() -> Any:
+        with jax.enable_x64(wide):
+            return lower().compile()
+
+    structure = jax.tree.structure(template)
+    told = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in shapes]
+    return _Program(
+        _compilers().submit(compiled), structure, jax.tree.unflatten(structure, told)
+    )
 
 
 @functools.cache

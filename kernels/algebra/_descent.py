@@ -188,9 +188,7 @@ def _secant(
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _onward(
-    run: _Descent, starts: Array, few: int, most: int, enough: Array
-) -> _Descent:
+def _onward(run: _Descent, starts: Array, few: int, most: int, enough: Array) -> _Descent:
     """From a start that has had its steps to the next, and from the last to the best.
 
     One that is good enough goes on as it is.

@@ -24,7 +24,7 @@ def scaled(tree: dict, factor: float) -> dict:
 
 def forgotten() -> None:
     """Makes a process of this one that has called nothing yet."""
-    scaled.loaded.clear()
+    _programs.forget()
     jax.clear_caches()
 
 

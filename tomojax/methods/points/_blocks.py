@@ -1,13 +1,12 @@
 """Many frames up the ladder: a larger model is fitted only to those that ask for it."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 
-from tomojax._programs import kept
+from tomojax._programs import Kept, kept
 from tomojax.methods.points._fit import fitting_of
 from tomojax.methods.points._ladder import first, Ladder, steps
 
@@ -34,7 +33,7 @@ def call_size(slots: int) -> int:
 def called(
     frames: Frames,
     rows: Int[np.ndarray, " k"],
-    program: Callable,
+    program: Kept,
     given: Any = (),
     *static: int,
 ) -> Any:
@@ -57,6 +56,20 @@ def called(
     return whole
 
 
+def begun(frames: Frames, program: Kept, given: Any = (), *static: int) -> Any:
+    """Lets a program compile that will be `called`, or may be; shapes of its results.
+
+    Of `given` what counts is the shape of an entry.
+    """
+    size = call_size(frames.voltages.shape[1])
+    empty = lambda a: np.zeros((size, *a.shape[1:]), a.dtype)  # noqa: E731
+    volts, grounds = empty(frames.voltages), empty(frames.grounds)
+    given = jax.tree.map(empty, given)
+    return program.begin(
+        frames.method, frames.prepared, volts, grounds, given, frames.most, *static
+    )
+
+
 def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
     """Writes what was found of some frames; begins a whole that is None."""
     if whole is None:
@@ -68,13 +81,23 @@ def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
 
 def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
     """Climbs the ladder with some frames."""
+    rungs = steps(frames.most)
+    shapes = begun(frames, _first)
+    if rungs:  # a quarter of lone contacts ask for it: it compiles beside the first
+        begun(frames, _step, shapes, 0)
     ladder: Ladder = called(frames, rows, _first)
-    for number, (due, _) in enumerate(steps(frames.most)):
+    high = np.array(ladder.discs.high)
+    for number, (due, _) in enumerate(rungs):
         asking = np.flatnonzero(due(ladder))
-        if len(asking):
-            part = jax.tree.map(lambda a, asking=asking: a[asking], ladder)
-            new = called(frames, rows[asking], _step, part, number)
-            put(ladder, asking, new, len(rows))
+        if not len(asking):
+            continue
+        for later in range(number, len(rungs)):
+            # After two discs it is a curve's turn, where one leaves more than errors.
+            if rungs[later][0](ladder).any() or (later == 1 and high.any()):
+                begun(frames, _step, shapes, later)
+        part = jax.tree.map(lambda a, asking=asking: a[asking], ladder)
+        new = called(frames, rows[asking], _step, part, number)
+        put(ladder, asking, new, len(rows))
     return ladder
 
 

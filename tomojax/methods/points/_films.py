@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax._programs import kept
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
-from tomojax.methods.points._blocks import called, Frames, put, searched
+from tomojax.methods.points._blocks import begun, called, Frames, put, searched
 from tomojax.methods.points._fit import (
     best_fit,
     CURVE,
@@ -57,6 +57,9 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
     found: Any = put(None, firsts, whole, n)
     done = np.zeros(n, bool)
     done[firsts] = True
+    for size in range(frames.most + 1):
+        if _is_of(whole, size).any():
+            begun(frames, _again, whole, size)
     for size in range(frames.most + 1):
         rows = np.flatnonzero(_is_of(whole, size)[film] & ~done)
         if not len(rows):
