@@ -74,8 +74,10 @@ def make_recording(path: Path, seconds: float, contacts: int, method: str) -> No
     sensor = tx.Sensor.grid(divisions=(64, 64), dtype=np.float32)
     table, turn = [], np.linspace(0, 2 * np.pi, 200, endpoint=False)
     for angle in turn:
-        each = angle + 2 * np.pi * np.arange(contacts) / contacts
-        places = 0.08 + 0.045 * np.stack([np.cos(each), np.sin(each)], 1)
+        # Not the corners of one triangle: three alike on a circle look like a cup's rim.
+        each = angle + 2 * np.pi * np.array([0, 0.3, 0.62])[:contacts]
+        out = np.array([0.045, 0.035, 0.055])[:contacts, None]
+        places = 0.08 + out * np.stack([np.cos(each), np.sin(each)], 1)
         scene = tx.Scene(*(tx.Disc(place, 0.006, 1e-3) for place in places))
         table.append(np.asarray(tx.voltages(sensor, scene, list(grounds))))
     codes = np.stack(table) * (32768 / 5)

@@ -190,6 +190,28 @@ def test_descent_ends_where_scipy_does():
             np.testing.assert_allclose(found, want.x, atol=2e-2)
 
 
+def test_a_start_that_is_good_enough_is_the_last():
+    """The first of two valleys is taken where it is low enough; without a start none."""
+
+    def model(p):
+        # Valleys at -1, of cost 1, and at 2, of cost 0.
+        r = jnp.stack([(p[0] + 1) * (p[0] - 2), (2 - p[0]) / 3])
+        j = jnp.stack([2 * p[:1] - 1, -jnp.ones(1) / 3])
+        return Normal(r @ r, j.T @ j, j.T @ r)
+
+    starts, limits = jnp.array([[-1.3], [2.2]]), Limits(jnp.full(1, jnp.inf), jnp.ones(1))
+    for enough, valley, height in ((0.0, 2.0, 0.0), (1.5, -1.0, 1.0)):
+        found, cost = descend(model, starts, limits, 3, 40, 2, jnp.inf, enough)
+        np.testing.assert_allclose(found[0], valley, atol=0.06)
+        np.testing.assert_allclose(cost, height, atol=0.05)
+    none = jnp.array([[2.2], [jnp.nan]])
+    np.testing.assert_allclose(
+        descend(model, none, limits, 3, 40, 2, jnp.inf, 0.0)[0], 2, atol=1e-3
+    )
+    lost, cost = descend(model, none[::-1], limits, 3, 40, 2, jnp.inf, 0.0)
+    assert np.isnan(lost).all() and cost == jnp.inf
+
+
 def test_the_grid_is_the_same_along_both_sides(paper_sensor):
     """A square turned by a quarter is itself, also where places nearly meet the grid's."""
     xy = np.asarray(paper_sensor.electrode_xy, float)

@@ -79,6 +79,29 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(monkeypatch, tmp_path) ->
     assert float(scaled(tree(), 2.0)["sum"]) == 6 and not os.listdir(tmp_path)
 
 
+def test_what_is_begun_is_traced_once_and_told_of(folder) -> None:
+    for environment in ({}, {_programs.FOLDER: ""}):
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in environment.items():
+                patch.setenv(name, value)
+            forgotten()
+            traces.clear()
+            shapes = scaled.begin(tree(), 2.0)
+            assert shapes["none"] is None and shapes["sum"].shape == ()
+            assert (shapes["pair"][0].shape, shapes["pair"][0].dtype) == ((3,), np.float64)
+            assert float(scaled(tree(), 2.0)["sum"]) == 6 and traces == [2.0]
+
+
+def test_what_does_not_compile_says_so_each_time(folder) -> None:
+    @kept
+    def broken(x):
+        raise RuntimeError("as it is traced")
+
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="as it is traced"):
+            broken(jnp.ones(3))
+
+
 def test_transformations_go_through(folder) -> None:
     slope = jax.grad(lambda x: scaled({"x": x, "n": 7}, 2.0)["sum"])(jnp.ones(3))
     many = eqx.filter_vmap(lambda x: scaled({"x": x, "n": 7}, 2.0)["sum"])(jnp.ones((2, 3)))

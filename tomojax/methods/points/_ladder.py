@@ -330,7 +330,8 @@ def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
     """
     long = (curve.extent[0] ** 2).sum() >= curve.radius[0] ** 2
     wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size
-    return jnp.where(curve.ring[0] > 0, wide, long)
+    is_ring = curve.ring[0] > 0
+    return (is_ring & wide) | (~is_ring & long)
 
 
 def _choose(first: Array, one: Found, other: Found) -> Found:
