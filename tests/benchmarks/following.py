@@ -78,7 +78,7 @@ def make_recording(path: Path, seconds: float, contacts: int, method: str) -> No
         each = angle + 2 * np.pi * np.array([0, 0.3, 0.62])[:contacts]
         out = np.array([0.045, 0.035, 0.055])[:contacts, None]
         places = 0.08 + out * np.stack([np.cos(each), np.sin(each)], 1)
-        scene = tx.Scene(*(tx.Disc(place, 0.006, 1e-3) for place in places))
+        scene = tx.Scene(*(tx.Disc(place, 0.006, 1.0) for place in places))
         table.append(np.asarray(tx.voltages(sensor, scene, list(grounds))))
     codes = np.stack(table) * (32768 / 5)
     slots = len(grounds)

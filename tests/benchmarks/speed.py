@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 KINDS = ("one", "two30", "two20", "three", "bar", "ring")
 # By name: method, slots (of 64), frames of a call.
 JOBS = {
-    "points, two slots": ("points", (0, 63), 4096),
+    "points, two slots": ("points", (0, 63), 1024),
     "points, 64 slots": ("points", tuple(range(64)), 128),
     "auto, two slots": ("auto", (0, 63), 1000),
     "conductance, ten slots": ("conductance", (0, 63, 7, 56, 18, 21, 42, 45, 27, 36), 8),
