@@ -54,9 +54,7 @@ class Kept:
 
     def __call__(self, *args: Any) -> Any:
         if not jax.core.trace_ctx.is_top_level():
-            return self._inside(
-                *args
-            )  # of another program, which has the compiler's options
+            return self._inside(*args)  # within another program
         if jax.device_count() > 1:
             return self._shared()(*args)
         program, flat = self._program(args)
@@ -112,12 +110,24 @@ class _Program(NamedTuple):
     shapes: Any
 
     def __call__(self, flat: list) -> Any:
-        return jax.tree.unflatten(self.structure, self.compiled.result()(*flat))
+        try:
+            compiled = self.compiled.result()
+        except KeyboardInterrupt:
+            _stop_compiling()
+            raise
+        return jax.tree.unflatten(self.structure, compiled(*flat))
 
 
 @functools.cache
 def _compilers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), "compiling")
+
+
+def _stop_compiling() -> None:
+    """Drops what no compiler has begun: a process that ends would wait for it."""
+    _compilers().shutdown(wait=False, cancel_futures=True)
+    _compilers.cache_clear()
+    forget()
 
 
 def _with_options(function: Callable) -> Callable:
