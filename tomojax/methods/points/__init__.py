@@ -4,6 +4,6 @@
 the other methods.
 """
 
-from tomojax.methods.points._fit import fitting_of as fitting_of
+from tomojax.methods.points._found import fitting_of as fitting_of
 from tomojax.methods.points._points import Points as Points
 from tomojax.methods.points._sheet import sheet_of as sheet_of, UNIT as UNIT

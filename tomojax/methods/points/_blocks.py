@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 
 from tomojax._programs import Kept, kept
-from tomojax.methods.points._fit import fitting_of
+from tomojax.methods.points._found import fitting_of
 from tomojax.methods.points._ladder import first, Ladder, steps
 
 # Slots of a compiled call, and least and most frames of it: of many, those that are done

@@ -11,15 +11,8 @@ from tomojax._programs import kept
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
 from tomojax.methods.points._blocks import begun, called, Frames, put, searched
-from tomojax.methods.points._fit import (
-    best_fit,
-    CURVE,
-    DISCS,
-    Ended,
-    Fitting,
-    fitting_of,
-    Found,
-)
+from tomojax.methods.points._fit import best_fit, CURVE, DISCS
+from tomojax.methods.points._found import Ended, Fitting, fitting_of, Found
 from tomojax.methods.points._ladder import (
     apart_and_strong,
     bar_at,

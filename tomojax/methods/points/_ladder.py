@@ -23,17 +23,8 @@ from tomojax.kernels.contacts import (
 )
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
-from tomojax.methods.points._fit import (
-    best_fit,
-    CURVE,
-    DISCS,
-    Ended,
-    Fitting,
-    Found,
-    LEFT,
-    look_of,
-    starts_at,
-)
+from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
+from tomojax.methods.points._found import Ended, Fitting, Found, LEFT, look_of
 
 # Candidates that a fit of one disc begins from; that pairs are looked for with; pairs.
 _STARTS, _FIRST, _PAIRS = 3, 5, 2

@@ -20,7 +20,7 @@ from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames, searched
 from tomojax.methods.points._films import filmed
-from tomojax.methods.points._fit import fitting_of, Found
+from tomojax.methods.points._found import fitting_of, Found
 from tomojax.methods.points._ladder import first, steps
 from tomojax.methods.points._sheet import sheet_of, UNIT
 from tomojax.sensor import Calibration, Sensor

@@ -1,0 +1,207 @@
+"""A frame that is fitted, and what is known of its contacts when a fit ends."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import solve_positive
+from tomojax.kernels.contacts import Look, look, unwhitened, WhitenedFrame
+from tomojax.methods._contract import rms, rms_by_electrode
+from tomojax.methods._errors import (
+    highest_cost,
+    misfit_cost,
+    PreparedErrors,
+    whitened,
+    without_offset,
+)
+
+# What is left of whitened voltages for each that is free, usually: the errors that are told
+# of are nearly the largest of what is usual. Beyond so many times that they are unusual.
+LEFT, _UNUSUAL = 0.37, 4.0
+
+
+class Found(NamedTuple):
+    """Contacts of one frame as they were fitted, `count` of at most C."""
+
+    cost: Float[Array, ""]  # per slot
+    usual: Float[Array, ""]  # of it, with as many channels
+    misfits: Float[Array, " S"]  # of each slot
+    count: Int[Array, ""]  # pyright: ignore (tuples have a method of that name)
+    parameters: Float[Array, "C P"]
+    place: Float[Array, "C 2"]
+    extent: Float[Array, "C 2"]
+    ring: Float[Array, " C"]
+    radius: Float[Array, " C"]
+    current: Float[Array, " C"]  # A, the mean over the slots
+    conductance: Float[Array, " C"]
+    covariance: Float[Array, "C 3"]  # of the place: xx, yy, xy, m²
+    vague: Bool[Array, " C"]  # whether a conductance is hardly told
+    high: Bool[Array, ""]  # whether too much is left to be errors
+    limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
+    residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]  # the same of each
+
+
+class Fitting(NamedTuple):
+    """One frame, and what it is fitted with."""
+
+    method: Any
+    prepared: PreparedErrors
+    frame: WhitenedFrame
+    own: Float[Array, "S M"]  # these three as in `Whitened`
+    common: Float[Array, "S q M"]
+    offset: Float[Array, " S"]
+    voltages: Float[Array, "S M"]
+    most: int  # contacts
+
+
+def fitting_of(
+    method, prepared: PreparedErrors, voltages: Float[Array, "S M"], most: int
+) -> Fitting:
+    """A frame, whitened."""
+    return Fitting(method, prepared, *whitened(prepared, voltages), voltages, most)
+
+
+def look_of(scene: Fitting) -> Look:
+    """The candidates beside some slots of the frame."""
+    some, sheet = scene.prepared.compared, scene.method.sheet
+    ee, grounds = sheet.field.electrodes, scene.frame.grounds[some]
+    offset = jnp.diagonal(ee)[grounds][:, None] - ee[grounds]
+    part = jax.tree.map(lambda a: a[some], scene.frame)
+    return look(scene.method.potentials, offset, part)
+
+
+class Ended(NamedTuple):
+    """The end of a fit: its parameters, and the whitened residuals there."""
+
+    parameters: Float[Array, " P"]
+    normal: Float[Array, "P P"]  # JᵀWJ
+    rest: Float[Array, "S W"]
+    slope: Float[Array, "S P W"]  # of that, currents being what fits best
+
+
+def found_of(
+    scene: Fitting,
+    explained: model.Explained,
+    ended: Ended,
+    cost: Array,
+    are_discs: bool,
+) -> Found:
+    prepared, rest, fitted = scene.prepared, ended.rest, explained.fitted
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    slots = prepared.used.any(1)
+    n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
+    misfit, used = without_offset(prepared, fitted.voltages - scene.voltages)
+    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
+    drop = _drop(scene, fitted, rest)
+    count = len(fitted.radius)
+    # What is long is not added to.
+    of_discs = ended.parameters if are_discs else jnp.zeros(model.DISC, rest.dtype)
+    # How sure a place is is not differentiated.
+    known, of_size, limited = _uncertainty(_still(scene), _still(ended), count)
+    vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
+    values = (
+        of_discs.reshape(count, -1),
+        fitted.place,
+        fitted.extent,
+        fitted.ring,
+        fitted.radius,
+        current,
+        current / drop,
+        known,
+        vague,
+    )
+    return Found(
+        cost / n,
+        LEFT * (scene.frame.scale > 0).sum().astype(cost.dtype) / n,
+        misfit_cost((explained.rest**2).sum(1), prepared.tolerance),
+        jnp.asarray(count),
+        *(_padded(a, scene.most) for a in values),
+        high=cost / n > highest_cost(prepared.tolerance),
+        limited=limited,
+        residual=rms(misfit, used),
+        by_electrode=rms_by_electrode(misfit, used),
+    )
+
+
+def _still(tree: Any) -> Any:
+    return jax.tree.map(
+        lambda a: lax.stop_gradient(a) if eqx.is_inexact_array(a) else a, tree
+    )
+
+
+def _uncertainty(
+    scene: Fitting, ended: Ended, count: int
+) -> tuple[Float[Array, "C 3"], Float[Array, " C"], Bool[Array, ""]]:
+    """Covariance of the places, variance of the sizes, and whether errors are unusual.
+
+    N⁻¹(ΣGᵀσ²G + κ²Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
+    another in each slot, the model's errors e_k are the same ones. So more slots average
+    the one and not the other. κ² ≥ 1: how much more is left of the voltages than nominal
+    values leave.
+    """
+    normal, parameters = ended.normal, ended.parameters
+    frame = scene.frame
+    used = frame.scale > 0
+    left = (ended.rest**2).sum(1)
+    weight = 1 / (1 + left / scene.prepared.tolerance)
+    by_voltage = unwhitened(frame, ended.slope * weight[:, None, None])  # (S, P, M)
+    own = jnp.where(used, scene.own, 0)
+    # The slots' channels side by side, so that sums over them are products.
+    flat = by_voltage.transpose(1, 0, 2).reshape(len(parameters), -1)
+    noise = scene.prepared.noise**2 * jnp.matmul(flat, flat.T, precision="highest")
+    alike = scene.common[:, :-1].transpose(1, 0, 2).reshape(-1, flat.shape[1])
+    shared = jnp.concatenate(
+        [
+            (by_voltage * own[:, None]).sum(0).T,
+            jnp.matmul(alike, flat.T, precision="highest"),
+            # Another in each slot: its ground's.
+            jnp.einsum("spm,sm->sp", by_voltage, scene.common[:, -1]),
+        ]
+    )
+    # Of each contact the first two parameters are its place, then comes its size.
+    each = len(parameters) // count
+    blocks = each * np.arange(count)
+    unit = jnp.eye(len(parameters), dtype=normal.dtype)
+    inverse = solve_positive(normal, unit)
+    free = jnp.maximum(used.sum() - len(parameters), 1).astype(normal.dtype)
+    unusual = left.sum() / (LEFT * free)
+    more = jnp.matmul(shared.T, shared) * jnp.maximum(1, unusual)
+    whole = jnp.matmul(inverse.T, jnp.matmul(noise + more, inverse))
+    whole = whole * scene.method.sheet.unit**2
+    places = jnp.stack(
+        [whole[blocks + i, blocks + j] for i, j in ((0, 0), (1, 1), (0, 1))], 1
+    )
+    of_size = jnp.diagonal(inverse)[blocks + 2] if each == model.DISC else 1.0
+    return places, jnp.broadcast_to(of_size, (count,)), unusual > _UNUSUAL
+
+
+def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
+    """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
+
+    What the channels have in common is there too, as the fit has found it.
+    """
+    prepared, sheet = scene.prepared, scene.method.sheet
+    # What is left ends with the common errors, in standard deviations, see `whiten`.
+    found = rest[:, scene.voltages.shape[1] :]
+    at = prepared.spread * scene.method.errors.smooth(fitted.place)
+    relative = jnp.matmul(found[:, :-1], at, precision="highest")
+    u = sheet.drive_voltage - fitted.drop
+    drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]
+    slots = prepared.used.any(1)
+    n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
+    mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+    forward = jnp.sign(sheet.drive_voltage)
+    least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
+    return forward * jnp.maximum(forward * mean, least)
+
+
+def _padded(values: Array, count: int) -> Array:
+    missing = count - len(values)
+    return jnp.pad(values, ((0, missing),) + ((0, 0),) * (values.ndim - 1))
