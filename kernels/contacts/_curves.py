@@ -30,7 +30,7 @@ from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
 # Points of a curve. A bar's are two rows of half as many along its axis, at this part of
 # half its width: of metal, what flows is at its rim. A mode's current is `_UNEVEN` of the
 # mean's, about.
-_POINTS, _ROW, _UNEVEN = 16, 0.58, 0.3
+_POINTS, _ROW, _UNEVEN = 18, 0.58, 0.3
 
 # Conductance that is likely beforehand, beside a square of the sheet, and ln of how far
 # from that it may be: from a current source to metal.
