@@ -31,6 +31,7 @@ from tomojax.kernels.contacts._field import (
     rows_at as rows_at,
     slot_columns as slot_columns,
     thin_of as thin_of,
+    thin_rows_at as thin_rows_at,
 )
 from tomojax.kernels.contacts._follow import follow as follow
 from tomojax.kernels.contacts._one_slot import (

@@ -22,6 +22,9 @@ from tomojax.kernels.sheet._mesh import (
     subpoints as subpoints,
     triangles as triangles,
 )
+from tomojax.kernels.sheet._perturbed import (
+    rectangle_wave_fields as rectangle_wave_fields,
+)
 from tomojax.kernels.sheet._rectangle import (
     rectangle_fields as rectangle_fields,
     rectangle_green as rectangle_green,
@@ -51,5 +54,7 @@ from tomojax.kernels.sheet._slots import (
 from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (
     cosine_waves as cosine_waves,
+    heights as heights,
     smooth_modes as smooth_modes,
+    smooth_orders as smooth_orders,
 )

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-# Half periods along x and y that a sheet's variation is told in: at most so many together.
-_WAVES = 4
+# Half periods along x and y together of the waves that a sheet's errors are told in.
+LONGEST = 4
 
 
 def cosine_waves(
@@ -18,12 +18,21 @@ def cosine_waves(
     return jnp.prod(jnp.cos(angles), -1)
 
 
+def smooth_orders(most: int = LONGEST) -> Int[np.ndarray, "q 2"]:
+    """Half periods (i, j) of waves, 1 ≤ i + j ≤ most, in the order of j within i."""
+    pairs = [(i, j) for i in range(most + 1) for j in range(most + 1 - i) if i + j]
+    return np.array(pairs)
+
+
 def smooth_modes(
-    places: Float[Array, "n 2"], size: Float[Array, "2"]
+    places: Float[Array, "n 2"], size: Float[Array, "2"], most: int = LONGEST
 ) -> tuple[Float[Array, "q n"], Float[np.ndarray, " q"]]:
-    """`cosine_waves` of mean square 1 for 1 ≤ i + j ≤ 4, and 1/(i² + j²)."""
-    pairs = [(i, j) for i in range(_WAVES + 1) for j in range(_WAVES + 1 - i) if i + j]
-    orders = np.array(pairs)
-    height = np.sqrt(2.0 ** (orders > 0).sum(1))[:, None]
-    modes = jnp.asarray(height, places.dtype) * cosine_waves(places, size, orders)
-    return modes, 1 / (orders**2).sum(1)
+    """`cosine_waves` of mean square 1 for 1 ≤ i + j ≤ most, and 1/(i² + j²)."""
+    orders = smooth_orders(most)
+    modes = jnp.asarray(heights(orders)[:, None], places.dtype)
+    return modes * cosine_waves(places, size, orders), 1 / (orders**2).sum(1)
+
+
+def heights(orders: Int[np.ndarray, "q 2"]) -> Float[np.ndarray, " q"]:
+    """The factors that make the waves' mean squares 1."""
+    return np.sqrt(2.0 ** (orders > 0).sum(1))

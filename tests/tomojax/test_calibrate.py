@@ -1,13 +1,16 @@
 """Calibrations, of a rig that is not ours and of recordings in memory."""
 
+import json
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rig import Rig
 
 import tomojax as tx
-from tomojax.calibration import read_places
+from tomojax.calibration import read_places, rig_slopes, slopes_by_rig, unknowns_of
+from tomojax.kernels.contacts import field_at, Fitted, slot_columns
 
 CORNERS = [0, 63]
 
@@ -63,6 +66,36 @@ def test_what_is_left_is_at_most_half(presses, calibration):
     assert left["calibrated"][1].max() < 0.5e-3
 
 
+@pytest.fixture(scope="module")
+def blind(presses):
+    """The same frames without their places."""
+    volts, grounds = presses[0][:30], np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
+    volts = np.take_along_axis(volts, grounds[..., None], 1)
+    return tx.calibration.calibrate(sensor(), volts, grounds)
+
+
+def test_places_need_not_be_known(rig, presses, blind, calibration):
+    """Places of ten other contacts: nearer than nominal, as near as with places."""
+    volts, places = presses
+    grounds = np.tile(np.arange(0, 64, 7), (10, 1))
+    error = {}
+    for name, known in (("nominal", None), ("blind", blind), ("placed", calibration)):
+        method = tx.method(sensor(), "points", 32, known)
+        v = volts[30:] if known is None else known.voltages(volts[30:])
+        found = tx.Batch(method, 1.0, contacts=1, images=False)(v[:, grounds[0]], grounds)
+        error[name] = np.median(np.hypot(*(found.contact_xy[:, 0] - places[30:]).T))
+    assert error["blind"] < 0.7 * error["nominal"]
+    assert error["blind"] < 1.3 * error["placed"]
+
+
+def test_electrodes_are_found(rig, blind):
+    """Beside the middles of the squares that an electrode covers."""
+    true = np.array([rig.cells[rig.node == e].mean(0) for e in range(64)])
+    nominal = np.asarray(sensor().electrode_xy)
+    left = nominal + np.asarray(blind.electrodes) - true
+    assert np.sqrt((left**2).mean()) < 0.7 * np.sqrt(((true - nominal) ** 2).mean())
+
+
 def test_gains_and_zeros_are_the_rigs(rig, calibration):
     left = np.std(np.asarray(calibration.gain) - rig.gain)
     assert left < 0.4 * np.std(rig.gain)
@@ -93,7 +126,64 @@ def test_file(calibration, tmp_path):
     with pytest.raises(ValueError, match="gain: got 0.0"):
         replace(calibration, gain=0.0)
     with pytest.raises(ValueError, match="sheet"):
-        replace(calibration, sheet=(-0.9,) * 14)
+        replace(calibration, sheet=(-0.9,) * 27)
+    with pytest.raises(ValueError, match="sheet: got 3, expected 14 or 27 waves"):
+        replace(calibration, sheet=(0.0,) * 3)
+    with pytest.raises(ValueError, match="electrodes: got .* expected numbers"):
+        replace(calibration, electrodes=((0.0, np.inf),) * 64)
+
+
+def test_a_calibration_of_another_sensor_is_refused(calibration):
+    small = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    with pytest.raises(ValueError, match="^offset: got .64,. values, expected 16 of them"):
+        tx.method(small, "points", 16, calibration)
+
+
+def test_files_of_before_are_read(tmp_path):
+    """Without electrodes, and with fewer waves."""
+    path = tmp_path / "old.json"
+    tx.Calibration(sheet=(0.01,) * 14).save(path)
+    old = json.loads(path.read_text())
+    for name in ("electrodes", "own", "deviation", "made"):
+        del old[name]
+    path.write_text(json.dumps(old))
+    assert tx.Calibration.load(path) == tx.Calibration(sheet=(0.01,) * 14)
+
+
+def test_slopes_by_the_rig():
+    """Beside differences of new tables; what electrodes do as metal is left out."""
+    x64 = tx.Sensor.grid(4, 4, divisions=(32, 32), dtype=np.float64)
+    x, radius, grounds = jnp.array([0.052, 0.034]), jnp.array(0.005), jnp.array([1, 15])
+    current = jnp.array([[1e-3], [2e-3]])
+
+    def volts(calibration: tx.Calibration):
+        sheet = tx.method(x64, "points", 16, calibration).sheet
+        at, z = field_at(sheet.field, x, radius), sheet.ground_resistance
+        return sheet, current * slot_columns(sheet.field, at, grounds, z)
+
+    sheet, base = volts(tx.Calibration())
+    none = jnp.zeros((1, 2))
+    fitted = Fitted(x[None], none, none[:, 0], radius[None], current, 0 * current, base)
+    slopes = np.asarray(slopes_by_rig(sheet, rig_slopes(x64), grounds, fitted))
+    parts = unknowns_of(x64, tx.Calibration(), True).parts
+    moved = np.zeros((16, 2))
+    moved[6] = 3e-5, 0  # at (30, 50) mm
+    waves = np.zeros(27)
+    waves[4] = 0.01
+    for name, value, number, step in (
+        ("electrodes", moved, 6, 3e-5),
+        ("sheet", waves, 4, 0.01),
+        ("ground", np.eye(16)[15], 15, 1.0),
+    ):
+        told = [(sign * value).tolist() for sign in (1, -1)]
+        told = [tuple(map(tuple, v)) if value.ndim > 1 else tuple(v) for v in told]
+        one, other = (volts(tx.Calibration(**{name: v}))[1] for v in told)
+        true = np.asarray(one - other) / (2 * step)
+        found = slopes[..., parts[name]][..., number]
+        # A grounded electrode's own voltage is not used.
+        read = np.arange(16) != np.asarray(grounds)[:, None]
+        off = np.abs(found - true)[read].max()
+        assert off < 0.25 * np.abs(true[read]).max(), name
 
 
 def recording(touch=0.0, scans=40):
@@ -164,3 +254,19 @@ def test_recordings_that_calibrate_nothing():
         tx.calibrate_recording(rec, np.zeros((3, 2)))
     with pytest.raises(ValueError, match="^places: got 0 usable slots"):
         tx.calibrate_recording(rec, np.full((40, 2), 0.08))
+    with pytest.raises(ValueError, match="^recording: got no stretch with a contact"):
+        tx.calibrate_recording(rec)
+
+
+def test_one_touch_calibrates_nothing():
+    """Nor does a recording of another thing."""
+    touch = tx.voltages(sensor(), tx.Disc([0.07, 0.05], 0.006, 0.1), [0, 63])
+    noise = 3e-4 * np.random.default_rng(1).normal(size=(200, 2, 64))
+    volts, rig = np.asarray(touch) + noise, tx.recordings.Rig.of(sensor())
+    with pytest.raises(ValueError, match="^voltages: got contacts in 1 squares .* rub the"):
+        tx.calibrate_recording(tx.recordings.ArrayRecording(rig, volts, CORNERS))
+    noise = np.random.default_rng(0).uniform(0, 2, (200, 2, 64))
+    with pytest.raises(
+        ValueError, match="^voltages: got . of 40 frames, expected 16 or more"
+    ):
+        tx.calibrate_recording(tx.recordings.ArrayRecording(rig, noise, CORNERS))

@@ -4,7 +4,10 @@ The room makes a `tomojax.Calibration`; the sensor room applies it. It knows not
 results.
 """
 
-from tomojax.calibration._calibrate import calibrate as calibrate
+from tomojax.calibration._calibrate import (
+    calibrate as calibrate,
+    Calibrated as Calibrated,
+)
 from tomojax.calibration._pressure import (
     calibrate_presses as calibrate_presses,
     force as force,
@@ -12,14 +15,27 @@ from tomojax.calibration._pressure import (
 )
 from tomojax.calibration._recording import (
     calibrate_recording as calibrate_recording,
+    calibrated_recording as calibrated_recording,
     read_places as read_places,
-    tare as tare,
 )
+from tomojax.calibration._report import (
+    picture as picture,
+    summary as summary,
+    text as text,
+)
+from tomojax.calibration._slopes import (
+    rig_slopes as rig_slopes,
+    slopes_by_rig as slopes_by_rig,
+)
+from tomojax.calibration._tare import tare as tare
+from tomojax.calibration._unknowns import unknowns_of as unknowns_of
 
+# The rest serves the command and tests.
 __all__ = [
     "calibrate",
     "calibrate_presses",
     "calibrate_recording",
+    "calibrated_recording",
     "force",
     "pressure",
     "read_places",

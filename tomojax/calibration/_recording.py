@@ -1,141 +1,161 @@
-"""A rig's calibration from its recordings: contact-free slots, contacts at known places."""
+"""A rig's calibration from a recording of a contact that moves over its sheet."""
 
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from tomojax._require import require
-from tomojax.calibration._calibrate import calibrate
-from tomojax.recordings import read_chunk, Recording
+from tomojax.calibration._calibrate import Calibrated, calibrated
+from tomojax.calibration._tare import tare
+from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 
-# Slots looked at for zeros, in how many stretches; the least there must be; what none of
-# them exceeds, in the noise (and codes, where these are coarse). Means of a ground's slots
-# beside those of all, in σ²: more is a contact.
-_SLOTS, _STRETCHES, _LEAST, _QUIET, _CODES, _SAME = 8192, 16, 16, 11.0, 3.0, 2.0
+# Slots of a frame, in which a contact hardly moves: as many tell of its place; a scan with
+# no fewer than the least is one. Frames that a calibration is made of; of so many times as
+# many they are chosen.
+_SLOTS, _LEAST, _MOST, _CHOICE = 10, 5, 1000, 4
 
-# Slots that a calibration is made of: more tell little that is new.
-# What a contact exceeds to be of use, in the noise, and the fewest such slots.
-_MOST, _TOUCHED, _FEWEST = 2048, 110.0, 64
-
-# The noise that is seen, times what is left of zeros; and of the nominal one at least.
-_MORE, _NO_LESS = 1.1, 0.02
+# What a contact exceeds to be of use, in the noise; the part of the frames in which a
+# channel must be good.
+_TOUCHED, _GOOD = 110.0, 0.9
 
 
-def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
-    """Zeros of the channels and their noise, from the recording's contact-free slots.
+class _Frames(NamedTuple):
+    """Stretches of slots that show a contact."""
 
-    Those with all voltages within eleven times the noise and a mean that is the lowest.
-    Zeros do not depend on the ground: where these slots' means do, something touches. With
-    fewer than 16 slots, or with a touch, the calibration (nominal by default) as it is.
-
-    **Example:**
-
-    >>> import numpy as np
-    >>> import tomojax as tx
-    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> quiet = 0.002 + 1e-4 * np.random.default_rng(0).normal(size=(64, 2, 16))
-    >>> rig = tx.recordings.Rig.of(sensor)
-    >>> recording = tx.recordings.ArrayRecording(rig, quiet, [0, 15])
-    >>> print(f"{1e3 * np.mean(tx.calibration.tare(recording).offset):.1f} mV")
-    2.0 mV
-    """
-    calibration = calibration or Calibration()
-    v, grounds = _quiet_slots(recording, calibration)
-    if len(v) < _LEAST:
-        return calibration
-    # Of one slot and the next: what changes slowly does not count.
-    noise = 1.4826 * np.median(np.abs(np.diff(v, axis=0))) / np.sqrt(2)
-    means = v.mean(1)
-    same = means <= np.quantile(means, 0.1) + 5 * noise / np.sqrt(v.shape[1])
-    v, grounds = v[same], grounds[same]
-    if len(v) < _LEAST:
-        return calibration
-    zero = v.mean(0)
-    count = np.bincount(grounds)
-    some = np.flatnonzero(count >= 2)
-    apart = [count[g] * ((v[grounds == g].mean(0) - zero) ** 2).mean() for g in some]
-    noise = float(v.std(0).mean())
-    if len(some) > 1 and np.median(apart) > _SAME * noise**2:
-        return calibration
-    offset = zero * np.asarray(calibration.gain) + np.asarray(calibration.offset)
-    least = _NO_LESS * nominal_noise(recording.rig.sensor())
-    return replace(
-        calibration,
-        offset=tuple(float(z) for z in offset),
-        noise=float(np.hypot(_MORE * noise, least)),
-    )
-
-
-def _quiet_slots(
-    recording: Recording, calibration: Calibration
-) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
-    each = max(1, _SLOTS // _STRETCHES // recording.slots)
-    starts = np.linspace(0, max(0, recording.scans - each), _STRETCHES).astype(int)
-    rig = recording.rig
-    least = max(_QUIET * nominal_noise(rig.sensor()), _CODES * rig.resolution)
-    found, under = [], []
-    for start in np.unique(starts).tolist():
-        stop = min(start + each, recording.scans)
-        _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
-        v = calibration.voltages(v[:, 0].astype(float))
-        quiet = good.all((1, 2)) & (np.abs(v).max(1) < least)
-        found.append(v[quiet])
-        under.append(grounds[quiet, 0])
-    return np.concatenate(found), np.concatenate(under).astype(int)
+    number: Integer[np.ndarray, "n S"]  # of the slots in the recording
+    times: Float[np.ndarray, "n S"]
+    voltages: Float[np.ndarray, "n S M"]
+    grounds: Integer[np.ndarray, "n S"]
+    good: np.ndarray  # (n, S, M)
 
 
 def calibrate_recording(
-    recording: Recording, places: Float[np.ndarray, "n 2"], most: int = _MOST
+    recording: Recording,
+    places: Float[np.ndarray, "n 2"] | None = None,
+    most: int = _MOST,
+    *,
+    calibration: Calibration | None = None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
-    """`calibrate` on a recording of one contact, at `places` (m) in each slot or scan.
-
-    Zeros are taken from contact-free slots first, where there are. Slots with faults,
-    without a contact or without a place (NaN) are left out; of the others up to `most`,
-    spread evenly.
-
-    **Raises:** `ValueError` for places that are neither one per slot nor one per scan, or
-    with fewer than 64 slots left.
+    """`calibrate` on a recording of one contact anywhere, as `calibrated_recording` does.
 
     **Example:**
 
     >>> import numpy as np
     >>> import tomojax as tx
     >>> sensor = tx.Sensor.grid(2, 2, divisions=(8, 8), dtype=np.float32)
-    >>> places = np.random.default_rng(0).uniform(0.015, 0.025, (16, 2))
-    >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.005, 1.0)) for xy in places])
+    >>> places = np.random.default_rng(0).uniform(0.012, 0.028, (20, 2))
+    >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.004, 1.0)) for xy in places])
     >>> rig = tx.recordings.Rig.of(sensor)
     >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(4))
     >>> known = tx.calibrate_recording(recording, places)  # of each scan
     >>> len(known.gain), len(known.sheet), known.error <= 1
-    (4, 14, True)
+    (4, 27, True)
     """
-    slots = recording.scans * recording.slots
-    places = np.asarray(places, float)
-    per_scan = places.shape == (recording.scans, 2)
-    expected = f"({slots}, 2), one per slot, or ({recording.scans}, 2), one per scan"
-    require(per_scan or places.shape == (slots, 2), "places", places.shape, expected)
-    if per_scan:
-        places = places.repeat(recording.slots, 0)
-    before = tare(recording)
+    given = recording, places, most
+    return calibrated_recording(
+        *given, calibration=calibration, progress=progress
+    ).calibration
+
+
+def calibrated_recording(
+    recording: Recording,
+    places: Float[np.ndarray, "n 2"] | None = None,
+    most: int = _MOST,
+    *,
+    calibration: Calibration | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Calibrated:
+    """A calibration from a recording of one contact, and what it is made of.
+
+    Zeros are taken from contact-free slots first, where there are. `places` (m) of each
+    slot or scan, NaN where they are not known; None: nowhere. Stretches of ten slots are
+    frames, or scans of five to ten, in which the contact may move. Those with faults or without a contact are left
+    out; of the others up to `most`, spread evenly.
+
+    **Raises:** `ValueError` for places that are neither one per slot nor one per scan, and
+    as `calibrate` does.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(3, 3, divisions=(12, 12), dtype=np.float32)
+    >>> places = np.random.default_rng(0).uniform(0.01, 0.05, (20, 2))
+    >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.005, 0.1)) for xy in places])
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(9))
+    >>> found = tx.calibration.calibrated_recording(recording)  # nobody knows the places
+    >>> np.abs(found.calibration.electrodes).max() < 5e-4  # m
+    True
+    >>> told = tx.calibration.summary(sensor, found)
+    >>> told["frames"], told["squares"]
+    (18, 9)
+    >>> lines = tx.calibration.text(sensor, found)
+    >>> figure = tx.calibration.picture(sensor, found)
+    """
+    slots, per_scan = recording.scans * recording.slots, recording.slots
+    if places is not None:
+        places = np.asarray(places, float)
+        of_scans = places.shape == (recording.scans, 2)
+        expected = f"({slots}, 2), one per slot, or ({recording.scans}, 2), one per scan"
+        fits = of_scans or places.shape == (slots, 2)
+        require(fits, "places", places.shape, expected)
+        places = places.repeat(per_scan, 0) if of_scans else places
+    before = tare(recording, calibration)
+    # Places of scans are those of their middle, whatever moves in them.
+    whole = places is not None or per_scan >= _LEAST
+    length = min(per_scan if whole else slots, _SLOTS)
+    frames = _touched(recording, before, length, most)
+    good = frames.good.mean((0, 1)) > _GOOD if len(frames.good) else np.ones(0, bool)
+    usable = frames.good[:, :, good].all((1, 2))
+    where = None
+    if places is not None:
+        where = places[frames.number].mean(1)
+        usable &= np.isfinite(where).all(1)
+        require(bool(usable.any()), "places", "0 usable slots", "slots with a contact")
+    some = np.flatnonzero(usable)
+    some = some[np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(int)]
+    require(len(some) > 0, "recording", "no stretch with a contact", "a contact that moves")
+    volts = np.where(good, frames.voltages[some], np.nan)
+    return calibrated(
+        recording.rig.sensor(),
+        volts,
+        frames.grounds[some],
+        None if where is None else where[some],
+        before,
+        times=frames.times[some],
+        progress=progress,
+    )
+
+
+def _touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
+    """Stretches of `length` slots that show a contact throughout."""
     enough = _TOUCHED * nominal_noise(recording.rig.sensor())
-    found: list[tuple] = []
-    each = max(1, _SLOTS // recording.slots)
-    step = max(1, slots // most)
+    slots, m = recording.scans * recording.slots, recording.electrodes
+    every = max(1, slots // length // (_CHOICE * most))
+    # Whole stretches in each chunk.
+    each = max(1, CHUNK_SLOTS // (recording.slots * length)) * length
+    found = []
     for start in range(0, recording.scans, each):
         stop = min(start + each, recording.scans)
-        _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
-        number = np.arange(len(v)) + start * recording.slots
-        touched = np.abs(before.voltages(v[:, 0])).max(1) > enough
-        usable = good.all((1, 2)) & touched & np.isfinite(places[number]).all(1)
-        take = usable & (number % step == 0)
-        found.append((v[take], grounds[take], places[number[take]]))
-    parts = [np.concatenate(p) for p in zip(*found)]
-    wanted = f"at least {_FEWEST} slots with a contact and its place"
-    require(len(parts[0]) >= _FEWEST, "places", f"{len(parts[0])} usable slots", wanted)
-    return calibrate(recording.rig.sensor(), *parts, calibration=before)
+        t, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
+        count = len(v) // length
+        some = np.arange(0, count, every)
+        number = (some[:, None] * length + np.arange(length)).astype(int)
+        v, good = v[number, 0], good[number, 0]
+        high = np.where(good, np.abs(before.voltages(v)), 0).max(-1)
+        kept = (high > enough).all(1)
+        own = number + start * recording.slots
+        parts = own, t[number], v, grounds[number, 0], good
+        found.append(tuple(a[kept] for a in parts))
+    if not found:
+        return _Frames(*(np.zeros((0, length) + (m,) * n) for n in (0, 0, 1, 0, 1)))
+    return _Frames(*(np.concatenate(a) for a in zip(*found)))
 
 
 def read_places(path: Path) -> Float[np.ndarray, "n 2"]:

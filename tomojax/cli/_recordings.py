@@ -56,10 +56,8 @@ _tdms_option = click.option(
 )
 @click.option(
     "--method",
-    default="source",
-    show_default=True,
     help="auto, points, source, positive, conductance or linear; or follow, which carries "
-    "contacts on from slot to slot.",
+    "contacts on from slot to slot. [default: auto; source with --rate slot]",
 )
 @click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
 @click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
@@ -103,7 +101,13 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     from tomojax._environment import environment
     from tomojax.cli.compiled import compiling
     from tomojax.recordings import open_recording
-    from tomojax.results import distributed, reconstruct_recording, report, Settings
+    from tomojax.results import (
+        default_method,
+        distributed,
+        reconstruct_recording,
+        report,
+        Settings,
+    )
 
     out = out or rec.with_name(rec.stem + ".results.h5")
     given = [options[n] for n in ("coordinator", "processes", "process")]
@@ -114,7 +118,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     images = options["images"]
     rate = options["rate"] or ("slot" if follows else "scan")
     settings = Settings(
-        method=options["method"],
+        method=options["method"] or default_method(rate),
         rate=rate,
         images=rate == "scan" if images is None else images,
         lam=options["lam"],
@@ -234,25 +238,68 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
 
 @click.command()
 @click.argument("rec", type=_FILE)
-@click.argument("places", type=_REPORT)
+@click.argument("places", type=_REPORT, required=False)
 @click.option("-o", "--out", type=_REPORT, help="[default: REC.calibration.json]")
+@click.option("--from", "before", type=_FILE, help="An older calibration to begin with.")
+@click.option(
+    "--frames", type=int, default=1000, show_default=True, help="At most, of ten slots."
+)
+@click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
+@click.option("--picture", type=_REPORT, help="Draw sheet and electrodes here (PNG).")
+@click.option("--json", "json_path", type=_REPORT, help="Write the printed figures here.")
 @_tdms_option
-def calibrate(rec: Path, places: Path, out: Path | None, tdms: dict) -> None:
-    """Calibrate the rig from REC, a recording of one contact at known PLACES.
+def calibrate(
+    rec: Path,
+    places: Path | None,
+    out: Path | None,
+    before: Path | None,
+    frames: int,
+    overwrite: bool,
+    picture: Path | None,
+    json_path: Path | None,
+    tdms: dict,
+) -> None:
+    """Calibrate the rig from REC: rub the whole sheet with one finger or a blunt pen.
 
-    PLACES has x and y in metres, of each slot or of each scan: `xy` in an .npz file, or a
-    .csv file. `tomojax reconstruct --calibration` uses what comes out. Takes a minute.
+    Where the contact is need not be known: places, gains, zeros, the sheet, the ground
+    paths and the electrodes' places are found together. Half a minute of rubbing does.
+    PLACES, where you have them, has x and y in metres, of each slot or of each scan: `xy`
+    in an .npz file, or a .csv file. `tomojax reconstruct --calibration` uses the result.
     """
-    import numpy as np
-
-    from tomojax.calibration import calibrate_recording, read_places
+    from tomojax import calibration as room
     from tomojax.recordings import open_recording
+    from tomojax.sensor import Calibration
 
     out = out or rec.with_name(rec.stem + ".calibration.json")
+    if out.exists() and not overwrite:
+        raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
+    if frames < 16:
+        raise ValueError(f"frames: got {frames}, expected 16 or more")
+
+    def say(text: str) -> None:
+        if sys.stderr.isatty():
+            end = "" if text else "\r"
+            print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
+
     with open_recording(rec, **tdms) as recording:
-        found = calibrate_recording(recording, read_places(places))
-    found.save(out)
-    gains, zeros = 100 * np.std(found.gain), 1e3 * np.std(found.offset)
-    print(f"gains {gains:.3f} %, zeros {zeros:.2f} mV rms")
-    print(f"left of the model's error: {100 * found.error:.0f} %")
+        sensor = recording.rig.sensor()
+        found = room.calibrated_recording(
+            recording,
+            room.read_places(places) if places else None,
+            frames,
+            calibration=Calibration.load(before) if before else None,
+            progress=say,
+        )
+    say("")
+    found.calibration.save(out)
+    print(room.text(sensor, found))
     print(f"calibration: {out}")
+    if picture:
+        room.picture(sensor, found).savefig(picture, dpi=110)
+        print(f"picture: {picture}")
+    if json_path:
+        from tomojax._environment import environment
+
+        told = room.summary(sensor, found)
+        report = {"rows": [told], "summary": told, "environment": environment()}
+        json_path.write_text(json.dumps(report, indent=1) + "\n")

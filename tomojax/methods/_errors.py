@@ -72,19 +72,22 @@ class Errors(eqx.Module):
     off: Float[Array, ""]  # of electrodes, pitches
     noise: Float[Array, ""]  # of the converter, V
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
+    part: Float[Array, ""]  # the same of what each channel has of its own
 
     @classmethod
     def of(cls, sensor: Sensor) -> "Errors":
         """With nominal values."""
         noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
         off = _OFF * sensor.electrode_diameter / sensor.mean_pitch
-        error = jnp.ones((), sensor.dtype)
-        return cls(sensor.electrode_xy, sensor.size, off, noise, error)
+        one = jnp.ones((), sensor.dtype)
+        return cls(sensor.electrode_xy, sensor.size, off, noise, one, one)
 
     def calibrated(self, calibration: Calibration) -> "Errors":
         """As the calibration states them."""
-        error = jnp.asarray(calibration.error, self.error.dtype)
-        return replace(self, noise=noise_as(calibration, self.noise), error=error)
+        parts = calibration.error, calibration.own
+        error, part = (jnp.asarray(a, self.error.dtype) for a in parts)
+        noise = noise_as(calibration, self.noise)
+        return replace(self, noise=noise, error=error, part=part)
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         """`lam` multiplies the variance of the model's error."""
@@ -94,9 +97,8 @@ class Errors(eqx.Module):
         compared = slots
         if len(slots) > _SLOTS:
             compared = slots[np.linspace(0, len(slots) - 1, _SLOTS).round().astype(int)]
-        dtype, own = self.noise.dtype, float(np.sqrt(lam))
-        # A calibration tells of the sheet, not of what a contact's shape is beside a disc.
-        spread = own * float(self.error)
+        dtype, wide = self.noise.dtype, float(np.sqrt(lam))
+        spread, own = wide * float(self.error), wide * float(self.part)
         xy = np.asarray(self.electrode_xy, float)
         parts = np.array([_BEND, float(self.off), float(self.off)])
         return PreparedErrors(

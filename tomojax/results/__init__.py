@@ -6,7 +6,7 @@ how grounds are designed.
 
 from tomojax.results._chosen import Chosen as Chosen
 from tomojax.results._file import partial_path as partial_path
-from tomojax.results._settings import Settings as Settings
+from tomojax.results._settings import default_method as default_method, Settings as Settings
 from tomojax.results._stream import reconstruct_recording as reconstruct_recording
 from tomojax.results._track import (
     Touch as Touch,

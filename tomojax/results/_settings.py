@@ -24,7 +24,8 @@ _WORTH = 20_000
 class Settings:
     """What decides the rows of a results file, beside the recording.
 
-    `lam` None is the method's own choice from the first frames with a contact; `grid` None
+    `method` None is "auto", and "source" for a row per slot. `lam` None is the method's own
+    choice from the first frames with a contact; `grid` None
     is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
     off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
     memory; `threshold` None is the method's own. `calibration`: a file of
@@ -41,7 +42,7 @@ class Settings:
     (24, None)
     """
 
-    method: str = "source"
+    method: str = None  # pyright: ignore
     rate: Rate = None  # pyright: ignore
     images: bool = None  # pyright: ignore
     lam: float | None = None
@@ -55,6 +56,8 @@ class Settings:
     films: bool | None = None
 
     def __post_init__(self):
+        if self.method is None:
+            object.__setattr__(self, "method", default_method(self.rate))
         follows = self.method == "follow"
         if self.rate is None:
             object.__setattr__(self, "rate", "slot" if follows else "scan")
@@ -84,6 +87,11 @@ class Settings:
         require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam
         check_limits(lam, self.contacts, self.threshold or 0.0)
+
+
+def default_method(rate: str | None) -> str:
+    """`auto`; it does not make ten thousand rows a second, as a row per slot asks for."""
+    return "source" if rate == "slot" else "auto"
 
 
 def film_rows(recording: Recording, settings: Settings) -> int:

@@ -4,9 +4,10 @@ The room states what is there and computes what would be measured. It knows noth
 contacts are found.
 """
 
-from tomojax.sensor._calibration import Calibration as Calibration
+from tomojax.sensor._calibration import Calibration as Calibration, WAVES as WAVES
 from tomojax.sensor._converter import Converter as Converter
-from tomojax.sensor._field import make_field as make_field, make_variation as make_variation
+from tomojax.sensor._field import make_field as make_field
+from tomojax.sensor._field_slopes import make_moves as make_moves, make_waves as make_waves
 from tomojax.sensor._forward import (
     compiled_resistances as compiled_resistances,
     contact_conductance as contact_conductance,

@@ -15,8 +15,13 @@ from tomojax.sensor._sensor import Sensor
 
 SCHEMA, VERSION = "tomojax-calibration", 1
 
-# Waves of a sheet, see `smooth_modes`.
-_WAVES = 14
+# Numbers of waves that a sheet may be told in, see `smooth_modes`, by half periods along
+# both sides together. Files of before have the fewer.
+WAVES = {14: 4, 27: 6}
+
+
+# Of what nominal values leave: see `Calibration`.
+_PARTS = ("error", "own")
 
 
 @dataclass(frozen=True)
@@ -24,13 +29,15 @@ class Calibration:
     """Of a rig with M channels; the default is its nominal values.
 
     V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
-    1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4, in the
-    order of j within i, of mean square 1. `ground`: what a grounded
-    electrode's own resistance to the sheet has beside its nominal disc's, Ω. `noise`: of a
+    1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4 (14 values)
+    or 6 (27), in the order of j within i, of mean square 1. `ground`: what a grounded
+    electrode's own resistance to the sheet has beside its nominal disc's, Ω. `electrodes`:
+    how far each lies from its nominal place along x and y, m. `noise`: of a
     corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of
     what the channels have in common with these values, as a part of what nominal values
-    leave. `pressure`: c and k of the contact's g = c·pᵏ, S/m² at Pa, see
-    `calibrate_presses`.
+    leave; `own`: the same of what each channel has of its own. `pressure`: c and k of the
+    contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`. `deviation`: 1 σ of the values
+    by their names, where they are known; `made`: the day (ISO 8601).
 
     **Example:**
 
@@ -47,24 +54,32 @@ class Calibration:
     offset: tuple[float, ...] | float = 0.0
     gain: tuple[float, ...] | float = 1.0
     noise: float | None = None
-    sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * _WAVES)
+    sheet: tuple[float, ...] = field(default_factory=lambda: (0.0,) * min(WAVES))
     ground: tuple[float, ...] | float = 0.0
+    electrodes: tuple[tuple[float, float], ...] | float = 0.0
     error: float = 1.0
+    own: float = 1.0
     pressure: tuple[float, float] | None = None
+    deviation: dict[str, Any] | None = None
+    made: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("offset", "gain", "noise", "sheet", "ground", "error"):
+        for name in ("offset", "gain", "noise", "sheet", "ground", *_PARTS, "electrodes"):
             value = getattr(self, name)
             values = np.asarray(1.0 if value is None else value, float)
             require(np.isfinite(values).all(), name, getattr(self, name), "numbers")
         require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
-        for name in ("noise", "error"):
+        for name in ("noise", *_PARTS):
             value = getattr(self, name)
             require(value is None or value > 0, name, value, "above 0")
         law = np.asarray(self.pressure or (1, 1), float)
         fine = law.shape == (2,) and bool(np.isfinite(law).all() and (law > 0).all())
         require(fine, "pressure", self.pressure, "c and k, above 0")
-        require(len(self.sheet) == _WAVES, "sheet", len(self.sheet), f"{_WAVES} waves")
+        waves = " or ".join(map(str, WAVES))
+        require(len(self.sheet) in WAVES, "sheet", len(self.sheet), f"{waves} waves")
+        shape = np.shape(self.electrodes)
+        pairs = not shape or shape[1:] == (2,)
+        require(pairs, "electrodes", f"shape {shape}", "x and y of each, m")
         grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 2), -1).reshape(-1, 2)
         positive = bool((self.sheet_factor(grid, np.ones(2)) > 0).all())
         require(positive, "sheet", self.sheet, "less than the sheet itself")
@@ -77,11 +92,21 @@ class Calibration:
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""
         at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
-        modes, _ = smooth_modes(at, sides)
+        modes, _ = smooth_modes(at, sides, WAVES[len(self.sheet)])
         return 1 + np.asarray(self.sheet) @ np.asarray(modes)
 
     def sensor(self, sensor: Sensor, divisions: tuple[int, int]) -> Sensor:
-        """The sensor with its sheet as it is, on a mesh of `divisions`."""
+        """The sensor with sheet and electrodes as they are, on a mesh of `divisions`.
+
+        **Raises:** `ValueError` for a calibration of another number of electrodes.
+        """
+        m = sensor.electrode_count
+        for name in ("offset", "gain", "ground", "electrodes"):
+            told = np.shape(getattr(self, name))
+            require(not told or told[0] == m, name, f"{told[:1]} values", f"{m} of them")
+        if np.any(self.electrodes):
+            moved = np.asarray(sensor.electrode_xy, float) + np.asarray(self.electrodes)
+            sensor = replace(sensor, electrode_xy=jnp.asarray(moved, sensor.dtype))
         if not any(self.sheet):
             return sensor
         centres = element_centres(np.asarray(sensor.size), divisions)
@@ -106,12 +131,16 @@ class Calibration:
         version = content.pop("schema_version", None)
         require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
         try:
-            values: dict[str, Any] = {
-                k: tuple(v) if isinstance(v, list) else v for k, v in content.items()
-            }
-            return cls(**values)
+            return cls(**{name: _tuples(value) for name, value in content.items()})
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
+
+
+def _tuples(value: Any) -> Any:
+    """JSON's lists as tuples, in dictionaries too."""
+    if isinstance(value, dict):
+        return {name: _tuples(one) for name, one in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def element_centres(size: np.ndarray, divisions: tuple[int, int]) -> np.ndarray:

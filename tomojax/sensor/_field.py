@@ -39,26 +39,15 @@ def make_field(sensor: Sensor) -> Field:
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
-    sensor, even, cells, every = _parts(sensor)
-    size, radius = np.asarray(sensor.size, float), float(sensor.electrode_diameter) / 2
-    x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
-    places = np.asarray(sensor.electrode_xy, float)
-    shunt = float(np.asarray(even.electrode_shunt))
-    rho = float(even.sheet_resistance)
-    ee, rows = (rho * r for r in rectangle_grid_fields(places, x, y, radius, size, shunt))
+    sensor, even, cells, every = parts_of(sensor)
+    ee, rows = even_fields(even, cells, np.asarray(sensor.electrode_xy, float))
     if sensor.sheet_resistance.ndim:
         more_ee, more = _variation(sensor, even, cells)
         ee, rows = ee + more_ee, rows + more
-    return _averaged(sensor, ee, rows, every)
+    return averaged_field(sensor, ee, rows, every)
 
 
-def make_variation(sensor: Sensor) -> Field:
-    """What of `make_field` a sheet with a value per element adds to its mean's alone."""
-    sensor, even, cells, every = _parts(sensor)
-    return _averaged(sensor, *_variation(sensor, even, cells), every)
-
-
-def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
+def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
     """The sensor, as it is with an even sheet, the cells of its table, which are kept."""
     # Metal discs where the sensor leaves it open.
     if sensor.electrode_shunt is None:
@@ -74,10 +63,27 @@ def _parts(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
     return sensor, replace(sensor, sheet_resistance=rho), every * kept, every
 
 
-def _averaged(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int) -> Field:
+def even_fields(
+    even: Sensor, cells: np.ndarray, places: Float[np.ndarray, "M 2"]
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
+    """R_ee' and R_e at the table's points, Ω, of an even sheet."""
+    size, radius = np.asarray(even.size, float), float(even.electrode_diameter) / 2
+    x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
+    shunt = float(np.asarray(even.electrode_shunt))
+    ee, rows = rectangle_grid_fields(places, x, y, radius, size, shunt)
+    rho = float(even.sheet_resistance)
+    return rho * ee, rho * rows
+
+
+def averaged_radii(sensor: Sensor) -> Float[np.ndarray, " A"]:
+    """The radii of the table, m."""
+    return np.array(_RADII) * sensor.mean_pitch
+
+
+def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int) -> Field:
     """The table of R_e at points as one over discs of several radii."""
     size = np.asarray(sensor.size, float)
-    radii, dtype = np.array(_RADII) * sensor.mean_pitch, sensor.dtype
+    radii, dtype = averaged_radii(sensor), sensor.dtype
     nx, ny = (1 + (n - 1) // every for n in rows.shape[1:])
     values = np.empty((nx, ny, len(radii), len(rows)), dtype)
     # A few electrodes at a time: the finer table is large.

@@ -1,0 +1,184 @@
+"""Frames with one contact each, and what they tell of the rig once that is eliminated."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Integer
+
+from tomojax.calibration._slopes import RigSlopes, slopes_by_rig
+from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import descend, Normal
+from tomojax.kernels.contacts import Explained, normal_of, Sheet, WhitenedFrame
+from tomojax.methods import fitting_of, Points
+
+# Steps of a contact's own fit; frames of a compiled call, and that its loop works on.
+_STEPS, _FRAMES, _TOGETHER = 15, 64, 16
+
+# How fast a contact may move in a frame, 1 σ, m/s: a hand that rubs.
+_SPEED = 0.3
+
+
+class Known(NamedTuple):
+    """Frames with one contact each: where it is about, and how well that is known."""
+
+    voltages: Float[np.ndarray, "n S M"]
+    grounds: Integer[np.ndarray, "n S"]
+    places: Float[np.ndarray, "n 2"]  # m
+    spread: Float[np.ndarray, " n"]  # 1 σ of them, m
+    times: Float[np.ndarray, "n S"]  # of slots, s
+    weight: Float[np.ndarray, " n"]  # of what a frame tells, beside its neighbours
+
+
+class Sums(NamedTuple):
+    """What frames tell together."""
+
+    normal: Float[np.ndarray, "P P"]
+    right: Float[np.ndarray, " P"]
+    left: float | np.ndarray  # Σ of squares, whitened
+    free: float | np.ndarray  # how many of them errors leave
+    shared: float | np.ndarray  # the mean square of what channels have in common, of nominal values'
+
+
+def sums_of(
+    points: Points, slopes: RigSlopes, known: Known, volts: Float[np.ndarray, "n S M"]
+) -> Sums:
+    """The normal equations of the rig's values, over all frames; `volts` are corrected."""
+    used = np.isfinite(volts).all((0, 1))
+    prepared = points.prepare(known.grounds[0], np.tile(used, (volts.shape[1], 1)), 1.0)
+    volts, dtype = np.nan_to_num(volts), points.errors.noise.dtype
+    times = known.times - known.times.mean(1, keepdims=True)
+    total: Any = None
+    for k in range(0, len(volts), _FRAMES):
+        part = np.arange(k, k + _FRAMES)
+        there = part < len(volts)
+        part = np.minimum(part, len(volts) - 1)
+        weight = there * known.weight[part]
+        given = volts[part], known.places[part], known.spread[part], times[part], weight
+        given = [jnp.asarray(a, dtype) for a in given]
+        found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
+        found = [np.asarray(s, float) for s in found]
+        total = found if total is None else [a + b for a, b in zip(total, found)]
+    normal, right, left, free, shared = total
+    return Sums(normal, right, left, free, shared / known.weight.sum())
+
+
+@eqx.filter_jit
+def _frames(
+    points: Points,
+    slopes: RigSlopes,
+    prepared: Any,
+    grounds: Array,
+    volts: Array,
+    places: Array,
+    spread: Array,
+    times: Array,
+    weight: Array,
+) -> tuple[Array, ...]:
+    def one(v: Array, g: Array, *about: Array) -> tuple[Array, ...]:
+        return _frame(points, slopes, prepared._replace(grounds=g), v, *about)
+
+    rows, shared, rest, *sums = jax.vmap(one)(volts, grounds, places, spread, times)
+    # One product for all frames.
+    count = rows.shape[-1]
+    root = jnp.sqrt(weight)[:, None, None]
+    flat = (root * rows).reshape(-1, count)
+    less = (root * shared).reshape(-1, count)
+    normal = jnp.matmul(flat.T, flat, precision="highest")
+    normal = normal - jnp.matmul(less.T, less, precision="highest")
+    right = (root[..., 0] * rest).ravel() @ flat
+    return normal, right, *(weight @ s for s in sums)
+
+
+def _frame(
+    points: Points,
+    slopes: RigSlopes,
+    prepared: Any,
+    volts: Float[Array, "S M"],
+    place: Float[Array, "2"],
+    spread: Float[Array, ""],
+    times: Float[Array, " S"],
+) -> tuple[Array, ...]:
+    """Rows A of slopes by the rig, and B, what the contact takes from AᵀA; its rest.
+
+    The contact's currents are eliminated slot by slot; place, size, shape and speed, which
+    the slots share, by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. Where the contact's own fit has ended
+    nothing is left along T but its priors', and the right side is Aᵀr.
+    """
+    scene = fitting_of(points, prepared, volts, 1)
+    # Each channel's own errors alone: what they have in common is what is looked for.
+    frame = scene.frame._replace(
+        whitened=volts * scene.frame.scale,
+        common=scene.frame.common[:, :0],
+        filter=scene.frame.filter[:, :0],
+    )
+    sheet, tolerance = points.sheet, prepared.tolerance
+    start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))
+    about = sheet, frame, tolerance, start[:2], spread / sheet.unit
+    limits = model.limits_of(sheet)
+    parameters, _ = descend(
+        _cost, start[None], limits, _STEPS, _STEPS, _TOGETHER, jnp.inf, 0.0, *about
+    )
+    found = _explained(parameters, *about)
+    # Slots that do not fit at all count little, as in the fit.
+    robust = jax.lax.rsqrt(1 + (found.rest**2).sum(1) / tolerance)[:, None]
+    column = found.column[:, 0] * robust
+    length = jnp.maximum((column**2).sum(1, keepdims=True), 1e-30)
+
+    def free(rows: Float[Array, "S M k"]) -> Float[Array, "S M k"]:
+        along = jnp.einsum("sm,smk->sk", column / length, rows, precision="highest")
+        return rows - column[..., None] * along[:, None]
+
+    scale = (frame.scale * robust)[..., None]
+    rows = free(slopes_by_rig(sheet, slopes, frame.grounds, found.fitted) * scale)
+    by_contact = found.tangent.transpose(0, 2, 1) * robust[..., None]
+    moving = by_contact[..., :2] * (times * _SPEED / sheet.unit)[:, None, None]
+    by_contact = free(jnp.concatenate([by_contact, moving], -1))
+    rest = found.rest * robust
+    shape = rows.shape[0] * rows.shape[1], -1
+    a, t = rows.reshape(shape), by_contact.reshape(shape)
+    known = jnp.matmul(found.slope.T, found.slope, precision="highest")
+    known = jnp.pad(known, (0, 2)) + jnp.diag(
+        jnp.array([0.0] * model.DISC + [1.0] * 2, t.dtype)
+    )
+    own = jnp.matmul(t.T, t, precision="highest") + known
+    both = jnp.matmul(t.T, a, precision="highest")
+    shared = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(own), both, lower=True)
+    left = model.whitened_columns(scene.frame, volts - found.fitted.voltages)
+    left = left[:, volts.shape[1] :]
+    count = (frame.scale > 0).sum() - rows.shape[0] - t.shape[1]
+    sums = (rest**2).sum(), count.astype(rest.dtype), jnp.square(left * robust).mean()
+    sound = jnp.isfinite(parameters).all() & jnp.isfinite(shared).all()
+    return tuple(jnp.where(sound, x, 0) for x in (a, shared, rest.ravel(), *sums))
+
+
+def _explained(
+    parameters: Float[Array, "5"],
+    sheet: Sheet,
+    frame: WhitenedFrame,
+    tolerance: Array,
+    place: Float[Array, "2"],
+    spread: Float[Array, ""],
+) -> Explained:
+    """A contact that is about there."""
+    found = model.discs(sheet, frame, parameters)
+    slope = jnp.eye(2, model.DISC, dtype=spread.dtype) / spread
+    return found._replace(
+        prior=jnp.concatenate([found.prior, (parameters[:2] - place) / spread]),
+        slope=jnp.concatenate([found.slope, slope]),
+    )
+
+
+def _cost(
+    parameters: Float[Array, "5"],
+    sheet: Sheet,
+    frame: WhitenedFrame,
+    tolerance: Array,
+    place: Float[Array, "2"],
+    spread: Float[Array, ""],
+) -> Normal:
+    return normal_of(
+        _explained(parameters, sheet, frame, tolerance, place, spread), tolerance
+    )

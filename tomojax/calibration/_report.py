@@ -1,0 +1,145 @@
+"""What a calibration has found and how sure it is, as text and as a picture."""
+
+from typing import Any
+
+import numpy as np
+
+from tomojax.calibration._calibrate import Calibrated
+from tomojax.calibration._unknowns import affine, all_waves
+from tomojax.sensor import Calibration, Sensor
+
+# A square that fewer frames touch is hardly known.
+_FEW = 2
+
+
+def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
+    """What was found, and 1 σ of it, in numbers; lengths in mm.
+
+    How sure electrodes' places are has two parts: that of an affine map of all (shift,
+    turn, stretch), which a rub without a ruler hardly tells, and what is left without it.
+    """
+    calibration, m = found.calibration, sensor.electrode_count
+    touched = squares_touched(sensor, found.places)
+    moved = np.broadcast_to(calibration.electrodes, (m, 2))
+    whole, relative = _certainty(sensor, found)
+    deviation = calibration.deviation or {}
+
+    def known(name: str) -> float:
+        return float(np.sqrt(np.mean(np.square(deviation[name]))))
+
+    waves = all_waves(calibration.sheet)
+    unsure = float(np.linalg.norm(deviation["sheet"]))
+    return {
+        "frames": len(found.places),
+        "squares": touched.size,
+        "squares_touched": int((touched >= _FEW).sum()),
+        "gain_percent": 100 * float(np.std(calibration.gain)),
+        "gain_known_percent": 100 * known("gain"),
+        "zero_mV": 1e3 * float(np.std(calibration.offset)),
+        "zero_known_mV": 1e3 * known("offset"),
+        "sheet_percent": 100 * float(np.linalg.norm(waves)),
+        "sheet_known_percent": 100 * unsure,
+        "ground_ohm": float(np.mean(calibration.ground)),
+        "ground_known_ohm": known("ground"),
+        "electrodes_mm": 1e3 * float(np.sqrt((moved**2).sum(1).mean())),
+        "relative_known_mm": 1e3 * relative,
+        "whole_known_mm": 1e3 * whole,
+        "errors_left_percent": 100 * calibration.error,
+        "own_errors_left_percent": 100 * calibration.own,
+    }
+
+
+def text(sensor: Sensor, found: Calibrated) -> str:
+    """The summary in lines, and where to rub more."""
+    told = summary(sensor, found)
+    lines = [
+        "{frames} frames with one contact; {squares_touched} of {squares} squares touched",
+        "gains {gain_percent:.3f} % rms, each known to {gain_known_percent:.3f} %",
+        "zeros {zero_mV:.2f} mV rms, each known to {zero_known_mV:.2f} mV",
+        "sheet uneven by {sheet_percent:.1f} % rms, known to {sheet_known_percent:.2f} %",
+        "ground paths {ground_ohm:+.0f} Ω in the mean, known to {ground_known_ohm:.0f} Ω",
+        "electrodes {electrodes_mm:.2f} mm off rms; relative to each other known to "
+        "{relative_known_mm:.3f} mm, as a whole to {whole_known_mm:.2f} mm",
+        "left of nominal errors: {errors_left_percent:.0f} % of what channels share, "
+        "{own_errors_left_percent:.0f} % of their own",
+    ]
+    return "\n".join([line.format(**told) for line in lines] + advice(sensor, found))
+
+
+def advice(sensor: Sensor, found: Calibrated) -> list[str]:
+    """Where the sheet was hardly touched; no line where it was."""
+    missing = squares_touched(sensor, found.places) < _FEW
+    if not missing.any():
+        return []
+    size = 1e3 * np.asarray(sensor.size, float)
+    sides = {
+        "x = 0": missing[0],
+        f"x = {size[0]:.0f} mm": missing[-1],
+        "y = 0": missing[:, 0],
+        f"y = {size[1]:.0f} mm": missing[:, -1],
+    }
+    lines = [
+        f"rub more: along the edge {name}, {some.sum()} of {some.size} squares missing"
+        for name, some in sides.items()
+        if some.mean() > 0.25
+    ]
+    inside = missing[1:-1, 1:-1].sum()
+    if inside:
+        lines.append(f"rub more: inside, {inside} squares of a pitch missing")
+    return lines or ["rub more: at single squares of the edges"]
+
+
+def squares_touched(sensor: Sensor, places: np.ndarray) -> np.ndarray:
+    """How many frames touch each square of about a pitch, (rows, columns)."""
+    size = np.asarray(sensor.size, float)
+    shape = np.maximum(1, np.round(size / sensor.mean_pitch)).astype(int)
+    at = np.clip((places / size * shape).astype(int), 0, shape - 1)
+    count = np.zeros(shape, int)
+    np.add.at(count, tuple(at.T), 1)
+    return count
+
+
+def _certainty(sensor: Sensor, found: Calibrated) -> tuple[float, float]:
+    """1 σ of a place by an affine map of all electrodes, and by all else, m."""
+    at = found.parts["electrodes"]
+    covariance = found.covariance[at, at]
+    whole = affine(np.asarray(sensor.electrode_xy, float))
+    inside = float(np.trace(whole.T @ covariance @ whole))
+    rest = max(float(np.trace(covariance)) - inside, 0.0)
+    return float(np.sqrt(inside / sensor.electrode_count)), float(
+        np.sqrt(rest / sensor.electrode_count)
+    )
+
+
+def picture(sensor: Sensor, found: Calibrated) -> Any:
+    """The sheet's resistance, what was touched, and how far electrodes are off."""
+    from matplotlib.figure import Figure
+
+    calibration: Calibration = found.calibration
+    size, m = np.asarray(sensor.size, float), sensor.electrode_count
+    figure = Figure(figsize=(6.4, 5.4), layout="constrained")
+    axes = figure.subplots()
+    axis = [(np.arange(60) + 0.5) / 60 * s for s in size]
+    grid = np.stack(np.meshgrid(*axis, indexing="ij"), -1).reshape(-1, 2)
+    factor = 100 * (calibration.sheet_factor(grid, size).reshape(60, 60) - 1)
+    extent = (0, 1e3 * size[0], 0, 1e3 * size[1])
+    most = max(np.abs(factor).max(), 0.1)
+    drawn = axes.imshow(
+        factor.T, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most
+    )
+    figure.colorbar(drawn, label="sheet resistance beside its mean, %")
+    axes.plot(*1e3 * found.places.T, ".", color="0.4", ms=1.5, label="contacts")
+    xy = 1e3 * np.asarray(sensor.electrode_xy, float)
+    moved = 1e3 * np.broadcast_to(calibration.electrodes, (m, 2))
+    largest = max(np.hypot(*moved.T).max(), 1e-6)
+    enlarged = 10 ** np.floor(np.log10(0.4e3 * sensor.mean_pitch / largest))
+    arrows = dict(angles="xy", scale_units="xy", scale=1 / enlarged, width=0.004)
+    axes.quiver(*xy.T, *moved.T, **arrows)
+    axes.plot(*xy.T, "o", mfc="none", mec="k", ms=4, label="electrodes")
+    axes.set(
+        xlabel="x, mm",
+        ylabel="y, mm",
+        title=f"electrodes' places beside the nominal ones, {enlarged:.0f} times",
+    )
+    axes.legend(loc="upper right", fontsize=8)
+    return figure

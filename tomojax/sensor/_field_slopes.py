@@ -1,0 +1,81 @@
+"""How the table of electrodes' potentials changes with the rig: its places, its sheet."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax.kernels.sheet import (
+    heights,
+    rectangle_grid_fields,
+    rectangle_slope,
+    rectangle_wave_fields,
+    smooth_orders,
+)
+from tomojax.sensor._field import averaged_field, averaged_radii, parts_of
+from tomojax.sensor._sensor import Sensor
+
+# An electrode's step that gives the slopes by its place, of its diameter.
+_MOVE = 1e-3
+
+# Half periods in a pitch that waves are followed to, and which of the table's radii their
+# potentials are averaged over: they hardly depend on it.
+_FOLLOWED, _RADIUS = 8, 1
+
+
+def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array, "2 M M"]]:
+    """Slopes of `make_field`'s tables as electrodes move along x and along y, Ω/m.
+
+    R_e(x, a) and R_ee' by the place of electrode e; R_ee changes by twice its entry. Of an
+    even sheet, its resistance as electrodes lower it: what each, as metal, does to the
+    others' potentials is left out.
+    """
+    sensor, even, cells, every = parts_of(sensor)
+    places, step = np.asarray(sensor.electrode_xy, float), _MOVE * _diameter(even)
+    size, rho = np.asarray(sensor.size, float), _effective(even)
+    x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
+    values = []
+    for unit in np.eye(2):
+        (ee, one), (_, other) = (
+            rectangle_grid_fields(
+                places + side * step * unit, x, y, _diameter(even) / 2, size
+            )
+            for side in (1, -1)
+        )
+        slope = rho * (one - other) / (2 * step)
+        values.append(averaged_field(sensor, ee, slope, every).values)
+    at, radius = jnp.asarray(places, sensor.dtype), sensor.electrode_diameter / 2
+    slope = rho * rectangle_slope(at[:, None], at, radius, sensor.size)
+    return jnp.stack(values), jnp.moveaxis(slope, -1, 0).astype(sensor.dtype)
+
+
+def _diameter(sensor: Sensor) -> float:
+    return float(sensor.electrode_diameter)
+
+
+def _effective(even: Sensor) -> float:
+    """The sheet's resistance as metal discs lower it, Ω per square (Maxwell)."""
+    covered = even.electrode_count * np.pi * _diameter(even) ** 2 / 4
+    covered = covered / float(np.prod(even.size)) * float(even.electrode_shunt)
+    return float(even.sheet_resistance) * (1 - covered) / (1 + covered)
+
+
+def make_waves(
+    sensor: Sensor, most: int
+) -> tuple[Float[Array, "q nx ny M"], Float[Array, "q M M"]]:
+    """What each wave of the sheet adds to R_e at the table's points and to R_ee', Ω a unit.
+
+    To first order, of the waves of `Calibration` with up to `most` half periods. Electrodes
+    that even the sheet out, as metal discs, lower its resistance, and so what a wave adds.
+    """
+    sensor, even, cells, every = parts_of(sensor)
+    size = np.asarray(sensor.size, float)
+    x, y = (np.linspace(0, s, n // every + 1) for s, n in zip(size, cells))
+    followed = int(np.ceil(_FOLLOWED * size.max() / sensor.mean_pitch))
+    orders, places = smooth_orders(most), np.asarray(sensor.electrode_xy, float)
+    radius = averaged_radii(sensor)[_RADIUS]
+    given = places, x, y, _diameter(even) / 2, size, orders, followed, radius
+    ee, rows = rectangle_wave_fields(*given)
+    scale = _effective(even) * heights(orders)
+    values = scale[:, None, None, None] * np.moveaxis(rows, 1, -1)
+    ee = scale[:, None, None] * ee
+    return jnp.asarray(values, sensor.dtype), jnp.asarray(ee, sensor.dtype)
