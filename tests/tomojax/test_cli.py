@@ -156,3 +156,20 @@ def test_bad_options_are_one_line(
     line = line_of(monkeypatch, capsys, "reconstruct", recording_path, "-o", out, *options)
     assert word in line
     assert not list(tmp_path.iterdir())
+
+
+def test_calibrations_that_cannot_be_made_are_one_line(
+    monkeypatch, capsys, tmp_path
+) -> None:
+    """Of nothing; over a calibration that is there."""
+    noise = np.random.default_rng(0).normal(0, 2, (40, 2, 64))
+    path, out = tmp_path / "nothing.h5", tmp_path / "rig.json"
+    recordings.write(path, np.round(noise).astype(np.int16), np.array([0, 63]))
+    line = line_of(monkeypatch, capsys, "calibrate", path, "-o", out)
+    assert str(path) in line and "no stretch with a contact" in line
+    assert not out.exists()
+    line = line_of(monkeypatch, capsys, "calibrate", path, "--frames", "3")
+    assert "frames: got 3" in line
+    out.write_text("{}")
+    line = line_of(monkeypatch, capsys, "calibrate", path, "-o", out)
+    assert "--overwrite" in line and out.read_text() == "{}"

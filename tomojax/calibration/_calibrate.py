@@ -126,9 +126,8 @@ def calibrated(
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < _ENOUGH:
             break
     assert first is not None and sums is not None
-    # Errors are smaller than nominal values leave; covariances follow.
     left = float(sums.left / max(float(sums.free), 1.0))
-    covariance = covariance * min(left, 1.0) + unknowns.held
+    covariance = _covariance(unknowns, sums, covariance, len(known.places))
     error = float(np.clip(np.sqrt(sums.shared / first.shared), _LEAST, 1))
     now = replace(
         now,
@@ -147,6 +146,20 @@ def _step(
     prior = unknowns.prior
     covariance = np.linalg.inv(sums.normal + prior)
     return covariance @ (sums.right - prior @ (state - unknowns.start)), covariance
+
+
+def _covariance(
+    unknowns: Unknowns, sums: Sums, inverse: Float[np.ndarray, "P P"], frames: int
+) -> Float[np.ndarray, "P P"]:
+    """H⁻¹(M + P)H⁻¹, H = N + P, M the scatter of what frames say; with what was held.
+
+    Errors are other than nominal values leave, and those of one frame are no independent
+    ones: M is what the frames' own right sides show. So many unknowns take up a part of it.
+    """
+    taken = float(np.trace(inverse @ sums.normal)) / (sums.free / frames)
+    more = 1 / max(1 - taken / frames, 0.1)
+    spread = inverse @ (more * sums.scatter + unknowns.prior) @ inverse
+    return spread + unknowns.held
 
 
 def _known(sensor, voltages, grounds, places, spread, times) -> Known:

@@ -37,9 +37,12 @@ class Sums(NamedTuple):
 
     normal: Float[np.ndarray, "P P"]
     right: Float[np.ndarray, " P"]
+    scatter: Float[np.ndarray, "P P"]  # of the right side, frame by frame
     left: float | np.ndarray  # Σ of squares, whitened
     free: float | np.ndarray  # how many of them errors leave
-    shared: float | np.ndarray  # the mean square of what channels have in common, of nominal values'
+    shared: (
+        float | np.ndarray
+    )  # the mean square of what channels have in common, of nominal values'
 
 
 def sums_of(
@@ -61,8 +64,8 @@ def sums_of(
         found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
         found = [np.asarray(s, float) for s in found]
         total = found if total is None else [a + b for a, b in zip(total, found)]
-    normal, right, left, free, shared = total
-    return Sums(normal, right, left, free, shared / known.weight.sum())
+    *sums, shared = total
+    return Sums(*sums, shared / known.weight.sum())
 
 
 @eqx.filter_jit
@@ -88,8 +91,10 @@ def _frames(
     less = (root * shared).reshape(-1, count)
     normal = jnp.matmul(flat.T, flat, precision="highest")
     normal = normal - jnp.matmul(less.T, less, precision="highest")
-    right = (root[..., 0] * rest).ravel() @ flat
-    return normal, right, *(weight @ s for s in sums)
+    # A frame's errors have much in common: what each adds to the right side tells how much.
+    each = jnp.einsum("nr,nrp->np", rest, rows, precision="highest") * weight[:, None]
+    scatter = jnp.matmul(each.T, each, precision="highest")
+    return normal, each.sum(0), scatter, *(weight @ s for s in sums)
 
 
 def _frame(

@@ -73,9 +73,9 @@ def calibrated_recording(
     """A calibration from a recording of one contact, and what it is made of.
 
     Zeros are taken from contact-free slots first, where there are. `places` (m) of each
-    slot or scan, NaN where they are not known; None: nowhere. Stretches of ten slots are
-    frames, or scans of five to ten, in which the contact may move. Those with faults or without a contact are left
-    out; of the others up to `most`, spread evenly.
+    slot or scan, NaN where they are not known; None: nowhere. Frames are stretches of ten
+    slots, or scans of five to ten, in which the contact may move. Those with faults or
+    without a contact are left out; of the others up to `most`, spread evenly.
 
     **Raises:** `ValueError` for places that are neither one per slot nor one per scan, and
     as `calibrate` does.

@@ -132,7 +132,9 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
     xy = 1e3 * np.asarray(sensor.electrode_xy, float)
     moved = 1e3 * np.broadcast_to(calibration.electrodes, (m, 2))
     largest = max(np.hypot(*moved.T).max(), 1e-6)
-    enlarged = 10 ** np.floor(np.log10(0.4e3 * sensor.mean_pitch / largest))
+    room = 0.4e3 * sensor.mean_pitch / largest
+    whole = 10 ** np.floor(np.log10(room))
+    enlarged = whole * max(k for k in (1, 2, 5) if k * whole <= room)
     arrows = dict(angles="xy", scale_units="xy", scale=1 / enlarged, width=0.004)
     axes.quiver(*xy.T, *moved.T, **arrows)
     axes.plot(*xy.T, "o", mfc="none", mec="k", ms=4, label="electrodes")

@@ -283,13 +283,15 @@ def calibrate(
 
     with open_recording(rec, **tdms) as recording:
         sensor = recording.rig.sensor()
-        found = room.calibrated_recording(
-            recording,
-            room.read_places(places) if places else None,
-            frames,
-            calibration=Calibration.load(before) if before else None,
-            progress=say,
-        )
+        told = room.read_places(places) if places else None
+        older = Calibration.load(before) if before else None
+        try:
+            found = room.calibrated_recording(
+                recording, told, frames, calibration=older, progress=say
+            )
+        except ValueError as error:
+            say("")
+            raise ValueError(f"{rec}: {error}") from None
     say("")
     found.calibration.save(out)
     print(room.text(sensor, found))
@@ -300,6 +302,6 @@ def calibrate(
     if json_path:
         from tomojax._environment import environment
 
-        told = room.summary(sensor, found)
-        report = {"rows": [told], "summary": told, "environment": environment()}
+        row = room.summary(sensor, found)
+        report = {"rows": [row], "summary": row, "environment": environment()}
         json_path.write_text(json.dumps(report, indent=1) + "\n")
