@@ -61,5 +61,6 @@ def _moved(
             inside = (np.abs(a) < most), (np.abs(b) < most)
             rows, columns = np.abs(a[inside[0]]), np.abs(b[inside[1]])
             part = (field * steep)[:, inside[0]][:, :, inside[1]]
-            np.add.at(found, (slice(None), rows[:, None], columns), part)
+            at = slice(None), rows[:, None], columns
+            np.add.at(found, at, part)  # pyright: ignore (it takes slices too)
     return found

@@ -212,7 +212,7 @@ def _found(sensor: Sensor, before: Calibration, known: Known) -> Known:
     require(
         lone.sum() >= _FEWEST, "voltages", f"{lone.sum()} of {len(lone)} frames", wanted
     )
-    told = np.isfinite(known.places).all(1)[:, None]
+    told = np.isfinite(known.places).all(1, keepdims=True)
     places = np.where(told, known.places, rows.contact_xy[:, 0])[lone]
     cells = np.unique(np.floor(places / sensor.mean_pitch).astype(int), axis=0)
     least = int(np.ceil(_TOUCHED * sensor.electrode_count))

@@ -64,8 +64,8 @@ def sums_of(
         found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
         found = [np.asarray(s, float) for s in found]
         total = found if total is None else [a + b for a, b in zip(total, found)]
-    *sums, shared = total
-    return Sums(*sums, shared / known.weight.sum())
+    normal, right, scatter, left, free, shared = total
+    return Sums(normal, right, scatter, left, free, shared / known.weight.sum())
 
 
 @eqx.filter_jit

@@ -135,8 +135,8 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
     room = 0.4e3 * sensor.mean_pitch / largest
     whole = 10 ** np.floor(np.log10(room))
     enlarged = whole * max(k for k in (1, 2, 5) if k * whole <= room)
-    arrows = dict(angles="xy", scale_units="xy", scale=1 / enlarged, width=0.004)
-    axes.quiver(*xy.T, *moved.T, **arrows)
+    given, scale = (*xy.T, *moved.T), float(1 / enlarged)
+    axes.quiver(*given, angles="xy", scale_units="xy", scale=scale, width=0.004)
     axes.plot(*xy.T, "o", mfc="none", mec="k", ms=4, label="electrodes")
     axes.set(
         xlabel="x, mm",

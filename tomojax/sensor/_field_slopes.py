@@ -55,7 +55,7 @@ def _diameter(sensor: Sensor) -> float:
 def _effective(even: Sensor) -> float:
     """The sheet's resistance as metal discs lower it, Ω per square (Maxwell)."""
     covered = even.electrode_count * np.pi * _diameter(even) ** 2 / 4
-    covered = covered / float(np.prod(even.size)) * float(even.electrode_shunt)
+    covered = covered / float(np.prod(even.size)) * float(np.asarray(even.electrode_shunt))
     return float(even.sheet_resistance) * (1 - covered) / (1 + covered)
 
 
