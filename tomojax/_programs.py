@@ -53,7 +53,7 @@ class Kept:
         _KEPT.append(self)
 
     def __call__(self, *args: Any) -> Any:
-        if not jax.core.trace_ctx.is_top_level():
+        if not _trace_context().is_top_level():
             return self._inside(*args)  # within another program
         if jax.device_count() > 1:
             return self._shared()(*args)
@@ -86,6 +86,13 @@ class Kept:
                     path = Path(folder) / f"{_named(self._function, told)}.program"
                 self._programs[key] = _made(self._function, args, flat, path)
         return self._programs[key], flat
+
+
+def _trace_context() -> Any:
+    """What JAX is tracing; from 0.11 on only its own modules name it."""
+    if hasattr(jax.core, "trace_ctx"):
+        return jax.core.trace_ctx
+    return importlib.import_module("jax._src.core").trace_ctx
 
 
 _KEPT: list[Kept] = []

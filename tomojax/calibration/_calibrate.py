@@ -21,8 +21,9 @@ from tomojax.sensor import Calibration, Sensor
 _LEAST = 0.1
 
 # Passes at most: what places of electrodes and the sheet make is not quite linear. They
-# end where no value changes by more than this part of its deviation.
-_PASSES, _ENOUGH = 8, 0.2
+# end where no value changes by more than this part of its deviation, or where the cost
+# falls by less than this part.
+_PASSES, _ENOUGH, _LITTLE = 8, 0.2, 0.003
 
 # 1 σ of a place that is given, of the pitch; of one that `points` has found. The latter
 # leaves a contact free, beside what voltages tell of it.
@@ -112,17 +113,34 @@ def calibrated(
         known = _found(sensor, before, known)
     known = known._replace(weight=_weight(known.places, _ALIKE * sensor.mean_pitch))
     unknowns, slopes = unknowns_of(sensor, before, placed), rig_slopes(sensor)
-    state, now, first = unknowns.start.copy(), before, None
-    sums, covariance = None, np.linalg.inv(unknowns.prior)
+    state = trial = unknowns.start
+    now, lowest, step = before, np.inf, 0 * state
+    sums, first, covariance = None, None, np.linalg.inv(unknowns.prior)
     for number in range(_PASSES):
         progress(f"pass {number + 1}")
-        points = make_method(sensor, "points", 32, now)
+        told = calibration_of(unknowns, trial, before)
+        points = make_method(sensor, "points", 32, told)
         assert isinstance(points, Points)
-        sums = sums_of(points, slopes, known, now.voltages(known.voltages.astype(float)))
-        first = first or sums
-        step, covariance = _step(unknowns, sums, state)
-        state = state + step
-        now = calibration_of(unknowns, state, now)
+        new = sums_of(points, slopes, known, told.voltages(known.voltages.astype(float)))
+        if number == 1:
+            # Where the sheet is about known, what is left is what discs do not describe.
+            usual = np.median(new.each)
+            less = usual / np.maximum(new.each, usual)
+            known, lowest = known._replace(weight=known.weight * less), np.inf
+            new = sums_of(
+                points, slopes, known, told.voltages(known.voltages.astype(float))
+            )
+        first, off = first or new, trial - unknowns.start
+        cost = float(new.left + off @ unknowns.prior @ off)
+        if cost < lowest:
+            better = cost < (1 - _LITTLE) * lowest
+            state, now, sums, lowest = trial, told, new, cost
+            step, covariance = _step(unknowns, sums, state)
+            if not better:
+                break
+        else:  # the slopes are not exact, nor are residuals linear
+            step = step / 2
+        trial = state + step
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < _ENOUGH:
             break
     assert first is not None and sums is not None

@@ -35,6 +35,8 @@ class Known(NamedTuple):
 class Sums(NamedTuple):
     """What frames tell together."""
 
+    each: Float[np.ndarray, " n"]  # what is left of a frame, of what errors leave
+
     normal: Float[np.ndarray, "P P"]
     right: Float[np.ndarray, " P"]
     scatter: Float[np.ndarray, "P P"]  # of the right side, frame by frame
@@ -54,6 +56,7 @@ def sums_of(
     volts, dtype = np.nan_to_num(volts), points.errors.noise.dtype
     times = known.times - known.times.mean(1, keepdims=True)
     total: Any = None
+    each = []
     for k in range(0, len(volts), _FRAMES):
         part = np.arange(k, k + _FRAMES)
         there = part < len(volts)
@@ -62,10 +65,12 @@ def sums_of(
         given = volts[part], known.places[part], known.spread[part], times[part], weight
         given = [jnp.asarray(a, dtype) for a in given]
         found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
-        found = [np.asarray(s, float) for s in found]
+        own, *found = (np.asarray(s, float) for s in found)
+        each.append(own[there])
         total = found if total is None else [a + b for a, b in zip(total, found)]
     normal, right, scatter, left, free, shared = total
-    return Sums(normal, right, scatter, left, free, shared / known.weight.sum())
+    shared = shared / known.weight.sum()
+    return Sums(np.concatenate(each), normal, right, scatter, left, free, shared)
 
 
 @eqx.filter_jit
@@ -94,7 +99,8 @@ def _frames(
     # A frame's errors have much in common: what each adds to the right side tells how much.
     each = jnp.einsum("nr,nrp->np", rest, rows, precision="highest") * weight[:, None]
     scatter = jnp.matmul(each.T, each, precision="highest")
-    return normal, each.sum(0), scatter, *(weight @ s for s in sums)
+    left = sums[0] / jnp.maximum(sums[1], 1)
+    return left, normal, each.sum(0), scatter, *(weight @ s for s in sums)
 
 
 def _frame(
