@@ -19,7 +19,7 @@ from tomojax import Flag
 from tomojax.results import partial_path
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = tx.results.Settings(chunk=25, grid=16)
+SETTINGS = tx.results.Settings(method="source", chunk=25, grid=16)
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,11 @@ def run(path, out, settings=SETTINGS, **options):
 @pytest.fixture(scope="module")
 def whole(recording_path):
     return run(recording_path, recording_path.with_name("whole.h5"))
+
+
+def test_the_default_method_is_auto_but_for_slots():
+    assert tx.results.Settings().method == "auto"
+    assert tx.results.Settings(rate="slot").method == "source"
 
 
 def test_what_is_in_the_file(whole, recording_path):
@@ -76,7 +81,11 @@ def test_a_row_per_slot(recording_path, tmp_path):
 
 def test_chunks_do_not_show(recording_path, whole, tmp_path):
     """Nothing but the size of compiled calls changes with the chunk."""
-    other = run(recording_path, tmp_path / "o.h5", tx.results.Settings(chunk=300, grid=16))
+    other = run(
+        recording_path,
+        tmp_path / "o.h5",
+        tx.results.Settings(method="source", chunk=300, grid=16),
+    )
     with h5py.File(whole) as a, h5py.File(other) as b:
         for name in a:
             np.testing.assert_allclose(a[name], b[name], rtol=1e-4, atol=1e-6)
@@ -97,7 +106,12 @@ def test_interrupted_and_resumed(recording_path, whole, tmp_path):
     with pytest.raises(ValueError, match="work begun there, expected --resume"):
         run(recording_path, out)
     with pytest.raises(ValueError, match="grid: begun with 16, now 24"):
-        run(recording_path, out, tx.results.Settings(chunk=25, grid=24), resume=True)
+        run(
+            recording_path,
+            out,
+            tx.results.Settings(method="source", chunk=25, grid=24),
+            resume=True,
+        )
     seen = []
     run(recording_path, out, resume=True, progress=lambda done, total: seen.append(done))
     assert seen[0] in (4, 5) and seen[-1] == 12
@@ -110,7 +124,8 @@ def test_interrupted_and_resumed(recording_path, whole, tmp_path):
 
 def command(path, out, *more):
     line = "import sys; from tomojax.cli import main; sys.argv[0] = 'tomojax'; main()"
-    arguments = ["reconstruct", path, "-o", out, "--chunk", "25", "--grid", "16", *more]
+    arguments = ["reconstruct", path, "-o", out, "--method", "source"]
+    arguments += ["--chunk", "25", "--grid", "16", *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [sys.executable, "-c", line, *map(str, arguments)],
@@ -234,7 +249,8 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
 import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 with tx.open_recording({str(recording_path)!r}) as recording:
     try:
-        tx.reconstruct_recording(recording, "o.h5", tx.results.Settings(grid=16))
+        settings = tx.results.Settings(method="source", grid=16)
+        tx.reconstruct_recording(recording, "o.h5", settings)
     except ValueError as error:
         print(error)
 """

@@ -85,16 +85,16 @@ def calibrated_recording(
     >>> import numpy as np
     >>> import tomojax as tx
     >>> sensor = tx.Sensor.grid(3, 3, divisions=(12, 12), dtype=np.float32)
-    >>> places = np.random.default_rng(0).uniform(0.01, 0.05, (20, 2))
+    >>> places = np.random.default_rng(0).uniform(0.01, 0.05, (40, 2))
     >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.005, 0.1)) for xy in places])
     >>> rig = tx.recordings.Rig.of(sensor)
     >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(9))
     >>> found = tx.calibration.calibrated_recording(recording)  # nobody knows the places
-    >>> np.abs(found.calibration.electrodes).max() < 5e-4  # m
+    >>> print(np.abs(found.calibration.electrodes).max() < 5e-4)  # m
     True
     >>> told = tx.calibration.summary(sensor, found)
-    >>> told["frames"], told["squares"]
-    (18, 9)
+    >>> print(told["frames"] > 20, told["squares"])
+    True 9
     >>> lines = tx.calibration.text(sensor, found)
     >>> figure = tx.calibration.picture(sensor, found)
     """
