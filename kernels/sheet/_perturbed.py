@@ -1,4 +1,4 @@
-"""What a wave of the sheet's resistance adds to the potentials of electrodes, in NumPy.
+"""Slopes of electrodes' potentials by waves of the sheet's resistance, in NumPy.
 
 First order, in closed form: with σ = σ₀(1 − w), −σ₀Δδφ = −σ₀∇·(w∇φ). In cosines a wave
 w = cos(ix)·cos(jy) moves each coefficient of φ to four others, (a ± i, b ± j).

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 # Half periods along x and y together of the waves that a sheet's errors are told in.
-LONGEST = 4
+_LONGEST = 4
 
 
 def cosine_waves(
@@ -18,14 +18,14 @@ def cosine_waves(
     return jnp.prod(jnp.cos(angles), -1)
 
 
-def smooth_orders(most: int = LONGEST) -> Int[np.ndarray, "q 2"]:
+def smooth_orders(most: int = _LONGEST) -> Int[np.ndarray, "q 2"]:
     """Half periods (i, j) of waves, 1 ≤ i + j ≤ most, in the order of j within i."""
     pairs = [(i, j) for i in range(most + 1) for j in range(most + 1 - i) if i + j]
     return np.array(pairs)
 
 
 def smooth_modes(
-    places: Float[Array, "n 2"], size: Float[Array, "2"], most: int = LONGEST
+    places: Float[Array, "n 2"], size: Float[Array, "2"], most: int = _LONGEST
 ) -> tuple[Float[Array, "q n"], Float[np.ndarray, " q"]]:
     """`cosine_waves` of mean square 1 for 1 ≤ i + j ≤ most, and 1/(i² + j²)."""
     orders = smooth_orders(most)

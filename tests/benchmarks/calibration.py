@@ -100,7 +100,7 @@ def judged(number: int, seed: int, rig: dict[str, np.ndarray]) -> list[dict[str,
 
 
 def _values(sensor, known, rig: dict[str, np.ndarray]) -> dict[str, float]:
-    """How far the calibrated values are from the rig's, and how often within 1 σ."""
+    """Compares calibrated values with the rig's, and their errors with 1 σ as stated."""
     xy = np.asarray(sensor.electrode_xy, float)
     off = np.broadcast_to(known.electrodes, xy.shape) + xy - rig["electrodes"]
     gain = np.asarray(known.gain) - rig["gain"]

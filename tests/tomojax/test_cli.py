@@ -161,7 +161,7 @@ def test_bad_options_are_one_line(
 def test_calibrations_that_cannot_be_made_are_one_line(
     monkeypatch, capsys, tmp_path
 ) -> None:
-    """Of nothing; over a calibration that is there."""
+    """A recording of noise, too few frames, and a calibration that exists already."""
     noise = np.random.default_rng(0).normal(0, 2, (40, 2, 64))
     path, out = tmp_path / "nothing.h5", tmp_path / "rig.json"
     recordings.write(path, np.round(noise).astype(np.int16), np.array([0, 63]))

@@ -115,25 +115,26 @@ def calibrated(
     unknowns, slopes = unknowns_of(sensor, before, placed), rig_slopes(sensor)
     state = trial = unknowns.start
     now, lowest, step = before, np.inf, 0 * state
+    weighed = False
     sums, first, covariance = None, None, np.linalg.inv(unknowns.prior)
     for number in range(_PASSES):
         progress(f"pass {number + 1}")
         told = calibration_of(unknowns, trial, before)
         points = make_method(sensor, "points", 32, told)
         assert isinstance(points, Points)
-        new = sums_of(points, slopes, known, told.voltages(known.voltages.astype(float)))
-        if number == 1:
-            # Where the sheet is about known, what is left is what discs do not describe.
-            usual = np.median(new.each)
-            less = usual / np.maximum(new.each, usual)
-            known, lowest = known._replace(weight=known.weight * less), np.inf
-            new = sums_of(
-                points, slopes, known, told.voltages(known.voltages.astype(float))
-            )
-        first, off = first or new, trial - unknowns.start
-        cost = float(new.left + off @ unknowns.prior @ off)
+        given = points, slopes, told.voltages(known.voltages.astype(float))
+        new = sums_of(*given, known)
+        first = first or new
+        cost = _cost(unknowns, new, trial)
         if cost < lowest:
             better = cost < (1 - _LITTLE) * lowest
+            if np.isfinite(lowest) and not weighed:
+                # A first step that fits better: now discs miss what is left of a frame.
+                usual, weighed = np.median(new.each), True
+                less = usual / np.maximum(new.each, usual)
+                known = known._replace(weight=known.weight * less)
+                new = sums_of(*given, known)
+                cost = _cost(unknowns, new, trial)
             state, now, sums, lowest = trial, told, new, cost
             step, covariance = _step(unknowns, sums, state)
             if not better:
@@ -155,6 +156,11 @@ def calibrated(
         made=date.today().isoformat(),
     )
     return Calibrated(now, known.places, covariance, unknowns.parts)
+
+
+def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:
+    off = state - unknowns.start
+    return float(sums.left + off @ unknowns.prior @ off)
 
 
 def _step(

@@ -33,22 +33,19 @@ class Known(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What frames tell together."""
+    """The normal equations of all frames, and what the frames leave."""
 
     each: Float[np.ndarray, " n"]  # what is left of a frame, of what errors leave
-
     normal: Float[np.ndarray, "P P"]
     right: Float[np.ndarray, " P"]
     scatter: Float[np.ndarray, "P P"]  # of the right side, frame by frame
     left: float | np.ndarray  # Σ of squares, whitened
     free: float | np.ndarray  # how many of them errors leave
-    shared: (
-        float | np.ndarray
-    )  # the mean square of what channels have in common, of nominal values'
+    shared: float | np.ndarray  # mean square of common errors, of nominal ones
 
 
 def sums_of(
-    points: Points, slopes: RigSlopes, known: Known, volts: Float[np.ndarray, "n S M"]
+    points: Points, slopes: RigSlopes, volts: Float[np.ndarray, "n S M"], known: Known
 ) -> Sums:
     """The normal equations of the rig's values, over all frames; `volts` are corrected."""
     used = np.isfinite(volts).all((0, 1))

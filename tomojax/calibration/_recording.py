@@ -18,8 +18,8 @@ from tomojax.sensor import Calibration, nominal_noise
 # many they are chosen.
 _SLOTS, _LEAST, _MOST, _CHOICE = 10, 5, 1000, 4
 
-# What a contact exceeds to be of use, in the noise; the part of the frames in which a
-# channel must be good.
+# A contact of use exceeds so many times the noise. A channel must be good in this part of
+# the frames.
 _TOUCHED, _GOOD = 110.0, 0.9
 
 
@@ -136,7 +136,7 @@ def calibrated_recording(
 def _touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
     """Stretches of `length` slots that show a contact throughout."""
     enough = _TOUCHED * nominal_noise(recording.rig.sensor())
-    slots, m = recording.scans * recording.slots, recording.electrodes
+    slots = recording.scans * recording.slots
     every = max(1, slots // length // (_CHOICE * most))
     # Whole stretches in each chunk.
     each = max(1, CHUNK_SLOTS // (recording.slots * length)) * length
@@ -153,8 +153,6 @@ def _touched(recording: Recording, before: Calibration, length: int, most: int) 
         own = number + start * recording.slots
         parts = own, t[number], v, grounds[number, 0], good
         found.append(tuple(a[kept] for a in parts))
-    if not found:
-        return _Frames(*(np.zeros((0, length) + (m,) * n) for n in (0, 0, 1, 0, 1)))
     return _Frames(*(np.concatenate(a) for a in zip(*found)))
 
 

@@ -1,4 +1,4 @@
-"""What a calibration has found and how sure it is, as text and as a picture."""
+"""Writes and draws a calibration, and how sure each of its values is."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ _FEW = 2
 
 
 def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
-    """What was found, and 1 σ of it, in numbers; lengths in mm.
+    """Lists the values that were found and 1 σ of each kind, lengths in mm.
 
     How sure electrodes' places are has two parts: that of an affine map of all (shift,
     turn, stretch), which a rub without a ruler hardly tells, and what is left without it.
@@ -67,7 +67,7 @@ def text(sensor: Sensor, found: Calibrated) -> str:
 
 
 def advice(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Where the sheet was hardly touched; no line where it was."""
+    """Says where the sheet was hardly touched; returns no line if it was everywhere."""
     missing = squares_touched(sensor, found.places) < _FEW
     if not missing.any():
         return []

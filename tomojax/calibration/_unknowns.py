@@ -1,4 +1,4 @@
-"""What a calibration finds: how its values lie in one vector, and what is known before."""
+"""The vector of values that a calibration finds, and what is known of them before."""
 
 from dataclasses import replace
 from typing import NamedTuple

@@ -262,7 +262,7 @@ def calibrate(
     """Calibrate the rig from REC: rub the whole sheet with one finger or a blunt pen.
 
     Where the contact is need not be known: places, gains, zeros, the sheet, the ground
-    paths and the electrodes' places are found together. Half a minute of rubbing does.
+    paths and the electrodes' places are found together.
     PLACES, where you have them, has x and y in metres, of each slot or of each scan: `xy`
     in an .npz file, or a .csv file. `tomojax reconstruct --calibration` uses the result.
     """
