@@ -36,7 +36,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
         raise click.BadParameter(f"got {value!r}, expected auto or a number") from None
 
 
-_tdms_option = click.option(
+tdms_option = click.option(
     "--tdms",
     multiple=True,
     metavar="NAME=TEXT",
@@ -90,7 +90,7 @@ _tdms_option = click.option(
 @click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
 @click.option("--processes", type=int, help="How many share it.")
 @click.option("--process", type=int, help="Which of them this is, from 0.")
-@_tdms_option
+@tdms_option
 def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     """Contacts and images of every scan or slot of the recording REC.
 
@@ -213,7 +213,7 @@ def _bar(share: tuple[int, int]):
 @click.option(
     "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
 )
-@_tdms_option
+@tdms_option
 def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
@@ -233,75 +233,4 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
         from tomojax._environment import environment
 
         report = {"rows": rows, "summary": summary, "environment": environment()}
-        json_path.write_text(json.dumps(report, indent=1) + "\n")
-
-
-@click.command()
-@click.argument("rec", type=_FILE)
-@click.argument("places", type=_REPORT, required=False)
-@click.option("-o", "--out", type=_REPORT, help="[default: REC.calibration.json]")
-@click.option("--from", "before", type=_FILE, help="An older calibration to begin with.")
-@click.option(
-    "--frames", type=int, default=1000, show_default=True, help="At most, of ten slots."
-)
-@click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
-@click.option("--picture", type=_REPORT, help="Draw sheet and electrodes here (PNG).")
-@click.option("--json", "json_path", type=_REPORT, help="Write the printed figures here.")
-@_tdms_option
-def calibrate(
-    rec: Path,
-    places: Path | None,
-    out: Path | None,
-    before: Path | None,
-    frames: int,
-    overwrite: bool,
-    picture: Path | None,
-    json_path: Path | None,
-    tdms: dict,
-) -> None:
-    """Calibrate the rig from REC: rub the whole sheet with one finger or a blunt pen.
-
-    Where the contact is need not be known: places, gains, zeros, the sheet, the ground
-    paths and the electrodes' places are found together.
-    PLACES, where you have them, has x and y in metres, of each slot or of each scan: `xy`
-    in an .npz file, or a .csv file. `tomojax reconstruct --calibration` uses the result.
-    """
-    from tomojax import calibration as room
-    from tomojax.recordings import open_recording
-    from tomojax.sensor import Calibration
-
-    out = out or rec.with_name(rec.stem + ".calibration.json")
-    if out.exists() and not overwrite:
-        raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
-    if frames < 16:
-        raise ValueError(f"frames: got {frames}, expected 16 or more")
-
-    def say(text: str) -> None:
-        if sys.stderr.isatty():
-            end = "" if text else "\r"
-            print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
-
-    with open_recording(rec, **tdms) as recording:
-        sensor = recording.rig.sensor()
-        told = room.read_places(places) if places else None
-        older = Calibration.load(before) if before else None
-        try:
-            found = room.calibrated_recording(
-                recording, told, frames, calibration=older, progress=say
-            )
-        except ValueError as error:
-            say("")
-            raise ValueError(f"{rec}: {error}") from None
-    say("")
-    found.calibration.save(out)
-    print(room.text(sensor, found))
-    print(f"calibration: {out}")
-    if picture:
-        room.picture(sensor, found).savefig(picture, dpi=110)
-        print(f"picture: {picture}")
-    if json_path:
-        from tomojax._environment import environment
-
-        row = room.summary(sensor, found)
-        report = {"rows": [row], "summary": row, "environment": environment()}
         json_path.write_text(json.dumps(report, indent=1) + "\n")

@@ -7,13 +7,12 @@ import click
 
 from tomojax.cli._demo import demo
 from tomojax.cli._design import design
-from tomojax.cli._frontier import frontier
 from tomojax.cli._live import live, record
-from tomojax.cli._recordings import calibrate, info, reconstruct
-from tomojax.cli._stability import stability
-from tomojax.cli._table1 import table1
+from tomojax.cli._recordings import info, reconstruct
+from tomojax.cli._rig import calibrate
 from tomojax.cli._track import track
 from tomojax.cli.compiled import keep_compiled
+from tomojax.cli.studies import frontier, stability, table1
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tomojax.cli._study import begin, named, study_options
+from tomojax.cli.studies._study import begin, named, study_options
 
 
 @click.command()
