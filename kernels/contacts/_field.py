@@ -2,8 +2,12 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+
+# Radii of the table that one between them is interpolated from.
+_NEAREST = 4
 
 
 class Field(NamedTuple):
@@ -22,14 +26,30 @@ class Field(NamedTuple):
 def field_at(
     field: Field, place: Float[Array, "2"], radius: Float[Array, ""]
 ) -> Float[Array, " M"]:
-    """R_e(x, a), Ω, of all electrodes; cubic in x, and in a² through the table's radii.
+    """R_e(x, a), Ω, of all electrodes; cubic in x, and in a² through four radii next to a.
 
-    Once differentiable. Radii beyond the table's are taken as its last; beyond the edges
-    the sheet is mirrored.
+    Once differentiable in x; slopes by a are of the radii that it lies among. Radii beyond
+    the table's are taken as its last; beyond the edges the sheet is mirrored.
     """
-    part, nearby = _nearby(field.values, field.size, place)
+    low, nodes = radii_about(field, radius)
+    part, nearby = nearby_of(field.values, field.size, place, low, _NEAREST)
     along = cubic(part)
-    return _mixed(field, radius, along[0][:, None] * along[1], nearby)
+    by_size = lagrange(nodes, jnp.minimum(radius, field.radii[-1]) ** 2)
+    flat = (along[0][:, None] * along[1]).ravel()
+    return jnp.einsum("n,a,nam->m", flat, by_size, nearby, precision="highest")
+
+
+def radii_about(
+    field: Field, radius: Float[Array, ""]
+) -> tuple[Int[Array, ""], Float[Array, " a"]]:
+    """The first of the table's radii that one is interpolated from, and their squares.
+
+    Beside an electrode R bends where a disc's rim crosses it: a polynomial through radii
+    that are far away is off by a third of a millimetre there.
+    """
+    last = len(field.radii) - _NEAREST
+    low = jnp.clip((field.radii < radius).sum() - _NEAREST // 2, 0, last)
+    return low, jax.lax.dynamic_slice(field.radii, (low,), (_NEAREST,)) ** 2
 
 
 def rows_at(
@@ -45,7 +65,8 @@ def rows_at(
     current's second moments about its centre, m². Of their sum nothing is seen but beside
     electrodes: R is harmonic.
     """
-    part, nearby = _nearby(field.values, field.size, place)
+    low, nodes = radii_about(field, radius)
+    part, nearby = nearby_of(field.values, field.size, place, low, _NEAREST)
     cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
     per = (cells / field.size)[:, None]  # of cells, 1/m
     jerk = jnp.array([-3.0, 9.0, -9.0, 3.0], place.dtype) * per**3
@@ -62,7 +83,7 @@ def rows_at(
     by_x = both(1, 0) + m * (both(3, 0) - both(1, 2)) + n * both(2, 1)
     by_y = both(0, 1) + m * (both(2, 1) - both(0, 3)) + n * both(1, 2)
     radius = jnp.minimum(radius, field.radii[-1])
-    sizes, by_radius = lagrange_and_slope(field.radii**2, radius**2)
+    sizes, by_radius = lagrange_and_slope(nodes, radius**2)
     weights = jnp.stack([value, by_x, by_y, value, unlike / 2, mixed, by_x, by_y])
     by_radius = by_radius * 2 * radius
     across = jnp.stack([sizes] * 3 + [by_radius] + [sizes] * 2 + [by_radius] * 2)
@@ -73,15 +94,17 @@ def rows_at(
 
 def thin_of(field: Field, radius: Float[Array, ""]) -> Float[Array, "nx ny M"]:
     """The table for one radius: beside electrodes, what is smaller makes the same."""
-    by_size = lagrange(field.radii**2, radius**2)
-    return jnp.einsum("a,xyam->xym", by_size, field.values, precision="highest")
+    low, nodes = radii_about(field, radius)
+    near = jax.lax.dynamic_slice_in_dim(field.values, low, _NEAREST, 2)
+    by_size = lagrange(nodes, radius**2)
+    return jnp.einsum("a,xyam->xym", by_size, near, precision="highest")
 
 
 def thin_rows_at(
     thin: Float[Array, "nx ny M"], size: Float[Array, "2"], place: Float[Array, "2"]
 ) -> Float[Array, "3 M"]:
     """R_e of a table for one radius, and its derivatives by x and y, row by row."""
-    part, nearby = _nearby(thin[:, :, None], size, place)
+    part, nearby = nearby_of(thin[:, :, None], size, place, jnp.zeros((), int), 1)
     per = ((jnp.asarray(thin.shape[:2], place.dtype) - 1) / size)[:, None]
     along, slope = cubic(part), cubic_slope(part) * per
     x, y = jnp.stack([along[0], slope[0], along[0]]), jnp.stack([along[1]] * 2 + [slope[1]])
@@ -89,27 +112,31 @@ def thin_rows_at(
     return jnp.matmul(weights, nearby[:, 0], precision="highest")
 
 
-def _nearby(
-    values: Float[Array, "nx ny A M"], size: Float[Array, "2"], place: Float[Array, "2"]
-) -> tuple[Array, Array]:
-    """Finds the place within its cell (2,), and the table's sixteen points around it."""
-    nx, ny = values.shape[:2]
+def nearby_of(
+    values: Float[Array, "nx ny A M"],
+    size: Float[Array, "2"],
+    place: Float[Array, "2"],
+    low: Int[Array, ""],
+    count: int,
+) -> tuple[Float[Array, "2"], Float[Array, "16 a M"]]:
+    """Finds the place within its cell, and the table's sixteen points around it.
+
+    Of their radii `count` from `low` on.
+    """
+    nx, ny, _, m = values.shape
     cells = jnp.array([nx - 1, ny - 1], place.dtype)
     at = place / size * cells
-    low = jnp.clip(jnp.floor(at), 0, cells - 1)
+    corner = jnp.clip(jnp.floor(at), 0, cells - 1)
     steps = jnp.arange(-1, 3)
-    i = mirrored(low[0].astype(int) + steps, nx - 1)
-    j = mirrored(low[1].astype(int) + steps, ny - 1)
-    nearby = values[i[:, None], j[None]]
-    return at - low, nearby.reshape(16, -1, values.shape[-1])
+    i = mirrored(corner[0].astype(int) + steps, nx - 1)
+    j = mirrored(corner[1].astype(int) + steps, ny - 1)
 
+    # A slice of each point: with its radii one by one it takes longer.
+    def cut(i: Array, j: Array) -> Float[Array, "a M"]:
+        return jax.lax.dynamic_slice(values, (i, j, low, 0), (1, 1, count, m))[0, 0]
 
-def _mixed(
-    field: Field, radius: Array, weights: Float[Array, "4 4"], nearby: Array
-) -> Float[Array, " M"]:
-    by_size = lagrange(field.radii**2, jnp.minimum(radius, field.radii[-1]) ** 2)
-    flat = weights.ravel()
-    return jnp.einsum("n,a,nam->m", flat, by_size, nearby, precision="highest")
+    rows = jax.vmap(jax.vmap(cut, (None, 0)), (0, None))(i, j)
+    return at - corner, rows.reshape(16, count, m)
 
 
 def mirrored(index: Array, last: int) -> Array:

@@ -12,7 +12,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts._field import cubic, Field, lagrange, mirrored
+from tomojax.kernels.contacts._field import (
+    cubic,
+    Field,
+    lagrange,
+    nearby_of,
+    radii_about,
+)
 from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
 
 
@@ -43,19 +49,13 @@ def radius_of(sheet: Sheet, size: Array) -> Array:
 def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array, "4 M"]:
     """R(x, a), Ω, and its derivatives by place (per unit) and size."""
     field: Field = sheet.field
-    nx, ny, sizes, count = field.values.shape
-    cells = jnp.array([nx - 1, ny - 1], place.dtype)
-    at = place / field.size * cells
-    low = jnp.clip(jnp.floor(at), 0, cells - 1)
-    steps = jnp.arange(-1, 3)
-    i = mirrored(low[0].astype(int) + steps, nx - 1)
-    j = mirrored(low[1].astype(int) + steps, ny - 1)
-    nearby = field.values[i[:, None], j[None]].reshape(16 * sizes, count)
-    nodes = field.radii**2
+    low, nodes = radii_about(field, radius_of(sheet, size))
+    part, nearby = nearby_of(field.values, field.size, place, low, len(nodes))
+    nearby = nearby.reshape(-1, nearby.shape[-1])
+    cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
 
     def weights(moved: Float[Array, "3"]) -> Float[Array, " weights"]:
-        part = at - low + moved[:2] * (sheet.unit / field.size * cells)
-        along = cubic(part)
+        along = cubic(part + moved[:2] * (sheet.unit / field.size * cells))
         radius = sheet.size * jnp.exp(SIZE_WIDTH * (size + moved[2]))
         by_size = lagrange(nodes, jnp.minimum(radius, field.radii[-1]) ** 2)
         flat = (along[0][:, None] * along[1]).ravel()

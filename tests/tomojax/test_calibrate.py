@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -270,3 +271,33 @@ def test_one_touch_calibrates_nothing():
         ValueError, match="^voltages: got . of 40 frames, expected 16 or more"
     ):
         tx.calibrate_recording(tx.recordings.ArrayRecording(rig, noise, CORNERS))
+
+
+def test_derivatives_by_voltages_are_those_of_the_held_problem():
+    """The implicit function theorem's, beside differences of the problem solved anew."""
+    rng = np.random.default_rng(5)
+    with jax.enable_x64(True):
+        sensor = tx.Sensor.grid(3, 3, divisions=(12, 12))
+        places = rng.uniform(0.008, 0.052, (20, 2))
+        grounds = np.array([rng.choice(9, 3, replace=False) for _ in places])
+        discs = [tx.Disc(xy, 0.004, 0.3) for xy in places]
+        exact = np.stack([tx.voltages(sensor, d, g) for d, g in zip(discs, grounds)])
+        volts = exact * (1 + 5e-4 * rng.normal(size=9)) + 3e-4 * rng.normal(
+            size=exact.shape
+        )
+        found = tx.calibration.calibrated(sensor, volts, grounds)
+        held = tx.calibration.HeldCalibration(sensor, found)
+        state, pulled = jax.vjp(held.values, jnp.asarray(volts))
+        deviation = np.sqrt(np.diag(found.covariance))
+        assert (np.abs(state - found.state) < 0.5 * deviation).all()
+        weights, along = (
+            rng.normal(size=len(state)) / deviation,
+            rng.normal(size=volts.shape),
+        )
+        step = 1e-6  # V: rounding and curvature both change the eighth digit
+        ahead, behind = (held.values(volts + s * step * along) for s in (1, -1))
+        difference = (ahead - behind) @ weights / (2 * step)
+        (by_volts,) = pulled(jnp.asarray(weights))
+        np.testing.assert_allclose((by_volts * along).sum(), difference, rtol=1e-5)
+    with pytest.raises(ValueError, match="sensor: got float32, expected float64"):
+        tx.calibration.HeldCalibration(tx.Sensor.grid(3, 3, dtype=np.float32), found)

@@ -7,7 +7,9 @@ results.
 from tomojax.calibration._calibrate import (
     calibrate as calibrate,
     Calibrated as Calibrated,
+    calibrated as calibrated,
 )
+from tomojax.calibration._held import HeldCalibration as HeldCalibration
 from tomojax.calibration._pressure import (
     calibrate_presses as calibrate_presses,
     force as force,
@@ -32,6 +34,7 @@ from tomojax.calibration._unknowns import unknowns_of as unknowns_of
 
 # The rest serves the command and tests.
 __all__ = [
+    "HeldCalibration",
     "calibrate",
     "calibrate_presses",
     "calibrate_recording",

@@ -45,7 +45,15 @@ class Calibrated(NamedTuple):
     calibration: Calibration
     places: Float[np.ndarray, "n 2"]  # of the contacts that it is made of, m
     covariance: Float[np.ndarray, "P P"]  # of the values
-    parts: dict[str, slice]  # where each kind lies among them
+    unknowns: Unknowns  # what they are, and what was known of them
+    state: Float[np.ndarray, " P"]  # the values as a vector
+    frames: Known  # that were used
+    told: Calibration  # of the last pass, with the errors that it was told of
+
+    @property
+    def parts(self) -> dict[str, slice]:
+        """Where each kind lies among the values."""
+        return self.unknowns.parts
 
 
 def calibrate(
@@ -148,14 +156,14 @@ def calibrated(
     left = float(sums.left / max(float(sums.free), 1.0))
     covariance = _covariance(unknowns, sums, covariance, len(known.places))
     error = float(np.clip(np.sqrt(sums.shared / first.shared), _LEAST, 1))
-    now = replace(
+    known_as = replace(
         now,
         own=float(np.clip(np.sqrt(left), _LEAST, 1)) * before.own,
         error=error * before.error,
         deviation=values_of(unknowns, np.sqrt(np.diag(covariance))),
         made=date.today().isoformat(),
     )
-    return Calibrated(now, known.places, covariance, unknowns.parts)
+    return Calibrated(known_as, known.places, covariance, unknowns, state, known, now)
 
 
 def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:

@@ -115,21 +115,8 @@ def _frame(
     the slots share, by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. Where the contact's own fit has ended
     nothing is left along T but its priors', and the right side is Aᵀr.
     """
-    scene = fitting_of(points, prepared, volts, 1)
-    # Each channel's own errors alone: what they have in common is what is looked for.
-    frame = scene.frame._replace(
-        whitened=volts * scene.frame.scale,
-        common=scene.frame.common[:, :0],
-        filter=scene.frame.filter[:, :0],
-    )
+    _, found, frame, whole = fit_of(points, prepared, volts, place, spread)
     sheet, tolerance = points.sheet, prepared.tolerance
-    start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))
-    about = sheet, frame, tolerance, start[:2], spread / sheet.unit
-    limits = model.limits_of(sheet)
-    parameters, _ = descend(
-        _cost, start[None], limits, _STEPS, _STEPS, _TOGETHER, jnp.inf, 0.0, *about
-    )
-    found = _explained(parameters, *about)
     # Slots that do not fit at all count little, as in the fit.
     robust = jax.lax.rsqrt(1 + (found.rest**2).sum(1) / tolerance)[:, None]
     column = found.column[:, 0] * robust
@@ -154,15 +141,43 @@ def _frame(
     own = jnp.matmul(t.T, t, precision="highest") + known
     both = jnp.matmul(t.T, a, precision="highest")
     shared = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(own), both, lower=True)
-    left = model.whitened_columns(scene.frame, volts - found.fitted.voltages)
+    left = model.whitened_columns(whole, volts - found.fitted.voltages)
     left = left[:, volts.shape[1] :]
     count = (frame.scale > 0).sum() - rows.shape[0] - t.shape[1]
     sums = (rest**2).sum(), count.astype(rest.dtype), jnp.square(left * robust).mean()
-    sound = jnp.isfinite(parameters).all() & jnp.isfinite(shared).all()
+    sound = jnp.isfinite(found.fitted.place).all() & jnp.isfinite(shared).all()
     return tuple(jnp.where(sound, x, 0) for x in (a, shared, rest.ravel(), *sums))
 
 
-def _explained(
+def fit_of(
+    points: Points,
+    prepared: Any,
+    volts: Float[Array, "S M"],
+    place: Float[Array, "2"],
+    spread: Float[Array, ""],
+) -> tuple[Float[Array, "5"], Explained, WhitenedFrame, WhitenedFrame]:
+    """Fits a contact that is about there: its parameters, what they explain, the frame.
+
+    The frame with each channel's own errors alone: what they have in common is what is
+    looked for; and the frame with both.
+    """
+    scene = fitting_of(points, prepared, volts, 1)
+    frame = scene.frame._replace(
+        whitened=volts * scene.frame.scale,
+        common=scene.frame.common[:, :0],
+        filter=scene.frame.filter[:, :0],
+    )
+    sheet = points.sheet
+    start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))
+    about = sheet, frame, prepared.tolerance, start[:2], spread / sheet.unit
+    limits = model.limits_of(sheet)
+    parameters, _ = descend(
+        _cost, start[None], limits, _STEPS, _STEPS, _TOGETHER, jnp.inf, 0.0, *about
+    )
+    return parameters, explained_about(parameters, *about), frame, scene.frame
+
+
+def explained_about(
     parameters: Float[Array, "5"],
     sheet: Sheet,
     frame: WhitenedFrame,
@@ -188,5 +203,5 @@ def _cost(
     spread: Float[Array, ""],
 ) -> Normal:
     return normal_of(
-        _explained(parameters, sheet, frame, tolerance, place, spread), tolerance
+        explained_about(parameters, sheet, frame, tolerance, place, spread), tolerance
     )

@@ -1,5 +1,6 @@
 """The table of electrodes' potentials that `points` looks up."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -13,10 +14,10 @@ from tomojax.kernels.sheet import rectangle_grid_fields
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
-# Of the electrodes' pitch: radii that potentials are averaged over, and the spacing of the
-# table of averages. They are computed on a finer one, whose spacing, of the electrodes'
-# diameter, resolves a rim.
-_RADII, _KEPT, _SPACING = (0.1, 0.2, 0.4, 0.65), 0.1, 0.2
+# Of the electrodes' pitch: spacing of the radii that potentials are averaged over, the
+# largest, and the spacing of the table of averages. They are computed on a finer one, whose
+# spacing, of the electrodes' diameter, resolves a rim.
+_RADII, _LARGEST, _KEPT, _SPACING = 0.05, 0.65, 0.1, 0.2
 
 # Points of the finer table along a side: memory. What it does not resolve then is smaller
 # than the least radius.
@@ -77,7 +78,8 @@ def even_fields(
 
 def averaged_radii(sensor: Sensor) -> Float[np.ndarray, " A"]:
     """The radii of the table, m."""
-    return np.array(_RADII) * sensor.mean_pitch
+    count = round(_LARGEST / _RADII)
+    return _RADII * sensor.mean_pitch * np.arange(1, count + 1)
 
 
 def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int) -> Field:
@@ -88,9 +90,8 @@ def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int)
     values = np.empty((nx, ny, len(radii), len(rows)), dtype)
     # A few electrodes at a time: the finer table is large.
     for some in np.array_split(np.arange(len(rows)), -(-len(rows) // _TOGETHER)):
-        for k, a in enumerate(radii):
-            averaged = disc_average(rows[some], size, a)[:, ::every, ::every]
-            values[:, :, k, some] = averaged.transpose(1, 2, 0)
+        for k, averaged in enumerate(disc_averages(rows[some], size, radii)):
+            values[:, :, k, some] = averaged[:, ::every, ::every].transpose(1, 2, 0)
     return Field(
         jnp.asarray(values, dtype),
         jnp.asarray(radii, dtype),
@@ -125,15 +126,17 @@ def _variation(
     return ee, np.asarray(fft.dctn(padded, 1, axes=(1, 2)))
 
 
-def disc_average(
-    values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radius: float
-) -> Float[np.ndarray, "*batch nx ny"]:
-    """The mean over a disc around each point of a table that mirrors at its edges.
+def disc_averages(
+    values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radii: np.ndarray
+) -> Iterator[Float[np.ndarray, "*batch nx ny"]]:
+    """The means over discs around each point of a table that mirrors at its edges.
 
     A cosine of wave vector k is averaged to 2J₁(|k|a)/(|k|a) of itself.
     """
     k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
-    ka = np.hypot(*np.meshgrid(*k, indexing="ij")) * radius
-    factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
-    averaged = fft.dctn(values, 1, axes=(-2, -1)) * factor
-    return np.asarray(fft.idctn(averaged, 1, axes=(-2, -1)))
+    length = np.hypot(*np.meshgrid(*k, indexing="ij"))
+    waves = fft.dctn(values, 1, axes=(-2, -1))
+    for a in radii:
+        ka = length * a
+        factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
+        yield np.asarray(fft.idctn(waves * factor, 1, axes=(-2, -1)))

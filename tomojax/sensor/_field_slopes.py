@@ -19,7 +19,7 @@ _MOVE = 1e-3
 
 # Half periods in a pitch that waves are followed to, and which of the table's radii their
 # potentials are averaged over: they hardly depend on it.
-_FOLLOWED, _RADIUS = 8, 1
+_FOLLOWED, _RADIUS = 8, 3
 
 
 def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array, "2 M M"]]:

@@ -1,0 +1,148 @@
+"""A calibration as a function of the voltages that it is made of, to differentiate."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tomojax._require import require
+from tomojax.calibration._calibrate import Calibrated
+from tomojax.calibration._frames import explained_about, fit_of
+from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
+from tomojax.kernels.contacts import Sheet, WhitenedFrame
+from tomojax.methods import method as make_method, Points
+from tomojax.sensor import Sensor
+
+# Newton's steps end where none changes a value by more than this part of its deviation.
+_CLOSE = 1e-9
+_STEPS = 30
+
+
+class HeldCalibration(eqx.Module):
+    """The last pass of a calibration, whose tables change with the rig as slopes say.
+
+    θ(V) = argmin min_c Σ_k w_k Σ_s δ²·ln(1 + |r_ks|²/δ²) + priors, where what a frame
+    leaves is r = C^(−1/2)[(V − offset)/gain − A(θ − θ*) − V(c)]: V(c) are its contact's
+    voltages on the calibrated rig θ*, A their slopes by sheet, grounds and electrodes.
+    A, the errors C and the weights w are held; contacts are at rest. `values` is
+    differentiable in the voltages by the implicit function theorem, in float64. It solves
+    for all values and contacts at once: meant for a few hundred frames.
+
+    **Example:**
+
+    >>> import jax
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> with jax.enable_x64(True):
+    ...     sensor = tx.Sensor.grid(2, 2, divisions=(8, 8))
+    ...     places = np.random.default_rng(0).uniform(0.012, 0.028, (16, 2))
+    ...     discs = [tx.Disc(xy, 0.004, 1.0) for xy in places]
+    ...     volts = np.stack([tx.voltages(sensor, disc) for disc in discs])
+    ...     found = tx.calibration.calibrated(sensor, volts, np.tile(np.arange(4), (16, 1)))
+    ...     held = tx.calibration.HeldCalibration(sensor, found)
+    >>> first = held.parts["gain"].start
+    >>> by_voltages = jax.grad(lambda v: held.values(v)[first])  # call it where x64 is on
+    """
+
+    sheet: Sheet
+    tolerance: Float[Array, ""]
+    grounds: Int[Array, "n S"]
+    places: Float[Array, "n 2"]
+    spread: Float[Array, " n"]
+    weight: Float[Array, " n"]
+    scale: Float[Array, "n S M"]  # C^(−1/2)
+    slopes: Float[Array, "n S M G"]  # A
+    contacts: Float[Array, "n 5"]
+    state: Float[Array, " P"]  # θ*
+    start: Float[Array, " P"]
+    prior: Float[Array, "P P"]
+    root: Float[Array, "P P"]  # of the values' covariance
+    parts: dict[str, slice] = eqx.field(static=True)
+
+    def __init__(self, sensor: Sensor, found: Calibrated):
+        """**Raises:** `ValueError` for a sensor in float32."""
+        wide = sensor.dtype == np.float64
+        require(wide, "sensor", sensor.dtype, "float64: derivatives are no better")
+        unknowns, known = found.unknowns, found.frames
+        points = make_method(sensor, "points", 32, found.told)
+        assert isinstance(points, Points)
+        volts = found.told.voltages(known.voltages.astype(float))
+        require(bool(np.isfinite(volts).all()), "found", "channels of NaN", "volts in all")
+        prepared = points.prepare(known.grounds[0], np.ones(volts.shape[1:], bool), 1.0)
+        given = volts, known.grounds, known.places, known.spread
+        given = tuple(map(jnp.asarray, given))
+        contacts, scale, slopes = _fits(points, rig_slopes(sensor), prepared, *given)
+        self.sheet, self.tolerance = points.sheet, prepared.tolerance
+        _, self.grounds, self.places, self.spread = given
+        self.weight, self.contacts = jnp.asarray(known.weight), contacts
+        self.scale, self.slopes = scale, slopes
+        self.state, self.start = jnp.asarray(found.state), jnp.asarray(unknowns.start)
+        self.prior = jnp.asarray(unknowns.prior)
+        self.root = jnp.linalg.cholesky(jnp.asarray(found.covariance))
+        self.parts = found.parts
+
+    def cost(
+        self, state: Float[Array, " P"], contacts: Float[Array, "n 5"], voltages: Array
+    ) -> Float[Array, ""]:
+        """What θ and the contacts leave of voltages (n, S, M)."""
+        m = voltages.shape[-1]
+        gain, zero, moved = state[:m], state[m : 2 * m], (state - self.state)[2 * m :]
+        unit, tolerance = self.sheet.unit, self.tolerance
+
+        def one(v, grounds, place, spread, scale, slopes, contact) -> Array:
+            v = (v - zero) / gain - jnp.matmul(slopes, moved, precision="highest")
+            none = jnp.zeros((len(v), 0, m), v.dtype)
+            frame = WhitenedFrame(grounds, v * scale, scale, none, none)
+            about = self.sheet, frame, tolerance, place / unit, spread / unit
+            found = explained_about(contact, *about)
+            misfit = (found.rest**2).sum(1) / tolerance
+            return tolerance * jnp.log1p(misfit).sum() + (found.prior**2).sum()
+
+        given = self.grounds, self.places, self.spread, self.scale, self.slopes
+        each = jax.vmap(one)(voltages, *given, contacts)
+        off = state - self.start
+        known = jnp.matmul(self.prior, off, precision="highest")
+        return self.weight @ each + off @ known
+
+    @eqx.filter_jit
+    def values(self, voltages: Float[Array, "n S M"]) -> Float[Array, " P"]:
+        """θ for voltages near those of the calibration, in the order of `parts`."""
+        import lineax  # here: what calibrates need not wait for them
+        import optimistix
+
+        def slope(y: tuple[Array, Array], volts: Array) -> tuple[Array, Array]:
+            cost = lambda y: self.cost(self._state(y[0]), self.contacts + y[1], volts)  # noqa: E731
+            return jax.grad(cost)(y)
+
+        # Of gradients, with outliers: neither positive nor well conditioned enough for CG.
+        linear = lineax.LU()
+        found = optimistix.root_find(
+            slope,
+            optimistix.Newton(rtol=_CLOSE, atol=_CLOSE, linear_solver=linear),
+            (jnp.zeros_like(self.state), jnp.zeros_like(self.contacts)),
+            args=jnp.asarray(voltages, self.state.dtype),
+            max_steps=_STEPS,
+            adjoint=optimistix.ImplicitAdjoint(linear_solver=linear),
+        )
+        return self._state(found.value[0])
+
+    def _state(self, whitened: Float[Array, " P"]) -> Float[Array, " P"]:
+        return self.state + jnp.matmul(self.root, whitened, precision="highest")
+
+
+@eqx.filter_jit
+def _fits(
+    points: Points, slopes: RigSlopes, prepared: Any, volts, grounds, places, spread
+) -> tuple[Array, Array, Array]:
+    """Each frame's contact, the scale of its errors, and slopes by the rig's geometry."""
+
+    def one(v: Array, g: Array, place: Array, spread: Array) -> tuple[Array, ...]:
+        ready = prepared._replace(grounds=g)
+        contact, found, frame, _ = fit_of(points, ready, v, place, spread)
+        by_rig = slopes_by_rig(points.sheet, slopes, g, found.fitted)
+        return contact, frame.scale, by_rig[..., 2 * v.shape[-1] :]
+
+    return jax.vmap(one)(volts, grounds, places, spread)
