@@ -1,0 +1,10 @@
+"""Bring-up: what is wrong with a new rig, and how to mend it.
+
+The room judges recordings of nothing, of a rub and of two corners, in NumPy alone. It knows
+the sheet's physics and nothing of methods or of how slots come in.
+"""
+
+from tomojax.bringup._check import check as check
+from tomojax.bringup._fault import Checked as Checked, Fault as Fault
+
+__all__ = ["check", "Checked", "Fault"]

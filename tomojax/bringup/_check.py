@@ -1,0 +1,429 @@
+"""Finds out what is wrong with a new rig, from a recording of it."""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.bringup._amounts import (
+    drive_faults,
+    gain_faults,
+    joint_faults,
+    place_faults,
+    settling,
+    settling_faults,
+    sheet_faults,
+    Work,
+)
+from tomojax.bringup._channels import hum_faults, noise_faults, unresponsive
+from tomojax.bringup._corners import Corners, corners_of
+from tomojax.bringup._fault import Checked, Fault
+from tomojax.bringup._fit import fitted, Fits
+from tomojax.bringup._naming import (
+    best_image,
+    channel_faults,
+    line_faults,
+    line_groups,
+)
+from tomojax.bringup._plane import Plane
+from tomojax.bringup._silence import Silence, silence_of
+from tomojax.bringup._slots import chosen, Slots, slots_of
+from tomojax.bringup._values import old_part, values_of
+from tomojax.bringup._wiring import (
+    floating,
+    Lines,
+    lines_of,
+    Order,
+    order_of,
+    quality,
+    symmetries,
+)
+from tomojax.recordings import Recording
+
+# Touched slots that are needed; places, this far apart in pitches.
+_TOUCHED, _PLACES, _APART = 40, 2, 0.7
+
+# What contacts leave of voltages where geometry is right, and where nothing is.
+_RIGHT, _WRONG = 0.01, 0.12
+
+# A settling that is so large is taken off before all else, if contacts fit so much better.
+_TAKEN, _BETTER = 0.008, 0.9
+
+# A line that is always on makes fits better by this factor at least.
+_ON = 0.5
+
+
+def check(
+    recording: Recording,
+    corners: tuple[int, int] | Literal["auto"] | None = "auto",
+    progress: Callable[[str], None] = lambda text: None,
+) -> Checked:
+    """Judges the rig that made a recording of nothing, of a rub and of two corners.
+
+    The quiet stretch, the rub and the corner touches are found in the recording. The last
+    two separate touches that hold still are corners: by default first that of electrode 0
+    (x and y least), then that at the end of row 0 (x least, y most). `corners` names other
+    electrodes, or None: there are no such touches, and a mirrored or turned array is not
+    told. Parts that are missing are told in `unjudged`.
+
+    **Raises:** `ValueError` where nothing can be said: no contact, one touch alone, or
+    voltages that are of no such sensor.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rng = np.random.default_rng(0)
+    >>> places = rng.uniform(0.012, 0.068, (24, 2))
+    >>> volts = [tx.voltages(sensor, tx.Disc(xy, 0.004, 1.0)) for xy in places]
+    >>> volts = np.stack([np.zeros((16, 16))] * 24 + volts)  # nothing, then the rub
+    >>> volts = volts + 3e-4 * rng.normal(size=volts.shape)
+    >>> volts[:, :, [5, 6]] = volts[:, :, [6, 5]]  # two wires
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(16))
+    >>> found = tx.bringup.check(recording, corners=None)
+    >>> [(fault.kind, fault.channels) for fault in found.faults]
+    [('swapped', (5, 6))]
+    """
+    state = _State(slots_of(recording), progress)
+    state.look(corners)
+    return state.told(corners)
+
+
+class _Seen(NamedTuple):
+    """For the picture."""
+
+    plane: Plane
+    swing: np.ndarray
+    shift: np.ndarray
+
+
+class _State:
+    """The stages one after the other: what is named is left out of the next."""
+
+    def __init__(self, slots: Slots, progress: Callable[[str], None]):
+        self.slots, self.progress = slots, progress
+        self.plane = Plane(slots.rig)
+        self.faults: list[Fault] = []
+        self.unjudged: dict[str, str] = {}
+        self.figures: dict[str, float] = {}
+        self.rng = np.random.default_rng(0)
+
+    def look(self, corners: Any) -> None:
+        slots, m = self.slots, self.plane.count
+        require(
+            int(slots.touched.sum()) >= _TOUCHED,
+            "recording",
+            f"{int(slots.touched.sum())} slots with a contact",
+            f"{_TOUCHED} or more: nothing, then a rub, then two corners",
+        )
+        self.progress("silence")
+        self.silent = silence_of(slots)
+        self.number = chosen(slots, self.rng)
+        raw = slots.volts[self.number].astype(float)
+        levels = unresponsive(slots, raw, self.silent)
+        self.dead, self.stuck = levels.dead, levels.stuck
+        self.usable = ~(levels.dead | levels.stuck)
+        require(
+            self.usable.sum() > max(6, m // 3),
+            "recording",
+            f"{int(self.usable.sum())} of {m} channels that follow a touch",
+            "more than a third of them: look at the converter and its cable first",
+        )
+        zero = self.silent.zero
+        self.volts = raw - zero
+        before = slots.volts[np.maximum(self.number - 1, 0)].astype(float) - zero
+        self.before = np.where(slots.follows[self.number, None], before, np.nan)
+        self.asked = slots.asked[self.number]
+        self._always_on(levels)
+        self.progress("order of channels")
+        self._fit()
+        require(
+            quality(self.order.fits) < _WRONG,
+            "recording",
+            f"voltages that fit no contact on this sensor ({m} electrodes on "
+            f"{1e3 * self.plane.size[0]:.0f} mm × {1e3 * self.plane.size[1]:.0f} mm)",
+            "a recording of this sensor: is it another sensor's electrode_xy?",
+        )
+        self._settle()
+        self._moved()
+        self._lines()
+        self._corners(corners)
+        self.progress("what channels leave")
+        self._amounts()
+
+    def _always_on(self, levels) -> None:
+        """A dead channel, or an electrode that is grounded all the time."""
+        self.always: int | None = None
+        low = np.flatnonzero(levels.dead)
+        faults = {f.channels[0]: f for f in levels.faults}
+        if len(low) and len(low) <= 3:
+            n = len(self.volts)
+            some = self.rng.choice(n, min(n, 150), replace=False)
+            volts, asked = self.volts[some], self._inside(self.asked[some])
+            for c in low:
+                use = np.broadcast_to(self.usable.astype(float), volts.shape)
+                single = quality(fitted(self.plane, volts, use, asked[:, None]))
+                both = quality(fitted(self.plane, volts, use, asked[:, None], int(c)))
+                if both < _ON * single:
+                    self.always = int(c)
+                    del faults[int(c)]
+                    self.dead[c] = False
+                    break
+        self.faults += list(faults.values())
+
+    def _inside(self, asked: np.ndarray) -> np.ndarray:
+        return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
+
+    def _fit(self) -> None:
+        given = self.plane, self.volts, self.usable, self.asked, self.always
+        self.order = order_of(*given, enough=_RIGHT)
+
+    def _again(self) -> None:
+        """Fits once more in the order that is known."""
+        order = self.order.electrode
+        back = np.argsort(order)
+        weight = np.broadcast_to(self.usable[back].astype(float), self.volts.shape)
+        always = None if self.always is None else int(order[self.always])
+        told = np.stack([self._inside(self.asked), self.order.fits.ground], 1)
+        fits = fitted(self.plane, self.volts[:, back], weight, told, always)
+        self.order = self.order._replace(fits=fits)
+
+    def _older(self) -> np.ndarray:
+        """The electrode that was grounded in the slot before."""
+        flat = floating(self.volts, self.usable, self.slots.drive)
+        lines = lines_of(self.order.fits, self.asked, flat)
+        known = np.full(max(int(self.slots.asked.max()) + 1, 1), -1)
+        known[lines.asked] = np.maximum(lines.ground, -1)
+        older = known[self.slots.asked[np.maximum(self.number - 1, 0)]]
+        return np.where(np.isfinite(self.before).all(1), older, -1)
+
+    def _work(self) -> Work:
+        back = np.argsort(self.order.electrode)
+        fits, drive = self.order.fits, self.slots.drive
+        volts, before = self.volts[:, back], self.before[:, back]
+        values = values_of(self.plane, volts, before, fits, drive)
+        return Work(
+            self.plane,
+            volts,
+            before,
+            fits,
+            values,
+            self.usable[back],
+            back,
+            self.number,
+            self._older(),
+            drive,
+        )
+
+    def _settle(self) -> None:
+        """Takes off what all channels show of the slot before."""
+        self.lingers, self.lingers_error = 0.0, np.inf
+        raw = self.volts
+        for _ in range(3):
+            work = self._work()
+            common, error, _ = settling(work)
+            if not np.isfinite(error):
+                break
+            total = self.lingers + (1 - self.lingers) * common
+            if abs(common) < _TAKEN / 4 or not _TAKEN < total < 0.8:
+                self.lingers_error = error
+                break
+            self.lingers, self.lingers_error = total, error
+            older = np.where(np.isfinite(self.before), self.before, raw)
+            self.volts = (raw - total * older) / (1 - total)
+            self._again()
+
+    def _moved(self) -> None:
+        """Once the old slot is taken off, orders are looked at again."""
+        if self.lingers:
+            self._fit()
+
+    def _lines(self) -> None:
+        flat = floating(self.volts, self.usable, self.slots.drive)
+        self.lines: Lines = lines_of(self.order.fits, self.asked, flat)
+        unsure = self.lines.asked[self.lines.ground == -2]
+        if len(unsure):
+            self.unjudged["ground lines " + ", ".join(map(str, unsure))] = (
+                "their slots do not agree: more slots of these lines with a contact"
+            )
+        m = self.plane.count
+        never = np.setdiff1d(np.arange(m), self.lines.asked)
+        if len(never):
+            self.unjudged["ground lines not commanded"] = (
+                f"{len(never)} of {m} were never commanded: record with --pattern all"
+            )
+
+    def _corners(self, corners: Any) -> None:
+        fits = self.order.fits
+        spread = np.unique(np.round(fits.xy / (_APART * self.plane.pitch)), axis=0)
+        require(
+            len(spread) >= _PLACES,
+            "recording",
+            "one touch alone",
+            "a rub over the sheet: touches in many places",
+        )
+        found = Corners(None, "corner touches: told that there are none")
+        if corners is not None:
+            found = corners_of(
+                self.slots, self.plane, self.order.electrode, self.usable,
+                self.silent.zero, corners,
+            )  # fmt: skip
+        electrode, ground = self.order.electrode, self.lines.ground
+        unknown_which = False
+        names = symmetries(self.plane)
+        if found.image is None:
+            self.unjudged["mirrored or turned array"] = found.why
+            image, unknown_which = self._likeliest(electrode, ground)
+        else:
+            image = names[found.image]
+        self.electrode = image[electrode]
+        self.ground = np.where(ground >= 0, image[np.maximum(ground, 0)], ground)
+        self._name(unknown_which)
+
+    def _likeliest(self, electrode, ground) -> tuple[np.ndarray, bool]:
+        """Which way round, where no corners tell: lines right, then channels."""
+        names = symmetries(self.plane)
+        told = ground >= 0
+        asked = self._inside(self.lines.asked[told])
+        m = self.plane.count
+
+        def wrong(image):
+            lines = (image[ground[told]] != asked).sum() if told.any() else 0
+            return int(lines), int((image[electrode] != np.arange(m)).sum())
+
+        plain = wrong(names["identity"])
+        best = min(names.values(), key=wrong)
+        better = wrong(best)
+        # Lines that are off by some are no mirrored lines.
+        if plain[0] <= 0.5 * max(told.sum(), 1) or better[0] > 0.4 * max(told.sum(), 1):
+            return names["identity"], False
+        return best, True
+
+    def _name(self, unknown_which: bool) -> None:
+        asked, ground, share = self.lines.asked, self.ground, self.lines.share
+        told = ground >= 0
+        plane, m = self.plane, self.plane.count
+        name, _ = best_image(plane, self.electrode, np.arange(m))
+        same = "identity"
+        if told.any():
+            same, _ = best_image(plane, ground[told], self._inside(asked[told]))
+        whole = name != "identity" and name == same
+        image = symmetries(plane)[name]
+        # Groups that are exchanged in channels and in lines: wires of electrodes.
+        back = np.argsort(image)
+        lines = np.where(told, back[np.maximum(ground, 0)] if whole else ground, ground)
+        groups = line_groups(asked, lines)
+        sure = 0.999 if len(self.number) > 200 else 0.95
+        channels = channel_faults(
+            plane, self.electrode, whole, sure, unknown_which, groups
+        )
+        wires = [f.channels for f in channels if f.kind == "swapped"]
+        self.faults += channels
+        self.faults += line_faults(
+            plane, asked, lines, share, wires, False
+        )
+        if self.always is not None:
+            e = int(self.electrode[self.always])
+            self.faults.append(
+                Fault(
+                    "ground_stuck",
+                    (e,),
+                    "on",
+                    "",
+                    0.99,
+                    f"electrode {e} is grounded in every slot",
+                    f"look at the switch of ground line {e}: it never opens",
+                )
+            )
+
+    def _amounts(self) -> None:
+        """Gains, places, tears, old slots: in turn, without what is named already."""
+        slots, silent = self.slots, self.silent
+        sane = self.usable
+        self.faults += noise_faults(slots, silent, sane)
+        self.faults += hum_faults(slots, silent, sane)
+        if np.isnan(silent.noise).any():
+            self.unjudged["zeros, noise and hum"] = (
+                f"{silent.slots} contact-free slots: leave the sheet alone for some seconds"
+            )
+        elif not silent.seconds:
+            self.unjudged["hum"] = "the contact-free stretch is too short"
+        first = self._work()
+        _, _, every = settling(first)
+        found: dict[str, list[Fault]] = {}
+        work = first
+        torn: list[Fault] = []
+        for _ in range(3):
+            gains = gain_faults(work)
+            slow = settling_faults(work, self.lingers, self.lingers_error, every)
+            torn, named = place_faults(work)
+            slow = [f for f in slow if not f.channels or f.channels[0] not in work.channel[named]]
+            channels = [f.channels[0] for f in [*gains, *slow] if f.channels]
+            found = {"gain": gains, "settling": slow, "place": torn}
+            odd = np.zeros(self.plane.count, bool)
+            odd[channels] = True
+            odd[[f.channels[0] for f in torn if f.kind == "misplaced"]] = True
+            new = self.usable & ~odd
+            if (new == self.sound_now(work)).all() or new.sum() < self.plane.count // 2:
+                break
+            usable, self.usable = self.usable, new
+            self._again()
+            self.usable = usable
+            work = self._work()
+            _, _, every = settling(work)
+            work = work._replace(values=work.values)
+            self._last = new
+        self.faults += found["gain"] + found["settling"] + found["place"]
+        if not np.isfinite(self.lingers_error):
+            self.unjudged["settling"] = "no slots that follow each other with other grounds"
+        drive, self.drive, error = drive_faults(work)
+        self.faults += drive
+        if not np.isfinite(self.drive):
+            self.unjudged["drive"] = "no contact that holds still under several grounds"
+        sheet, factor, sigma, why = sheet_faults(
+            work, slots.rig.ground_resistance, slots.rig.sheet_resistance, self.lingers
+        )
+        self.faults += sheet
+        if why:
+            self.unjudged["sheet_resistance"] = why
+        if not any(f.kind == "tear" for f in torn):
+            self.faults += joint_faults(work)
+        self.work = work
+        self.figures |= {
+            "drive_V": self.drive,
+            "drive_known_V": error,
+            "sheet_factor": factor,
+            "sheet_factor_known": sigma,
+            "noise_V": float(np.median(silent.noise)),
+            "residual_percent": 100 * quality(self.order.fits),
+            "settling": self.lingers,
+            "slots_quiet": float(silent.slots),
+            "slots_touched": float(slots.touched.sum()),
+        }
+
+    _last: Any = None
+
+    def sound_now(self, work: Work) -> np.ndarray:
+        return self.usable if self._last is None else self._last
+
+    def told(self, corners: Any) -> Checked:
+        m = self.plane.count
+        grounds = np.arange(m)
+        inside = (self.lines.asked >= 0) & (self.lines.asked < m)
+        judged = inside & (self.ground != -2)
+        grounds[self.lines.asked[judged]] = self.ground[judged]
+        swing = np.median(np.abs(self.volts), 0)[np.argsort(self.electrode)]
+        shift = self.work.values.value[:, 2:4]
+        figures = {k: v for k, v in self.figures.items() if np.isfinite(v)}
+        return Checked(
+            tuple(self.faults),
+            self.unjudged,
+            self.electrode,
+            grounds,
+            figures,
+            self.order.fits.xy,
+            _Seen(self.plane, swing, shift),
+        )
