@@ -21,6 +21,9 @@ _TORN = 1.35
 # A joint between electrode and sheet, in squares of the sheet.
 _JOINT = 0.5
 
+# Contacts that leave so much of the voltages' span tell neither drive nor sheet.
+_BAD = 0.03
+
 # What is told of a resistance from less than this many deviations is not told.
 _TOLD = 8.0
 
@@ -38,15 +41,18 @@ class Work(NamedTuple):
     number: np.ndarray  # of the slots in the recording
     older: np.ndarray  # electrode grounded in the slot before, −1: not known
     drive: float  # as told, V
+    always: int | None  # electrode that is grounded in every slot
+    time: np.ndarray  # of slots, s
+    left: float  # of the voltages' span
 
 
 def spread(x: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(x - np.median(x)))) if len(x) else 0.0
 
 
-def gain_faults(work: Work) -> list[Fault]:
-    """Channels whose gain is off, beside the others."""
-    gain, some = work.values.value[:, 0], np.flatnonzero(work.usable)
+def gain_faults(work: Work, named: Bool[np.ndarray, " M"]) -> list[Fault]:
+    """Channels whose gain is off, beside the others; but electrodes that are `named`."""
+    gain, some = work.values.value[:, 0], np.flatnonzero(work.usable & ~named)
     middle, usual = float(np.median(gain[some])), spread(gain[some])
     faults = []
     for e in some:
@@ -71,44 +77,40 @@ def gain_faults(work: Work) -> list[Fault]:
     return faults
 
 
-def settling(work: Work) -> tuple[float, float, dict[int, tuple[float, float]]]:
-    """The part of the slot before that all channels show, 1 σ; and of each electrode."""
+def settling(work: Work) -> tuple[float, float]:
+    """The part of the slot before that all channels show, and 1 σ."""
     given = work.volts, work.before, work.fits, work.older, work.usable
     part, electrode = old_part(*given)
     told = np.isfinite(part)
     if told.sum() < 10:
-        return 0.0, np.inf, {}
-    every = {}
-    for e in np.unique(electrode[told]):
-        own = part[told & (electrode == e)]
-        if len(own) >= 4:
-            error = max(spread(own), 0.003) / np.sqrt(len(own))
-            every[int(e)] = float(np.median(own)), error
-    middle = np.array([value for value, _ in every.values()])
-    if len(middle) < 3:
-        some = part[told]
-        return float(np.median(some)), spread(some) / np.sqrt(len(some)), every
-    return float(np.median(middle)), max(spread(middle), 1e-3) / np.sqrt(len(middle)), every
+        return 0.0, np.inf
+    each = [np.median(part[told & (electrode == e)]) for e in np.unique(electrode[told])]
+    middle = np.array(each) if len(each) >= 5 else part[told]
+    error = max(spread(middle), 1e-3) / np.sqrt(len(middle))
+    return float(np.median(middle)), error
 
 
-def settling_faults(
-    work: Work, common: float, error: float, every: dict[int, tuple[float, float]]
-) -> list[Fault]:
-    """`every` is what is left of each electrode once the common part is taken off."""
+def common_settling(common: float, error: float) -> list[Fault]:
+    """The part of the slot before that all channels show."""
+    if not (common > _OLD and common > 5 * error):
+        return []
+    return [_lingers((), common, certainty(common / max(error, _OLD / 4)))]
+
+
+def settling_faults(work: Work) -> list[Fault]:
+    """Channels that show the slot before, beside what all channels do.
+
+    A gain, a place and an old slot are told apart by all slots together.
+    """
+    value, error = work.values.value[:, 4], work.values.deviation[:, 4]
+    some = np.flatnonzero(work.usable & (work.values.rows >= 10))
+    usual = spread(value[some])
     faults = []
-    if common > _OLD and common > 5 * error:
-        faults.append(_lingers((), common, certainty(common / max(error, _OLD / 4))))
-    usual = spread(np.array([value for value, _ in every.values()]))
-    slow = {}
-    for e in np.flatnonzero(work.usable):
-        value, own = every.get(int(e), (0.0, np.inf))
-        way, sigma = work.values.value[e, 4], work.values.deviation[e, 4]
-        if not np.isfinite(own):
-            value, own = float(way), max(float(sigma), 0.003)
-        if value > max(2 * _OLD, _BEYOND * np.hypot(own, usual)):
-            slow[int(work.channel[e])] = value, own
-    for c, (value, own) in sorted(slow.items()):
-        faults.append(_lingers((c,), value, certainty(value / np.hypot(own, _OLD / 2))))
+    for e in some:
+        own = float(np.hypot(error[e], max(usual, 0.002)))
+        if value[e] > max(2 * _OLD, _BEYOND * own):
+            part, c = float(value[e]), int(work.channel[e])
+            faults.append(_lingers((c,), part, certainty(part / np.hypot(own, _OLD / 2))))
     return faults
 
 
@@ -138,6 +140,9 @@ def drive_of(work: Work) -> tuple[float, float]:
     fits, plane = work.fits, work.plane
     own = plane.green(plane.xy[fits.ground], fits.xy)
     y, current = fits.level - fits.current * own, fits.current
+    if work.always is not None:
+        other = plane.green(plane.xy[work.always], fits.xy)
+        y = y + fits.second * (own - other)
     use = np.flatnonzero(sound(fits) & (fits.current > 0))
     window = work.number // WINDOW
     estimates, weights = [], []
@@ -171,10 +176,10 @@ def drive_of(work: Work) -> tuple[float, float]:
 def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
     """The drive, where it is another than told."""
     found, error = drive_of(work)
-    if not np.isfinite(found):
-        return [], found, error
+    if not np.isfinite(found) or work.left > _BAD:
+        return [], np.nan, np.inf
     off = abs(found / work.drive - 1)
-    sigma = np.hypot(error / work.drive, 0.01)
+    sigma = np.hypot(error / work.drive, 0.01 + work.left)
     if off <= max(_DRIVE, 4 * sigma):
         return [], found, error
     fault = Fault(
@@ -190,24 +195,33 @@ def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
 
 
 def sheet_faults(
-    work: Work, ground_resistance: float, sheet_resistance: float, common: float
+    work: Work, ground_resistance: float, sheet_resistance: float, hum: float
 ) -> tuple[list[Fault], float, float, str]:
     """The sheet's resistance, by the voltage that its current leaves on the ground path.
 
     Returns faults, the factor, its 1 σ, and why it is not told where it is not.
     """
     if not ground_resistance > 0:
-        return [], np.nan, np.inf, "the header's ground_resistance is 0: nothing measures current"
+        why = "the header's ground_resistance is 0: nothing measures the current"
+        return [], np.nan, np.inf, why
+    if work.left > _BAD:
+        return [], np.nan, np.inf, "contacts do not fit well enough"
     fits, n = work.fits, len(work.volts)
     row = np.arange(n)
     use = sound(fits) & work.usable[fits.ground] & (fits.current > 0)
     channel = work.channel[fits.ground]
     beside = np.array(work.volts[:, np.argsort(work.channel)])  # by channel again
     earlier = beside[row, np.maximum(channel - 1, 0)]
-    older = np.nan_to_num(work.before[row, fits.ground])
-    mine = work.volts[row, fits.ground] - 0.0 * common
-    scale = max(float(np.median(fits.current[use])), 1e-12) if use.any() else 1.0
-    x = np.stack([fits.current / scale, earlier, older, np.ones(n)], 1)[use]
+    older = work.before[row, fits.ground]
+    use &= np.isfinite(older) | ~np.isfinite(work.before).any()
+    drawn = fits.current - fits.second
+    scale = max(float(np.median(drawn[use])), 1e-12) if use.any() else 1.0
+    columns = [drawn / scale, earlier, np.nan_to_num(older), np.ones(n)]
+    if hum:
+        turn = 2 * np.pi * hum * work.time
+        columns += [np.cos(turn), np.sin(turn)]
+    x = np.stack(columns, 1)[use]
+    mine = work.volts[row, fits.ground]
     y = mine[use]
     if len(y) < 30:
         return [], np.nan, np.inf, "too few slots"
@@ -224,7 +238,7 @@ def sheet_faults(
     shunt = work.plane.least_shunt
     even = np.sqrt(shunt)  # discs in good contact to none
     factor = ground_resistance / slope / sheet_resistance / even
-    part = np.hypot(sigma / slope, (1 - shunt) / 4 + 0.03)
+    part = np.hypot(sigma / slope, (1 - shunt) / 4 + 0.03 + 5 * work.left)
     off = abs(np.log(factor))
     if off <= max(np.log1p(_SHEET), 4 * part):
         return [], factor, factor * part, ""
@@ -256,8 +270,13 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found / size, scale * np.sqrt(np.diag(inverse)) / size
 
 
-def place_faults(work: Work) -> tuple[list[Fault], Bool[np.ndarray, " M"]]:
-    """Misplaced electrodes, tears, and joints; and the electrodes that are named."""
+def place_faults(
+    work: Work, slow: Bool[np.ndarray, " M"]
+) -> tuple[list[Fault], Bool[np.ndarray, " M"]]:
+    """Misplaced electrodes and tears; and the electrodes that are named.
+
+    `slow`: electrodes whose channels linger, which is no place.
+    """
     plane, usable = work.plane, work.usable
     pairs = pairs_of(plane, work.volts, work.fits, usable)
     log = np.log(np.maximum(pairs.ratio, 0.05))
@@ -272,6 +291,7 @@ def place_faults(work: Work) -> tuple[list[Fault], Bool[np.ndarray, " M"]]:
     moved = usable & (far > np.maximum(_PLACE, _BEYOND * np.hypot(own, typical)))
     # In a corner the potential is level: a place that is badly known moves far.
     effect = _effect(work)
+    moved &= ~slow
     moved &= effect > _BEYOND * max(float(np.median(effect[usable])), 1e-4)
     named = np.zeros(plane.count, bool)
     faults: list[Fault] = []

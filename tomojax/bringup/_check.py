@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from tomojax._require import require
 from tomojax.bringup._amounts import (
@@ -11,6 +12,7 @@ from tomojax.bringup._amounts import (
     gain_faults,
     joint_faults,
     place_faults,
+    common_settling,
     settling,
     settling_faults,
     sheet_faults,
@@ -29,7 +31,7 @@ from tomojax.bringup._naming import (
 from tomojax.bringup._plane import Plane
 from tomojax.bringup._silence import Silence, silence_of
 from tomojax.bringup._slots import chosen, Slots, slots_of
-from tomojax.bringup._values import old_part, values_of
+from tomojax.bringup._values import before_of, values_of
 from tomojax.bringup._wiring import (
     floating,
     Lines,
@@ -48,7 +50,9 @@ _TOUCHED, _PLACES, _APART = 40, 2, 0.7
 _RIGHT, _WRONG = 0.01, 0.12
 
 # A settling that is so large is taken off before all else, if contacts fit so much better.
-_TAKEN, _BETTER = 0.008, 0.9
+# Parts that are tried, on so many slots.
+_TAKEN, _HALF, _BETTER = 0.008, 0.9, 0.97
+_PARTS, _SOME = (0.01, 0.03, 0.07, 0.15, 0.25, 0.35, 0.42, 0.6, 0.75, 0.9), 120
 
 # A line that is always on makes fits better by this factor at least.
 _ON = 0.5
@@ -132,10 +136,8 @@ class _State:
             f"{int(self.usable.sum())} of {m} channels that follow a touch",
             "more than a third of them: look at the converter and its cable first",
         )
-        zero = self.silent.zero
-        self.volts = raw - zero
-        before = slots.volts[np.maximum(self.number - 1, 0)].astype(float) - zero
-        self.before = np.where(slots.follows[self.number, None], before, np.nan)
+        self.every = slots.volts - self.silent.zero.astype(np.float32)
+        self.volts = raw - self.silent.zero
         self.asked = slots.asked[self.number]
         self._always_on(levels)
         self.progress("order of channels")
@@ -191,19 +193,20 @@ class _State:
         fits = fitted(self.plane, self.volts[:, back], weight, told, always)
         self.order = self.order._replace(fits=fits)
 
-    def _older(self) -> np.ndarray:
+    def _older(self, before: np.ndarray) -> np.ndarray:
         """The electrode that was grounded in the slot before."""
         flat = floating(self.volts, self.usable, self.slots.drive)
         lines = lines_of(self.order.fits, self.asked, flat)
         known = np.full(max(int(self.slots.asked.max()) + 1, 1), -1)
         known[lines.asked] = np.maximum(lines.ground, -1)
         older = known[self.slots.asked[np.maximum(self.number - 1, 0)]]
-        return np.where(np.isfinite(self.before).all(1), older, -1)
+        return np.where(np.isfinite(before).any(1), older, -1)
 
     def _work(self) -> Work:
         back = np.argsort(self.order.electrode)
         fits, drive = self.order.fits, self.slots.drive
-        volts, before = self.volts[:, back], self.before[:, back]
+        volts = self.volts[:, back]
+        before = before_of(volts, fits, self.number, self.slots.follows[self.number])
         values = values_of(self.plane, volts, before, fits, drive)
         return Work(
             self.plane,
@@ -214,27 +217,63 @@ class _State:
             self.usable[back],
             back,
             self.number,
-            self._older(),
+            self._older(before),
             drive,
+            None if self.always is None else int(self.order.electrode[self.always]),
+            self.slots.time[self.number],
+            quality(fits),
         )
 
     def _settle(self) -> None:
-        """Takes off what all channels show of the slot before."""
+        """Takes off what all channels show of the slot before.
+
+        It is a part of what the slot before was (then it is taken off slot after slot), or
+        of what was read then: whichever leaves less.
+        """
         self.lingers, self.lingers_error = 0.0, np.inf
-        raw = self.volts
+        common, error = settling(self._work())
+        self.lingers_error = error
+        if not (np.isfinite(error) and _TAKEN < common < _HALF):
+            return
+        plain = self.volts, self.order, self.every
+        some = np.sort(self.rng.choice(len(self.number), min(len(self.number), _SOME), False))
+        start = self._misfit(some, plain[2])
+        tried = []
+        for recursive in (False, True):
+            for part in (common, *_PARTS):
+                every = _unsettled(plain[2], self.slots, part, recursive)
+                tried.append((self._misfit(some, every), part, recursive))
+        least, total, recursive = min(tried)
+        if least > _BETTER * start:
+            return
+        best = None
         for _ in range(3):
-            work = self._work()
-            common, error, _ = settling(work)
-            if not np.isfinite(error):
-                break
-            total = self.lingers + (1 - self.lingers) * common
-            if abs(common) < _TAKEN / 4 or not _TAKEN < total < 0.8:
-                self.lingers_error = error
-                break
-            self.lingers, self.lingers_error = total, error
-            older = np.where(np.isfinite(self.before), self.before, raw)
-            self.volts = (raw - total * older) / (1 - total)
+            self.every = _unsettled(plain[2], self.slots, total, recursive)
+            self.volts = self.every[self.number].astype(float)
             self._again()
+            left = self._misfit(some, self.every)
+            if left > least * (1 + 1e-9):
+                break
+            more, error = settling(self._work())
+            best, least = (self.volts, self.order, self.every, total, error), left
+            total = float(np.clip(total + (1 - total) * more, 0.0, _HALF))
+            if abs(more) < 1e-3:
+                break
+        if best is None:
+            self.volts, self.order, self.every = plain
+        else:
+            self.volts, self.order, self.every, self.lingers, self.lingers_error = best
+
+    def _misfit(self, some: np.ndarray, every: np.ndarray) -> float:
+        """What contacts leave of some slots: a mean, in which single channels count."""
+        back = np.argsort(self.order.electrode)
+        volts = every[self.number[some]].astype(float)[:, back]
+        weight = np.broadcast_to(self.usable[back].astype(float), volts.shape)
+        told = self._inside(self.asked[some])[:, None]
+        always = None if self.always is None else int(self.order.electrode[self.always])
+        fits = fitted(self.plane, volts, weight, told, always)
+        part = np.abs(volts - fits.modelled) / np.maximum(fits.span, 1e-12)[:, None]
+        return float(np.minimum(part, 0.05)[fits.far * weight > 0].mean())
 
     def _moved(self) -> None:
         """Once the old slot is taken off, orders are looked at again."""
@@ -244,6 +283,9 @@ class _State:
     def _lines(self) -> None:
         flat = floating(self.volts, self.usable, self.slots.drive)
         self.lines: Lines = lines_of(self.order.fits, self.asked, flat)
+        if self.always is not None:
+            own = self.lines.asked == self.order.electrode[self.always]
+            self.lines.ground[own] = self.lines.asked[own]
         unsure = self.lines.asked[self.lines.ground == -2]
         if len(unsure):
             self.unjudged["ground lines " + ", ".join(map(str, unsure))] = (
@@ -268,8 +310,8 @@ class _State:
         found = Corners(None, "corner touches: told that there are none")
         if corners is not None:
             found = corners_of(
-                self.slots, self.plane, self.order.electrode, self.usable,
-                self.silent.zero, corners,
+                self.slots, self.every, self.plane, self.order.electrode, self.usable,
+                self.always, corners,
             )  # fmt: skip
         electrode, ground = self.order.electrode, self.lines.ground
         unknown_which = False
@@ -351,32 +393,31 @@ class _State:
             )
         elif not silent.seconds:
             self.unjudged["hum"] = "the contact-free stretch is too short"
-        first = self._work()
-        _, _, every = settling(first)
-        found: dict[str, list[Fault]] = {}
-        work = first
-        torn: list[Fault] = []
+        self.faults += common_settling(self.lingers, self.lingers_error)
+        work, every = self._work(), self.usable
+        gains: list[Fault] = []
+        slow: list[Fault] = []
+        places: list[Fault] = []
+        now = every
         for _ in range(3):
-            gains = gain_faults(work)
-            slow = settling_faults(work, self.lingers, self.lingers_error, every)
-            torn, named = place_faults(work)
-            slow = [f for f in slow if not f.channels or f.channels[0] not in work.channel[named]]
-            channels = [f.channels[0] for f in [*gains, *slow] if f.channels]
-            found = {"gain": gains, "settling": slow, "place": torn}
+            work = work._replace(usable=every[work.channel])
+            slow = settling_faults(work)
             odd = np.zeros(self.plane.count, bool)
-            odd[channels] = True
-            odd[[f.channels[0] for f in torn if f.kind == "misplaced"]] = True
-            new = self.usable & ~odd
-            if (new == self.sound_now(work)).all() or new.sum() < self.plane.count // 2:
+            odd[[f.channels[0] for f in slow]] = True
+            places, named = place_faults(work, odd[work.channel])
+            slow = [f for f in slow if not named[work.channel == f.channels[0]].any()]
+            gains = gain_faults(work, named)
+            odd[:] = False
+            odd[[f.channels[0] for f in (*gains, *slow)]] = True
+            odd[[f.channels[0] for f in places if f.kind == "misplaced"]] = True
+            left = every & ~odd
+            if (left == now).all() or left.sum() < self.plane.count // 2:
                 break
-            usable, self.usable = self.usable, new
+            now = self.usable = left
             self._again()
-            self.usable = usable
+            self.usable = every
             work = self._work()
-            _, _, every = settling(work)
-            work = work._replace(values=work.values)
-            self._last = new
-        self.faults += found["gain"] + found["settling"] + found["place"]
+        self.faults += [*gains, *slow, *places]
         if not np.isfinite(self.lingers_error):
             self.unjudged["settling"] = "no slots that follow each other with other grounds"
         drive, self.drive, error = drive_faults(work)
@@ -384,12 +425,15 @@ class _State:
         if not np.isfinite(self.drive):
             self.unjudged["drive"] = "no contact that holds still under several grounds"
         sheet, factor, sigma, why = sheet_faults(
-            work, slots.rig.ground_resistance, slots.rig.sheet_resistance, self.lingers
+            work,
+            slots.rig.ground_resistance,
+            slots.rig.sheet_resistance,
+            silent.frequency,
         )
         self.faults += sheet
         if why:
             self.unjudged["sheet_resistance"] = why
-        if not any(f.kind == "tear" for f in torn):
+        if not any(f.kind == "tear" for f in places):
             self.faults += joint_faults(work)
         self.work = work
         self.figures |= {
@@ -403,11 +447,6 @@ class _State:
             "slots_quiet": float(silent.slots),
             "slots_touched": float(slots.touched.sum()),
         }
-
-    _last: Any = None
-
-    def sound_now(self, work: Work) -> np.ndarray:
-        return self.usable if self._last is None else self._last
 
     def told(self, corners: Any) -> Checked:
         m = self.plane.count
@@ -427,3 +466,29 @@ class _State:
             self.order.fits.xy,
             _Seen(self.plane, swing, shift),
         )
+
+
+def _unsettled(
+    volts: np.ndarray, slots: Slots, part: float, recursive: bool
+) -> np.ndarray:
+    """Slots without a part of the slot before: of what was there, or of what was read."""
+    before = np.concatenate([volts[:1], volts[:-1]])
+    if not recursive:
+        follows = slots.follows[:, None]
+        return np.where(follows, (volts - part * before) / (1 - part), volts)
+    if part < 0.45:
+        found = np.empty_like(volts)
+        for a, b in slots.runs(slots.follows | np.roll(slots.follows, -1)):
+            start = volts[a : a + 1] * part / (1 - part)
+            given = [1 / (1 - part)], [1, part / (1 - part)], volts[a:b]
+            found[a:b] = lfilter(*given, axis=0, zi=-start)[0]
+        alone = ~(slots.follows | np.roll(slots.follows, -1))
+        found[alone] = volts[alone]
+        return found.astype(volts.dtype)
+    # Beyond a half that is not stable forwards: backwards it is.
+    found = np.copy(volts)
+    after = volts[-1]
+    for s in range(len(volts) - 1, 0, -1):
+        after = (volts[s] - (1 - part) * after) / part if slots.follows[s] else volts[s - 1]
+        found[s - 1] = after
+    return found

@@ -10,9 +10,9 @@ from tomojax.bringup._plane import Plane
 from tomojax.bringup._slots import Slots, WINDOW
 from tomojax.bringup._wiring import lattice, symmetries
 
-# A touch has as many slots at least; it holds still to this part of a pitch, and is at a
-# corner to this many pitches.
-_FEW, _STILL, _NEAR = 8, 0.4, 1.3
+# A touch has as many slots at least; it holds still to this part of a pitch (in a corner
+# the potential is level, and places scatter), and is at a corner to this many pitches.
+_FEW, _STILL, _NEAR = 8, 0.7, 1.3
 
 # Slots of a touch that are looked at.
 _SOME = 30
@@ -42,10 +42,11 @@ def events(slots: Slots) -> list[np.ndarray]:
 
 def corners_of(
     slots: Slots,
+    volts: np.ndarray,
     plane: Plane,
     electrode: np.ndarray,
     usable: np.ndarray,
-    zero: np.ndarray,
+    always: int | None,
     corners: Any,
 ) -> Corners:
     """Compares the last two still touches with the corners that were to be touched."""
@@ -64,9 +65,10 @@ def corners_of(
     for touch in last:
         some = touch[np.linspace(0, len(touch) - 1, min(_SOME, len(touch))).astype(int)]
         back = np.argsort(electrode)
-        volts = (slots.volts[some].astype(float) - zero)[:, back]
-        weight = np.broadcast_to(usable[back].astype(float), volts.shape)
-        xy = fitted(plane, volts, weight).xy
+        own = volts[some].astype(float)[:, back]
+        weight = np.broadcast_to(usable[back].astype(float), own.shape)
+        on = None if always is None else int(electrode[always])
+        xy = fitted(plane, own, weight, always=on).xy
         middle = np.median(xy, 0)
         wide = np.median(np.hypot(*(xy - middle).T)) / plane.pitch
         if wide > _STILL:

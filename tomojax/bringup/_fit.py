@@ -36,6 +36,7 @@ class Fits(NamedTuple):
     far: Float[np.ndarray, "n M"]  # where it holds: 0 or 1
     left: Float[np.ndarray, " n"]  # V, median of residuals
     span: Float[np.ndarray, " n"]  # V, between high and low channels
+    second: Float[np.ndarray, " n"]  # as `current`, by the electrode that is always grounded
 
 
 def fitted(
@@ -173,6 +174,8 @@ def _told(plane, volts, counted, xy, sink, always, weight=None) -> Fits:
     modelled = np.einsum("nmi,ni->nm", np.stack(columns, -1), x)
     masked = np.where(weight * far > 0, np.abs(volts - modelled), np.nan)
     seen = np.where(weight > 0, volts, np.nan)
+    masked[np.isnan(masked).all(1), 0] = np.inf
     left = np.nanmedian(masked, 1)
     span = np.nanquantile(seen, 0.95, 1) - np.nanquantile(seen, 0.05, 1)
-    return Fits(xy, sink, x[:, 0], x[:, 1], modelled, far, left, span)
+    second = x[:, 2] if always is not None else np.zeros(len(xy))
+    return Fits(xy, sink, x[:, 0], x[:, 1], modelled, far, left, span, second)

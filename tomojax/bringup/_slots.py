@@ -11,9 +11,10 @@ from tomojax.recordings import Recording, Rig
 # and slots of silence.
 WINDOW, _WINDOWS, _SILENCE = 10, 120, 1 << 15
 
-# A slot is touched where half of the channels are higher than this part of the drive, and
-# quiet where they are lower than that.
-_TOUCHED, _QUIET = 0.03, 0.015
+# Half of the channels are lower than this part of the drive where nothing touches. A slot
+# is touched, and no longer quiet, where they exceed so many deviations of those levels, or
+# these parts of the drive.
+_LOW, _TOUCHED, _QUIET, _RISES, _STAYS = 0.015, 0.005, 0.002, 5.0, 3.5
 
 # Slots between a touch and what counts as silence, windows.
 _APART = 1
@@ -69,17 +70,23 @@ def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
     the others low for a slot.
     """
     level = np.median(volts, 1)
+    low = level[np.abs(level) < _LOW * drive]
+    middle = float(np.median(low)) if len(low) else 0.0
+    # Hum is in all channels: as large as its amplitude is what silence spreads by.
+    wide = 1.4826 * float(np.median(np.abs(low - middle))) if len(low) else 0.0
+    level = level - middle
     windows = -(-len(level) // WINDOW)
     padded = np.pad(level, (0, windows * WINDOW - len(level)), "edge")
     parts = padded.reshape(windows, WINDOW)
     high = np.repeat(np.median(parts, 1), WINDOW)[: len(level)]
     most = np.repeat(np.abs(parts).max(1), WINDOW)[: len(level)]
-    touched = (level > _TOUCHED * drive) & (high > _TOUCHED * drive)
-    calm = most < _QUIET * drive
+    enough = max(_TOUCHED * drive, _RISES * wide)
+    touched = (level > enough) & (high > enough)
+    calm = most < max(_QUIET * drive, _STAYS * wide)
     # What is beside a touch may be one.
-    wide = _APART * WINDOW
-    near = np.convolve((level > _TOUCHED * drive).astype(float), np.ones(2 * wide + 1))
-    return calm & (near[wide : len(level) + wide] < 0.5), touched
+    reach = _APART * WINDOW
+    near = np.convolve((level > enough).astype(float), np.ones(2 * reach + 1))
+    return calm & (near[reach : len(level) + reach] < 0.5), touched
 
 
 def chosen(slots: Slots, rng: np.random.Generator) -> Integer[np.ndarray, " n"]:

@@ -52,7 +52,7 @@ def values_of(
     )
     use = sound(fits)
     known = np.isfinite(before)
-    older = np.where(known, before, 0) - np.where(known, fits.modelled, 0)
+    older = np.where(known, before - fits.modelled, 0.0)
     value, deviation, rows = np.zeros((m, 5)), np.zeros((m, 5)), np.zeros(m)
     for e in range(m):
         some = np.flatnonzero(use & (fits.far[:, e] > 0))
@@ -89,6 +89,28 @@ def _robust(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return found, np.sqrt(np.diag(inverse))
 
 
+def before_of(
+    volts: Float[np.ndarray, "n M"], fits: Fits, number: np.ndarray, follows: np.ndarray
+) -> Float[np.ndarray, "n M"]:
+    """What each electrode was at in the slot before, as fitted; NaN where it is not known.
+
+    Not as read: a channel that lingers tells an older slot. A grounded electrode was at
+    what grounded electrodes are at, beside the current.
+    """
+    n, m = volts.shape
+    row = np.arange(n)
+    good = sound(fits) & (fits.current > 0)
+    own = volts[row, fits.ground] / np.maximum(fits.current - fits.second, 1e-12)
+    path = float(np.median(own[good])) if good.any() else 0.0
+    there = np.where(fits.far > 0, fits.modelled, np.nan)
+    there[row, fits.ground] = path * (fits.current - fits.second)
+    there[~good] = np.nan
+    before = np.full((n, m), np.nan)
+    next_ = np.flatnonzero((np.diff(number) == 1) & follows[1:]) + 1
+    before[next_] = there[next_ - 1]
+    return before
+
+
 def old_part(
     volts: Float[np.ndarray, "n M"],
     before: Float[np.ndarray, "n M"],
@@ -106,7 +128,7 @@ def old_part(
     e = np.where(older >= 0, older, 0)
     row = np.arange(n)
     clear = (older >= 0) & (older != fits.ground) & usable[e] & (fits.far[row, e] > 0)
-    clear &= np.isfinite(before[row, e])
+    clear &= np.isfinite(before[row, e]) & sound(fits)
     drop = before[row, e] - fits.modelled[row, e]
     clear &= -drop > 0.3 * fits.span
     part = (volts - fits.modelled)[row, e] / np.where(clear, drop, 1)
