@@ -21,6 +21,9 @@ _TORN = 1.35
 # A joint between electrode and sheet, in squares of the sheet.
 _JOINT = 0.5
 
+# What a channel's own fault leaves of what was left is less than this part.
+_EXPLAINED = 0.3
+
 # Contacts that leave so much of the voltages' span tell neither drive nor sheet.
 _BAD = 0.03
 
@@ -204,6 +207,8 @@ def sheet_faults(
     if not ground_resistance > 0:
         why = "the header's ground_resistance is 0: nothing measures the current"
         return [], np.nan, np.inf, why
+    if work.always is not None:
+        return [], np.nan, np.inf, "an electrode is grounded all the time: mend that first"
     if work.left > _BAD:
         return [], np.nan, np.inf, "contacts do not fit well enough"
     fits, n = work.fits, len(work.volts)
@@ -283,6 +288,9 @@ def place_faults(
     middle, usual = float(np.median(log)), spread(log)
     over = log - middle
     torn = over > max(np.log(_TORN), _BEYOND * usual)
+    # What a channel's own gain or old slots explain is no tear.
+    alone = slow & (work.values.unexplained < _EXPLAINED)
+    torn &= ~(alone[pairs.first] | alone[pairs.second])
     shift = work.values.value[:, 2:4] / plane.pitch
     error = work.values.deviation[:, 2:4] / plane.pitch
     far = np.hypot(*shift.T)
@@ -299,6 +307,8 @@ def place_faults(
     for a, b in zip(pairs.first[torn], pairs.second[torn]):
         # One electrode off makes its pairs unlike; a tear moves both sides apart.
         if moved[a] != moved[b] and _explained(pairs, over, a if moved[a] else b):
+            continue
+        if _own_place(work, moved, a) or _own_place(work, moved, b):
             continue
         lone[[a, b]] = False
         named[[a, b]] = True
@@ -340,6 +350,11 @@ def _effect(work: Work) -> Float[np.ndarray, " M"]:
     with np.errstate(all="ignore"):
         middle = np.nanquantile(np.where(count > 1, shown, 0.0), 0.8, axis=0)
     return np.nan_to_num(middle)
+
+
+def _own_place(work: Work, moved: np.ndarray, e: int) -> bool:
+    """Whether another place of one electrode explains nearly all that it leaves."""
+    return bool(moved[e] and work.values.unexplained[e] < 0.6 * _EXPLAINED)
 
 
 def _explained(pairs, over: np.ndarray, e: int) -> bool:

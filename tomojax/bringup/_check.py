@@ -34,6 +34,7 @@ from tomojax.bringup._slots import chosen, Slots, slots_of
 from tomojax.bringup._values import before_of, values_of
 from tomojax.bringup._wiring import (
     floating,
+    grounds_to_try,
     Lines,
     lines_of,
     Order,
@@ -46,13 +47,16 @@ from tomojax.recordings import Recording
 # Touched slots that are needed; places, this far apart in pitches.
 _TOUCHED, _PLACES, _APART = 40, 2, 0.7
 
+# Grounds that gains and places need.
+_GROUNDS = 2
+
 # What contacts leave of voltages where geometry is right, and where nothing is.
 _RIGHT, _WRONG = 0.01, 0.12
 
 # A settling that is so large is taken off before all else, if contacts fit so much better.
 # Parts that are tried, on so many slots.
 _TAKEN, _HALF, _BETTER = 0.008, 0.9, 0.97
-_PARTS, _SOME = (0.01, 0.03, 0.07, 0.15, 0.25, 0.35, 0.42, 0.6, 0.75, 0.9), 120
+_PARTS, _SOME = (0.01, 0.03, 0.07, 0.15, 0.25, 0.35, 0.42, 0.6, 0.75, 0.9), 60
 
 # A line that is always on makes fits better by this factor at least.
 _ON = 0.5
@@ -128,6 +132,14 @@ class _State:
         self.number = chosen(slots, self.rng)
         raw = slots.volts[self.number].astype(float)
         levels = unresponsive(slots, raw, self.silent)
+        if len(np.unique(slots.asked[self.number])) < 2 and levels.dead.sum() == 1:
+            # The only ground is low all the time.
+            only = int(np.flatnonzero(levels.dead)[0])
+            self.unjudged[f"channel {only}"] = "one ground alone: record with --pattern all"
+            levels.dead[only] = False
+            levels = levels._replace(
+                faults=[f for f in levels.faults if f.channels != (only,)]
+            )
         self.dead, self.stuck = levels.dead, levels.stuck
         self.usable = ~(levels.dead | levels.stuck)
         require(
@@ -189,7 +201,8 @@ class _State:
         back = np.argsort(order)
         weight = np.broadcast_to(self.usable[back].astype(float), self.volts.shape)
         always = None if self.always is None else int(order[self.always])
-        told = np.stack([self._inside(self.asked), self.order.fits.ground], 1)
+        known = grounds_to_try(self.asked, order, self.usable)
+        told = np.column_stack([known, self.order.fits.ground])
         fits = fitted(self.plane, self.volts[:, back], weight, told, always)
         self.order = self.order._replace(fits=fits)
 
@@ -269,7 +282,7 @@ class _State:
         back = np.argsort(self.order.electrode)
         volts = every[self.number[some]].astype(float)[:, back]
         weight = np.broadcast_to(self.usable[back].astype(float), volts.shape)
-        told = self._inside(self.asked[some])[:, None]
+        told = grounds_to_try(self.asked[some], self.order.electrode, self.usable)
         always = None if self.always is None else int(self.order.electrode[self.always])
         fits = fitted(self.plane, volts, weight, told, always)
         part = np.abs(volts - fits.modelled) / np.maximum(fits.span, 1e-12)[:, None]
@@ -395,18 +408,23 @@ class _State:
             self.unjudged["hum"] = "the contact-free stretch is too short"
         self.faults += common_settling(self.lingers, self.lingers_error)
         work, every = self._work(), self.usable
+        few = len(np.unique(self.asked)) < _GROUNDS
+        if few:
+            self.unjudged["gains, places and tears"] = (
+                f"fewer than {_GROUNDS} grounds: record with --pattern all"
+            )
         gains: list[Fault] = []
         slow: list[Fault] = []
         places: list[Fault] = []
         now = every
-        for _ in range(3):
+        for _ in range(0 if few else 3):
             work = work._replace(usable=every[work.channel])
             slow = settling_faults(work)
             odd = np.zeros(self.plane.count, bool)
             odd[[f.channels[0] for f in slow]] = True
             places, named = place_faults(work, odd[work.channel])
             slow = [f for f in slow if not named[work.channel == f.channels[0]].any()]
-            gains = gain_faults(work, named)
+            gains = gain_faults(work, named & ~_lone(places, work))
             odd[:] = False
             odd[[f.channels[0] for f in (*gains, *slow)]] = True
             odd[[f.channels[0] for f in places if f.kind == "misplaced"]] = True
@@ -466,6 +484,12 @@ class _State:
             self.order.fits.xy,
             _Seen(self.plane, swing, shift),
         )
+
+
+def _lone(places: list[Fault], work: Work) -> np.ndarray:
+    """Electrodes that are misplaced, each alone."""
+    alone = [f.channels[0] for f in places if f.kind == "misplaced"]
+    return np.isin(work.channel, alone)
 
 
 def _unsettled(

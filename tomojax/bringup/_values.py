@@ -26,6 +26,7 @@ class Values(NamedTuple):
     value: Float[np.ndarray, "M 5"]
     deviation: Float[np.ndarray, "M 5"]
     rows: Float[np.ndarray, " M"]  # slots that tell
+    unexplained: Float[np.ndarray, " M"]  # what these ways leave, of what was there
 
 
 def sound(fits: Fits) -> Bool[np.ndarray, " n"]:
@@ -54,6 +55,7 @@ def values_of(
     known = np.isfinite(before)
     older = np.where(known, before - fits.modelled, 0.0)
     value, deviation, rows = np.zeros((m, 5)), np.zeros((m, 5)), np.zeros(m)
+    unexplained = np.ones(m)
     for e in range(m):
         some = np.flatnonzero(use & (fits.far[:, e] > 0))
         if known[some, e].sum() >= 20:
@@ -63,8 +65,13 @@ def values_of(
         columns = [fits.modelled[some, e], np.ones(len(some)), *slope[:, some, e]]
         x = np.stack([*columns, older[some, e]], 1) * size
         span = np.maximum(fits.span[some], 1e-12)
-        value[e], deviation[e] = _robust(x / span[:, None], y / span)
-    return Values(value * size, deviation * size, rows)
+        x, y = x / span[:, None], y / span
+        value[e], deviation[e] = _robust(x, y)
+        if len(y):
+            # A mean of bounded residuals: rare ones count, wild ones do not rule.
+            parts = [np.minimum(np.abs(r), 0.1).mean() for r in (y - x @ value[e], y)]
+            unexplained[e] = parts[0] / max(parts[1], 1e-9)
+    return Values(value * size, deviation * size, rows, unexplained)
 
 
 def _scales(plane: Plane, drive: float) -> np.ndarray:

@@ -17,6 +17,9 @@ _SOME, _ROUNDS, _BLOCKS = 120, 12, 9
 # leaves more than usual so many times, and more than this part of the voltages' span.
 _BETTER, _MORE, _LEAST = 0.4, 3.0, 0.006
 
+# Electrodes without a channel that are tried as grounds, at most.
+_BLIND = 4
+
 # Electrodes in one row or column are in line to this part of a pitch.
 _LINE = 0.25
 
@@ -108,6 +111,15 @@ def quality(fits: Fits) -> float:
     return float(np.median(fits.left / np.maximum(fits.span, 1e-12)))
 
 
+def grounds_to_try(
+    asked: np.ndarray, order: np.ndarray, usable: np.ndarray
+) -> Integer[np.ndarray, "n k"]:
+    """Beside the lowest channels: what was commanded, and electrodes without a channel."""
+    inside = np.where((asked >= 0) & (asked < len(order)), asked, 0)
+    blind = order[~usable][:_BLIND]
+    return np.column_stack([inside, *(np.full(len(inside), e) for e in blind)])
+
+
 def order_of(
     plane: Plane,
     volts: Float[np.ndarray, "n M"],
@@ -124,8 +136,7 @@ def order_of(
     def fit(order: np.ndarray, slots: np.ndarray) -> Fits:
         back = np.argsort(order)
         weight = np.broadcast_to(usable[back].astype(float), (len(slots), m))
-        inside = np.where((asked[slots] >= 0) & (asked[slots] < m), asked[slots], 0)
-        given = volts[slots][:, back], weight, inside[:, None]
+        given = volts[slots][:, back], weight, grounds_to_try(asked[slots], order, usable)
         return fitted(plane, *given, None if always is None else int(order[always]))
 
     best, lowest = None, np.inf
