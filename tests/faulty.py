@@ -7,6 +7,7 @@ header are made wrong afterwards, by a few words (`recorded`).
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 
 import tomojax as tx
@@ -171,7 +172,9 @@ def recorded(
     for c, value in (stuck or {}).items():
         read[:, c] = value
     read = code * np.round(read / code)
-    about = tx.recordings.Rig.of(rig.sensor, f_switch, (-chain.full_scale, chain.full_scale))
+    about = tx.recordings.Rig.of(
+        rig.sensor, f_switch, (-chain.full_scale, chain.full_scale)
+    )
     about = replace(about, resolution=code)
     for name, factor in (told or {}).items():
         about = replace(about, **{name: getattr(about, name) * factor})
@@ -180,3 +183,31 @@ def recorded(
     return tx.recordings.ArrayRecording(
         about, read[: n * slots].reshape(*shape, m), asked[: n * slots].reshape(shape)
     )
+
+
+def write(path: Any, recording: tx.recordings.ArrayRecording) -> Any:
+    """The recording as a file, version 1."""
+    rig, scans = recording.rig, recording.read(0, recording.scans)
+    scale = rig.resolution
+    with h5py.File(path, "w") as file:
+        codes = np.clip(np.round(scans.voltages / scale), -32768, 32767)
+        file.create_dataset("v", data=codes.astype(np.int16), compression="gzip")
+        file["ground"] = scans.grounds.astype(np.uint8)
+        file["t0"] = scans.t0
+        file["gaps"] = np.zeros((0, 2), np.int64)
+        file["electrode_xy"] = np.asarray(rig.electrode_xy, float)
+        names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
+        file.attrs.update({name: getattr(rig, name) for name in names})
+        file.attrs.update(
+            schema="tomojax-recording",
+            schema_version=1,
+            scale=scale,
+            offset=0.0,
+            size=list(rig.size),
+            electrode_diameter=rig.electrode_diameter,
+            settle_delay=2e-5,
+            convert_period=1e-6,
+            units="V",
+            notes="",
+        )
+    return path

@@ -263,7 +263,12 @@ def sheet_faults(
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Huber's regression, and 1 σ."""
-    w, found, inverse, scale = np.ones(len(y)), np.zeros(x.shape[1]), np.eye(x.shape[1]), 1.0
+    w, found, inverse, scale = (
+        np.ones(len(y)),
+        np.zeros(x.shape[1]),
+        np.eye(x.shape[1]),
+        1.0,
+    )
     size = np.sqrt((x**2).mean(0)) + 1e-12
     x = x / size
     for _ in range(20):
@@ -374,7 +379,10 @@ def _tear(work: Work, pairs, over: np.ndarray, torn: np.ndarray, usual: float) -
     weight = over[torn]
     centre = weight @ middle / weight.sum()
     channels = np.unique(work.channel[np.r_[pairs.first[torn], pairs.second[torn]]])
-    ends = 1e3 * middle[[np.argmin(middle @ _along(middle)), np.argmax(middle @ _along(middle))]]
+    ends = (
+        1e3
+        * middle[[np.argmin(middle @ _along(middle)), np.argmax(middle @ _along(middle))]]
+    )
     x, y = 1e3 * centre
     reach = (
         f"from ({ends[0][0]:.0f}, {ends[0][1]:.0f}) to ({ends[1][0]:.0f}, {ends[1][1]:.0f}) mm"
@@ -429,7 +437,11 @@ def joint_faults(work: Work) -> list[Fault]:
             Fault(
                 "tear",
                 (c,),
-                {"x_mm": float(place[0]), "y_mm": float(place[1]), "squares": round(more, 2)},
+                {
+                    "x_mm": float(place[0]),
+                    "y_mm": float(place[1]),
+                    "squares": round(more, 2),
+                },
                 "squares of the sheet",
                 certainty(more / (usual + _JOINT / 4)),
                 f"a bad joint between the electrode of channel {c} and the sheet: "

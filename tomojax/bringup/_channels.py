@@ -34,9 +34,7 @@ def nominal_noise(slots: Slots) -> float:
     return max(1e-4 * slots.drive, slots.rig.resolution / np.sqrt(12))
 
 
-def unresponsive(
-    slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence
-) -> Levels:
+def unresponsive(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence) -> Levels:
     """Dead and stuck channels; `volts` of touched slots, with their zeros."""
     low, middle, high = np.quantile(volts, [0.1, 0.5, 0.9], axis=0)
     swing = np.quantile(np.abs(volts - silent.zero), 0.8, axis=0)
@@ -81,7 +79,9 @@ def unresponsive(
     return Levels(faults, dead, stuck)
 
 
-def noise_faults(slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]) -> list[Fault]:
+def noise_faults(
+    slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]
+) -> list[Fault]:
     """Channels that are noisier than the others, and noise of all."""
     if np.isnan(silent.noise).any():
         return []

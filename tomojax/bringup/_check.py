@@ -249,7 +249,9 @@ class _State:
         if not (np.isfinite(error) and _TAKEN < common < _HALF):
             return
         plain = self.volts, self.order, self.every
-        some = np.sort(self.rng.choice(len(self.number), min(len(self.number), _SOME), False))
+        some = np.sort(
+            self.rng.choice(len(self.number), min(len(self.number), _SOME), False)
+        )
         start = self._misfit(some, plain[2])
         tried = []
         for recursive in (False, True):
@@ -372,14 +374,10 @@ class _State:
         lines = np.where(told, back[np.maximum(ground, 0)] if whole else ground, ground)
         groups = line_groups(asked, lines)
         sure = 0.999 if len(self.number) > 200 else 0.95
-        channels = channel_faults(
-            plane, self.electrode, whole, sure, unknown_which, groups
-        )
+        channels = channel_faults(plane, self.electrode, whole, sure, unknown_which, groups)
         wires = [f.channels for f in channels if f.kind == "swapped"]
         self.faults += channels
-        self.faults += line_faults(
-            plane, asked, lines, share, wires, False
-        )
+        self.faults += line_faults(plane, asked, lines, share, wires, False)
         if self.always is not None:
             e = int(self.electrode[self.always])
             self.faults.append(
@@ -492,9 +490,7 @@ def _lone(places: list[Fault], work: Work) -> np.ndarray:
     return np.isin(work.channel, alone)
 
 
-def _unsettled(
-    volts: np.ndarray, slots: Slots, part: float, recursive: bool
-) -> np.ndarray:
+def _unsettled(volts: np.ndarray, slots: Slots, part: float, recursive: bool) -> np.ndarray:
     """Slots without a part of the slot before: of what was there, or of what was read."""
     before = np.concatenate([volts[:1], volts[:-1]])
     if not recursive:

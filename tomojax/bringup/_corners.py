@@ -60,7 +60,9 @@ def corners_of(
     need = f"touches that hold still at the corners of electrodes {first} and {second}"
     last = events(slots)[-2:]
     if len(last) < 2:
-        return Corners(None, f"no pauses between touches: the recording must end with {need}")
+        return Corners(
+            None, f"no pauses between touches: the recording must end with {need}"
+        )
     places = []
     for touch in last:
         some = touch[np.linspace(0, len(touch) - 1, min(_SOME, len(touch))).astype(int)]
@@ -72,7 +74,9 @@ def corners_of(
         middle = np.median(xy, 0)
         wide = np.median(np.hypot(*(xy - middle).T)) / plane.pitch
         if wide > _STILL:
-            return Corners(None, f"the last touches move: the recording must end with {need}")
+            return Corners(
+                None, f"the last touches move: the recording must end with {need}"
+            )
         places.append(middle)
     ends = plane.xy[[first, second]]
     return _matched(plane, np.array(places), ends, need)
@@ -95,5 +99,7 @@ def _matched(plane: Plane, places: np.ndarray, ends: np.ndarray, need: str) -> C
     least = min(fits.values())
     equal = [name for name, away in fits.items() if away <= least + 0.5]
     if len(equal) > 1 and "identity" not in equal:
-        return Corners(None, f"{need} do not tell {' from '.join(equal)}: two adjacent corners do")
+        return Corners(
+            None, f"{need} do not tell {' from '.join(equal)}: two adjacent corners do"
+        )
     return Corners("identity" if "identity" in equal else equal[0], "")

@@ -36,7 +36,9 @@ class Fits(NamedTuple):
     far: Float[np.ndarray, "n M"]  # where it holds: 0 or 1
     left: Float[np.ndarray, " n"]  # V, median of residuals
     span: Float[np.ndarray, " n"]  # V, between high and low channels
-    second: Float[np.ndarray, " n"]  # as `current`, by the electrode that is always grounded
+    second: Float[
+        np.ndarray, " n"
+    ]  # as `current`, by the electrode that is always grounded
 
 
 def fitted(

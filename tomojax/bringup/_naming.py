@@ -64,8 +64,14 @@ def channel_faults(
     name, image = best_image(plane, electrode, numbers)
     faults = []
     if name != "identity":
-        what = "the array, channels and ground lines alike, is" if lines_too else (
-            "channels are, beside the ground lines," if unknown_which else "channels are"
+        what = (
+            "the array, channels and ground lines alike, is"
+            if lines_too
+            else (
+                "channels are, beside the ground lines,"
+                if unknown_which
+                else "channels are"
+            )
         )
         mend = (
             "turn the array, or number electrodes anew"
@@ -80,9 +86,7 @@ def channel_faults(
                 "",
                 0.5 if unknown_which else sure,
                 f"{what} {name}"
-                + (
-                    ": or the lines are; two corners would tell" if unknown_which else ""
-                ),
+                + (": or the lines are; two corners would tell" if unknown_which else ""),
                 f"{mend}; or take the order of --write",
             )
         )
@@ -147,8 +151,10 @@ def _reversed_lines(plane: Plane, wrong: dict[int, int], sure: float) -> list[Fa
 
 def _swapped(group: tuple[int, ...], electrode: Order, both: bool, sure: float) -> Fault:
     pairs = ", ".join(f"channel {c} reads electrode {electrode[c]}" for c in group)
-    what = "and their ground lines with them: the electrodes' wires" if both else (
-        "their ground lines are right"
+    what = (
+        "and their ground lines with them: the electrodes' wires"
+        if both
+        else ("their ground lines are right")
     )
     names = " and ".join(map(str, group)) if len(group) == 2 else ", ".join(map(str, group))
     return Fault(

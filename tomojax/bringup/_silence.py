@@ -71,9 +71,7 @@ def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
     half = filled @ np.ones(v.shape[1]) / np.sqrt(v.shape[1])
     size = 2 * length
     common = np.abs(np.fft.rfft(half, size)) ** 2
-    each = np.mean(
-        [np.abs(np.fft.rfft(column, size)) ** 2 for column in filled.T], axis=0
-    )
+    each = np.mean([np.abs(np.fft.rfft(column, size)) ** 2 for column in filled.T], axis=0)
     best, seconds = (0.0, 0.0), length / rate
     first = 2 * _CYCLES
     for power in (common, each):

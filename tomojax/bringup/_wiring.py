@@ -39,7 +39,9 @@ def lattice(plane: Plane) -> tuple[int, int] | None:
         rows = m // columns
         at = plane.xy.reshape(rows, columns, 2)
         slack = _LINE * plane.pitch
-        straight = np.ptp(at[..., 0], 1).max() < slack and np.ptp(at[..., 1], 0).max() < slack
+        straight = (
+            np.ptp(at[..., 0], 1).max() < slack and np.ptp(at[..., 1], 0).max() < slack
+        )
         rising = rows == 1 or (np.diff(at[:, 0, 0]) > slack).all()
         rising = rising and (columns == 1 or (np.diff(at[0, :, 1]) > slack).all())
         if straight and rising:
