@@ -87,16 +87,25 @@ def voltages_of(
         for e, more in joint.items():
             contact[e] += more
         rig = replace(rig, contact=contact)
-    exact = model(rig)
+    return touched(rig, rng, touches, model)
+
+
+def touched(
+    rig: Any, rng: np.random.Generator, touches: int, model: Any, row: str = "usual"
+) -> Voltages:
+    """Exact voltages of touches anywhere on a rig, and of one in each corner."""
+    sensor, exact = rig.sensor, model(rig)
     m = sensor.electrode_count
     xy = np.asarray(sensor.electrode_xy, float)
-    some = [draw_touch(sensor, "usual", rng) for _ in range(touches)]
+    some = [draw_touch(sensor, row, rng) for _ in range(touches)]
     corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * (xy.max(0) - xy.min(0))
+    square = float(np.mean(np.asarray(sensor.sheet_resistance)))
     for corner in xy.min(0) + corners:
         where = corner + 0.15 * sensor.mean_pitch * rng.uniform(-1, 1, 2)
-        finger = draw_touch(sensor, "usual", rng)
+        finger = draw_touch(sensor, row, rng)
         radius = 0.3 * sensor.mean_pitch
-        some.append(Touch(where, (radius, radius), 0.0, max(finger.conductance, 3e-5)))
+        firm = max(finger.conductance, 0.1 / square)
+        some.append(Touch(where, (radius, radius), 0.0, firm))
     volts = [exact.touched(touch, np.arange(m)) for touch in some]
     return Voltages(
         rig, np.array([touch.xy for touch in some]), np.array(volts, np.float32)

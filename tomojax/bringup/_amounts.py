@@ -1,6 +1,6 @@
 """Faults that have an amount: drive, sheet, gains, places, tears, slots that linger."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from tomojax.bringup._fault import certainty, Fault
 from tomojax.bringup._fit import Fits
 from tomojax.bringup._plane import Plane
 from tomojax.bringup._slots import WINDOW
-from tomojax.bringup._values import old_part, pairs_of, sound, Values
+from tomojax.bringup._values import old_part, Pairs, pairs_of, sound, Values
 
 # What a sound rig may have: of a gain; of a place, in pitches; of a drive; of a sheet's
 # resistance; of the slot before. And so many deviations of sound channels.
@@ -23,6 +23,12 @@ _JOINT = 0.5
 
 # What a channel's own fault leaves of what was left is less than this part.
 _EXPLAINED = 0.3
+
+# A drive lower than this part of the highest voltages is none.
+_BELOW = 0.95
+
+# What a second ground adds to the error of the drive, relative.
+_SHARED = 0.05
 
 # Contacts that leave so much of the voltages' span tell neither drive nor sheet.
 _BAD = 0.03
@@ -179,10 +185,13 @@ def drive_of(work: Work) -> tuple[float, float]:
 def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
     """The drive, where it is another than told."""
     found, error = drive_of(work)
-    if not np.isfinite(found) or work.left > _BAD:
+    seen = np.quantile(work.volts[:, work.usable], 0.999)
+    if not np.isfinite(found) or work.left > _BAD or found < _BELOW * seen:
         return [], np.nan, np.inf
     off = abs(found / work.drive - 1)
     sigma = np.hypot(error / work.drive, 0.01 + work.left)
+    if work.always is not None:  # how two grounds share the current is known badly
+        sigma = np.hypot(sigma, _SHARED)
     if off <= max(_DRIVE, 4 * sigma):
         return [], found, error
     fault = Fault(
@@ -357,12 +366,12 @@ def _effect(work: Work) -> Float[np.ndarray, " M"]:
     return np.nan_to_num(middle)
 
 
-def _own_place(work: Work, moved: np.ndarray, e: int) -> bool:
+def _own_place(work: Work, moved: np.ndarray, e: Any) -> bool:
     """Whether another place of one electrode explains nearly all that it leaves."""
     return bool(moved[e] and work.values.unexplained[e] < 0.6 * _EXPLAINED)
 
 
-def _explained(pairs, over: np.ndarray, e: int) -> bool:
+def _explained(pairs: Pairs, over: np.ndarray, e: Any) -> bool:
     """Whether some pairs of an electrode are as much nearer as others are farther."""
     own = over[(pairs.first == e) | (pairs.second == e)]
     return len(own) > 1 and own.min() < -0.4 * own.max()

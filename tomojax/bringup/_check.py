@@ -44,19 +44,24 @@ from tomojax.bringup._wiring import (
 )
 from tomojax.recordings import Recording
 
-# Touched slots that are needed; places, this far apart in pitches.
-_TOUCHED, _PLACES, _APART = 40, 2, 0.7
+# Touched slots that are needed; the part of them that must be elsewhere than half of them,
+# so many pitches away.
+_TOUCHED, _ELSEWHERE, _APART = 40, 0.1, 1.0
 
 # Grounds that gains and places need.
 _GROUNDS = 2
 
-# What contacts leave of voltages where geometry is right, and where nothing is.
-_RIGHT, _WRONG = 0.01, 0.12
+# What contacts leave of voltages where geometry is right, of their span; and of their own
+# scatter where nothing is right.
+_RIGHT, _WRONG = 0.01, 0.45
 
 # A settling that is so large is taken off before all else, if contacts fit so much better.
 # Parts that are tried, on so many slots.
 _TAKEN, _HALF, _BETTER = 0.008, 0.9, 0.97
 _PARTS, _SOME = (0.01, 0.03, 0.07, 0.15, 0.25, 0.35, 0.42, 0.6, 0.75, 0.9), 60
+
+# Beyond this part of the slot before the order of channels is looked at again.
+_MUCH = 0.1
 
 # A line that is always on makes fits better by this factor at least.
 _ON = 0.5
@@ -155,7 +160,7 @@ class _State:
         self.progress("order of channels")
         self._fit()
         require(
-            quality(self.order.fits) < _WRONG,
+            _unlike(self.order, self.volts, self.usable) < _WRONG,
             "recording",
             f"voltages that fit no contact on this sensor ({m} electrodes on "
             f"{1e3 * self.plane.size[0]:.0f} mm × {1e3 * self.plane.size[1]:.0f} mm)",
@@ -292,7 +297,7 @@ class _State:
 
     def _moved(self) -> None:
         """Once the old slot is taken off, orders are looked at again."""
-        if self.lingers:
+        if self.lingers > _MUCH:
             self._fit()
 
     def _lines(self) -> None:
@@ -315,9 +320,9 @@ class _State:
 
     def _corners(self, corners: Any) -> None:
         fits = self.order.fits
-        spread = np.unique(np.round(fits.xy / (_APART * self.plane.pitch)), axis=0)
+        away = np.hypot(*(fits.xy - np.median(fits.xy, 0)).T) / self.plane.pitch
         require(
-            len(spread) >= _PLACES,
+            (away > _APART).mean() > _ELSEWHERE,
             "recording",
             "one touch alone",
             "a rub over the sheet: touches in many places",
@@ -484,6 +489,17 @@ class _State:
         )
 
 
+def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
+    """What contacts leave of the voltages' scatter in the median slot, rms: 1 is nothing."""
+    back, fits = np.argsort(order.electrode), order.fits
+    v, some = volts[:, back], (fits.far > 0) & usable[back]
+    count = np.maximum(some.sum(1), 1)
+    mean = (v * some).sum(1) / count
+    left = (((v - fits.modelled) ** 2) * some).sum(1)
+    whole = (((v - mean[:, None]) ** 2) * some).sum(1)
+    return float(np.median(np.sqrt(left / np.maximum(whole, 1e-12))))
+
+
 def _lone(places: list[Fault], work: Work) -> np.ndarray:
     """Electrodes that are misplaced, each alone."""
     alone = [f.channels[0] for f in places if f.kind == "misplaced"]
@@ -496,7 +512,7 @@ def _unsettled(volts: np.ndarray, slots: Slots, part: float, recursive: bool) ->
     if not recursive:
         follows = slots.follows[:, None]
         return np.where(follows, (volts - part * before) / (1 - part), volts)
-    if part < 0.45:
+    if part < 0.5:
         found = np.empty_like(volts)
         for a, b in slots.runs(slots.follows | np.roll(slots.follows, -1)):
             start = volts[a : a + 1] * part / (1 - part)

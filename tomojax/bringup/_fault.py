@@ -77,6 +77,6 @@ class Checked(NamedTuple):
     seen: Any = None  # for the picture
 
 
-def certainty(deviations: float) -> float:
+def certainty(deviations: Any) -> float:
     """The probability that something so many deviations from sound is a fault."""
     return float(np.clip(erf(abs(deviations) / np.sqrt(2)), 0.5, _SUREST))

@@ -12,6 +12,9 @@ from tomojax.bringup._wiring import lattice, starts, symmetries
 # Part of the channels, or of the judged lines, that a mirror or a shift must explain.
 _MOST = 0.6
 
+# Slots that agree, of a line that is exchanged with none.
+_SURE = 0.85
+
 # Lines that have to be judged for a shift.
 _FEW = 3
 
@@ -183,7 +186,7 @@ def line_faults(
     m = plane.count
     told = ground >= 0
     faults, expected = [], asked.copy()
-    sure = float(np.median(share[told])) if told.any() else 0.5
+    sure = float(min(np.median(share[told]), 0.999)) if told.any() else 0.5
     shift = _shift(asked[told], ground[told], m)
     if shift:
         expected = np.where((asked + shift >= 0) & (asked + shift < m), asked + shift, -1)
@@ -239,6 +242,9 @@ def line_faults(
             continue
         pairs = ", ".join(f"line {g} grounds electrode {wrong[g]}" for g in group)
         share_of = min(float(share[asked == g][0]) for g in group)
+        closed = {number.get(wrong[g], wrong[g]) for g in group} == set(group)
+        if not closed and share_of < _SURE:
+            continue
         faults.append(
             Fault(
                 "ground_permuted",

@@ -42,7 +42,8 @@ class Slots(NamedTuple):
     def runs(self, which: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
         """Stretches where `which` holds, first and behind the last."""
         steps = np.diff(np.concatenate([[0], which.astype(int), [0]]))
-        return list(zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)))
+        ends = (np.flatnonzero(steps == by).tolist() for by in (1, -1))
+        return list(zip(*ends))
 
 
 def slots_of(recording: Recording) -> Slots:

@@ -164,6 +164,8 @@ def order_of(
         new = _assigned(cost, best, usable)
         if tuple(new) in seen:
             if len(slots) == n:
+                if (new == best).all():
+                    return Order(best, fits, cost)
                 break
             lowest = 0.0
             continue
