@@ -116,7 +116,9 @@ class Draw:
             kind, step = "ground_off_by", int(rng.choice([-1, 1]))
             lines = self._order("lines") + step
             inside = (lines >= 0) & (lines < m)
-            self.given["lines"] = np.where(inside, lines, -1 if rng.integers(2) else lines % m)
+            self.given["lines"] = np.where(
+                inside, lines, -1 if rng.integers(2) else lines % m
+            )
         elif name == "always":
             kind, channels = "ground_stuck", tuple(self.some(1))
             self.given["on"] = channels[0]
@@ -256,7 +258,9 @@ def main() -> None:
                 if name not in SHEETS:
                     draw.fault(name)
             if words:
-                made = faulty.voltages_of(sensor, int(rng.integers(1 << 30)), 70, make, **words)
+                made = faulty.voltages_of(
+                    sensor, int(rng.integers(1 << 30)), 70, make, **words
+                )
             else:
                 if (where, model) not in bases:
                     seed = options.seed + len(bases)
@@ -304,9 +308,7 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
         print(f"{group:8} {told[0]:4} {told[1]:6} {told[2]:7} {told[3]:6}")
     report = {"rows": rows, "summary": summary, "environment": environment()}
     out.mkdir(parents=True, exist_ok=True)
-    (out / "check.json").write_text(
-        json.dumps(report, indent=1, ensure_ascii=False) + "\n"
-    )
+    (out / "check.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     _picture(rows).savefig(out / "check.png", dpi=110)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tomojax.bringup._fault import certainty, Fault
-from tomojax.bringup._silence import refined, Silence
-from tomojax.bringup._slots import Slots
+from tomojax.bringup.sheet._silence import Silence
+from tomojax.bringup.sheet._slots import Slots
 
 # A channel that follows a touch by less than this part of what the others do is dead.
 _FOLLOWS = 0.05
@@ -129,7 +129,7 @@ def hum_faults(slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]) -> l
     )
     if not loud.any():
         return []
-    frequency = refined(slots, silent)
+    frequency = silent.frequency
     everywhere = loud.sum() > 0.5 * sane.sum()
     value = float(np.median(amplitude[loud]))
     name = ""

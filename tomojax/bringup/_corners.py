@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tomojax._require import require
-from tomojax.bringup._fit import fitted
-from tomojax.bringup._plane import Plane
-from tomojax.bringup._slots import Slots, WINDOW
 from tomojax.bringup._wiring import lattice, symmetries
+from tomojax.bringup.sheet._fit import fitted
+from tomojax.bringup.sheet._plane import Plane
+from tomojax.bringup.sheet._slots import Slots, WINDOW
 
 # A touch has as many slots at least; it holds still to this part of a pitch (in a corner
 # the potential is level, and places scatter), and is at a corner to this many pitches.

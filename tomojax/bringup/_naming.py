@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Integer
 
 from tomojax.bringup._fault import Fault
-from tomojax.bringup._plane import Plane
 from tomojax.bringup._wiring import lattice, starts, symmetries
+from tomojax.bringup.sheet._plane import Plane
 
 # Part of the channels, or of the judged lines, that a mirror or a shift must explain.
 _MOST = 0.6
@@ -177,11 +177,10 @@ def line_faults(
     ground: np.ndarray,
     share: np.ndarray,
     wires: Sequence[tuple[int, ...]],
-    mirrored: bool,
 ) -> list[Fault]:
     """Shifted, permuted and dead lines; −1 in `ground`: nothing is grounded, −2: unsure.
 
-    `wires`: groups of channels that are swapped, `mirrored`: the whole array is, and told.
+    `wires`: groups of channels that are swapped.
     """
     m = plane.count
     told = ground >= 0
@@ -204,7 +203,7 @@ def line_faults(
                 f"{'1' if shift < 0 else '0'} in the firmware, or take the order of --write",
             )
         )
-    elif told.any() and not mirrored:
+    elif told.any():
         name, image = best_image(plane, ground[told], np.clip(asked[told], 0, m - 1))
         if name != "identity":
             expected = image[np.clip(asked, 0, m - 1)]

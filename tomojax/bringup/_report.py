@@ -117,7 +117,7 @@ def picture(checked: Checked) -> Any:
     """
     from matplotlib.figure import Figure
 
-    plane, swing, _ = checked.seen
+    plane, swing = checked.seen
     figure = Figure(figsize=(8.4, 6.0), layout="constrained")
     axes = figure.subplots()
     size, xy = 1e3 * plane.size, 1e3 * plane.xy

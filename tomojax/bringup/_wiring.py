@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Integer
 from scipy.optimize import linear_sum_assignment
 
-from tomojax.bringup._fit import Fits, fitted
-from tomojax.bringup._plane import Plane
+from tomojax.bringup.sheet._fit import Fits, fitted
+from tomojax.bringup.sheet._plane import Plane
 
 # Slots that starts are compared on; rounds of assigning; blocks of slots, whose median no
 # slot that is fitted wrongly moves.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from tomojax.bringup._plane import Plane
+from tomojax.bringup.sheet._plane import Plane
 
 # Electrodes this near to a contact lie under it, perhaps; pitches.
 UNDER = 0.65

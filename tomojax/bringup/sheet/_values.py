@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tomojax.bringup._fit import Fits
-from tomojax.bringup._plane import Plane
+from tomojax.bringup.sheet._fit import Fits
+from tomojax.bringup.sheet._plane import Plane
 
 # What is known beforehand, 1 σ: a gain; a zero, of the drive; a place, of the pitch; the
 # part of the slot before. Wide: they keep what nothing tells at 0.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from tomojax.bringup._slots import silence, Slots
+from tomojax.bringup.sheet._slots import silence, Slots
 
 # Slots of silence that zeros need, and that a spectrum does.
 _FEW, _ENOUGH = 16, 256
@@ -38,11 +38,16 @@ def silence_of(slots: Slots) -> Silence:
         return Silence(len(some), np.zeros(m), none, none, 0.0, 0.0, 0.0)
     v, t = slots.volts[some].astype(float), slots.time[some] - slots.time[some[0]]
     zero = np.median(v, 0)
-    frequency, prominence, seconds = 0.0, 0.0, 0.0
+    frequency, prominence, seconds, long = 0.0, 0.0, 0.0, slice(0)
     hum = np.zeros(m)
-    if len(some) >= _ENOUGH:
-        frequency, prominence, seconds = _peak(v - zero, some, slots)
+    if np.diff(np.r_[0, np.flatnonzero(np.diff(some) > 1) + 1, len(some)]).max() >= _ENOUGH:
+        # One stretch: holes would make a peak's sides as high as others.
+        ends = np.r_[np.flatnonzero(np.diff(some) > 1) + 1, len(some)]
+        first = int(ends[np.diff(np.r_[0, ends]).argmax()])
+        long = slice(first - int(np.diff(np.r_[0, ends]).max()), first)
+        frequency, prominence, seconds = _peak((v - zero)[long], some[long], slots)
     if frequency:
+        frequency = _refined((v - zero)[long], t[long], frequency, seconds)
         zero, hum, v = _without(v, t, frequency)
     joined = np.diff(some) == 1
     step = np.diff(v, axis=0)[joined]
@@ -96,18 +101,13 @@ def _without(v: np.ndarray, t: np.ndarray, frequency: float):
     return found[0], np.hypot(*found[1:]), v - x[:, 1:] @ found[1:]
 
 
-def refined(slots: Slots, silent: Silence) -> float:
+def _refined(v: np.ndarray, t: np.ndarray, frequency: float, seconds: float) -> float:
     """The frequency of hum, Hz, to a small part of 1/duration."""
-    some = silence(slots)
-    t = slots.time[some] - slots.time[some[0]]
-    kept = t <= silent.seconds
-    mean = np.median(slots.volts[some], 1)[kept] if np.median(silent.hum) > 0 else None
-    if mean is None:
-        return silent.frequency
-    t, mean = t[kept], mean - mean.mean()
-    frequency, step = silent.frequency, 0.5 / max(silent.seconds, 1e-9)
+    kept = t - t[0] <= seconds
+    v, t = v[kept] - v[kept].mean(0), t[kept]
+    step = 0.5 / seconds
     for _ in range(_REFINED):
         tried = frequency + step * np.linspace(-1, 1, 21)
-        power = np.abs(np.exp(-2j * np.pi * tried[:, None] * t) @ mean)
+        power = (np.abs(np.exp(-2j * np.pi * tried[:, None] * t) @ v) ** 2).sum(1)
         frequency, step = float(tried[power.argmax()]), step / 5
     return frequency
