@@ -9,6 +9,7 @@ from tomojax.hardware.sources import (
     Counters as Counters,
     Got as Got,
     open_source as open_source,
+    OrderedSource as OrderedSource,
     ReplaySource as ReplaySource,
     SlotSource as SlotSource,
     UdpSource as UdpSource,

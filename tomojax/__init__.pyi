@@ -1,5 +1,6 @@
 # The public face: what `import tomojax as tx` offers, and all of it. Read at run time too.
 from . import (
+    bringup as bringup,
     calibration as calibration,
     design as design,
     methods as methods,

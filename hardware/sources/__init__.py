@@ -19,6 +19,7 @@ from tomojax.hardware.sources._frames import (
     unpack_command as unpack_command,
 )
 from tomojax.hardware.sources._open import open_source as open_source
+from tomojax.hardware.sources._ordered import OrderedSource as OrderedSource
 from tomojax.hardware.sources._replay import ReplaySource as ReplaySource
 from tomojax.hardware.sources._source import (
     Counters as Counters,

@@ -17,10 +17,13 @@ import click
 _FILE = click.Path(path_type=Path)
 
 
-def _config(context: click.Context, parameter: Any, path: Path | None) -> None:
-    """Values of a TOML file as defaults: the same keys as the options have names."""
-    if path is None:
-        return
+def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
+    """Values of TOML files as defaults: the same keys as the options have names."""
+    for path in paths:
+        _read_config(context, path)
+
+
+def _read_config(context: click.Context, path: Path) -> None:
     try:
         found = tomllib.loads(path.read_text())
     except (OSError, tomllib.TOMLDecodeError) as error:
@@ -36,6 +39,19 @@ def _config(context: click.Context, parameter: Any, path: Path | None) -> None:
     context.default_map = {**(context.default_map or {}), **keys}
 
 
+class Numbers(click.ParamType):
+    """Whole numbers: a list in a TOML file, or with commas on the command line."""
+
+    name = "numbers"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> list[int]:
+        try:
+            parts = value.split(",") if isinstance(value, str) else value
+            return [int(part) for part in parts]
+        except (TypeError, ValueError):
+            self.fail(f"got {value!r}, expected whole numbers with commas", param, ctx)
+
+
 def _shared(command: Any) -> Any:
     """Options that both commands have."""
     for option in (
@@ -45,7 +61,8 @@ def _shared(command: Any) -> Any:
             is_eager=True,
             expose_value=False,
             callback=_config,
-            help="A TOML file with these options' values by name.",
+            multiple=True,
+            help="A TOML file with these options' values by name; may be repeated.",
         ),
         click.option(
             "--view",
@@ -69,6 +86,17 @@ def _shared(command: Any) -> Any:
         click.option("--speed", type=float, help="Of a recording; 1 is its own."),
         click.option(
             "--like", type=_FILE, help="A recording of this rig: its sheet and electrodes."
+        ),
+        click.option(
+            "--channels",
+            type=Numbers(),
+            help="The electrode that each channel reads: a key in what `tomojax check "
+            "--write` leaves for --config.",
+        ),
+        click.option(
+            "--grounds",
+            type=Numbers(),
+            help="The electrode that each ground line switches, -1: none; likewise.",
         ),
     ):
         command = option(command)
@@ -94,9 +122,9 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
     def grounds(sensor: Any) -> list[int]:
         return np.asarray(patterns_pattern(sensor, pattern)).tolist()
 
-    with _session(source, out, options, grounds) as (session, asked):
-        session.source.set_grounds(asked)
-        session.run(None)
+    with session(source, out, options, grounds) as (opened, asked):
+        opened.source.set_grounds(asked)
+        opened.run(None)
 
 
 @click.command()
@@ -149,8 +177,8 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
         if options["real_time"]:
             allowed = stack.enter_context(real_time())
             print(f"real time: {', '.join(allowed)}", file=sys.stderr)
-        session, step = stack.enter_context(_session(source, out, options, compiled))
-        session.run(step, options["budget"])
+        opened, step = stack.enter_context(session(source, out, options, compiled))
+        opened.run(step, options["budget"])
 
 
 class _Session:
@@ -161,13 +189,25 @@ class _Session:
         self._seconds = options["seconds"]
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
 
-    def run(self, step: Any, budget: float | None = None) -> None:
+    def run(
+        self,
+        step: Any,
+        budget: float | None = None,
+        tell: Callable[[float], None] = lambda seconds: None,
+    ) -> None:
+        """Until the time is up or Ctrl-C; `tell` is called with the seconds since."""
         from tomojax.cli import _recordings
         from tomojax.hardware import run
 
         view = subprocess.Popen(self._view) if self._view else None
         end = math.inf if self._seconds is None else time.perf_counter() + self._seconds
-        look = (lambda: None) if self.recorder is None else self.recorder.look
+        began = time.perf_counter()
+
+        def look() -> None:
+            tell(time.perf_counter() - began)
+            if self.recorder is not None:
+                self.recorder.look()
+
         with _recordings.interrupts() as stop:
             until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
             try:
@@ -212,7 +252,7 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
 
 
 @contextmanager
-def _session(
+def session(
     source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
 ):
     """A session and what `prepare` makes of the sensor before the source is started.
@@ -223,7 +263,7 @@ def _session(
 
     from tomojax import Sensor
     from tomojax.hardware import open_source, SlotRing
-    from tomojax.hardware.sources import ReplaySource
+    from tomojax.hardware.sources import OrderedSource, ReplaySource
     from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
     from tomojax.recordings import open_recording, Rig
 
@@ -248,6 +288,9 @@ def _session(
         if isinstance(slots, ReplaySource):
             rig = slots.rig
             sensor = rig.sensor()
+        order = options.get("channels"), options.get("grounds")
+        if order != (None, None):
+            slots = OrderedSource(slots, *order)
         prepared = prepare(sensor)
         stack.enter_context(slots)
         ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)

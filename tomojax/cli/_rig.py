@@ -1,8 +1,10 @@
-"""Commands that find out what a rig really is: `tomojax calibrate`."""
+"""Commands that find out what a rig really is: `tomojax calibrate` and `check`."""
 
 import json
 import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -81,3 +83,173 @@ def calibrate(
         row = room.summary(sensor, found)
         report = {"rows": [row], "summary": row, "environment": environment()}
         json_path.write_text(json.dumps(report, indent=1) + "\n")
+
+
+# Names of sources that are no files.
+_SOURCES = ("serial:", "udp://", "ni:", "virtual")
+
+
+class _Corners(click.ParamType):
+    """Two electrodes, or none."""
+
+    name = "A,B"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if not isinstance(value, str) or value == "auto":
+            return value
+        if value == "none":
+            return None
+        parts = value.split(",")
+        if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
+            self.fail(f"got {value!r}, expected two electrodes as 0,7, or none", param, ctx)
+        return int(parts[0]), int(parts[1])
+
+
+@click.command()
+@click.argument("source", metavar="SOURCE|REC")
+@click.option(
+    "--corners",
+    type=_Corners(),
+    default="auto",
+    help="Electrodes at the corners that were touched in the end, as 0,7, or none. "
+    "[default: 0 and the last of row 0]",
+)
+@click.option("-o", "--out", type=_REPORT, help="A SOURCE's recording, which is kept.")
+@click.option("--write", type=_REPORT, help="The corrected order, for --config of live.")
+@click.option("--picture", type=_REPORT, help="Draw the sheet and its faults here (PNG).")
+@click.option("--json", "json_path", type=_REPORT, help="Write the faults here.")
+@click.option("--like", type=_FILE, help="A recording of this sensor.")
+@click.option("--quiet", type=float, default=4.0, show_default=True, help="Of a SOURCE, s.")
+@click.option("--rub", type=float, default=20.0, show_default=True, help="Of a SOURCE, s.")
+@click.option("--touch", type=float, default=3.0, show_default=True, help="Of a SOURCE, s.")
+@click.option("--baud", type=int, help="Of a serial line. [default: 4000000]")
+@click.option("--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]")
+@tdms_option
+def check(
+    source: str,
+    corners: Any,
+    out: Path | None,
+    write: Path | None,
+    picture: Path | None,
+    json_path: Path | None,
+    like: Path | None,
+    quiet: float,
+    rub: float,
+    touch: float,
+    baud: int | None,
+    bind: str | None,
+    tdms: dict,
+) -> int:
+    """Check a new rig: wires, grounds, drive, noise, gains, places and the sheet.
+
+    REC holds some seconds of nothing, some of rubbing anywhere with a finger or a blunt
+    pen, and in the end two touches that hold still, with pauses before and after: the first
+    at the corner of electrode 0 (x and y least), the second at the corner at the end of row
+    0 (x least, y most). Nothing else tells a mirrored or a turned array. A part that REC
+    lacks is not judged, and named. Electrode e is row·columns + column; rows run along x,
+    columns along y. Ground conditions: best all (`tomojax record --pattern all`).
+
+    SOURCE (serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES) is recorded first; what to do is
+    said in turn.
+
+    Exit status: 0 no fault, 1 faults, 2 nothing could be said.
+    """
+    from tomojax import bringup
+    from tomojax.recordings import open_recording
+
+    path = Path(source)
+    if source.startswith(_SOURCES) and not path.is_file():
+        if min(quiet, rub, touch) <= 0:
+            raise ValueError(f"seconds: got {min(quiet, rub, touch)}, expected above 0")
+        path = out or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
+        _record(source, path, like, quiet, rub, touch, corners, baud=baud, bind=bind)
+
+    def say(text: str) -> None:
+        if sys.stderr.isatty():
+            end = "" if text else "\r"
+            print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
+
+    with open_recording(path, **tdms) as recording:
+        if like is not None:
+            _same_sensor(path, recording, like)
+        try:
+            found = bringup.check(recording, corners, progress=say)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+        finally:
+            say("")
+    print(bringup.text(found))
+    if write:
+        bringup.write_order(found, write)
+        print(f"order: {write}; use it with --config {write}")
+    if picture:
+        bringup.picture(found).savefig(picture, dpi=110)
+        print(f"picture: {picture}")
+    if json_path:
+        from tomojax._environment import environment
+
+        report = bringup.summary(found) | {"environment": environment()}
+        json_path.write_text(json.dumps(report, indent=1) + "\n")
+    return 1 if found.faults else 0
+
+
+def _same_sensor(path: Path, recording: Any, like: Path) -> None:
+    """**Raises:** `ValueError` where two recordings are of sensors of other electrodes."""
+    from tomojax.recordings import open_recording
+
+    with open_recording(like) as other:
+        here, there = recording.electrodes, other.electrodes
+    if here != there:
+        raise ValueError(f"{path}: v: got {here} channels, expected {there}, as {like} has")
+
+
+def _record(
+    source: str,
+    out: Path,
+    like: Path | None,
+    quiet: float,
+    rub: float,
+    touch: float,
+    corners: Any,
+    **given: Any,
+) -> None:
+    """Records a source while the user is told what to do."""
+    import numpy as np
+
+    from tomojax.cli._live import session
+
+    first, second = (f"the corner of electrode {c}" for c in corners or (0, 0))
+    if corners == "auto":
+        first = "the corner of electrode 0 (x and y least)"
+        second = "the corner at the end of row 0 (x least, y most)"
+    pause = 2.0
+    words = [
+        (quiet, "leave the sheet alone"),
+        (rub, "rub the sheet anywhere, all over"),
+        (pause, "lift off"),
+    ]
+    if corners is not None:
+        words += [
+            (touch, f"touch {first} and hold still"),
+            (pause, "lift off"),
+            (touch, f"touch {second} and hold still"),
+            (pause, "lift off"),
+        ]
+    starts = np.cumsum([0.0, *(seconds for seconds, _ in words)]).tolist()
+    said = iter(zip(starts, words))
+    due = [next(said)]
+
+    def tell(seconds: float) -> None:
+        while due and seconds >= due[0][0]:
+            length, text = due.pop()[1]
+            print(f"{text} ({length:g} s)", file=sys.stderr, flush=True)
+            due.extend([one] if (one := next(said, None)) else [])
+
+    options = given | {
+        "like": like, "speed": None, "view": "none", "rrd": None,
+        "seconds": starts[-1], "file_seconds": 1e6,
+    }  # fmt: skip
+    prepare = lambda sensor: list(range(sensor.electrode_count))  # noqa: E731
+    with session(source, out, options, prepare) as (opened, asked):
+        opened.source.set_grounds(asked)
+        opened.run(None, tell=tell)

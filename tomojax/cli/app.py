@@ -9,7 +9,7 @@ from tomojax.cli._demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
 from tomojax.cli._recordings import info, reconstruct
-from tomojax.cli._rig import calibrate
+from tomojax.cli._rig import calibrate, check
 from tomojax.cli._track import track
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.studies import frontier, stability, table1
@@ -43,6 +43,7 @@ for command in (
     table1,
     reconstruct,
     info,
+    check,
     calibrate,
     track,
     record,

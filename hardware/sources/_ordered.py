@@ -1,0 +1,86 @@
+"""A rig whose wires are in another order than its electrodes."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from tomojax._require import require
+from tomojax.hardware.sources._source import Counters, Got, SlotSource
+
+
+class OrderedSource(SlotSource):
+    """Another source's slots as if it were wired right.
+
+    **Arguments:** `channels`: the electrode that each channel reads; `grounds`: the electrode
+    that each ground line switches, −1 where it switches none. None: as they should be.
+    `tomojax check --write` finds both.
+
+    Codes come in the order of electrodes; grounds are electrodes on both ways. A slot in
+    which nothing was grounded comes with a ground that there is not, which is flagged.
+    """
+
+    def __init__(
+        self,
+        source: SlotSource,
+        channels: Sequence[int] | None = None,
+        grounds: Sequence[int] | None = None,
+    ):
+        m = source.electrodes
+        self._source, self.electrodes = source, m
+        order = np.arange(m) if channels is None else np.asarray(channels, int)
+        whole = order.shape == (m,) and (np.sort(order) == np.arange(m)).all()
+        require(whole, "channels", f"{len(order)} of them", f"each of 0 to {m - 1} once")
+        lines = np.arange(m) if grounds is None else np.asarray(grounds, int)
+        fits = lines.shape == (m,) and lines.min() >= -1 and lines.max() < m
+        require(fits, "grounds", f"{len(lines)} of them", f"{m} of -1 to {m - 1}")
+        self._back, self._lines = np.argsort(order), lines
+        self._line = {int(e): g for g, e in reversed(list(enumerate(lines))) if e >= 0}
+        self._codes = np.zeros(m, np.int16)
+
+    @property
+    def rate(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._source.rate
+
+    @property
+    def scale(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._source.scale
+
+    @property
+    def offset(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._source.offset
+
+    @property
+    def counters(self) -> Counters:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._source.counters
+
+    @property
+    def waiting(self) -> int:
+        return self._source.waiting
+
+    def start(self) -> None:
+        self._source.start()
+
+    def stop(self) -> None:
+        self._source.stop()
+
+    def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
+        got = self._source.read(self._codes, timeout)
+        if got is None:
+            return None
+        np.take(self._codes, self._back, out=codes)
+        inside = 0 <= got.ground < self.electrodes
+        ground = int(self._lines[got.ground]) if inside else got.ground
+        return got._replace(ground=ground if ground >= 0 else min(self.electrodes, 255))
+
+    def set_grounds(self, grounds: Sequence[int]) -> None:
+        """Electrodes that no line switches are left out.
+
+        **Raises:** `ValueError` where none is left, or there are no such electrodes.
+        """
+        wanted = [int(e) for e in grounds]
+        inside = all(0 <= e < self.electrodes for e in wanted)
+        require(inside, "grounds", wanted, f"0 to {self.electrodes - 1}")
+        lines = [self._line[e] for e in wanted if e in self._line]
+        require(bool(lines), "grounds", wanted, "electrodes that a line switches")
+        self._source.set_grounds(lines)

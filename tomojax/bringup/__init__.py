@@ -1,0 +1,16 @@
+"""Bring-up: what is wrong with a new rig, and how to mend it.
+
+The room judges recordings of nothing, of a rub and of two corners, in NumPy alone. It knows
+the sheet's physics and nothing of methods or of how slots come in.
+"""
+
+from tomojax.bringup._check import check as check
+from tomojax.bringup._fault import Checked as Checked, Fault as Fault
+from tomojax.bringup._report import (
+    picture as picture,
+    summary as summary,
+    text as text,
+    write_order as write_order,
+)
+
+__all__ = ["check", "Checked", "Fault", "picture", "summary", "text", "write_order"]

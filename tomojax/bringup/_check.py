@@ -1,0 +1,172 @@
+"""Finds out what is wrong with a new rig, from a recording of it."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax.bringup._amounts import (
+    common_settling,
+    drive_faults,
+    gain_faults,
+    settling_faults,
+    sheet_faults,
+    Work,
+)
+from tomojax.bringup._channels import hum_faults, noise_faults
+from tomojax.bringup._fault import Checked, Fault
+from tomojax.bringup._places import joint_faults, place_faults
+from tomojax.bringup._reading import Reading
+from tomojax.bringup._settled import settle
+from tomojax.bringup._wired import judge_wires
+from tomojax.bringup._wiring import quality
+from tomojax.bringup.sheet._plane import Plane
+from tomojax.bringup.sheet._slots import slots_of
+from tomojax.recordings import Recording
+
+# Grounds that gains and places need; rounds in which what is named is left out.
+_GROUNDS, _ROUNDS = 2, 3
+
+
+def check(
+    recording: Recording,
+    corners: tuple[int, int] | Literal["auto"] | None = "auto",
+    progress: Callable[[str], None] = lambda text: None,
+) -> Checked:
+    """Judges the rig that made a recording of nothing, of a rub and of two corners.
+
+    The quiet stretch, the rub and the corner touches are found in the recording. The last
+    two separate touches that hold still are corners: by default first that of electrode 0
+    (x and y least), then that at the end of row 0 (x least, y most). `corners` names other
+    electrodes, or None: there are no such touches, and a mirrored or turned array is not
+    told. Parts that are missing are told in `unjudged`.
+
+    **Raises:** `ValueError` where nothing can be said: no contact, one touch alone, or
+    voltages that are of no such sensor.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rng = np.random.default_rng(0)
+    >>> places = rng.uniform(0.012, 0.068, (24, 2))
+    >>> volts = [tx.voltages(sensor, tx.Disc(xy, 0.004, 1.0)) for xy in places]
+    >>> volts = np.stack([np.zeros((16, 16))] * 24 + volts)  # nothing, then the rub
+    >>> volts = volts + 3e-4 * rng.normal(size=volts.shape)
+    >>> volts[:, :, [5, 6]] = volts[:, :, [6, 5]]  # two wires
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(16))
+    >>> found = tx.bringup.check(recording, corners=None)
+    >>> [(fault.kind, fault.channels) for fault in found.faults]
+    [('swapped', (5, 6))]
+    """
+    progress("silence, order of channels")
+    reading = Reading(slots_of(recording))
+    progress("settling")
+    settle(reading)
+    progress("wires")
+    lines = judge_wires(reading, corners)
+    progress("what channels leave")
+    _judge_silence(reading)
+    work = _judge_channels(reading)
+    figures = _judge_rig(reading, work)
+    m, electrode = reading.plane.count, reading.order.electrode
+    grounds = np.arange(m)
+    judged = (lines.asked >= 0) & (lines.asked < m) & (lines.ground != -2)
+    grounds[lines.asked[judged]] = lines.ground[judged]
+    swing = np.median(np.abs(reading.volts), 0)[np.argsort(electrode)]
+    return Checked(
+        tuple(reading.faults),
+        reading.unjudged,
+        electrode,
+        grounds,
+        {name: float(value) for name, value in figures.items() if np.isfinite(value)},
+        reading.order.fits.xy,
+        Seen(reading.plane, swing),
+    )
+
+
+class Seen(NamedTuple):
+    """What the picture shows beside the faults."""
+
+    plane: Plane
+    swing: Float[np.ndarray, " M"]  # by electrode, V
+
+
+def _judge_silence(reading: Reading) -> None:
+    slots, silent = reading.slots, reading.silent
+    reading.faults += noise_faults(slots, silent, reading.usable)
+    reading.faults += hum_faults(slots, silent, reading.usable)
+    if np.isnan(silent.noise).any():
+        reading.unjudged["zeros, noise and hum"] = (
+            f"{silent.slots} contact-free slots: leave the sheet alone for some seconds"
+        )
+    elif not silent.seconds:
+        reading.unjudged["hum"] = "the contact-free stretch is too short"
+
+
+def _judge_channels(reading: Reading) -> Work:
+    """Gains, places, tears, old slots: in turn, without what is named already."""
+    reading.faults += common_settling(reading.lingers, reading.lingers_error)
+    work, every = reading.work(), reading.usable
+    if not np.isfinite(reading.lingers_error):
+        reading.unjudged["settling"] = "no slots that follow each other with other grounds"
+    if len(np.unique(reading.asked)) < _GROUNDS:
+        reading.unjudged["gains, places and tears"] = (
+            f"fewer than {_GROUNDS} grounds: record with --pattern all"
+        )
+        return work
+    named, now = _named(work), every
+    for _ in range(_ROUNDS - 1):
+        odd = np.zeros(reading.plane.count, bool)
+        odd[[f.channels[0] for f in named if f.kind != "tear"]] = True
+        left = every & ~odd
+        if (left == now).all() or left.sum() < reading.plane.count // 2:
+            break
+        now = reading.usable = left
+        reading.again()
+        reading.usable = every
+        work = reading.work()
+        named = _named(work)
+    reading.faults += named
+    if not any(f.kind == "tear" for f in named):
+        reading.faults += joint_faults(work)
+    return work
+
+
+def _named(work: Work) -> list[Fault]:
+    """Faults of single channels and of the sheet."""
+    slow = settling_faults(work)
+    lingering = np.isin(work.channel, [f.channels[0] for f in slow])
+    places, taken = place_faults(work, lingering)
+    slow = [f for f in slow if not taken[work.channel == f.channels[0]].any()]
+    alone = [f.channels[0] for f in places if f.kind == "misplaced"]
+    gains = gain_faults(work, taken & ~np.isin(work.channel, alone))
+    return [*gains, *slow, *places]
+
+
+def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
+    """The drive and the sheet's resistance; and the figures that are measured."""
+    slots, silent = reading.slots, reading.silent
+    faults, drive, error = drive_faults(work)
+    reading.faults += faults
+    if not np.isfinite(drive):
+        reading.unjudged["drive"] = "no contact that holds still under several grounds"
+    told = slots.rig.ground_resistance, slots.rig.sheet_resistance
+    faults, factor, sigma, why = sheet_faults(work, *told, silent.frequency)
+    reading.faults += faults
+    if why:
+        reading.unjudged["sheet_resistance"] = why
+    return {
+        "drive_V": drive,
+        "drive_known_V": error,
+        "sheet_factor": factor,
+        "sheet_factor_known": sigma,
+        "noise_V": float(np.median(silent.noise)),
+        "residual_percent": 100 * quality(reading.order.fits),
+        "settling": reading.lingers,
+        "slots_quiet": float(silent.slots),
+        "slots_touched": float(slots.touched.sum()),
+    }

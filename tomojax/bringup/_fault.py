@@ -1,0 +1,82 @@
+"""What `check` says: faults, what it could not judge, and how the rig is really wired."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.special import erf
+
+Kind = Literal[
+    "dead",
+    "stuck",
+    "swapped",
+    "mirrored",
+    "turned",
+    "ground_permuted",
+    "ground_off_by",
+    "ground_stuck",
+    "drive",
+    "sheet_resistance",
+    "gain",
+    "settling",
+    "hum",
+    "noise",
+    "tear",
+    "misplaced",
+]
+
+# Nothing is surer than this: physics that no one thought of.
+_SUREST = 0.999
+
+
+class Fault(NamedTuple):
+    """One thing that is wrong with a rig.
+
+    `channels`: of which it holds, or ground lines for the kinds of grounds; none: all.
+    `value`: how much, in SI (`unit`), or None. `certainty`: the probability that it is so, from
+    normal errors as large as sound channels show, 0.999 at most. `text`: the fault in
+    words; `mend`: what to do.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> fault = tx.bringup.Fault("gain", (5,), 1.1, "1", 0.99, "gain of 1.1", "set it")
+    >>> fault.kind, fault.channels
+    ('gain', (5,))
+    """
+
+    kind: Kind
+    channels: tuple[int, ...]
+    value: Any
+    unit: str
+    certainty: float
+    text: str
+    mend: str
+
+
+class Checked(NamedTuple):
+    """What a recording tells of its rig.
+
+    `unjudged`: what could not be judged, and what a recording must hold for it.
+    `channels`: the electrode that each channel reads. `grounds`: the electrode that each
+    ground line switches, −1 where it switches none, itself where nothing tells.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> "faults" in tx.bringup.Checked._fields
+    True
+    """
+
+    faults: tuple[Fault, ...]
+    unjudged: dict[str, str]
+    channels: Integer[np.ndarray, " M"]
+    grounds: Integer[np.ndarray, " M"]
+    figures: dict[str, float]  # noise V, drive V, …: measured
+    contacts: Float[np.ndarray, "n 2"]  # of the slots that were looked at, m
+    seen: Any = None  # for the picture
+
+
+def certainty(deviations: Any) -> float:
+    """The probability that something so many deviations from sound is a fault."""
+    return float(np.clip(erf(abs(deviations) / np.sqrt(2)), 0.5, _SUREST))

@@ -1,0 +1,185 @@
+"""Says, draws and writes down what `check` has found."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax.bringup._fault import Checked, Fault
+
+# How faults are drawn at their electrodes: marker and colour.
+_MARKS = {
+    "dead": ("x", "C3"),
+    "stuck": ("s", "C3"),
+    "gain": ("^", "C1"),
+    "noise": ("*", "C1"),
+    "hum": ("*", "C1"),
+    "settling": ("v", "C1"),
+    "ground_stuck": ("P", "C4"),
+    "ground_permuted": ("D", "C4"),
+    "swapped": ("o", "C0"),
+    "mirrored": ("o", "C0"),
+    "misplaced": ("d", "C2"),
+    "tear": ("h", "C5"),
+}
+
+# Numbers of channels in a title or a legend, at most.
+_SHOWN = 6
+
+
+def text(checked: Checked) -> str:
+    """The faults in lines, each with its certainty and its mend; what could not be judged.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.bringup.text.__name__
+    'text'
+    """
+    count = len(checked.faults)
+    figures = checked.figures
+    lines = [
+        f"{figures['slots_touched']:.0f} slots with a contact, "
+        f"{figures['slots_quiet']:.0f} without; contacts fit to "
+        f"{figures['residual_percent']:.2f} % of the voltages' span"
+    ]
+    if "noise_V" in figures:
+        lines.append(f"noise {1e3 * figures['noise_V']:.2f} mV rms")
+    if "drive_V" in figures:
+        lines.append(f"drive {figures['drive_V']:.2f} V ± {figures['drive_known_V']:.2f} V")
+    if "sheet_factor" in figures:
+        lines.append(
+            f"sheet resistance {figures['sheet_factor']:.2f} times what is told, ± "
+            f"{figures['sheet_factor_known']:.2f}, if the ground path is as told"
+        )
+    lines.append("no fault found" if not count else f"{count} fault{'s'[: count > 1]}:")
+    for fault in checked.faults:
+        sure = f"{100 * fault.certainty:.1f} % sure"
+        lines += [f"- {fault.kind}: {fault.text} ({sure})", f"  mend: {fault.mend}"]
+    if checked.unjudged:
+        lines.append("not judged:")
+        lines += [f"- {what}: {why}" for what, why in checked.unjudged.items()]
+    return "\n".join(lines)
+
+
+def summary(checked: Checked) -> dict[str, Any]:
+    """What `--json` writes: `faults`, `unjudged`, the order, and figures.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.bringup.summary.__name__
+    'summary'
+    """
+    faults = [_row(fault) for fault in checked.faults]
+    return {
+        "faults": faults,
+        "unjudged": dict(checked.unjudged),
+        "channels": checked.channels.tolist(),
+        "grounds": checked.grounds.tolist(),
+        "rows": faults,
+        "summary": {name: float(value) for name, value in checked.figures.items()},
+    }
+
+
+def _row(fault: Fault) -> dict[str, Any]:
+    row = fault._asdict()
+    return row | {"channels": list(fault.channels)}
+
+
+def write_order(checked: Checked, path: Path | str) -> None:
+    """Writes the corrected order for `--config` of `live` and `record`, as TOML.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.bringup.write_order.__name__
+    'write_order'
+    """
+    lines = [
+        "# The order that `tomojax check` found: --config of `tomojax live` and `record`.",
+        "# The electrode that each channel reads, and that each ground line switches",
+        "# (-1: none).",
+        f"channels = {checked.channels.tolist()}",
+        f"grounds = {checked.grounds.tolist()}",
+    ]
+    Path(path).write_text("\n".join(lines) + "\n")
+
+
+def picture(checked: Checked) -> Any:
+    """The sheet with its electrodes, contacts, and the faults where they are.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.bringup.picture.__name__
+    'picture'
+    """
+    from matplotlib.figure import Figure
+
+    plane, swing = checked.seen
+    figure = Figure(figsize=(8.4, 6.0), layout="constrained")
+    axes = figure.subplots()
+    size, xy = 1e3 * plane.size, 1e3 * plane.xy
+    axes.plot(*1e3 * checked.contacts.T, ".", color="0.8", ms=3, zorder=1)
+    radius = 500 * plane.diameter
+    drawn = axes.scatter(
+        *xy.T, c=swing, s=90, cmap="viridis", edgecolors="0.3", lw=0.5, zorder=2
+    )
+    figure.colorbar(drawn, label="median voltage in touches, V", shrink=0.8)
+    back = np.argsort(checked.channels)
+    for e, (x, y) in enumerate(xy):
+        axes.annotate(
+            str(back[e]),
+            (x, y),
+            (x, y + 1.3 * radius),
+            ha="center",
+            va="bottom",
+            fontsize=6,
+        )
+    for fault in checked.faults:
+        _draw(axes, checked, fault, xy, back, plane)
+    whole = [f for f in checked.faults if not f.channels]
+    told = "; ".join(f.text for f in whole) or (
+        "no fault found" if not checked.faults else ""
+    )
+    axes.set(
+        xlim=(0, size[0]),
+        ylim=(0, size[1]),
+        aspect="equal",
+        xlabel="x, mm",
+        ylabel="y, mm",
+        title="electrodes by the channels that read them; contacts grey",
+    )
+    handles, names = axes.get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, names, loc="outside lower center", fontsize=8, ncols=2)
+    if told:
+        figure.suptitle(told, fontsize=9, wrap=True)
+    return figure
+
+
+def _draw(axes: Any, checked: Checked, fault: Fault, xy, back, plane) -> None:
+    if not fault.channels or fault.kind not in _MARKS:
+        return
+    marker, colour = _MARKS[fault.kind]
+    # Lines of grounds are named by themselves; channels by what they read.
+    lines = fault.kind.startswith("ground")
+    at = [
+        checked.grounds[c] if lines and checked.grounds[c] >= 0 else c if lines
+        else int(np.flatnonzero(back == c)[0])
+        for c in fault.channels
+    ]  # fmt: skip
+    some = ", ".join(map(str, fault.channels[:_SHOWN]))
+    more = ", …" if len(fault.channels) > _SHOWN else ""
+    axes.plot(
+        *xy[at].T, marker, color=colour, ms=13, mfc="none", mew=2, zorder=4,
+        label=f"{fault.kind} {some}{more}",
+    )  # fmt: skip
+    if fault.kind == "misplaced":
+        by = [fault.value["x_mm"], fault.value["y_mm"]]
+        axes.annotate(
+            "", xy[at[0]] + by, xy[at[0]], arrowprops={"arrowstyle": "->", "color": colour}
+        )
+    if fault.kind == "swapped" and len(at) == 2:
+        axes.plot(*xy[at].T, "-", color=colour, lw=1, zorder=3)

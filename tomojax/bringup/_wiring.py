@@ -1,0 +1,296 @@
+"""Which electrode each channel reads, and which electrode each ground line grounds."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.optimize import linear_sum_assignment
+
+from tomojax.bringup.sheet._fit import Fits, fitted
+from tomojax.bringup.sheet._plane import Plane
+
+# Slots that starts are compared on; rounds of assigning; blocks of slots, whose median no
+# slot that is fitted wrongly moves.
+_SOME, _ROUNDS, _BLOCKS = 120, 12, 9
+
+# A channel moves to an electrode that fits so much better, of what its own leaves, if that
+# leaves more than usual so many times, and more than this part of the voltages' span.
+_BETTER, _MORE, _LEAST = 0.4, 3.0, 0.006
+
+# Electrodes without a channel that are tried as grounds, at most.
+_BLIND = 4
+
+# Electrodes in one row or column are in line to this part of a pitch.
+_LINE = 0.25
+
+# Part of the slots of a line that show the same ground.
+_SHARE = 0.5
+
+# A slot in which nothing is grounded spans no more than this part of the drive.
+_FLAT = 0.02
+
+
+def lattice(plane: Plane) -> tuple[int, int] | None:
+    """Rows and columns, where electrodes lie on a grid in the order of `Sensor.grid`."""
+    m = plane.count
+    for columns in range(1, m + 1):
+        if m % columns:
+            continue
+        rows = m // columns
+        at = plane.xy.reshape(rows, columns, 2)
+        slack = _LINE * plane.pitch
+        straight = (
+            np.ptp(at[..., 0], 1).max() < slack and np.ptp(at[..., 1], 0).max() < slack
+        )
+        rising = rows == 1 or (np.diff(at[:, 0, 0]) > slack).all()
+        rising = rising and (columns == 1 or (np.diff(at[0, :, 1]) > slack).all())
+        if straight and rising:
+            return rows, columns
+    return None
+
+
+def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
+    """By name: the electrode at the place where each one's image lies, where all have one.
+
+    Images of the sheet onto itself, `identity` first.
+    """
+    a, b = plane.size
+    square = abs(a - b) < 1e-3 * max(a, b)
+    x, y = plane.xy.T
+    images = {
+        "identity": (x, y),
+        "mirrored along x": (a - x, y),
+        "mirrored along y": (x, b - y),
+        "turned by 180°": (a - x, b - y),
+    }
+    if square:
+        images |= {
+            "mirrored, x and y exchanged": (y, x),
+            "turned by 90°": (a - y, x),
+            "turned by −90°": (y, a - x),
+            "mirrored at the other diagonal": (a - y, a - x),
+        }
+    found = {}
+    for name, image in images.items():
+        apart = np.hypot(*(np.stack(image, 1)[:, None] - plane.xy).transpose(2, 0, 1))
+        nearest = apart.argmin(1)
+        whole = len(np.unique(nearest)) == plane.count
+        if whole and apart.min(1).max() < _LINE * plane.pitch:
+            found[name] = nearest
+    return found
+
+
+def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
+    """Orders of channels to begin with: as told, and those that a plug or a loop makes."""
+    m = np.arange(plane.count)
+    found = {"as told": m, "one on": np.roll(m, -1), "one back": np.roll(m, 1)}
+    grid = lattice(plane)
+    if grid is not None:
+        index = m.reshape(grid)
+        found["rows for columns"] = index.T.ravel()
+        found["columns for rows"] = m.reshape(grid[::-1]).T.ravel()
+        for name, first in (("every second row reversed", 1), ("first row reversed", 0)):
+            winding = index.copy()
+            winding[first::2] = winding[first::2, ::-1]
+            found[name] = winding.ravel()
+    return found
+
+
+class Order(NamedTuple):
+    """Which electrode each channel reads, and how well contacts fit then."""
+
+    electrode: Integer[np.ndarray, " M"]  # of each channel
+    fits: Fits
+    cost: Float[np.ndarray, "M M"]  # of channels at electrodes, of the voltages' span
+
+    def by_electrode(self, values: np.ndarray) -> np.ndarray:
+        """Values of channels (…, M) in the order of electrodes."""
+        return values[..., np.argsort(self.electrode)]
+
+
+def quality(fits: Fits) -> float:
+    """What is left of a slot's span in the median."""
+    return float(np.median(fits.left / np.maximum(fits.span, 1e-12)))
+
+
+def grounds_to_try(
+    asked: np.ndarray, order: np.ndarray, usable: np.ndarray
+) -> Integer[np.ndarray, "n k"]:
+    """Beside the lowest channels: what was commanded, and electrodes without a channel."""
+    inside = np.where((asked >= 0) & (asked < len(order)), asked, 0)
+    blind = order[~usable][:_BLIND]
+    return np.column_stack([inside, *(np.full(len(inside), e) for e in blind)])
+
+
+def order_of(
+    plane: Plane,
+    volts: Float[np.ndarray, "n M"],
+    usable: np.ndarray,
+    asked: Integer[np.ndarray, " n"],
+    always: int | None = None,
+    enough: float = 0.01,
+) -> Order:
+    """The order of channels in which contacts fit; `usable` channels tell."""
+    n, m = volts.shape
+    rng = np.random.default_rng(1)
+    some = np.sort(rng.choice(n, min(n, _SOME), replace=False))
+
+    def fit(order: np.ndarray, slots: np.ndarray) -> Fits:
+        back = np.argsort(order)
+        weight = np.broadcast_to(usable[back].astype(float), (len(slots), m))
+        given = volts[slots][:, back], weight, grounds_to_try(asked[slots], order, usable)
+        return fitted(plane, *given, None if always is None else int(order[always]))
+
+    best, lowest = None, np.inf
+    for order in starts(plane).values():
+        q = quality(fit(order, some))
+        if q < 0.7 * lowest:
+            best, lowest = order, q
+        if lowest < enough:
+            break
+    if lowest > 5 * enough:
+        scaled = _embedded(plane, volts, usable)
+        for order in scaled:
+            q = quality(fit(order, some))
+            if q < 0.7 * lowest:
+                best, lowest = order, q
+    assert best is not None
+    every = np.arange(n)
+    seen = {tuple(best)}
+    for _ in range(_ROUNDS):
+        slots = some if n > 2 * _SOME and len(seen) < 3 and lowest > enough else every
+        fits = fit(best, slots)
+        cost = costs(volts[slots], fits)
+        new = _assigned(cost, best, usable)
+        if tuple(new) in seen:
+            if len(slots) == n:
+                if (new == best).all():
+                    return Order(best, fits, cost)
+                break
+            lowest = 0.0
+            continue
+        seen.add(tuple(new))
+        best = new
+    fits = fit(best, every)
+    return Order(best, fits, costs(volts, fits))
+
+
+def costs(volts: np.ndarray, fits: Fits) -> Float[np.ndarray, "M M"]:
+    """What each channel leaves at each electrode, with any gain, of the span; rms."""
+    relative = fits.left / np.maximum(fits.span, 1e-12)
+    sound = relative < 4 * np.median(relative)
+    weight = (fits.far * sound[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
+    rng = np.random.default_rng(2)
+    blocks = np.array_split(rng.permutation(len(volts)), min(_BLOCKS, len(volts)))
+    found = []
+    for some in blocks:
+        v, w, p = volts[some], weight[some], fits.modelled[some]
+        xy, xx = v.T @ (w * p), (w * p**2).sum(0)
+        square = (v**2).T @ w - np.maximum(xy, 0) ** 2 / np.maximum(xx, 1e-12)
+        count = (w > 0).sum(0)
+        mean = np.maximum(square, 0) / np.maximum(count, 1)
+        found.append(np.where(count > 0, mean, np.nan))
+    with np.errstate(all="ignore"):
+        middle = np.nanmedian(np.where(np.isnan(found).all(0), 1.0, found), 0)
+    return np.sqrt(middle)
+
+
+def _assigned(cost: np.ndarray, order: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    m = len(order)
+    own = cost[np.arange(m), order]
+    usual = np.median(own[usable])
+    wrong = usable & (own > max(_MORE * usual, _LEAST))
+    # Electrodes that no sound channel has; dead channels keep theirs if they are left.
+    free = np.setdiff1d(np.arange(m), order[~wrong & usable])
+    moving = np.flatnonzero(wrong)
+    if not len(moving):
+        return order
+    table = cost[np.ix_(moving, free)].copy()
+    for i, c in enumerate(moving):
+        table[i, free == order[c]] *= _BETTER
+    rows, columns = linear_sum_assignment(table)
+    new = order.copy()
+    for i, j in zip(rows, columns):
+        c, e = moving[i], free[j]
+        if cost[c, e] < _BETTER * own[c]:
+            new[c] = e
+    # Whoever lost its electrode takes one that is left.
+    return _whole(new, order, usable, cost)
+
+
+def _whole(new, order, usable, cost) -> np.ndarray:
+    """A permutation again: electrodes with two channels keep the one that fits best."""
+    m = len(new)
+    taken: dict[int, int] = {}
+    sure = sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]]))
+    for c in sure:
+        if int(new[c]) not in taken:
+            taken[int(new[c])] = c
+    lost = [c for c in range(m) if taken[int(new[c])] != c]
+    left = [e for e in range(m) if e not in taken]
+    for c in lost:
+        e = int(order[c]) if int(order[c]) in left else left[0]
+        left.remove(e)
+        new[c] = e
+    return new
+
+
+def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
+    """Orders from how alike channels are, slot by slot: neighbours on the sheet are."""
+    m = plane.count
+    scaled = volts / np.maximum(np.median(volts, 1, keepdims=True), 1e-9)
+    ranks = scaled.argsort(1).argsort(1) / m
+    apart = np.sqrt(((ranks[:, :, None] - ranks[:, None]) ** 2).mean(0))
+    apart = apart**2
+    centre = np.eye(m) - 1 / m
+    values, vectors = np.linalg.eigh(-centre @ apart @ centre / 2)
+    flat = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0))
+    # As wide as the electrodes lie, along their own axes and turned by an eighth.
+    goal = plane.xy - plane.xy.mean(0)
+    found = []
+    for angle in np.arange(8) * np.pi / 8:
+        for flip in (1, -1):
+            c, s = np.cos(angle), np.sin(angle)
+            turned = flat @ np.array([[c, -s], [s, c]]) * [1, flip]
+            turned = turned / turned.std(0) * goal.std(0)
+            table = ((turned[:, None] - goal) ** 2).sum(2)
+            found.append(linear_sum_assignment(table)[1])
+    return found
+
+
+class Lines(NamedTuple):
+    """What each ground line does, by the number that is commanded."""
+
+    asked: Integer[np.ndarray, " L"]
+    ground: Integer[np.ndarray, " L"]  # electrode that is grounded; −1: none; −2: unsure
+    share: Float[np.ndarray, " L"]  # of the slots that say so
+    slots: Integer[np.ndarray, " L"]
+
+
+def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
+    """The electrode that most slots of each commanded ground show."""
+    relative = fits.left / np.maximum(fits.span, 1e-12)
+    weight = 1 / (1 + (relative / max(np.median(relative), 1e-6)) ** 2)
+    numbers = np.unique(asked)
+    ground, share, count = [], [], []
+    for g in numbers:
+        own = asked == g
+        count.append(int(own.sum()))
+        if flat[own].mean() > _SHARE:
+            ground.append(-1)
+            share.append(float(flat[own].mean()))
+            continue
+        votes = np.bincount(fits.ground[own], weight[own] * ~flat[own] + 1e-12)
+        best = int(votes.argmax())
+        share.append(float(votes[best] / votes.sum()))
+        ground.append(best if share[-1] > _SHARE else -2)
+    return Lines(numbers, np.array(ground), np.array(share), np.array(count))
+
+
+def floating(volts: np.ndarray, usable: np.ndarray, drive: float) -> np.ndarray:
+    """Slots in which nothing is grounded: all channels high and alike."""
+    v = volts[:, usable]
+    low, middle, high = np.quantile(v, [0.0, 0.5, 0.95], axis=1)
+    second = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]
+    del low
+    return (high - second < _FLAT * drive) & (middle > 0.1 * drive)

@@ -1,0 +1,183 @@
+"""One contact in each slot: where it is, which electrode is grounded, and what is left.
+
+The ground is not believed: it is found, as the electrode from which the sheet is drained.
+Mirrored or turned channels fit as well as sound ones, with the ground mirrored or turned:
+physics does not tell. Slots are fitted alone, so that no length of a scan matters.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from tomojax.bringup.sheet._plane import Plane
+
+# Electrodes this near to a contact lie under it, perhaps; pitches.
+UNDER = 0.65
+
+# Residuals beyond this many of their deviations (median) are not counted.
+_WILD = 5.0
+
+# Lowest channels that a ground is looked for among; Gauss and Newton's steps.
+_LOWEST, _STEPS = 3, 5
+
+# A residual is as small as this part of the slot's span at best: else nothing is wild.
+_FLOOR = 0.004
+
+
+class Fits(NamedTuple):
+    """Of n slots."""
+
+    xy: Float[np.ndarray, "n 2"]  # contact, m
+    ground: Integer[np.ndarray, " n"]  # electrode that drains
+    current: Float[np.ndarray, " n"]  # over the sheet's conductance: V at 1 Ω per square
+    level: Float[np.ndarray, " n"]  # V
+    modelled: Float[np.ndarray, "n M"]  # V, by electrode; far from contact and ground
+    far: Float[np.ndarray, "n M"]  # where it holds: 0 or 1
+    left: Float[np.ndarray, " n"]  # V, median of residuals
+    span: Float[np.ndarray, " n"]  # V, between high and low channels
+    second: Float[
+        np.ndarray, " n"
+    ]  # as `current`, by the electrode that is always grounded
+
+
+def fitted(
+    plane: Plane,
+    volts: Float[np.ndarray, "n M"],
+    weight: Float[np.ndarray, "n M"],
+    told: Integer[np.ndarray, "n k"] | None = None,
+    always: int | None = None,
+) -> Fits:
+    """Fits every slot; `volts` by electrode, `weight` 0 where a voltage is not to be used.
+
+    `told` are further grounds to try; `always`: an electrode that is grounded as well.
+    """
+    n, m = volts.shape
+    hidden = np.where(weight > 0, volts, np.inf)
+    if always is not None:
+        hidden[:, always] = np.inf
+    tried = np.argsort(hidden, 1)[:, :_LOWEST]
+    if told is not None:
+        tried = np.concatenate([told, tried], 1)
+    counted = weight
+    xy = ground = None
+    for again in range(2):
+        cost, place, which = np.full(n, np.inf), np.zeros(n, int), np.zeros(n, int)
+        for k in range(tried.shape[1]):
+            sink = tried[:, k]
+            new = np.flatnonzero((tried[:, :k] != sink[:, None]).all(1))
+            given = volts[new], counted[new], sink[new], always
+            best, at = _searched(plane, *given)
+            less = best < cost[new]
+            new = new[less]
+            cost[new], place[new], which[new] = best[less], at[less], sink[new]
+        xy, ground = plane.places[place], which
+        tried = np.stack([which, tried[:, 0]], 1)
+        xy = _nearer(plane, volts, counted, xy, ground, always)
+        if not again:
+            found = _told(plane, volts, weight, xy, ground, always)
+            counted = weight * _believed(found, volts, weight)
+    assert xy is not None and ground is not None
+    return _told(plane, volts, counted, xy, ground, always, weight)
+
+
+def _believed(found: Fits, volts: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    least = np.maximum(1.5 * found.left, _FLOOR * found.span)
+    return (np.abs(volts - found.modelled) < _WILD * least[:, None]).astype(float)
+
+
+def _drop_sink(weight: np.ndarray, sink: np.ndarray, always: int | None) -> np.ndarray:
+    weight = weight.copy()
+    weight[np.arange(len(weight)), sink] = 0
+    if always is not None:
+        weight[:, always] = 0
+    return weight
+
+
+def _searched(plane, volts, weight, sink, always) -> tuple[np.ndarray, np.ndarray]:
+    """The least cost over all places, and the place: closed form in I and C for each."""
+    w = _drop_sink(weight, sink, always)
+    far = (plane.distance(plane.places) > UNDER).astype(float).T  # (M, K)
+    field, away = plane.fields.T, -plane.between[sink]
+    fared, squared = far * field, far * field**2
+    s0 = w @ far
+    sv, svv = (w * volts) @ far, (w * volts**2) @ far
+    sd = w @ fared + (w * away) @ far
+    sdv = (w * volts) @ fared + (w * volts * away) @ far
+    sdd = w @ squared + 2 * (w * away) @ fared + (w * away**2) @ far
+    s0 = np.maximum(s0, 1e-9)
+    vv, dv, dd = svv - sv**2 / s0, sdv - sd * sv / s0, sdd - sd**2 / s0
+    dd = np.maximum(dd, 1e-12)
+    if always is None:
+        cost = vv - np.maximum(dv, 0) ** 2 / dd
+    else:
+        # A part of the current leaves by the other electrode: one more column.
+        more = -plane.between[always] - away  # (n, M)
+        se = (w * more) @ far
+        sev, see = (w * more * volts) @ far, (w * more**2) @ far
+        sed = (w * more) @ fared + (w * more * away) @ far
+        ev, ee, ed = sev - se * sv / s0, see - se**2 / s0, sed - se * sd / s0
+        det = np.maximum(dd * ee - ed**2, 1e-9 * dd * np.maximum(ee, 1e-12) + 1e-15)
+        a, b = (ee * dv - ed * ev) / det, (dd * ev - ed * dv) / det
+        both = np.where((a > 0) & (b > 0), a * dv + b * ev, np.maximum(dv, 0) ** 2 / dd)
+        cost = vv - both
+    # A place that hides many electrodes has fewer to fit.
+    free = np.maximum(s0 - 4, 0.5)
+    cost = np.where(s0 > 4.5, cost / free, np.inf)
+    at = cost.argmin(1)
+    return cost[np.arange(len(cost)), at], at
+
+
+def _columns(plane, xy, sink, always) -> list[np.ndarray]:
+    first = plane.from_electrodes(xy) - plane.between[sink]
+    if always is None:
+        return [first, np.ones_like(first)]
+    return [first, np.ones_like(first), plane.between[sink] - plane.between[always]]
+
+
+def _solved(columns: list[np.ndarray], volts: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Least squares of each slot in its columns, (n, k)."""
+    a = np.stack(columns, -1)  # (n, M, k)
+    weighed = a * w[..., None]
+    normal = np.einsum("nmi,nmj->nij", weighed, a)
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-12))
+    normal = normal / (scale[:, :, None] * scale[:, None])
+    normal = normal + 1e-9 * np.eye(len(columns))
+    right = np.einsum("nmi,nm->ni", weighed, volts) / scale
+    return np.linalg.solve(normal, right[..., None])[..., 0] / scale
+
+
+def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
+    """Places by Gauss and Newton's steps from those of the search."""
+    w0 = _drop_sink(weight, sink, always)
+    step = plane.pitch / 4
+    h = 0.02 * plane.pitch
+    least, most = 0.05 * plane.pitch, plane.size - 0.05 * plane.pitch
+    for _ in range(_STEPS):
+        w = w0 * (plane.distance(xy) > UNDER)
+        columns = _columns(plane, xy, sink, always)
+        x = _solved(columns, volts, w)
+        by = [
+            (plane.from_electrodes(xy + d) - plane.from_electrodes(xy - d)) / (2 * h)
+            for d in h * np.eye(2)
+        ]
+        slopes = [x[:, :1] * d for d in by]
+        x = _solved([*columns, *slopes], volts, w)
+        move = np.clip(x[:, -2:], -step, step)
+        xy = np.clip(xy + np.nan_to_num(move), least, most)
+    return xy
+
+
+def _told(plane, volts, counted, xy, sink, always, weight=None) -> Fits:
+    weight = counted if weight is None else weight
+    far = _drop_sink((plane.distance(xy) > UNDER).astype(float), sink, always)
+    columns = _columns(plane, xy, sink, always)
+    x = _solved(columns, volts, counted * far)
+    modelled = np.einsum("nmi,ni->nm", np.stack(columns, -1), x)
+    masked = np.where(weight * far > 0, np.abs(volts - modelled), np.nan)
+    seen = np.where(weight > 0, volts, np.nan)
+    masked[np.isnan(masked).all(1), 0] = np.inf
+    left = np.nanmedian(masked, 1)
+    span = np.nanquantile(seen, 0.95, 1) - np.nanquantile(seen, 0.05, 1)
+    second = x[:, 2] if always is not None else np.zeros(len(xy))
+    return Fits(xy, sink, x[:, 0], x[:, 1], modelled, far, left, span, second)

@@ -1,0 +1,102 @@
+"""Potentials on an even rectangle between electrodes, in NumPy: no compiling, float64.
+
+The same Green's function as `kernels/sheet`'s, for points: a slot's voltages beside a
+source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C, whatever the contact's
+and the ground's resistances are; these are in I and C alone.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax.recordings import Rig
+
+# Images on each side: each brings a factor of exp(−2π·long/short) at least.
+_IMAGES = 3
+
+# Places that a contact is looked for at, of the pitch; and how near to the edge.
+_STEP, _EDGE = 0.25, 0.1
+
+# Places nearer than this are one, of the electrodes' diameter.
+_POINT = 0.05
+
+
+def green(one: np.ndarray, other: np.ndarray, size: np.ndarray, least: float) -> np.ndarray:
+    """G(x, x') at 1 Ω per square for broadcast places (…, 2); no nearer than `least`, m."""
+    long = int(np.argmax(size))
+    a, b = float(size[long]), float(size[1 - long])
+    x, x_ = one[..., long], other[..., long]
+    y, y_ = one[..., 1 - long], other[..., 1 - long]
+    rod = a / 3 - np.maximum(x, x_) + (x**2 + x_**2) / (2 * a)
+    cosines = np.cos(np.pi * (y - y_) / b), np.cos(np.pi * (y + y_) / b)
+    close = (np.pi * least / b) ** 2
+    logs = 0.0
+    for n in range(-_IMAGES, _IMAGES + 1):
+        for mirrored in (x_, -x_):
+            near = np.exp(-np.pi * np.abs(x - mirrored - 2 * n * a) / b)
+            for cosine in cosines:
+                logs = logs + np.log(np.maximum(1 - 2 * near * cosine + near**2, close))
+    return rod / b - logs / (4 * np.pi)
+
+
+class Plane:
+    """The sheet of a rig: its electrodes, places for contacts, and potentials of both."""
+
+    def __init__(self, rig: Rig):
+        self.xy = np.asarray(rig.electrode_xy, float)
+        self.size = np.asarray(rig.size, float)
+        self.count = len(self.xy)
+        self.diameter = float(rig.electrode_diameter)
+        self.pitch = float(np.sqrt(np.prod(self.size) / self.count))
+        # Discs in good contact even out the sheet under them (Maxwell, in two dimensions).
+        covered = self.count * np.pi / 4 * self.diameter**2 / np.prod(self.size)
+        self.least_shunt = float((1 - covered) / (1 + covered))
+        self._least = _POINT * self.diameter
+
+    def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Of two places (…, 2), at 1 Ω per square."""
+        return green(one, other, self.size, self._least)
+
+    def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
+        """Potentials at the electrodes of sources at places, (n, M)."""
+        return self.green(places[:, None], self.xy[None])
+
+    @cached_property
+    def places(self) -> Float[np.ndarray, "K 2"]:
+        """Where contacts are looked for."""
+        step, edge = _STEP * self.pitch, _EDGE * self.pitch
+        axes = [np.linspace(edge, s - edge, round((s - 2 * edge) / step) + 1)
+                for s in self.size]  # fmt: skip
+        return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+
+    @cached_property
+    def fields(self) -> Float[np.ndarray, "K M"]:
+        """Potentials at the electrodes of sources at `places`."""
+        return self.from_electrodes(self.places)
+
+    @cached_property
+    def between(self) -> Float[np.ndarray, "M M"]:
+        """Potentials at the electrodes of sources at electrodes; a disc's own at its rim."""
+        apart = self.xy[:, None] - self.xy[None]
+        rim = np.array([self.diameter / 2, 0.0])
+        table = self.green(self.xy[:, None], self.xy[None])
+        inward = np.where(self.xy[:, :1] + rim[:1] < self.size[0], 1, -1) * rim
+        np.fill_diagonal(table, self.green(self.xy, self.xy + inward))
+        del apart
+        return table
+
+    def distance(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n M"]:
+        """From places to the electrodes, in pitches."""
+        return np.hypot(*(places[:, None] - self.xy).transpose(2, 0, 1)) / self.pitch
+
+    def slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
+        """∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
+        h = 0.01 * self.pitch
+        return np.stack(
+            [
+                self.green(places[:, None], self.xy + by)
+                - self.green(places[:, None], self.xy - by)
+                for by in h * np.eye(2)
+            ]
+        ) / (2 * h)

@@ -1,0 +1,114 @@
+"""The slots of a recording that `check` looks at: the quiet ones and the touched ones."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+
+from tomojax.recordings import Recording, Rig
+
+# Slots of a window, in which a contact hardly moves; windows that are looked at, at most;
+# and slots of silence.
+WINDOW, _WINDOWS, _SILENCE = 10, 120, 1 << 15
+
+# Half of the channels are lower than this part of the drive where nothing touches. A slot
+# is touched, and no longer quiet, where they exceed so many deviations of those levels, or
+# these parts of the drive.
+_LOW, _TOUCHED, _QUIET, _RISES, _STAYS = 0.015, 0.005, 0.002, 5.0, 3.5
+
+# Slots between a touch and what counts as silence, windows.
+_APART = 1
+
+# Slots whose starts differ from one slot's time by more than this part do not follow.
+_FOLLOWS = 0.5
+
+
+class Slots(NamedTuple):
+    """All slots in their order: what they show, and which follow each other."""
+
+    rig: Rig
+    volts: Float[np.ndarray, "n M"]  # float32, times the drive's sign
+    asked: Integer[np.ndarray, " n"]  # ground that was commanded
+    time: Float[np.ndarray, " n"]  # s
+    follows: Bool[np.ndarray, " n"]  # the slot before is the one measured before
+    quiet: Bool[np.ndarray, " n"]
+    touched: Bool[np.ndarray, " n"]
+
+    @property
+    def drive(self) -> float:
+        """As told, V."""
+        return abs(self.rig.drive_voltage)
+
+    def runs(self, which: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
+        """Stretches where `which` holds, first and behind the last."""
+        steps = np.diff(np.concatenate([[0], which.astype(int), [0]]))
+        ends = (np.flatnonzero(steps == by).tolist() for by in (1, -1))
+        return list(zip(*ends))
+
+
+def slots_of(recording: Recording) -> Slots:
+    """Reads a recording, and tells what is touched from what is quiet."""
+    rig = recording.rig
+    scans = recording.read(0, recording.scans)
+    m = recording.electrodes
+    sign = np.float32(np.sign(rig.drive_voltage))
+    volts = np.nan_to_num(scans.voltages.reshape(-1, m), posinf=0, neginf=0) * sign
+    time = scans.t0[:, None] + np.arange(recording.slots) / rig.f_switch
+    time = time.ravel()
+    follows = np.zeros(len(time), bool)
+    follows[1:] = np.abs(np.diff(time) * rig.f_switch - 1) < _FOLLOWS
+    after = recording.rows_after_gaps() * recording.slots
+    follows[after[after < len(time)]] = False
+    quiet, touched = _contact(volts, abs(rig.drive_voltage))
+    asked = np.asarray(scans.grounds).reshape(-1).astype(int)
+    return Slots(rig, volts, asked, time, follows, quiet, touched)
+
+
+def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which slots are quiet and which touched: those between are neither.
+
+    Half of the channels tell, over a window: a contact on the grounded electrode leaves
+    the others low for a slot.
+    """
+    level = np.median(volts, 1)
+    low = level[np.abs(level) < _LOW * drive]
+    middle = float(np.median(low)) if len(low) else 0.0
+    # Hum is in all channels: as large as its amplitude is what silence spreads by.
+    wide = 1.4826 * float(np.median(np.abs(low - middle))) if len(low) else 0.0
+    level = level - middle
+    windows = -(-len(level) // WINDOW)
+    padded = np.pad(level, (0, windows * WINDOW - len(level)), "edge")
+    parts = padded.reshape(windows, WINDOW)
+    high = np.repeat(np.median(parts, 1), WINDOW)[: len(level)]
+    most = np.repeat(np.abs(parts).max(1), WINDOW)[: len(level)]
+    enough = max(_TOUCHED * drive, _RISES * wide)
+    touched = (level > enough) & (high > enough)
+    calm = most < max(_QUIET * drive, _STAYS * wide)
+    # What is beside a touch may be one.
+    reach = _APART * WINDOW
+    near = np.convolve((level > enough).astype(float), np.ones(2 * reach + 1))
+    return calm & (near[reach : len(level) + reach] < 0.5), touched
+
+
+def chosen(slots: Slots, rng: np.random.Generator) -> Integer[np.ndarray, " n"]:
+    """Numbers of the touched slots to fit: windows anywhere, so that pattern and choice
+    have no common period."""
+    runs = [(a, b) for a, b in slots.runs(slots.touched) if b - a >= 2]
+    starts = [a + k for a, b in runs for k in range(0, b - a, WINDOW)]
+    ends = {a + k: min(a + k + WINDOW, b) for a, b in runs for k in range(0, b - a, WINDOW)}
+    if len(starts) > _WINDOWS:
+        starts = sorted(rng.choice(starts, _WINDOWS, replace=False).tolist())
+    some = [np.arange(a, ends[a]) for a in starts]
+    return np.concatenate(some) if some else np.zeros(0, int)
+
+
+def silence(slots: Slots) -> Integer[np.ndarray, " n"]:
+    """Numbers of quiet slots: the longest stretch first, no more than are needed."""
+    runs = sorted(slots.runs(slots.quiet), key=lambda run: run[0] - run[1])
+    some, left = [], _SILENCE
+    for a, b in runs:
+        some.append(np.arange(a, min(b, a + left)))
+        left -= len(some[-1])
+        if left <= 0:
+            break
+    return np.sort(np.concatenate(some)) if some else np.zeros(0, int)
