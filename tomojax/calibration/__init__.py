@@ -4,6 +4,11 @@ The room makes a `tomojax.Calibration`; the sensor room applies it. It knows not
 results.
 """
 
+from tomojax.calibration._adapt import (
+    Adapter as Adapter,
+    lone_places as lone_places,
+    stretches as stretches,
+)
 from tomojax.calibration._calibrate import (
     calibrate as calibrate,
     Calibrated as Calibrated,
@@ -32,6 +37,7 @@ from tomojax.calibration._unknowns import unknowns_of as unknowns_of
 
 # The rest serves the command and tests.
 __all__ = [
+    "Adapter",
     "calibrate",
     "calibrate_presses",
     "calibrate_recording",

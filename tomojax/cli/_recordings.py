@@ -77,6 +77,11 @@ tdms_option = click.option(
     help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
 )
 @click.option(
+    "--adapt",
+    is_flag=True,
+    help="Follow zeros and gains that drift, slowly; the results log them.",
+)
+@click.option(
     "--policy",
     type=_FILE,
     help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
@@ -114,6 +119,8 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     follows = options["method"] == "follow"
     if follows and any(value is not None for value in given):
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
+    if options["adapt"] and any(value is not None for value in given):
+        raise ValueError("--coordinator: --adapt goes in order; use one process")
     share = distributed.join(*given, out=out, resume=options["resume"])
     images = options["images"]
     rate = options["rate"] or ("slot" if follows else "scan")
@@ -129,6 +136,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         calibration=str(options["calibration"]) if options["calibration"] else None,
         policy=str(options["policy"]) if options["policy"] else None,
         tare=options["tare"],
+        adapt=options["adapt"],
     )
     for path in (options["picture"], options["json_path"]):
         if path and not path.parent.is_dir():

@@ -89,6 +89,11 @@ class Calibration:
         offset, gain = (np.asarray(a, readings.dtype) for a in (self.offset, self.gain))
         return (readings - offset) / gain
 
+    def readings(self, voltages: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
+        """What would have been read: the inverse of `voltages`."""
+        offset, gain = (np.asarray(a, voltages.dtype) for a in (self.offset, self.gain))
+        return voltages * gain + offset
+
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""
         at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
