@@ -32,6 +32,10 @@ from tomojax.calibration._slopes import (
     rig_slopes as rig_slopes,
     slopes_by_rig as slopes_by_rig,
 )
+from tomojax.calibration._still_fits import (
+    fit_text as fit_text,
+    still_fits as still_fits,
+)
 from tomojax.calibration._tare import tare as tare
 from tomojax.calibration._unknowns import unknowns_of as unknowns_of
 
@@ -45,5 +49,6 @@ __all__ = [
     "force",
     "pressure",
     "read_places",
+    "still_fits",
     "tare",
 ]

@@ -36,7 +36,7 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     2.0 mV
     """
     calibration = calibration or Calibration()
-    v, grounds = _quiet_slots(recording, calibration)
+    v, grounds = quiet_slots(recording, calibration)
     if len(v) < _LEAST:
         return calibration
     # Of one slot and the next: what changes slowly does not count.
@@ -62,7 +62,7 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     )
 
 
-def _quiet_slots(
+def quiet_slots(
     recording: Recording, calibration: Calibration
 ) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
     each = max(1, _SLOTS // _STRETCHES // recording.slots)

@@ -219,12 +219,22 @@ def _bar(share: tuple[int, int]):
 @click.command()
 @click.argument("rec", type=_FILE)
 @click.option(
+    "--calibration", type=_FILE, help="Say how old this is, and whether REC still fits it."
+)
+@click.option(
     "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
 )
 @tdms_option
-def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
+def info(
+    rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
+) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
+
+    if calibration is not None:
+        from tomojax.sensor import Calibration
+
+        known = Calibration.load(calibration)
 
     with open_recording(rec, **tdms) as recording:
         summary = info.summary(recording)
@@ -236,7 +246,20 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
                 bar.update(done - bar.n)
 
             rows = info.faults(recording, progress)
+        fit = None
+        if calibration is not None:
+            from tomojax.calibration import still_fits
+
+            try:
+                fit = still_fits(recording, known)
+            except ValueError as error:
+                raise ValueError(f"{calibration}: {error}") from None
     print(info.text(rec, summary, rows))
+    if fit is not None:
+        from tomojax.calibration import fit_text
+
+        print(fit_text(fit))
+        summary["calibration"] = {"file": str(calibration), **fit}
     if json_path:
         from tomojax._environment import environment
 
