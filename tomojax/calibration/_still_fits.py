@@ -51,7 +51,7 @@ def still_fits(
     False
     """
     sensor = recording.rig.sensor()
-    calibration.sensor(sensor, (8, 8))  # raises for one of another rig
+    calibration.sensor(sensor, sensor.divisions)  # raises for one of another rig
     found: dict[str, Any] = {"made": calibration.made, "age_days": None}
     if calibration.made:
         made = date.fromisoformat(calibration.made)
@@ -137,10 +137,15 @@ def fit_text(found: dict[str, Any]) -> str:
             "contacts: {lone_contacts} alone, χ² {contacts_chi2:.1f}; "
             "gains off by {gains_off_percent:.2f} % rms"
         )
-    verdicts = {
-        None: "nothing in this recording tells whether the calibration fits",
-        True: "the calibration still fits this recording",
-        False: "the calibration no longer fits this recording: calibrate again, or --adapt",
-    }
-    lines.append(verdicts[found["fits"]])
+    contacts = found["contacts_chi2"] is None or found["contacts_chi2"] < _SEVERAL
+    if found["fits"] is None:
+        lines.append("nothing in this recording tells whether the calibration fits")
+    elif found["fits"]:
+        lines.append("the calibration still fits this recording")
+    elif contacts:
+        lines.append("zeros no longer fit: reconstruct takes them from contact-free slots")
+    else:
+        lines.append(
+            "the calibration no longer fits this recording: calibrate again, or --adapt"
+        )
     return "\n".join("  " + line.format(**found) for line in lines)

@@ -66,7 +66,9 @@ def quiet_slots(
     recording: Recording, calibration: Calibration
 ) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
     each = max(1, _SLOTS // _STRETCHES // recording.slots)
-    starts = np.linspace(0, max(0, recording.scans - each), _STRETCHES).astype(int)
+    # No slot twice: grounds' means would seem to differ by more than noise lets them.
+    count = min(_STRETCHES, max(1, recording.scans // each))
+    starts = np.linspace(0, max(0, recording.scans - each), count).astype(int)
     rig = recording.rig
     least = max(_QUIET * nominal_noise(rig.sensor()), _CODES * rig.resolution)
     found, under = [], []
