@@ -25,6 +25,8 @@ from tomojax.calibration._recording import (
 )
 from tomojax.calibration._report import (
     picture as picture,
+    rub_more as rub_more,
+    squares_touched as squares_touched,
     summary as summary,
     text as text,
 )

@@ -54,8 +54,7 @@ def still_fits(
     calibration.sensor(sensor, sensor.divisions)  # raises for one of another rig
     found: dict[str, Any] = {"made": calibration.made, "age_days": None}
     if calibration.made:
-        made = date.fromisoformat(calibration.made)
-        found["age_days"] = ((today or date.today()) - made).days
+        found["age_days"] = round(calibration.age_hours(today) / 24)
     found |= _zeros(recording, calibration) | _contacts(recording, calibration)
     told = [found[n] for n in ("zeros_chi2", "contacts_chi2") if found[n] is not None]
     return found | {"fits": max(told) < _SEVERAL if told else None}

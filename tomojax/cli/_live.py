@@ -1,6 +1,8 @@
 """Commands on rigs: `tomojax record` and `tomojax live`."""
 
+import json
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -81,11 +83,20 @@ def _shared(command: Any) -> Any:
 @click.option(
     "--pattern", default="all", show_default=True, help="Ground conditions, over and over."
 )
-def record(source: str, out: Path, pattern: str, **options: Any) -> None:
+@click.option(
+    "--calibrate",
+    is_flag=True,
+    help="Show which squares of the sheet were touched, and calibrate at the end.",
+)
+def record(
+    source: str, out: Path, pattern: str, calibrate: bool, **options: Any
+) -> None:
     """Record the slots of SOURCE: serial:PORT, udp://HOST:PORT, or virtual.
 
     A scan of the recording is one slot. What is on the disk stays readable whatever
     happens; a full disk or a crash begins a new file, OUT-1, OUT-2, ….
+    With --calibrate rub the whole sheet with one finger: a map fills, lines say how well
+    each part is known. Ctrl-C ends the rub; then OUT.calibration.json is made of it.
     """
     import numpy as np
 
@@ -94,9 +105,32 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
     def grounds(sensor: Any) -> list[int]:
         return np.asarray(patterns_pattern(sensor, pattern)).tolist()
 
+    made = out.with_name(out.stem + ".calibration.json")
+    if calibrate and made.exists():
+        raise ValueError(f"{made}: is there already; give another -o")
     with _session(source, out, options, grounds) as (session, asked):
         session.source.set_grounds(asked)
+        if calibrate:
+            session.beside("calibrating", str(out))
         session.run(None)
+    if calibrate:
+        _calibrated(out, made)
+
+
+def _calibrated(rec: Path, made: Path) -> None:
+    """Makes a calibration of a rub and prints how well it is known, as `calibrate` does."""
+    from tomojax.calibration import calibrated_recording, text
+    from tomojax.recordings import open_recording
+
+    print("calibrating …", file=sys.stderr)
+    with open_recording(rec) as recording:
+        try:
+            found = calibrated_recording(recording)
+        except ValueError as error:
+            raise ValueError(f"{rec}: {error}") from None
+        print(text(recording.rig.sensor(), found))
+    found.calibration.save(made)
+    print(f"calibration: {made}")
 
 
 @click.command()
@@ -114,6 +148,12 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
 )
 @click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
 @click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option(
+    "--adapt",
+    is_flag=True,
+    help="Follow zeros and gains that drift, slowly; with --record OUT their log is "
+    "OUT.adapted.h5.",
+)
 @click.option("--record", "out", type=_FILE, help="Record here as well.")
 @click.option(
     "--real-time",
@@ -150,16 +190,36 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             allowed = stack.enter_context(real_time())
             print(f"real time: {', '.join(allowed)}", file=sys.stderr)
         session, step = stack.enter_context(_session(source, out, options, compiled))
+        if options["adapt"]:
+            log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
+            session.beside("adapter", str(path or ""), log)
         session.run(step, options["budget"])
 
 
 class _Session:
     """A source and a ring, with the processes beside them."""
 
-    def __init__(self, source: Any, ring: Any, recorder: Any, options: dict[str, Any]):
+    def __init__(
+        self,
+        source: Any,
+        ring: Any,
+        recorder: Any,
+        told: dict[str, Any],
+        options: dict[str, Any],
+    ):
         self.source, self.ring, self.recorder = source, ring, recorder
+        self._told, self._beside = json.dumps(told), []
         self._seconds = options["seconds"]
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
+
+    def beside(self, module: str, *words: str) -> None:
+        """Starts a process beside the loop that is told of the ring and the rig."""
+        name = f"tomojax.hardware.loop.{module}"
+        command = [sys.executable, "-m", name, str(self.ring.path), self._told, *words]
+        # It has the cores that the loop leaves; its threads would not wait idly.
+        flags = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+        given = {**os.environ, "XLA_FLAGS": flags}
+        self._beside.append(subprocess.Popen(command, env=given))
 
     def run(self, step: Any, budget: float | None = None) -> None:
         from tomojax.cli import _recordings
@@ -181,8 +241,9 @@ class _Session:
                 )
             finally:
                 self.ring.head["done"][...] = 1
-                if view is not None:
-                    view.wait()
+                for process in [view, *self._beside]:
+                    if process is not None:
+                        process.wait()
                 if self.recorder is not None:
                     self.recorder.close()
                     print(f"recording: {self.recorder.path}")
@@ -223,6 +284,7 @@ def _session(
 
     from tomojax import Sensor
     from tomojax.hardware import open_source, SlotRing
+    from tomojax.hardware.loop.recorder import attributes, Recorder
     from tomojax.hardware.sources import ReplaySource
     from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
     from tomojax.recordings import open_recording, Rig
@@ -252,12 +314,9 @@ def _session(
         stack.enter_context(slots)
         ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)
         stack.callback(ring.remove)
-        recorder = None
+        known = Rig.of(sensor, slots.rate) if rig is None else rig
+        told, recorder = attributes(known, slots.scale, slots.offset), None
         if out is not None:
-            from tomojax.hardware.loop.recorder import attributes, Recorder
-
-            told = Rig.of(sensor, slots.rate) if rig is None else rig
-            told = attributes(told, slots.scale, slots.offset)
             recorder = Recorder(ring, out, told, options["file_seconds"])
             stack.callback(recorder.stop)
-        yield _Session(slots, ring, recorder, options), prepared
+        yield _Session(slots, ring, recorder, told, options), prepared
