@@ -61,11 +61,8 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
     while not done:
         done = bool(ring.head["done"])
         rows, row, _ = ring.since(row)
-        # Slots that were not worked on say nothing of contacts.
-        rows = rows[np.isfinite(rows["latency"])]
         if len(rows):
-            alone = (rows["count"] == 1)[:, None]
-            places = np.where(alone, rows["xy"][:, 0].astype(float), np.nan)
+            places = _places(rows)
             volts = rows["codes"].astype(np.float32) * told["scale"] + told["offset"]
             under = rows["ground"].astype(int)[:, None]
             adapter.observe(rows["time"], volts[:, None].astype(np.float32), under, places)
@@ -81,6 +78,15 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
     for channel in np.flatnonzero(adapter.doubtful)[:8]:
         text += f"; channel {channel} is as far off as it may be: have a look"
     return text
+
+
+def _places(rows: np.ndarray) -> np.ndarray:
+    """Places of lone contacts, NaN elsewhere; where slots were not worked on, those of the
+    last that was."""
+    worked = np.isfinite(rows["latency"])
+    last = np.maximum.accumulate(np.where(worked, np.arange(len(rows)), -1))
+    alone = (last >= 0) & (rows["count"][last] == 1)
+    return np.where(alone[:, None], rows["xy"][last, 0].astype(float), np.nan)
 
 
 def main() -> None:
