@@ -132,7 +132,7 @@ class SlotRing:
         return [1e-6 * float(np.searchsorted(total, p * total[-1])) for p in parts]
 
     def say(self, text: str) -> None:
-        """Puts lines beside the slots, in place of those before; what is too long is cut."""
+        """Puts lines beside the slots, instead of those before; too long ones are cut."""
         coded = text.encode()[:SAID]
         self.head["said"][...] = coded.decode(errors="ignore").encode()
 

@@ -7,20 +7,19 @@ once, and counts again only after contacts in other squares.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
+from tomojax.calibration._drift import Drift
 from tomojax.calibration._fitted import left_of
 from tomojax.methods import method as make_method, Points
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Drift, 1 σ of its rate an hour: of zeros, of the nominal noise (1 mV where that is
-# 0.3 mV), and of a gain. A rate lasts for some hours; beside it a value walks at random, by
-# a part of it. A rate beyond so many σ is not believed. A value may run away from its own
-# mean of the last hour by so many rates, from the calibration by so much in all.
-_ZERO, _GAIN, _LASTS, _WALK, _STEEPEST, _FASTEST = 3.3, 0.01, 3.0, 0.1, 3.0, 5.0
+# 0.3 mV), and of a gain. By how much a value may differ from the calibration's in all.
+_ZERO, _GAIN = 3.3, 0.01
 _FARTHEST_ZERO, _FARTHEST_GAIN = 100.0, 0.3
 
 # What is known at first, 1 σ: zeros of the noise, tared and nominal; a gain. An older
@@ -34,8 +33,8 @@ _QUIET, _SLOTS, _EACH, _APART = 5.0, 16, 2, 0.05
 # A mean of many slots is no better than this part of the noise.
 _FLOOR = 0.1
 
-# An innovation beyond so many σ counts as that. Where it is so large in most channels, the
-# contact is none that a disc describes.
+# Where most channels are off by more than so many σ the contact is none that a disc
+# describes; silence may be off by as many σ of zeros.
 _OUTLYING = 3.0
 
 # Squares that have to be touched before one counts again; slots of a fit; contacts that
@@ -44,68 +43,6 @@ _OTHERS, _FITTED, _MOST, _TAKEN = 8, 10, 32, 0.2
 
 # Frames are observed in stretches of so long, s: a value hardly drifts in them.
 _STRETCH = 60.0
-
-
-class _Drift(NamedTuple):
-    """Values that drift, a channel each: a Kalman filter of value and rate."""
-
-    value: Float[np.ndarray, " M"]
-    rate: Float[np.ndarray, " M"]  # an hour
-    variance: Float[np.ndarray, " M"]  # of the value
-    both: Float[np.ndarray, " M"]  # covariance with the rate
-    of_rate: Float[np.ndarray, " M"]
-    usual: Float[np.ndarray, " M"]  # the value's mean of the last hour
-
-    @classmethod
-    def of(cls, variance: Float[np.ndarray, " M"], rate: float, age: float) -> "_Drift":
-        """Begins at 0, known as well as `variance` says, `age` hours ago."""
-        none = 0 * variance
-        older = variance + (rate * age) ** 2
-        return cls(none, none, older, none, none + rate**2, none)
-
-    def later(self, hours: float, rate: float) -> "_Drift":
-        """Some hours on: the rate goes on for a while, and less is known.
-
-        A rate that lasts τ hours, dr = −r/τ dt + noise, and its integral beside a walk.
-        """
-        if hours <= 0:
-            return self
-        kept, lasts = np.exp(-hours / _LASTS), _LASTS
-        reach = lasts * (1 - kept)
-        far = rate**2 * lasts**2 * (2 * hours / lasts - 3 + 4 * kept - kept**2)
-        walked = (_WALK * rate) ** 2 * hours
-        usual = self.usual + (self.value - self.usual) * -np.expm1(-hours)
-        variance = self.variance + 2 * reach * self.both + reach**2 * self.of_rate
-        both = kept * (self.both + reach * self.of_rate) + rate**2 * reach**2 / lasts
-        return _Drift(
-            self.value + reach * self.rate,
-            kept * self.rate,
-            variance + max(far, 0.0) + walked,
-            both,
-            kept**2 * self.of_rate + rate**2 * (1 - kept**2),
-            usual,
-        )
-
-    def told(self, off: np.ndarray, variance: np.ndarray) -> "_Drift":
-        """After a measurement that is `off`; `variance` ∞ where there is none."""
-        whole = self.variance + variance
-        limit = _OUTLYING * np.sqrt(np.where(np.isfinite(whole), whole, 0))
-        off = np.clip(off, -limit, limit)
-        part, turn = self.variance / whole, self.both / whole
-        return self._replace(
-            value=self.value + part * off,
-            rate=self.rate + turn * off,
-            variance=(1 - part) * self.variance,
-            both=(1 - part) * self.both,
-            of_rate=self.of_rate - turn * self.both,
-        )
-
-    def bounded(self, rate: float, most: float) -> "_Drift":
-        """Within what is believed."""
-        near, steep = _FASTEST * rate, _STEEPEST * rate
-        value = np.clip(self.value, self.usual - near, self.usual + near)
-        value = np.clip(value, -most, most)
-        return self._replace(value=value, rate=np.clip(self.rate, -steep, steep))
 
 
 class Adapter:
@@ -155,8 +92,8 @@ class Adapter:
         stated = (self.begun.deviation or {}).get("gain", _KNOWN)
         hours, none = float(np.clip(age, 0, _OLDEST)), np.zeros(m)
         zeros, gains = none + (tared * self._noise) ** 2, none + np.square(stated)
-        self.zeros = _Drift.of(zeros, self._zero_rate, hours)
-        self.gains = _Drift.of(gains, _GAIN, hours)
+        self.zeros = Drift.of(zeros, self._zero_rate, hours)
+        self.gains = Drift.of(gains, _GAIN, hours)
         self.time = np.nan  # of the last frame that was observed, s
         self._recent = np.full((min(_OTHERS, m // 4), 2), -1)
         # Stretches of silence and contacts that were made use of; those that were not.
@@ -274,10 +211,10 @@ class Adapter:
             )
             self.gains = self._bounded(new._replace(value=value, rate=rate))
 
-    def _zero(self, zeros: _Drift) -> _Drift:
+    def _zero(self, zeros: Drift) -> Drift:
         return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)
 
-    def _bounded(self, gains: _Drift) -> _Drift:
+    def _bounded(self, gains: Drift) -> Drift:
         return gains.bounded(_GAIN, _FARTHEST_GAIN)
 
     def _visits(self, places: np.ndarray, slots: int) -> Integer[np.ndarray, "k f"]:
@@ -313,8 +250,8 @@ class Adapter:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Goes on from a `state`."""
-        self.zeros = _Drift(*state["adapted_zeros"])
-        self.gains = _Drift(*state["adapted_gains"])
+        self.zeros = Drift(*state["adapted_zeros"])
+        self.gains = Drift(*state["adapted_gains"])
         self.time = float(state["adapted_time"])
         self._recent, self.counts = state["adapted_recent"], state["adapted_counts"].copy()
 

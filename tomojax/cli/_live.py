@@ -88,9 +88,7 @@ def _shared(command: Any) -> Any:
     is_flag=True,
     help="Show which squares of the sheet were touched, and calibrate at the end.",
 )
-def record(
-    source: str, out: Path, pattern: str, calibrate: bool, **options: Any
-) -> None:
+def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any) -> None:
     """Record the slots of SOURCE: serial:PORT, udp://HOST:PORT, or virtual.
 
     A scan of the recording is one slot. What is on the disk stays readable whatever

@@ -225,9 +225,7 @@ def _bar(share: tuple[int, int]):
     "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
 )
 @tdms_option
-def info(
-    rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
-) -> None:
+def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
 

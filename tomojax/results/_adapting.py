@@ -48,9 +48,7 @@ class Adapting:
             given = part.voltages, part.grounds, places, part.good
             self.adapter.observe(part.t, *given)
             parts.append(rows)
-        rows = Rows(
-            *(None if a[0] is None else np.concatenate(a) for a in zip(*parts))
-        )  # pyright: ignore
+        rows = Rows(*(None if a[0] is None else np.concatenate(a) for a in zip(*parts)))  # pyright: ignore
         kept = {**(state or {}), "chunk": chunk + 1, **self.adapter.state()}
         # Beside what is remembered, what the results log.
         log = {"t": self.adapter.time, "zero": self.adapter.offset}
