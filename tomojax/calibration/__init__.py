@@ -4,11 +4,6 @@ The room makes a `tomojax.Calibration`; the sensor room applies it. It knows not
 results.
 """
 
-from tomojax.calibration._adapt import (
-    Adapter as Adapter,
-    lone_places as lone_places,
-    stretches as stretches,
-)
 from tomojax.calibration._calibrate import (
     calibrate as calibrate,
     Calibrated as Calibrated,
@@ -34,12 +29,15 @@ from tomojax.calibration._slopes import (
     rig_slopes as rig_slopes,
     slopes_by_rig as slopes_by_rig,
 )
-from tomojax.calibration._still_fits import (
-    fit_text as fit_text,
-    still_fits as still_fits,
-)
 from tomojax.calibration._tare import tare as tare
 from tomojax.calibration._unknowns import unknowns_of as unknowns_of
+from tomojax.calibration.drift import (
+    Adapter as Adapter,
+    fit_text as fit_text,
+    lone_places as lone_places,
+    still_fits as still_fits,
+    stretches as stretches,
+)
 
 # The rest serves the command and tests.
 __all__ = [

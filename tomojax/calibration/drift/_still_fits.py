@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.calibration._adapt import lone_places, silence
-from tomojax.calibration._fitted import left_of
+from tomojax.calibration.drift._adapter import lone_places, silence
+from tomojax.calibration.drift._fitted import left_of
 from tomojax.calibration._recording import touched
 from tomojax.calibration._tare import quiet_slots, tare
 from tomojax.methods import Batch, method as make_method, Points

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from tomojax.calibration._drift import Drift
-from tomojax.calibration._fitted import left_of
+from tomojax.calibration.drift._filter import Drift
+from tomojax.calibration.drift._fitted import left_of
 from tomojax.methods import method as make_method, Points
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
