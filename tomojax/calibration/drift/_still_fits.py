@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.calibration.drift._adapter import lone_places, silence
-from tomojax.calibration.drift._fitted import left_of
 from tomojax.calibration._recording import touched
 from tomojax.calibration._tare import quiet_slots, tare
+from tomojax.calibration.drift._adapter import lone_places, silence
+from tomojax.calibration.drift._fitted import left_of
 from tomojax.methods import Batch, method as make_method, Points
 from tomojax.recordings import Recording
 from tomojax.sensor import Calibration, nominal_noise
