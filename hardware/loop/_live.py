@@ -39,7 +39,8 @@ def run(
     Where newer slots wait already a slot is not worked on ("skipped"): the step is told as
     many lost. A slot older than `budget` (s; by default the time of one) when it is read
     is told to be hurried: the step's cheaper method, if it has one, answers.
-    `meanwhile` is called a few times a second, between slots.
+    `meanwhile` is called a few times a second, between slots. So often the ring's `trim` is
+    looked at, which corrects the voltages for what has drifted.
     """
     m = source.electrodes
     require(ring.electrodes == m, "ring", f"{ring.electrodes} electrodes", f"{m}")
@@ -48,6 +49,7 @@ def run(
         require(here == there, "ring", f"{here} contacts", f"{there}, as the step has")
     codes, volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
     scale, offset = np.float32(source.scale), np.float32(source.offset)
+    scales, offsets = _trimmed(ring, scale, offset)
     hurry = 1 / source.rate if budget is None else budget
     state: Any = None
     if step is not None:
@@ -68,6 +70,7 @@ def run(
             other_due = now + _MEANWHILE
             ring.count(**source.counters.as_dict(), skipped=skipped)
             meanwhile()
+            scales, offsets = _trimmed(ring, scale, offset)
         if got is None:
             continue
         missed += got.lost
@@ -77,8 +80,8 @@ def run(
                 skipped += 1
                 missed += 1
             continue
-        np.multiply(codes, scale, out=volts)
-        np.add(volts, offset, out=volts)
+        np.multiply(codes, scales, out=volts)
+        np.add(volts, offsets, out=volts)
         late = now - got.arrived > hurry
         state, out = step(state, volts, got.ground, min(missed, 1 << 30), late)
         missed = 0
@@ -94,6 +97,12 @@ def run(
             image_due = now + _IMAGE
             _draw(ring, step, state)
     ring.count(**source.counters.as_dict(), skipped=skipped)
+
+
+def _trimmed(ring: SlotRing, scale: np.float32, offset: np.float32) -> tuple:
+    """Volts per code and volts at 0 of each channel, drift corrected."""
+    factor, more = ring.trim
+    return scale * factor, offset * factor + more
 
 
 def _said(out: Any, latency: float, ground: int) -> dict[str, Any]:

@@ -14,8 +14,9 @@ import numpy as np
 from tomojax._require import require
 from tomojax.hardware.sources import Counters
 
-# Of the image that goes along, pixels of a side; and latencies, by µs, as a histogram.
-SIDE, LONGEST = 32, 20_000
+# Of the image that goes along, pixels of a side; latencies, by µs, as a histogram; and
+# bytes of what is said beside the slots.
+SIDE, LONGEST, SAID = 32, 20_000, 2048
 
 # What a source counts, and slots that were recorded but not worked on: newer ones waited.
 _NAMES = (*Counters().as_dict(), "skipped")
@@ -30,6 +31,7 @@ _HEAD = np.dtype(
         ("counters", "i8", len(_NAMES)),
         ("latency", "i8", LONGEST),
         ("image", "f4", (SIDE, SIDE)),
+        ("said", f"S{SAID}"),  # lines of UTF-8 for those who watch
     ]
 )
 
@@ -55,7 +57,9 @@ def _row(electrodes: int, contacts: int) -> np.dtype:
 class SlotRing:
     """`SlotRing.create` makes one, `SlotRing(path)` opens it in another process.
 
-    `head` has numbers beside the rows, each an array that can be written into.
+    `head` has numbers beside the rows, each an array that can be written into. `trim`
+    (2, M): readings times the first and plus the second, V, are what the loop works on;
+    who follows the rig's drift writes there.
     """
 
     def __init__(self, path: Path | str, writable: bool = True):
@@ -65,6 +69,8 @@ class SlotRing:
         head = np.memmap(self.path, _HEAD, mode, 64, 1)
         self.head = {name: head[name][0, ...] for name in _HEAD.names or ()}
         start = 64 + _HEAD.itemsize
+        self.trim = np.asarray(np.memmap(self.path, "f4", mode, start, (2, m)))
+        start += self.trim.nbytes
         self.rows = np.memmap(self.path, _row(m, contacts), mode, start, length)
         self.electrodes, self.contacts, self.length = m, contacts, length
         # Fields by themselves: writing into one costs a tenth of writing a row.
@@ -79,11 +85,14 @@ class SlotRing:
         shared = Path("/dev/shm")
         place = folder or (shared if shared.is_dir() else None)
         number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
-        size = 64 + _HEAD.itemsize + length * _row(electrodes, contacts).itemsize
+        head = 64 + _HEAD.itemsize + 8 * electrodes
+        size = head + length * _row(electrodes, contacts).itemsize
         with os.fdopen(number, "wb") as file:
             file.write(np.array([electrodes, contacts, length], "i8").tobytes())
             file.truncate(size)
-        return cls(name)
+        made = cls(name)
+        made.trim[0] = 1
+        return made
 
     def put(self, got: Any, codes: np.ndarray, said: dict[str, Any]) -> None:
         """One slot more: a `Got`, its codes, and the other fields by name."""
@@ -121,6 +130,15 @@ class SlotRing:
         if not total[-1]:
             return [float("nan")] * len(parts)
         return [1e-6 * float(np.searchsorted(total, p * total[-1])) for p in parts]
+
+    def say(self, text: str) -> None:
+        """Puts lines beside the slots, instead of those before; too long ones are cut."""
+        coded = text.encode()[:SAID]
+        self.head["said"][...] = coded.decode(errors="ignore").encode()
+
+    def said(self) -> str:
+        """Reads what was put there last."""
+        return bytes(self.head["said"][()]).decode(errors="ignore")
 
     def remove(self) -> None:
         """Takes the file away; those who have it open keep it until they end."""

@@ -50,6 +50,19 @@ def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
     }
 
 
+def rig_of(told: dict[str, Any]) -> Rig:
+    """The rig that such attributes tell of."""
+    numbers = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
+    rails = sorted(told["offset"] + told["scale"] * np.array([-32768.0, 32767.0]))
+    return Rig(
+        **{name: float(told[name]) for name in (*numbers, "electrode_diameter")},
+        size=tuple(told["size"]),
+        electrode_xy=np.asarray(told["electrode_xy"], float),
+        rails=tuple(rails),
+        resolution=abs(float(told["scale"])),
+    )
+
+
 class File:
     """One recording in the making: a scan is one slot."""
 

@@ -46,6 +46,7 @@ def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
         if ring.head["recorded"]
         else "not recorded",
     ]
+    found += ring.said().splitlines()
     if last is None:
         return [*found, "no slot yet"]
     flags = ", ".join(str(f.name).lower() for f in Flag if f & int(last["flags"]))

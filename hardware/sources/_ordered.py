@@ -12,9 +12,9 @@ from tomojax.hardware.sources._source import Counters, Got, SlotSource
 class OrderedSource(SlotSource):
     """Another source's slots as if it were wired right.
 
-    **Arguments:** `channels`: the electrode that each channel reads; `grounds`: the electrode
-    that each ground line switches, −1 where it switches none. None: as they should be.
-    `tomojax check --write` finds both.
+    **Arguments:** `channels`: the electrode that each channel reads; `grounds`: the
+    electrode that each ground line switches, −1 where it switches none. None: as they
+    should be. `tomojax check --write` finds both.
 
     Codes come in the order of electrodes; grounds are electrodes on both ways. A slot in
     which nothing was grounded comes with a ground that there is not, which is flagged.

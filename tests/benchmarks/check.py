@@ -3,10 +3,10 @@
     python tests/benchmarks/check.py [--seed N] [--only WORD] [--rigs 6]
 
 Each fault of the list alone, on rigs of finite elements and on resistor networks, on
-sensors of other grids, pitches, sheets and drives, in scans of one, ten or all slots at 1 to
-10 kHz; pairs of faults; and sound rigs, some of other kinds than drawn by default. A fault is
-found if its kind and its channels are named; a name that was not made is a false one. A
-judging seed by default. Writes check.json and check.png.
+sensors of other grids, pitches, sheets and drives, in scans of one, ten or all slots at 1
+to 10 kHz; pairs of faults; and sound rigs, some of other kinds than drawn by default. A
+fault is found if its kind and its channels are named; a name that was not made is a false
+one. A judging seed by default. Writes check.json and check.png.
 """
 
 import argparse
@@ -24,7 +24,8 @@ RESULTS = HERE.parents[1] / "notebooks" / "results"
 
 SENSORS = {
     "8 × 8, 20 mm": {"rows": 8, "columns": 8},
-    "6 × 5, 12 mm, 1 kΩ": {"rows": 6, "columns": 5, "pitch": 0.012, "sheet_resistance": 1e3},
+    "6 × 5, 12 mm, 1 kΩ": {"rows": 6, "columns": 5, "pitch": 0.012,
+                           "sheet_resistance": 1e3},
     "5 × 5, 30 mm, 50 kΩ, 1 V": {"rows": 5, "columns": 5, "pitch": 0.03,
                                   "sheet_resistance": 5e4, "drive_voltage": 1.0,
                                   "ground_resistance": 100.0},

@@ -236,8 +236,9 @@ def sheet_faults(
     if not slope > _TOLD * sigma:
         why = (
             f"the ground path's {ground_resistance:g} Ω leave "
-            f"{1e6 * max(slope, 0) * scale:.0f} µV, and {1e6 * sigma * scale:.0f} µV is 1 σ: "
-            "a longer rub, or a sense resistor in the ground path, would tell"
+            f"{1e6 * max(slope, 0) * scale:.0f} µV, and "
+            f"{1e6 * sigma * scale:.0f} µV is 1 σ: a longer rub, or a "
+            "sense resistor in the ground path, would tell"
         )
         return [], np.nan, np.inf, why
     shunt = work.plane.least_shunt
@@ -254,7 +255,8 @@ def sheet_faults(
         "times what is told",
         certainty(off / part),
         f"the sheet has {factor * sheet_resistance:.3g} Ω per square ± {100 * part:.0f} % "
-        f"if the ground path has its {ground_resistance:g} Ω; {sheet_resistance:g} Ω are told",
+        f"if the ground path has its {ground_resistance:g} Ω; "
+        f"{sheet_resistance:g} Ω are told",
         f"measure the ground path; if it is right set sheet_resistance to "
         f"{factor * sheet_resistance:.3g} Ω",
     )

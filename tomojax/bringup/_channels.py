@@ -1,4 +1,4 @@
-"""Faults that levels of channels tell, before anything is fitted: dead, stuck, noise, hum."""
+"""Faults that levels of channels tell before a fit: dead, stuck, noise, hum."""
 
 from typing import NamedTuple
 
@@ -57,8 +57,8 @@ def unresponsive(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence)
                 float(middle[c]),
                 "V",
                 certainty(0.2 / max(part, 1e-3)),
-                f"channel {c} stays at {1e3 * middle[c]:+.1f} mV in every touch; the others "
-                f"rise by {usual:.2f} V",
+                f"channel {c} stays at {1e3 * middle[c]:+.1f} mV in every touch; "
+                f"the others rise by {usual:.2f} V",
                 f"look for a broken wire between channel {c} and its electrode",
             )
         )
@@ -99,7 +99,7 @@ def noise_faults(
                 certainty(usual / nominal - 2),
                 f"all channels have {1e3 * usual:.2f} mV rms of noise; "
                 f"{1e3 * nominal:.2f} mV are usual at this drive and resolution",
-                "shield the cables, join the grounds at one point, average in the converter",
+                "shield the cables, join grounds at one point, average in the converter",
             )
         )
     for c in np.flatnonzero(sane & (silent.noise > _LOUD * floor)):

@@ -33,8 +33,8 @@ class Fault(NamedTuple):
     """One thing that is wrong with a rig.
 
     `channels`: of which it holds, or ground lines for the kinds of grounds; none: all.
-    `value`: how much, in SI (`unit`), or None. `certainty`: the probability that it is so, from
-    normal errors as large as sound channels show, 0.999 at most. `text`: the fault in
+    `value`: how much, in SI (`unit`), or None. `certainty`: the probability that it is so,
+    from normal errors as large as sound channels show, 0.999 at most. `text`: the fault in
     words; `mend`: what to do.
 
     **Example:**

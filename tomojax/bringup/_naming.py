@@ -36,7 +36,7 @@ def cycles(wrong: dict[int, int]) -> list[tuple[int, ...]]:
 
 
 def best_image(plane: Plane, electrode: np.ndarray, of: np.ndarray) -> tuple[str, Order]:
-    """The symmetry that explains most of what reads or grounds; "identity" if it is none."""
+    """The symmetry that explains most of what reads or grounds, or "identity"."""
     every = symmetries(plane)
     right = {name: int((image[of] == electrode).sum()) for name, image in every.items()}
     best = max(right, key=lambda name: (right[name], name == "identity"))
@@ -200,7 +200,7 @@ def line_faults(
                 sure,
                 f"commanding ground g grounds electrode g {shift:+d}",
                 f"command the ground's number {-shift:+d}, or count from "
-                f"{'1' if shift < 0 else '0'} in the firmware, or take the order of --write",
+                f"{'1' if shift < 0 else '0'} in the firmware, or take --write's order",
             )
         )
     elif told.any():

@@ -132,7 +132,8 @@ def _tear(work: Work, pairs, over: np.ndarray, torn: np.ndarray, usual: float) -
     )
     x, y = 1e3 * centre
     reach = (
-        f"from ({ends[0][0]:.0f}, {ends[0][1]:.0f}) to ({ends[1][0]:.0f}, {ends[1][1]:.0f}) mm"
+        f"from ({ends[0][0]:.0f}, {ends[0][1]:.0f}) "
+        f"to ({ends[1][0]:.0f}, {ends[1][1]:.0f}) mm"
         if len(middle) > 1
         else f"at ({x:.0f}, {y:.0f}) mm"
     )
@@ -143,8 +144,8 @@ def _tear(work: Work, pairs, over: np.ndarray, torn: np.ndarray, usual: float) -
         {"x_mm": round(float(x), 1), "y_mm": round(float(y), 1), "times": round(most, 2)},
         "mm",
         certainty(float(over[torn].max()) / max(usual + np.log(_TORN) / 4, 1e-6)),
-        f"a tear or a bad joint in the sheet {reach}: up to {most:.1f} times an even sheet's "
-        "drop between electrodes",
+        f"a tear or a bad joint in the sheet {reach}: up to {most:.1f} times an even "
+        "sheet's drop between electrodes",
         "look at the sheet there; glue or replace it",
     )
 

@@ -161,7 +161,7 @@ class Reading:
 
 
 def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
-    """What contacts leave of the voltages' scatter in the median slot, rms: 1 is nothing."""
+    """What contacts leave of the scatter in the median slot, rms: 1 is nothing."""
     back, fits = np.argsort(order.electrode), order.fits
     v, some = volts[:, back], (fits.far > 0) & usable[back]
     count = np.maximum(some.sum(1), 1)

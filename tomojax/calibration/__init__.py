@@ -22,6 +22,8 @@ from tomojax.calibration._recording import (
 )
 from tomojax.calibration._report import (
     picture as picture,
+    rub_more as rub_more,
+    squares_touched as squares_touched,
     summary as summary,
     text as text,
 )
@@ -31,9 +33,17 @@ from tomojax.calibration._slopes import (
 )
 from tomojax.calibration._tare import tare as tare
 from tomojax.calibration._unknowns import unknowns_of as unknowns_of
+from tomojax.calibration.drift import (
+    Adapter as Adapter,
+    fit_text as fit_text,
+    lone_places as lone_places,
+    still_fits as still_fits,
+    stretches as stretches,
+)
 
 # The rest serves the command and tests.
 __all__ = [
+    "Adapter",
     "HeldCalibration",
     "calibrate",
     "calibrate_presses",
@@ -42,5 +52,6 @@ __all__ = [
     "force",
     "pressure",
     "read_places",
+    "still_fits",
     "tare",
 ]

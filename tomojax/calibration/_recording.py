@@ -110,7 +110,7 @@ def calibrated_recording(
     # Places of scans are those of their middle, whatever moves in them.
     whole = places is not None or per_scan >= _LEAST
     length = min(per_scan if whole else slots, _SLOTS)
-    frames = _touched(recording, before, length, most)
+    frames = touched(recording, before, length, most)
     good = frames.good.mean((0, 1)) > _GOOD if len(frames.good) else np.ones(0, bool)
     usable = frames.good[:, :, good].all((1, 2))
     where = None
@@ -133,7 +133,7 @@ def calibrated_recording(
     )
 
 
-def _touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
+def touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
     """Stretches of `length` slots that show a contact throughout."""
     enough = _TOUCHED * nominal_noise(recording.rig.sensor())
     slots = recording.scans * recording.slots

@@ -68,7 +68,12 @@ def text(sensor: Sensor, found: Calibrated) -> str:
 
 def advice(sensor: Sensor, found: Calibrated) -> list[str]:
     """Says where the sheet was hardly touched; returns no line if it was everywhere."""
-    missing = squares_touched(sensor, found.places) < _FEW
+    return rub_more(sensor, squares_touched(sensor, found.places))
+
+
+def rub_more(sensor: Sensor, touched: np.ndarray) -> list[str]:
+    """Says the same of how often each square was `touched`, (rows, columns)."""
+    missing = touched < _FEW
     if not missing.any():
         return []
     size = 1e3 * np.asarray(sensor.size, float)

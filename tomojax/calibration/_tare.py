@@ -36,7 +36,7 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     2.0 mV
     """
     calibration = calibration or Calibration()
-    v, grounds = _quiet_slots(recording, calibration)
+    v, grounds = quiet_slots(recording, calibration)
     if len(v) < _LEAST:
         return calibration
     # Of one slot and the next: what changes slowly does not count.
@@ -62,11 +62,13 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     )
 
 
-def _quiet_slots(
+def quiet_slots(
     recording: Recording, calibration: Calibration
 ) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
     each = max(1, _SLOTS // _STRETCHES // recording.slots)
-    starts = np.linspace(0, max(0, recording.scans - each), _STRETCHES).astype(int)
+    # No slot twice: grounds' means would seem to differ by more than noise lets them.
+    count = min(_STRETCHES, max(1, recording.scans // each))
+    starts = np.linspace(0, max(0, recording.scans - each), count).astype(int)
     rig = recording.rig
     least = max(_QUIET * nominal_noise(rig.sensor()), _CODES * rig.resolution)
     found, under = [], []

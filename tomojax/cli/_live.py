@@ -1,18 +1,14 @@
 """Commands on rigs: `tomojax record` and `tomojax live`."""
 
-import math
-import subprocess
 import sys
-import tempfile
-import time
 import tomllib
-from collections.abc import Callable
-from contextlib import contextmanager, ExitStack
-from importlib.util import find_spec
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import click
+
+from tomojax.cli._session import session
 
 _FILE = click.Path(path_type=Path)
 
@@ -109,11 +105,18 @@ def _shared(command: Any) -> Any:
 @click.option(
     "--pattern", default="all", show_default=True, help="Ground conditions, over and over."
 )
-def record(source: str, out: Path, pattern: str, **options: Any) -> None:
+@click.option(
+    "--calibrate",
+    is_flag=True,
+    help="Show which squares of the sheet were touched, and calibrate at the end.",
+)
+def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any) -> None:
     """Record the slots of SOURCE: serial:PORT, udp://HOST:PORT, or virtual.
 
     A scan of the recording is one slot. What is on the disk stays readable whatever
     happens; a full disk or a crash begins a new file, OUT-1, OUT-2, ….
+    With --calibrate rub the whole sheet with one finger: a map fills, lines say how well
+    each part is known. Ctrl-C ends the rub; then OUT.calibration.json is made of it.
     """
     import numpy as np
 
@@ -122,9 +125,32 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
     def grounds(sensor: Any) -> list[int]:
         return np.asarray(patterns_pattern(sensor, pattern)).tolist()
 
+    made = out.with_name(out.stem + ".calibration.json")
+    if calibrate and made.exists():
+        raise ValueError(f"{made}: is there already; give another -o")
     with session(source, out, options, grounds) as (opened, asked):
         opened.source.set_grounds(asked)
+        if calibrate:
+            opened.beside("calibrating", str(out))
         opened.run(None)
+    if calibrate:
+        _calibrated(out, made)
+
+
+def _calibrated(rec: Path, made: Path) -> None:
+    """Makes a calibration of a rub and prints how well it is known, as `calibrate` does."""
+    from tomojax.calibration import calibrated_recording, text
+    from tomojax.recordings import open_recording
+
+    print("calibrating …", file=sys.stderr)
+    with open_recording(rec) as recording:
+        try:
+            found = calibrated_recording(recording)
+        except ValueError as error:
+            raise ValueError(f"{rec}: {error}") from None
+        print(text(recording.rig.sensor(), found))
+    found.calibration.save(made)
+    print(f"calibration: {made}")
 
 
 @click.command()
@@ -142,6 +168,12 @@ def record(source: str, out: Path, pattern: str, **options: Any) -> None:
 )
 @click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
 @click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option(
+    "--adapt",
+    is_flag=True,
+    help="Follow zeros and gains that drift, slowly; with --record OUT their log is "
+    "OUT.adapted.h5.",
+)
 @click.option("--record", "out", type=_FILE, help="Record here as well.")
 @click.option(
     "--real-time",
@@ -178,129 +210,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             allowed = stack.enter_context(real_time())
             print(f"real time: {', '.join(allowed)}", file=sys.stderr)
         opened, step = stack.enter_context(session(source, out, options, compiled))
+        if options["adapt"]:
+            log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
+            opened.beside("adapter", str(path or ""), log)
         opened.run(step, options["budget"])
-
-
-class _Session:
-    """A source and a ring, with the processes beside them."""
-
-    def __init__(self, source: Any, ring: Any, recorder: Any, options: dict[str, Any]):
-        self.source, self.ring, self.recorder = source, ring, recorder
-        self._seconds = options["seconds"]
-        self._view = _viewer(options["view"], options["rrd"], str(ring.path))
-
-    def run(
-        self,
-        step: Any,
-        budget: float | None = None,
-        tell: Callable[[float], None] = lambda seconds: None,
-    ) -> None:
-        """Until the time is up or Ctrl-C; `tell` is called with the seconds since."""
-        from tomojax.cli import _recordings
-        from tomojax.hardware import run
-
-        view = subprocess.Popen(self._view) if self._view else None
-        end = math.inf if self._seconds is None else time.perf_counter() + self._seconds
-        began = time.perf_counter()
-
-        def look() -> None:
-            tell(time.perf_counter() - began)
-            if self.recorder is not None:
-                self.recorder.look()
-
-        with _recordings.interrupts() as stop:
-            until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
-            try:
-                run(
-                    self.source,
-                    step,
-                    self.ring,
-                    budget=budget,
-                    until=until,
-                    meanwhile=look,
-                )
-            finally:
-                self.ring.head["done"][...] = 1
-                if view is not None:
-                    view.wait()
-                if self.recorder is not None:
-                    self.recorder.close()
-                    print(f"recording: {self.recorder.path}")
-        self._tell(step is not None)
-
-    def _tell(self, worked: bool) -> None:
-        counted = {name: n for name, n in self.ring.counted().items() if n}
-        print(", ".join(f"{n} {name}" for name, n in counted.items()) or "no slots")
-        if worked:
-            parts = self.ring.latency(0.5, 0.99, 0.999, 0.9999)
-            told = (f"{1e6 * q:.0f}" for q in parts)
-            print(
-                f"last byte to ground command, 50, 99, 99.9, 99.99 %: {', '.join(told)} µs"
-            )
-
-
-def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
-    """The view's command, if any."""
-    if view == "none":
-        return []
-    module = "view" if view == "terminal" else "view_rerun"
-    if view == "rerun" and find_spec("rerun") is None:
-        mend = "pip install 'tomojax[rerun]' brings it"
-        raise ValueError(f"rerun is not installed; {mend}")
-    words = [] if rrd is None or view != "rerun" else ["--rrd", str(rrd)]
-    return [sys.executable, "-m", f"tomojax.hardware.loop.{module}", ring, *words]
-
-
-@contextmanager
-def session(
-    source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
-):
-    """A session and what `prepare` makes of the sensor before the source is started.
-
-    A rig that sends already, while a step is compiled, would lose slots.
-    """
-    import numpy as np
-
-    from tomojax import Sensor
-    from tomojax.hardware import open_source, SlotRing
-    from tomojax.hardware.sources import OrderedSource, ReplaySource
-    from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
-    from tomojax.recordings import open_recording, Rig
-
-    names = "baud", "bind", "speed"
-    given = {n: options[n] for n in names if options[n] is not None}
-    if out is not None and out.exists():
-        raise ValueError(f"{out}: is there; give another name")
-    with ExitStack() as stack:
-        rig = None
-        if options["like"]:
-            with open_recording(options["like"]) as recording:
-                rig = recording.rig
-        sensor = Sensor.grid(dtype=np.float32, divisions=(32, 32))
-        sensor = sensor if rig is None else rig.sensor()
-        if source == "virtual":
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            print("scenes for a virtual rig …", file=sys.stderr)
-            draw_eight(sensor, folder / "scene.npz")
-            rig_process = VirtualRig(folder / "scene.npz", link="udp")
-            source = stack.enter_context(rig_process).where
-        slots = open_source(source, sensor.electrode_count, **given)
-        if isinstance(slots, ReplaySource):
-            rig = slots.rig
-            sensor = rig.sensor()
-        order = options.get("channels"), options.get("grounds")
-        if order != (None, None):
-            slots = OrderedSource(slots, *order)
-        prepared = prepare(sensor)
-        stack.enter_context(slots)
-        ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)
-        stack.callback(ring.remove)
-        recorder = None
-        if out is not None:
-            from tomojax.hardware.loop.recorder import attributes, Recorder
-
-            told = Rig.of(sensor, slots.rate) if rig is None else rig
-            told = attributes(told, slots.scale, slots.offset)
-            recorder = Recorder(ring, out, told, options["file_seconds"])
-            stack.callback(recorder.stop)
-        yield _Session(slots, ring, recorder, options), prepared

@@ -77,6 +77,11 @@ tdms_option = click.option(
     help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
 )
 @click.option(
+    "--adapt",
+    is_flag=True,
+    help="Follow zeros and gains that drift, slowly; the results log them.",
+)
+@click.option(
     "--policy",
     type=_FILE,
     help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
@@ -114,6 +119,8 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     follows = options["method"] == "follow"
     if follows and any(value is not None for value in given):
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
+    if options["adapt"] and any(value is not None for value in given):
+        raise ValueError("--coordinator: --adapt goes in order; use one process")
     share = distributed.join(*given, out=out, resume=options["resume"])
     images = options["images"]
     rate = options["rate"] or ("slot" if follows else "scan")
@@ -129,6 +136,7 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         calibration=str(options["calibration"]) if options["calibration"] else None,
         policy=str(options["policy"]) if options["policy"] else None,
         tare=options["tare"],
+        adapt=options["adapt"],
     )
     for path in (options["picture"], options["json_path"]):
         if path and not path.parent.is_dir():
@@ -211,12 +219,20 @@ def _bar(share: tuple[int, int]):
 @click.command()
 @click.argument("rec", type=_FILE)
 @click.option(
+    "--calibration", type=_FILE, help="Say how old this is, and whether REC still fits it."
+)
+@click.option(
     "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
 )
 @tdms_option
-def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
+def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
+
+    if calibration is not None:
+        from tomojax.sensor import Calibration
+
+        known = Calibration.load(calibration)
 
     with open_recording(rec, **tdms) as recording:
         summary = info.summary(recording)
@@ -228,7 +244,20 @@ def info(rec: Path, json_path: Path | None, tdms: dict) -> None:
                 bar.update(done - bar.n)
 
             rows = info.faults(recording, progress)
+        fit = None
+        if calibration is not None:
+            from tomojax.calibration import still_fits
+
+            try:
+                fit = still_fits(recording, known)
+            except ValueError as error:
+                raise ValueError(f"{calibration}: {error}") from None
     print(info.text(rec, summary, rows))
+    if fit is not None:
+        from tomojax.calibration import fit_text
+
+        print(fit_text(fit))
+        summary["calibration"] = {"file": str(calibration), **fit}
     if json_path:
         from tomojax._environment import environment
 

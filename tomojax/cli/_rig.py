@@ -216,7 +216,7 @@ def _record(
     """Records a source while the user is told what to do."""
     import numpy as np
 
-    from tomojax.cli._live import session
+    from tomojax.cli._session import session
 
     first, second = (f"the corner of electrode {c}" for c in corners or (0, 0))
     if corners == "auto":

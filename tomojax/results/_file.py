@@ -49,6 +49,15 @@ def fields(
     return each
 
 
+def adapted_fields(electrodes: int) -> dict:
+    """What `--adapt` logs for each chunk: name, shape of a row, type, unit."""
+    return {
+        "adapted_t": ((), "<f8", "s"),
+        "adapted_zero": ((electrodes,), "<f8", "V"),
+        "adapted_gain": ((electrodes,), "<f8", "1"),
+    }
+
+
 @dataclass(frozen=True)
 class ResultsFile:
     """A results file in the making: OUT.partial, and which of its chunks are done."""
@@ -64,13 +73,25 @@ class ResultsFile:
     def _done(self) -> Path:
         return _marks(self.partial)
 
-    def create(self, rows: int, layout: dict, attributes: dict[str, Any]) -> None:
-        """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
+    def create(
+        self,
+        rows: int,
+        layout: dict,
+        attributes: dict[str, Any],
+        by_chunk: dict | None = None,
+    ) -> None:
+        """Lays the file out; `by_chunk` as `layout`, with a row for each chunk.
+
+        **Raises:** `ValueError` where the disk is too small.
+        """
         building = self.partial.with_name(self.partial.name + ".new")
         try:
             with h5py.File(building, "w") as file:
                 for name, (shape, kind, unit) in layout.items():
                     _contiguous(file, name, (rows, *shape), kind)
+                    file[name].attrs["unit"] = unit
+                for name, (shape, kind, unit) in (by_chunk or {}).items():
+                    _contiguous(file, name, (self.chunks, *shape), kind)
                     file[name].attrs["unit"] = unit
                 file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
                 if "rung" in layout:
@@ -162,15 +183,22 @@ class RowWriter:
         self, chunk: int, start: int, t: np.ndarray, rows: Rows, **more: np.ndarray
     ) -> None:
         """Rows of a chunk, from row `start` on."""
-        for name, values in {"t": t, **rows._asdict(), **more}.items():
+        self._put(start, {"t": t, **rows._asdict(), **more})
+        self._unmarked.append(chunk)
+
+    def log(self, chunk: int, values: dict[str, Any]) -> None:
+        """Writes what the file logs of a chunk; before its rows are."""
+        self._put(chunk, {name: np.asarray(value)[None] for name, value in values.items()})
+
+    def _put(self, start: int, values: dict[str, np.ndarray | None]) -> None:
+        for name, some in values.items():
             if name not in self._place:
                 continue
             offset, kind, shape = self._place[name]
-            values = np.ascontiguousarray(values, kind)
-            assert values.shape[1:] == shape
+            some = np.ascontiguousarray(some, kind)
+            assert some.shape[1:] == shape
             row = kind.itemsize * int(np.prod(shape))
-            _write_all(self._data, values, offset + start * row)
-        self._unmarked.append(chunk)
+            _write_all(self._data, some, offset + start * row)
 
     def mark(self) -> None:
         """What is written so far is done."""

@@ -36,6 +36,7 @@ class Following:
         )
         self._recording, self._size = recording, size
         self.start, self.state = 0, self._step.state
+        self._last: np.ndarray | None = None  # time of the slot before, s
 
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
         return {"C": contacts}
@@ -68,9 +69,11 @@ class Following:
         """Slots lost before each, one at least where scans are missing."""
         start, recording = chunk * self._size, self._recording
         before = frames.t[:1]
-        if start > 0:
-            last = read_chunk(recording, start - 1, start, "slot").t[-1:]
-            before = last
+        if self._last is not None:
+            before = self._last
+        elif start > 0:
+            before = read_chunk(recording, start - 1, start, "slot").t[-1:]
+        self._last = frames.t[-1:]
         apart = np.diff(frames.t, prepend=before) * recording.rig.f_switch
         gone = np.clip(np.round(apart) - 1, 1, 1 << 30).astype(np.int32)
         return np.where(frames.flags & np.uint32(Flag.GAP), gone, 0).astype(np.int32)

@@ -32,7 +32,8 @@ class Settings:
     `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are;
     `policy`: a file of `save_policy`, whose slots alone are used, with its λ; `films`:
     whether a row may begin at the contacts of one shortly before (None: where rows follow
-    each other closely enough, in a recording long enough to be worth it).
+    each other closely enough, in a recording long enough to be worth it); `adapt`: whether
+    zeros and gains that drift are followed, see `tomojax.calibration.Adapter`.
 
     **Example:**
 
@@ -54,6 +55,7 @@ class Settings:
     tare: bool = True
     policy: str | None = None
     films: bool | None = None
+    adapt: bool = False
 
     def __post_init__(self):
         if self.method is None:
@@ -83,6 +85,8 @@ class Settings:
         require(
             self.chunk is None or self.chunk > 0, "chunk", self.chunk, "scans, 1 or more"
         )
+        whole = not (self.adapt and self.policy)
+        require(whole, "adapt", "with a policy", "all slots of each scan: no policy")
         apart = self.policy is None or self.rate == "scan"
         require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam

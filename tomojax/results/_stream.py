@@ -1,8 +1,8 @@
 """A recording of any length to a results file: read ahead, compute, write behind.
 
 Chunks are judged, solved and written one by one; none depends on another, so that what a
-run leaves undone any later run, or another process, does with the same bytes. `follow`
-alone goes through them in order, see `_following`.
+run leaves undone any later run, or another process, does with the same bytes. `follow` and
+`--adapt` go through them in order, see `_following` and `_adapting`.
 """
 
 import json
@@ -87,13 +87,15 @@ def reconstruct_recording(
     ...     print(results["contact_xy"].shape, results["image"].shape)
     (1, 2, 2) (1, 16, 16)
     """
-    from tomojax.results import _file, _following
+    from tomojax.results import _adapting, _file, _following
 
     settings, out = settings or Settings(), Path(out)
-    settings.check()
     alone, follows = share == (0, 1), settings.method == "follow"
+    settings.check()
     if follows:
         _following.require_alone(share)
+    if settings.adapt:
+        _adapting.require_alone(share)
     _file.check_output(out, resume or share[0] > 0, overwrite)
     size = chunk_scans(recording, settings)
     file = _file.ResultsFile(out, -(-recording.scans // size))
@@ -128,24 +130,29 @@ def reconstruct_recording(
     attributes = _file.attributes(file.partial)
     _require_same(config, attributes, file.partial)
     if follows:
-        model.resume(file.kept())
+        solve: Any = model
+    else:
+        batch = Batch(
+            model,
+            float(attributes["lam"]),
+            settings.contacts,
+            settings.images,
+            settings.threshold,
+            film=film_rows(recording, settings),
+        )
+        solve = partial(_solved, settings, calibration, chosen, batch)
+    if settings.adapt:
+        solve = _adapting.Adapting(recording, calibration, model, solve)
+    if follows or settings.adapt:
+        solve.resume(file.kept())
         with closing(file.writer()) as writer:
-            work = partial(_work, recording, settings, calibration, model, file, writer)
-            work(np.arange(model.start, file.chunks), progress)
+            work = partial(_work, recording, settings, calibration, solve, file, writer)
+            work(np.arange(solve.start, file.chunks), progress)
         file.finish()
         return out
-    batch = Batch(
-        model,
-        float(attributes["lam"]),
-        settings.contacts,
-        settings.images,
-        settings.threshold,
-        film=film_rows(recording, settings),
-    )
     with closing(file.writer()) as writer:
         left = np.flatnonzero(~file.done())
         mine = left % share[1] == share[0]
-        solve = partial(_solved, settings, calibration, chosen, batch)
         work = partial(_work, recording, settings, calibration, solve, file, writer)
         work(left[mine], progress)
         if not alone:
@@ -208,6 +215,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
             "versions": json.dumps(config["versions"]),
             "configuration": json.dumps(config, sort_keys=True),
         },
+        _file.adapted_fields(recording.electrodes) if settings.adapt else None,
     )
 
 
@@ -259,6 +267,8 @@ def _work(recording, settings, calibration, solve, file, writer, todo, progress)
         if calibration.pressure is not None:
             g, radius = rows.contact_conductance, rows.contact_radius
             more["contact_force"] = force(calibration, g, radius)
+        if settings.adapt:
+            writer.log(chunk, state)
         writer.write(chunk, chunk * size * per_scan, t, rows, **more)
         kept = state
         if monotonic() - marked > _MARK_SECONDS:
@@ -272,7 +282,8 @@ def _work(recording, settings, calibration, solve, file, writer, todo, progress)
         try:
             for chunk, frames in _read_ahead(reader, read, [int(c) for c in todo]):
                 # What is marked may be done again where the state is of earlier.
-                if file.finished(chunk) and settings.method != "follow":
+                in_order = settings.adapt or settings.method == "follow"
+                if file.finished(chunk) and not in_order:
                     continue
                 rows, state = solve(chunk, frames)
                 if writing:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,17 @@ class Calibration:
         """Readings corrected for zeros and gains, in their dtype."""
         offset, gain = (np.asarray(a, readings.dtype) for a in (self.offset, self.gain))
         return (readings - offset) / gain
+
+    def readings(self, voltages: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
+        """What would have been read: the inverse of `voltages`."""
+        offset, gain = (np.asarray(a, voltages.dtype) for a in (self.offset, self.gain))
+        return voltages * gain + offset
+
+    def age_hours(self, today: date | None = None) -> float:
+        """Hours since the day when it was made; 0 where nobody noted that."""
+        if self.made is None:
+            return 0.0
+        return 24.0 * ((today or date.today()) - date.fromisoformat(self.made)).days
 
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""

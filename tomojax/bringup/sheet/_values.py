@@ -1,4 +1,4 @@
-"""What is left of each channel, in the ways in which gains, places and old slots leave it."""
+"""What is left of each channel, as gains, places and old slots leave it."""
 
 from typing import NamedTuple
 
@@ -20,8 +20,8 @@ _SOUND = 4.0
 
 
 class Values(NamedTuple):
-    """By electrode; the last axis of `value` and `deviation` is gain − 1, zero V, x, y m, and
-    the part of the slot before."""
+    """By electrode; the last axis of `value` and `deviation` is gain − 1, zero V, x, y m,
+    and the part of the slot before."""
 
     value: Float[np.ndarray, "M 5"]
     deviation: Float[np.ndarray, "M 5"]
@@ -80,7 +80,7 @@ def _scales(plane: Plane, drive: float) -> np.ndarray:
 
 
 def _robust(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values in units of their priors, and 1 σ; by weights that fall beyond usual residuals."""
+    """Values in units of their priors, and 1 σ; unusual residuals count less."""
     k = x.shape[1]
     if len(y) < 3:
         return np.zeros(k), np.ones(k)
@@ -143,7 +143,7 @@ def old_part(
 
 
 class Pairs(NamedTuple):
-    """Neighbours on the sheet, and how much more their voltages differ than on an even one."""
+    """Neighbours, and how much more their voltages differ than on an even sheet."""
 
     first: np.ndarray
     second: np.ndarray

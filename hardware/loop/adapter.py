@@ -1,0 +1,109 @@
+"""Zeros and gains that drift, followed live: a process that reads the ring and trims it.
+
+The loop waits for nothing: it takes up what stands in the ring's `trim` a few times a
+second. What was followed is logged beside the recording, once a minute.
+"""
+# pyright: reportArgumentType=false
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._ring import SlotRing
+from tomojax.hardware.loop.recorder import rig_of
+
+# Between looks at the ring, and between entries of the log, s; how much it gives way.
+_EVERY, _LOG, _NICE = 1.0, 60.0, 10
+
+
+class Log:
+    """What zeros and gains were by when, in an HDF5 file where there is a path."""
+
+    def __init__(self, path: Path | None):
+        self._path, self._entries, self._due = path, [], 0.0
+
+    def add(self, adapter: Any, last: bool = False) -> None:
+        """Once a minute, and at the end."""
+        if np.isnan(adapter.time) or not (last or time.monotonic() > self._due):
+            return
+        self._due = time.monotonic() + _LOG
+        self._entries.append((adapter.time, adapter.offset, adapter.gain))
+        if self._path is None:
+            return
+        new = self._path.with_name(self._path.name + ".new")
+        with h5py.File(new, "w") as file:
+            names = zip(("t", "zero", "gain"), ("s", "V", "1"), zip(*self._entries))
+            for name, unit, values in names:
+                file[f"adapted_{name}"] = np.array(values)
+                file[f"adapted_{name}"].attrs["unit"] = unit
+        new.replace(self._path)
+
+
+def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) -> str:
+    """Until the ring is done; says what was followed."""
+    from tomojax.calibration import Adapter
+    from tomojax.sensor import Calibration
+
+    known = Calibration.load(path) if path else Calibration()
+    adapter = Adapter(rig_of(told).sensor(), known, age=known.age_hours())
+    log, row, done = Log(out), int(ring.head["rows"]), False
+    zero = np.broadcast_to(np.asarray(known.offset, float), ring.electrodes)
+    gain = np.broadcast_to(np.asarray(known.gain, float), ring.electrodes)
+    while not done:
+        done = bool(ring.head["done"])
+        rows, row, _ = ring.since(row)
+        if len(rows):
+            places = _places(rows)
+            volts = rows["codes"].astype(np.float32) * told["scale"] + told["offset"]
+            under = rows["ground"].astype(int)[:, None]
+            adapter.observe(rows["time"], volts[:, None].astype(np.float32), under, places)
+            factor = gain / adapter.gain
+            ring.trim[...] = factor, zero - adapter.offset * factor
+            log.add(adapter)
+        time.sleep(0 if done else _EVERY)
+    log.add(adapter, last=True)
+    moved = np.std(adapter.offset - zero), np.std(adapter.gain / gain)
+    text = f"adapted: zeros moved by {1e3 * moved[0]:.2f} mV rms, gains by "
+    text += f"{100 * moved[1]:.2f} %; from {adapter.counts[0]} stretches of silence and "
+    text += f"{adapter.counts[1]} contacts"
+    for channel in np.flatnonzero(adapter.doubtful)[:8]:
+        text += f"; channel {channel} is as far off as it may be: have a look"
+    return text
+
+
+def _places(rows: np.ndarray) -> np.ndarray:
+    """Places of lone contacts, NaN elsewhere; where slots were not worked on, those of the
+    last that was."""
+    worked = np.isfinite(rows["latency"])
+    last = np.maximum.accumulate(np.where(worked, np.arange(len(rows)), -1))
+    alone = (last >= 0) & (rows["count"][last] == 1)
+    return np.where(alone[:, None], rows["xy"][last, 0].astype(float), np.nan)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("ring", "told", "calibration", "out"):
+        parser.add_argument(name)
+    given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
+    beside()
+    os.nice(_NICE)
+    out = Path(given.out) if given.out else None
+    ring = SlotRing(given.ring)
+    try:
+        print(follow(ring, json.loads(given.told), given.calibration, out), flush=True)
+    except (OSError, ValueError) as error:
+        sys.exit(f"tomojax: adapter: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,336 @@
+"""Zeros and gains that drift, followed slowly by what contacts and silence leave.
+
+Zeros follow slots without a contact. They do not depend on the ground, and what a contact
+makes does: that tells a light touch from a zero. Gains follow lone contacts that move. A
+contact that is held still leaves the model's error at its place over and over: it counts
+once, and counts again only after contacts in other squares. What is left in a square when
+it is first touched is mostly the model's error there: what changes since then is drift.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+
+from tomojax.calibration.drift._filter import Drift
+from tomojax.calibration.drift._fitted import left_of
+from tomojax.methods import method as make_method, Points
+from tomojax.sensor import Calibration, nominal_noise, Sensor
+
+# Drift, 1 σ of its rate an hour: of zeros, of the nominal noise (1 mV where that is
+# 0.3 mV), and of a gain. By how much a value may differ from the calibration's in all.
+_ZERO, _GAIN = 3.3, 0.01
+_FARTHEST_ZERO, _FARTHEST_GAIN = 100.0, 0.3
+
+# What is known at first, 1 σ: zeros of the noise, tared and nominal; a gain. An older
+# calibration's values have walked for so many hours at most.
+_TARED, _UNTARED, _KNOWN, _OLDEST = 0.3, 1.1, 1e-3, 24.0
+
+# Silence: no voltage above so many times the noise; so many slots, of each of two grounds
+# or more. How the grounds' means may differ: by what noise makes, and a part of the noise.
+_QUIET, _SLOTS, _EACH, _APART = 5.0, 16, 2, 0.05
+
+# A mean of many slots is no better than this part of the noise.
+_FLOOR = 0.1
+
+# Where most channels are off by more than so many σ the contact is none that a disc
+# describes; silence may be off by as many σ of zeros.
+_OUTLYING = 3.0
+
+# Squares that have to be touched before one counts again; slots of a fit; contacts that
+# are fitted at once at most. Beside R a part of what is looked for, which a fit takes up.
+_OTHERS, _FITTED, _MOST, _TAKEN = 8, 10, 32, 0.2
+
+# Contacts of one square differ by this part of the model's error, 1 σ; what they leave is
+# the mean of so many.
+_ALIKE, _MEAN = 0.5, 8
+
+# Frames are observed in stretches of so long, s: a value hardly drifts in them.
+_STRETCH = 60.0
+
+
+class Adapter:
+    """Follows zeros and gains from a calibration on: see the module.
+
+    What all gains have in common is not to be seen in contacts, whose current is free: it
+    stays as it was calibrated.
+
+    **Arguments:** `calibration` to begin with, nominal by default; `age` of it, hours;
+    `points`: the method made with that calibration, where it is there.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16), dtype=np.float32)
+    >>> adapter = tx.calibration.Adapter(sensor)
+    >>> silence = 1e-3 + 3e-4 * np.random.default_rng(0).normal(size=(40, 2, 16))
+    >>> grounds, nobody = np.tile([0, 15], (40, 1)), np.full((40, 2), np.nan)
+    >>> for minute in range(60):  # all zeros are 1 mV off
+    ...     adapter.observe(60.0 * minute + np.arange(40) / 1e3, silence, grounds, nobody)
+    >>> print(f"{1e3 * np.mean(adapter.calibration.offset):.1f} mV")
+    1.0 mV
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        calibration: Calibration | None = None,
+        *,
+        age: float = 0.0,
+        points: Points | None = None,
+    ):
+        self.begun = calibration or Calibration()
+        m = sensor.electrode_count
+        if points is None:
+            made = make_method(sensor, "points", 32, self.begun)
+            assert isinstance(made, Points)
+            points = made
+        self._points, self._pitch = points, float(sensor.mean_pitch)
+        self._unit, self._noise = nominal_noise(sensor), float(points.noise)
+        self._codes = float(sensor.resolution)
+        self._offset = np.broadcast_to(np.asarray(self.begun.offset, float), m)
+        self._gain = np.broadcast_to(np.asarray(self.begun.gain, float), m)
+        self._zero_rate = _ZERO * self._unit
+        tared = _TARED if np.size(self.begun.offset) == m else _UNTARED
+        stated = (self.begun.deviation or {}).get("gain", _KNOWN)
+        hours, none = float(np.clip(age, 0, _OLDEST)), np.zeros(m)
+        zeros, gains = none + (tared * self._noise) ** 2, none + np.square(stated)
+        self.zeros = Drift.of(zeros, self._zero_rate, hours)
+        self.gains = Drift.of(gains, _GAIN, hours)
+        self.time = np.nan  # of the last frame that was observed, s
+        self._recent = np.full((min(_OTHERS, m // 4), 2), -1)
+        squares = np.ceil(np.asarray(sensor.size, float) / self._pitch).astype(int) + 1
+        # What contacts leave in each square, and from how many that is known.
+        self._left = np.zeros((*squares, m))
+        self._known = np.zeros((*squares, m), int)
+        # Stretches of silence and contacts that were made use of; those that were not.
+        self.counts = np.zeros(4, int)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration as it is by now."""
+        offset, gain = self.offset, self.gain
+        return replace(self.begun, offset=tuple(offset.tolist()), gain=tuple(gain.tolist()))
+
+    @property
+    def offset(self) -> Float[np.ndarray, " M"]:
+        """Zeros by now, V."""
+        return self._offset + self.zeros.value
+
+    @property
+    def gain(self) -> Float[np.ndarray, " M"]:
+        """Gains by now."""
+        return self._gain * np.exp(self.gains.value)
+
+    @property
+    def doubtful(self) -> Bool[np.ndarray, " M"]:
+        """Channels whose gain or zero is as far off as it may be: they want a look."""
+        far = np.abs(self.zeros.value) >= (1 - 1e-6) * _FARTHEST_ZERO * self._unit
+        return far | (np.abs(self.gains.value) >= (1 - 1e-6) * _FARTHEST_GAIN)
+
+    def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
+        """Readings corrected for zeros and gains as they are by now, in their dtype."""
+        offset, gain = (a.astype(readings.dtype) for a in (self.offset, self.gain))
+        return (readings - offset) / gain
+
+    def observe(
+        self,
+        t: Float[np.ndarray, " n"],
+        readings: Float[np.ndarray, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        places: Float[np.ndarray, "n 2"],
+        good: Bool[np.ndarray, "n S M"] | None = None,
+    ) -> None:
+        """Learns from frames that follow each other.
+
+        **Arguments:** `t` of each, s; `readings` V, as read; `places` of a contact that is
+        alone, m, NaN where there is none or not one.
+        """
+        if not len(t):
+            return
+        good = np.isfinite(readings) if good is None else good
+        passed = 0.0 if np.isnan(self.time) else float(t[-1]) - self.time
+        hours = max(0.0, passed) / 3600
+        self.time = float(t[-1])
+        # Hour by hour, so that what is believed is bounded in a long pause too.
+        while hours > 0:
+            some, hours = min(hours, 1.0), hours - 1
+            self.zeros = self._zero(self.zeros.later(some, self._zero_rate))
+            self.gains = self._bounded(self.gains.later(some, _GAIN))
+        wide = np.where(good, self.voltages(readings.astype(float)), np.nan)
+        self._follow_zeros(wide, grounds)
+        self._follow_gains(wide, grounds, places)
+
+    def _follow_zeros(self, volts: np.ndarray, grounds: np.ndarray) -> None:
+        known = np.isfinite(volts)
+        most = float(np.sqrt(self.zeros.variance.max()))
+        threshold = max(float(self._points.threshold), _QUIET * self._noise)
+        with np.errstate(invalid="ignore"):
+            loud = (np.abs(volts) > threshold + _OUTLYING * most) & known
+        quiet = ~loud.any((1, 2)) & known.any((1, 2))
+        m = volts.shape[-1]
+        slots, under = volts[quiet].reshape(-1, m), grounds[quiet].ravel()
+        whole = np.isfinite(slots).sum(1) * 2 > m
+        slots, under = slots[whole], under[whole]
+        if len(slots) < _SLOTS:
+            return
+        silent = silence(slots, under, self._noise, self._codes)
+        self.counts[0 if silent else 2] += 1
+        if not silent:
+            return
+        count = np.isfinite(slots).sum(0)
+        mean = np.nansum(slots, 0) / np.maximum(count, 1)
+        variance = (_FLOOR * self._noise) ** 2 + self._noise**2 / np.maximum(count, 1)
+        variance = np.where(count >= _SLOTS, variance, np.inf)
+        self.zeros = self._zero(self.zeros.told(mean * self.gain, variance))
+
+    def _follow_gains(
+        self, volts: np.ndarray, grounds: np.ndarray, places: np.ndarray
+    ) -> None:
+        some = self._visits(places, volts.shape[1])
+        if not len(some):
+            return
+        v, under = (_slots_of(a, some) for a in (volts, grounds))
+        # A channel that is bad now and then is left out.
+        used = np.isfinite(v).all(1).mean(0) > 0.9
+        whole = np.isfinite(v[..., used]).all((1, 2))
+        v, under = np.where(used, v, np.nan)[whole], under[whole]
+        at = places[some[:, some.shape[1] // 2]][whole]
+        if not used.any() or not len(v):
+            return
+        left = left_of(self._points, v.astype(np.float32), under, at)
+        for off, variance, misfit, place in zip(
+            left.relative, left.variance, left.misfit, at
+        ):
+            cell = tuple(self._cells(place[None])[0])
+            fits = bool(np.isfinite(misfit)) and self._learned(off, variance, cell)
+            self.counts[1 if fits else 3] += 1
+
+    def _learned(self, off: np.ndarray, variance: np.ndarray, cell: tuple) -> bool:
+        """Takes up what a contact leaves of channels, relative; False where it is none."""
+        told, known = np.isfinite(variance), self._known[cell]
+        if 2 * told.sum() <= len(told):
+            return False
+        # What all have in common is the contact's current.
+        off = np.where(told, off - off[told].mean(), 0)
+        new = np.where(told, off - self._left[cell], 0)
+        new = np.where(told, new - new[told].mean(), 0)
+        again = _ALIKE**2 * (1 + 1 / np.maximum(known, 1))
+        variance = np.where(known > 0, again, 1) * variance
+        variance = variance + _TAKEN**2 * self.gains.variance
+        far = new[told] ** 2 / (self.gains.variance + variance)[told]
+        if float(np.median(far)) > _OUTLYING**2:
+            return False
+        before, after = self.gains, self.gains.told(new, variance)
+        # All gains together stay: nothing tells of them.
+        value, rate = (
+            old + np.where(told, a - old - (a - old)[told].mean(), 0)
+            for a, old in ((after.value, before.value), (after.rate, before.rate))
+        )
+        self.gains = self._bounded(after._replace(value=value, rate=rate))
+        rest = off - (self.gains.value - before.value)
+        part = np.where(told & (known < _MEAN), 1 / (known + 1), 0)
+        self._left[cell] += part * (rest - self._left[cell])
+        self._known[cell] += part > 0
+        return True
+
+    def _zero(self, zeros: Drift) -> Drift:
+        return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)
+
+    def _bounded(self, gains: Drift) -> Drift:
+        return gains.bounded(_GAIN, _FARTHEST_GAIN)
+
+    def _visits(self, places: np.ndarray, slots: int) -> Integer[np.ndarray, "k f"]:
+        """Frames in the middle of each visit of a square that counts, as many as a fit has.
+
+        A contact that is held, or goes to and fro between a few squares, visits nothing.
+        """
+        alone = np.isfinite(places).all(1)
+        cells = np.where(alone[:, None], self._cells(np.nan_to_num(places)), -1)
+        ends = np.flatnonzero((cells[1:] != cells[:-1]).any(1)) + 1
+        need, found = max(1, -(-_FITTED // slots)), []
+        for run in np.split(np.arange(len(cells)), ends):
+            cell = cells[run[0]]
+            if cell[0] < 0 or 2 * len(run) * slots < _FITTED:
+                continue
+            if (self._recent == cell).all(1).any() or len(found) >= _MOST:
+                continue
+            self._recent = np.concatenate([self._recent[1:], cell[None]])
+            middle = max(0, (len(run) - need) // 2)
+            found.append(np.resize(run[middle : middle + need], need))
+        return np.array(found, int).reshape(-1, need)
+
+    def _cells(self, places: np.ndarray) -> np.ndarray:
+        most = np.array(self._known.shape[:2]) - 1
+        return np.clip(np.floor(places / self._pitch).astype(int), 0, most)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that it remembers, to be restored."""
+        return {
+            "adapted_zeros": np.stack(self.zeros),
+            "adapted_gains": np.stack(self.gains),
+            "adapted_time": np.array(self.time),
+            "adapted_recent": self._recent,
+            "adapted_left": self._left,
+            "adapted_known": self._known,
+            "adapted_counts": self.counts,
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from a `state`."""
+        self.zeros = Drift(*state["adapted_zeros"])
+        self.gains = Drift(*state["adapted_gains"])
+        self.time = float(state["adapted_time"])
+        self._recent, self.counts = state["adapted_recent"], state["adapted_counts"].copy()
+        self._left = state["adapted_left"].copy()
+        self._known = state["adapted_known"].copy()
+
+
+def stretches(t: Float[np.ndarray, " n"]) -> list[np.ndarray]:
+    """Frames by minutes of their time."""
+    ends = np.flatnonzero(np.diff(np.floor(t / _STRETCH))) + 1
+    return np.split(np.arange(len(t)), ends)
+
+
+def lone_places(rows: Any) -> Float[np.ndarray, "n 2"]:
+    """Places of contacts that are alone and compact, of `Rows`; else NaN."""
+    alone = (rows.contact_count == 1) & ~np.isfinite(rows.contact_angle[:, 0])
+    return np.where(alone[:, None], rows.contact_xy[:, 0].astype(float), np.nan)
+
+
+def silence(
+    slots: Float[np.ndarray, "n M"],
+    grounds: Integer[np.ndarray, " n"],
+    noise: float,
+    codes: float = 0.0,
+) -> bool:
+    """Whether the means of slots do not depend on the ground, as they do in a touch."""
+    steps = np.abs(np.diff(slots, axis=0))
+    own = 1.4826 * float(np.nanmedian(steps)) / np.sqrt(2)
+    own = float(np.clip(own, max(0.1 * noise, 0.3 * codes), 2 * noise))
+    whole = np.nanmean(slots, 0)
+    total, free, each = 0.0, 0, []
+    for ground in np.unique(grounds):
+        some = slots[grounds == ground]
+        if len(some) < _EACH:
+            continue
+        apart = np.nanmean(some, 0) - whole
+        told = np.isfinite(apart)
+        total += len(some) * float((apart[told] ** 2).sum()) / own**2
+        free += int(told.sum())
+        each.append(len(some))
+    if len(each) < 2:
+        return False
+    free = free * (len(each) - 1) / len(each)
+    limit = 1 + 4 * np.sqrt(2 / free) + _APART**2 * float(np.mean(each))
+    return bool(total / free < limit)
+
+
+def _slots_of(frames: np.ndarray, some: np.ndarray) -> np.ndarray:
+    """As many slots as a fit has, of some frames in a row, spread evenly."""
+    found = frames[some]
+    found = found.reshape(len(some), -1, *frames.shape[2:])
+    spread = np.linspace(0, found.shape[1] - 1, min(_FITTED, found.shape[1]))
+    return found[:, spread.round().astype(int)]

@@ -1,0 +1,76 @@
+"""Values that drift, followed by a Kalman filter of value and rate, a channel each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# A rate lasts for so many hours; beside it a value walks at random, by a part of it.
+_LASTS, _WALK = 3.0, 0.1
+
+# A rate beyond so many σ is not believed. A value may run away from its own mean of the
+# last hour by so many rates. A measurement that is off by more than so many σ counts as
+# that.
+_STEEPEST, _FASTEST, _OUTLYING = 3.0, 5.0, 3.0
+
+
+class Drift(NamedTuple):
+    """Values that drift, a channel each: a Kalman filter of value and rate."""
+
+    value: Float[np.ndarray, " M"]
+    rate: Float[np.ndarray, " M"]  # an hour
+    variance: Float[np.ndarray, " M"]  # of the value
+    both: Float[np.ndarray, " M"]  # covariance with the rate
+    of_rate: Float[np.ndarray, " M"]
+    usual: Float[np.ndarray, " M"]  # the value's mean of the last hour
+
+    @classmethod
+    def of(cls, variance: Float[np.ndarray, " M"], rate: float, age: float) -> "Drift":
+        """Begins at 0, known as well as `variance` says, `age` hours ago."""
+        none = 0 * variance
+        older = variance + (rate * age) ** 2
+        return cls(none, none, older, none, none + rate**2, none)
+
+    def later(self, hours: float, rate: float) -> "Drift":
+        """Some hours on: the rate goes on for a while, and less is known.
+
+        A rate that lasts τ hours, dr = −r/τ dt + noise, and its integral beside a walk.
+        """
+        if hours <= 0:
+            return self
+        kept, lasts = np.exp(-hours / _LASTS), _LASTS
+        reach = lasts * (1 - kept)
+        far = rate**2 * lasts**2 * (2 * hours / lasts - 3 + 4 * kept - kept**2)
+        walked = (_WALK * rate) ** 2 * hours
+        usual = self.usual + (self.value - self.usual) * -np.expm1(-hours)
+        variance = self.variance + 2 * reach * self.both + reach**2 * self.of_rate
+        both = kept * (self.both + reach * self.of_rate) + rate**2 * reach**2 / lasts
+        return Drift(
+            self.value + reach * self.rate,
+            kept * self.rate,
+            variance + max(far, 0.0) + walked,
+            both,
+            kept**2 * self.of_rate + rate**2 * (1 - kept**2),
+            usual,
+        )
+
+    def told(self, off: np.ndarray, variance: np.ndarray) -> "Drift":
+        """After a measurement that is `off`; `variance` ∞ where there is none."""
+        whole = self.variance + variance
+        limit = _OUTLYING * np.sqrt(np.where(np.isfinite(whole), whole, 0))
+        off = np.clip(off, -limit, limit)
+        part, turn = self.variance / whole, self.both / whole
+        return self._replace(
+            value=self.value + part * off,
+            rate=self.rate + turn * off,
+            variance=(1 - part) * self.variance,
+            both=(1 - part) * self.both,
+            of_rate=self.of_rate - turn * self.both,
+        )
+
+    def bounded(self, rate: float, most: float) -> "Drift":
+        """Within what is believed."""
+        near, steep = _FASTEST * rate, _STEEPEST * rate
+        value = np.clip(self.value, self.usual - near, self.usual + near)
+        value = np.clip(value, -most, most)
+        return self._replace(value=value, rate=np.clip(self.rate, -steep, steep))

@@ -1,0 +1,155 @@
+"""A session: a source of slots, a ring, and the processes beside them."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import contextmanager, ExitStack
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+
+class _Session:
+    """A source and a ring, with the processes beside them."""
+
+    def __init__(
+        self,
+        source: Any,
+        ring: Any,
+        recorder: Any,
+        told: dict[str, Any],
+        options: dict[str, Any],
+    ):
+        self.source, self.ring, self.recorder = source, ring, recorder
+        self._told, self._beside = json.dumps(told), []
+        self._seconds = options["seconds"]
+        self._view = _viewer(options["view"], options["rrd"], str(ring.path))
+
+    def beside(self, module: str, *words: str) -> None:
+        """Starts a process beside the loop that is told of the ring and the rig."""
+        name = f"tomojax.hardware.loop.{module}"
+        command = [sys.executable, "-m", name, str(self.ring.path), self._told, *words]
+        # It has the cores that the loop leaves; its threads would not wait idly.
+        flags = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+        given = {**os.environ, "XLA_FLAGS": flags}
+        self._beside.append(subprocess.Popen(command, env=given))
+
+    def run(
+        self,
+        step: Any,
+        budget: float | None = None,
+        tell: Callable[[float], None] = lambda seconds: None,
+    ) -> None:
+        """Until the time is up or Ctrl-C; `tell` is called with the seconds since."""
+        from tomojax.cli import _recordings
+        from tomojax.hardware import run
+
+        view = subprocess.Popen(self._view) if self._view else None
+        end = math.inf if self._seconds is None else time.perf_counter() + self._seconds
+        began = time.perf_counter()
+
+        def look() -> None:
+            tell(time.perf_counter() - began)
+            if self.recorder is not None:
+                self.recorder.look()
+
+        with _recordings.interrupts() as stop:
+            until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
+            try:
+                run(
+                    self.source,
+                    step,
+                    self.ring,
+                    budget=budget,
+                    until=until,
+                    meanwhile=look,
+                )
+            finally:
+                self.ring.head["done"][...] = 1
+                for process in [view, *self._beside]:
+                    if process is not None:
+                        process.wait()
+                if self.recorder is not None:
+                    self.recorder.close()
+                    print(f"recording: {self.recorder.path}")
+        self._tell(step is not None)
+
+    def _tell(self, worked: bool) -> None:
+        counted = {name: n for name, n in self.ring.counted().items() if n}
+        print(", ".join(f"{n} {name}" for name, n in counted.items()) or "no slots")
+        if worked:
+            parts = self.ring.latency(0.5, 0.99, 0.999, 0.9999)
+            told = (f"{1e6 * q:.0f}" for q in parts)
+            print(
+                f"last byte to ground command, 50, 99, 99.9, 99.99 %: {', '.join(told)} µs"
+            )
+
+
+def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
+    """The view's command, if any."""
+    if view == "none":
+        return []
+    module = "view" if view == "terminal" else "view_rerun"
+    if view == "rerun" and find_spec("rerun") is None:
+        mend = "pip install 'tomojax[rerun]' brings it"
+        raise ValueError(f"rerun is not installed; {mend}")
+    words = [] if rrd is None or view != "rerun" else ["--rrd", str(rrd)]
+    return [sys.executable, "-m", f"tomojax.hardware.loop.{module}", ring, *words]
+
+
+@contextmanager
+def session(
+    source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
+):
+    """A session and what `prepare` makes of the sensor before the source is started.
+
+    A rig that sends already, while a step is compiled, would lose slots.
+    """
+    import numpy as np
+
+    from tomojax import Sensor
+    from tomojax.hardware import open_source, SlotRing
+    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.hardware.sources import OrderedSource, ReplaySource
+    from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
+    from tomojax.recordings import open_recording, Rig
+
+    names = "baud", "bind", "speed"
+    given = {n: options[n] for n in names if options[n] is not None}
+    if out is not None and out.exists():
+        raise ValueError(f"{out}: is there; give another name")
+    with ExitStack() as stack:
+        rig = None
+        if options["like"]:
+            with open_recording(options["like"]) as recording:
+                rig = recording.rig
+        sensor = Sensor.grid(dtype=np.float32, divisions=(32, 32))
+        sensor = sensor if rig is None else rig.sensor()
+        if source == "virtual":
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            print("scenes for a virtual rig …", file=sys.stderr)
+            draw_eight(sensor, folder / "scene.npz")
+            rig_process = VirtualRig(folder / "scene.npz", link="udp")
+            source = stack.enter_context(rig_process).where
+        slots = open_source(source, sensor.electrode_count, **given)
+        if isinstance(slots, ReplaySource):
+            rig = slots.rig
+            sensor = rig.sensor()
+        order = options.get("channels"), options.get("grounds")
+        if order != (None, None):
+            slots = OrderedSource(slots, *order)
+        prepared = prepare(sensor)
+        stack.enter_context(slots)
+        ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)
+        stack.callback(ring.remove)
+        known = Rig.of(sensor, slots.rate) if rig is None else rig
+        told, recorder = attributes(known, slots.scale, slots.offset), None
+        if out is not None:
+            recorder = Recorder(ring, out, told, options["file_seconds"])
+            stack.callback(recorder.stop)
+        yield _Session(slots, ring, recorder, told, options), prepared
