@@ -3,8 +3,7 @@
 Zeros follow slots without a contact. They do not depend on the ground, and what a contact
 makes does: that tells a light touch from a zero. Gains follow lone contacts that move. A
 contact that is held still leaves the model's error at its place over and over: it counts
-once, and counts again only after contacts in other squares. What is left in a square when
-it is first touched is mostly the model's error there: what changes since then is drift.
+once, and counts again only after contacts in other squares.
 """
 
 from dataclasses import replace
@@ -41,10 +40,6 @@ _OUTLYING = 3.0
 # Squares that have to be touched before one counts again; slots of a fit; contacts that
 # are fitted at once at most. Beside R a part of what is looked for, which a fit takes up.
 _OTHERS, _FITTED, _MOST, _TAKEN = 8, 10, 32, 0.2
-
-# Contacts of one square differ by this part of the model's error, 1 σ; what they leave is
-# the mean of so many.
-_ALIKE, _MEAN = 0.5, 8
 
 # Frames are observed in stretches of so long, s: a value hardly drifts in them.
 _STRETCH = 60.0
@@ -101,10 +96,6 @@ class Adapter:
         self.gains = Drift.of(gains, _GAIN, hours)
         self.time = np.nan  # of the last frame that was observed, s
         self._recent = np.full((min(_OTHERS, m // 4), 2), -1)
-        squares = np.ceil(np.asarray(sensor.size, float) / self._pitch).astype(int) + 1
-        # What contacts leave in each square, and from how many that is known.
-        self._left = np.zeros((*squares, m))
-        self._known = np.zeros((*squares, m), int)
         # Stretches of silence and contacts that were made use of; those that were not.
         self.counts = np.zeros(4, int)
 
@@ -201,40 +192,24 @@ class Adapter:
         if not used.any() or not len(v):
             return
         left = left_of(self._points, v.astype(np.float32), under, at)
-        for off, variance, misfit, place in zip(
-            left.relative, left.variance, left.misfit, at
-        ):
-            cell = tuple(self._cells(place[None])[0])
-            fits = bool(np.isfinite(misfit)) and self._learned(off, variance, cell)
+        for off, variance, misfit in zip(left.relative, left.variance, left.misfit):
+            told = np.isfinite(variance)
+            fits = bool(np.isfinite(misfit)) and 2 * told.sum() > len(told)
+            # What all have in common is the contact's current.
+            off = np.where(told, off - off[told].mean() if fits else 0, 0)
+            variance = variance + _TAKEN**2 * self.gains.variance
+            off_by = off[told] ** 2 / (self.gains.variance + variance)[told]
+            fits = fits and float(np.median(off_by)) < _OUTLYING**2
             self.counts[1 if fits else 3] += 1
-
-    def _learned(self, off: np.ndarray, variance: np.ndarray, cell: tuple) -> bool:
-        """Takes up what a contact leaves of channels, relative; False where it is none."""
-        told, known = np.isfinite(variance), self._known[cell]
-        if 2 * told.sum() <= len(told):
-            return False
-        # What all have in common is the contact's current.
-        off = np.where(told, off - off[told].mean(), 0)
-        new = np.where(told, off - self._left[cell], 0)
-        new = np.where(told, new - new[told].mean(), 0)
-        again = _ALIKE**2 * (1 + 1 / np.maximum(known, 1))
-        variance = np.where(known > 0, again, 1) * variance
-        variance = variance + _TAKEN**2 * self.gains.variance
-        far = new[told] ** 2 / (self.gains.variance + variance)[told]
-        if float(np.median(far)) > _OUTLYING**2:
-            return False
-        before, after = self.gains, self.gains.told(new, variance)
-        # All gains together stay: nothing tells of them.
-        value, rate = (
-            old + np.where(told, a - old - (a - old)[told].mean(), 0)
-            for a, old in ((after.value, before.value), (after.rate, before.rate))
-        )
-        self.gains = self._bounded(after._replace(value=value, rate=rate))
-        rest = off - (self.gains.value - before.value)
-        part = np.where(told & (known < _MEAN), 1 / (known + 1), 0)
-        self._left[cell] += part * (rest - self._left[cell])
-        self._known[cell] += part > 0
-        return True
+            if not fits:
+                continue
+            new = self.gains.told(off, variance)
+            # All gains together stay: nothing tells of them.
+            value, rate = (
+                old + np.where(told, a - old - (a - old)[told].mean(), 0)
+                for a, old in ((new.value, self.gains.value), (new.rate, self.gains.rate))
+            )
+            self.gains = self._bounded(new._replace(value=value, rate=rate))
 
     def _zero(self, zeros: Drift) -> Drift:
         return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)
@@ -248,7 +223,8 @@ class Adapter:
         A contact that is held, or goes to and fro between a few squares, visits nothing.
         """
         alone = np.isfinite(places).all(1)
-        cells = np.where(alone[:, None], self._cells(np.nan_to_num(places)), -1)
+        cells = np.floor(np.where(alone[:, None], places, 0) / self._pitch).astype(int)
+        cells = np.where(alone[:, None], cells, -1)
         ends = np.flatnonzero((cells[1:] != cells[:-1]).any(1)) + 1
         need, found = max(1, -(-_FITTED // slots)), []
         for run in np.split(np.arange(len(cells)), ends):
@@ -262,10 +238,6 @@ class Adapter:
             found.append(np.resize(run[middle : middle + need], need))
         return np.array(found, int).reshape(-1, need)
 
-    def _cells(self, places: np.ndarray) -> np.ndarray:
-        most = np.array(self._known.shape[:2]) - 1
-        return np.clip(np.floor(places / self._pitch).astype(int), 0, most)
-
     def state(self) -> dict[str, np.ndarray]:
         """All that it remembers, to be restored."""
         return {
@@ -273,8 +245,6 @@ class Adapter:
             "adapted_gains": np.stack(self.gains),
             "adapted_time": np.array(self.time),
             "adapted_recent": self._recent,
-            "adapted_left": self._left,
-            "adapted_known": self._known,
             "adapted_counts": self.counts,
         }
 
@@ -284,8 +254,6 @@ class Adapter:
         self.gains = Drift(*state["adapted_gains"])
         self.time = float(state["adapted_time"])
         self._recent, self.counts = state["adapted_recent"], state["adapted_counts"].copy()
-        self._left = state["adapted_left"].copy()
-        self._known = state["adapted_known"].copy()
 
 
 def stretches(t: Float[np.ndarray, " n"]) -> list[np.ndarray]:
