@@ -4,7 +4,7 @@
 
 Four rigs: a resistor network and one of finite elements (`tomojax.studies.rigs`), each as
 the paper's sensor and as one of 6 × 6 electrodes on 300 mm and 30 kΩ/sq. Each is calibrated
-from 120 contacts at unknown places. Then a day: every two minutes two scans of silence and
+from 120 contacts at unknown places. Then a day: every 30 s two scans of silence and
 one of a contact, of 200 that come again in any order; two hours of silence; an hour in
 which one contact is held still. Gains drift by 1 % an hour and zeros by 1 mV an hour (of a
 drive of 4.5 V): "steady", each channel up or down all day long, or "wandering", at rates
@@ -27,7 +27,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 
-EVERY, SILENT, HELD, NIGHT = 120.0, 2, 12, (3, 4)
+EVERY, SILENT, HELD, NIGHT = 30.0, 2, 12, (3, 4)
 CALIBRATED, TOUCHES = 120, 200
 CASES = (
     ("network", "8 × 8, 160 mm", "steady"),

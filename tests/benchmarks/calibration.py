@@ -1,6 +1,6 @@
 """Calibrations of rigs that are not ours: nominal, with contacts' places told, and blind.
 
-    python tests/benchmarks/calibration.py [--rigs 10] [--touches 100] [--seed N]
+    python tests/benchmarks/calibration.py [--rigs 8] [--touches 100] [--seed N]
 
 Every second rig is a resistor network, every other one is of finite elements
 (`tomojax.studies.rigs`), drawn by default: sheet uneven by 2 %, electrodes off by 3 % of
@@ -70,8 +70,9 @@ def judged_scenes(sensor: Any, rng: np.random.Generator) -> list[tuple[str, list
             middle, turn = rng.uniform(pitch, size - pitch), rng.uniform(0, np.pi)
             half = apart * pitch / 2 * np.array([np.cos(turn), np.sin(turn)])
             radii = rng.uniform(0.15, 0.3, 2) * pitch
+            both, ratio = conductance(), 10 ** rng.uniform(-0.25, 0.25)
             pair = [
-                Touch(middle + s * half, (a, a), 0.0, conductance())
+                Touch(middle + s * half, (a, a), 0.0, both * ratio**s)
                 for s, a in zip((1, -1), radii)
             ]
             scenes.append((f"pair {1e3 * apart * pitch:.0f} mm", pair))
@@ -156,18 +157,19 @@ def _beside(found: Any, made: list[Any]) -> dict[str, float]:
     long = made[0][0].half_axes[0] > 1.5 * made[0][0].half_axes[1]
     right = found.contact_count == count
     places = np.array([[t.centre for t in touches] for touches in made])
-    xy, stated = found.contact_xy[:, :count], np.sqrt(found.contact_covariance[:, :count])
+    xy = found.contact_xy[:, :count]
+    stated = np.sqrt(found.contact_covariance[:, :count, :2])
     off = xy - places
     if count == 2:
         crossed = xy[:, ::-1] - places
         worse = (off**2).sum((1, 2)) > (crossed**2).sum((1, 2))
         off[worse], stated[worse] = crossed[worse], stated[worse][:, ::-1]
     mm = np.where(right, 1e3 * np.hypot(*np.moveaxis(off, -1, 0)).max(1), np.inf)
-    row = {"median_mm": np.median(mm), "p90_mm": np.quantile(mm, 0.9)}
+    row = {"median_mm": np.median(mm), "p90_mm": np.quantile(mm, 0.9, method="lower")}
     row["count_right"] = right.mean()
     row["flagged"] = (found.flags != 0).mean()
     if right.any():
-        row["within_sigma"] = (np.abs(off) < stated[..., :2])[right].mean()
+        row["within_sigma"] = (np.abs(off) < stated)[right].mean()
     if count == 1 and not long:
         true = np.array([touches[0].conductance for touches in made])
         ratio = np.abs(np.log(found.contact_conductance[:, 0] / true))
@@ -293,7 +295,7 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rigs", type=int, default=10)
+    parser.add_argument("--rigs", type=int, default=8)
     parser.add_argument("--first", type=int, default=0, help="of the rigs")
     parser.add_argument("--touches", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1000022)
@@ -306,7 +308,8 @@ def main() -> None:
         given = [options.seed] * options.rigs, [options.touches] * options.rigs
         rigs = list(pool.map(drawn, numbers, *given))
     rows = [row for k, rig in zip(numbers, rigs) for row in judged(k, options.seed, rig)]
-    errors = [row for k in numbers for row in switched_off(k, options.seed)]
+    # One rig of each model: how the others differ is seen above.
+    errors = [row for k in list(numbers)[:2] for row in switched_off(k, options.seed)]
     from benchmarks.physics import environment
 
     report = {"environment": environment(), "rows": rows, "switched_off": errors}

@@ -166,7 +166,7 @@ def test_slopes_by_the_rig():
     none = jnp.zeros((1, 2))
     fitted = Fitted(x[None], none, none[:, 0], radius[None], current, 0 * current, base)
     slopes = np.asarray(slopes_by_rig(sheet, rig_slopes(x64), grounds, fitted))
-    parts = unknowns_of(x64, tx.Calibration(), True).parts
+    parts = unknowns_of(x64, tx.Calibration()).parts
     moved = np.zeros((16, 2))
     moved[6] = 3e-5, 0  # at (30, 50) mm
     waves = np.zeros(27)
@@ -275,11 +275,11 @@ def test_one_touch_calibrates_nothing():
 
 def test_derivatives_by_voltages_are_those_of_the_held_problem():
     """The implicit function theorem's, beside differences of the problem solved anew."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(0)
     with jax.enable_x64(True):
         sensor = tx.Sensor.grid(3, 3, divisions=(12, 12))
-        places = rng.uniform(0.008, 0.052, (20, 2))
-        grounds = np.array([rng.choice(9, 3, replace=False) for _ in places])
+        places = rng.uniform(0.008, 0.052, (24, 2))
+        grounds = np.array([rng.choice(9, 4, replace=False) for _ in places])
         discs = [tx.Disc(xy, 0.004, 0.3) for xy in places]
         exact = np.stack([tx.voltages(sensor, d, g) for d, g in zip(discs, grounds)])
         volts = exact * (1 + 5e-4 * rng.normal(size=9)) + 3e-4 * rng.normal(

@@ -12,7 +12,13 @@ from tomojax._custom_types import Numbers
 from tomojax._require import require
 from tomojax.calibration._frames import Known, Sums, sums_of
 from tomojax.calibration._slopes import rig_slopes
-from tomojax.calibration._unknowns import calibration_of, Unknowns, unknowns_of, values_of
+from tomojax.calibration._unknowns import (
+    calibration_of,
+    Unknowns,
+    unknowns_of,
+    values_of,
+    widened,
+)
 from tomojax.kernels.flags import Flag
 from tomojax.methods import Batch, method as make_method, Points
 from tomojax.sensor import Calibration, Sensor
@@ -29,11 +35,11 @@ _PASSES, _ENOUGH, _LITTLE = 8, 0.2, 0.003
 # leaves a contact free, beside what voltages tell of it.
 _GIVEN, _FOUND = 0.005, 0.5
 
+# Frames scatter by no less than this part of what errors as told would make them.
+_SCATTER, _NEVER = 0.05, 1e-9
+
 # Contacts within this part of a pitch make the same errors of the model.
 _ALIKE = 0.25
-
-# Known places that tell how electrodes lie as a whole.
-_PLACED = 8
 
 # Frames that at least are needed, and squares of a pitch that they lie in, of all.
 _FEWEST, _TOUCHED = 16, 0.1
@@ -45,7 +51,7 @@ class Calibrated(NamedTuple):
     calibration: Calibration
     places: Float[np.ndarray, "n 2"]  # of the contacts that it is made of, m
     covariance: Float[np.ndarray, "P P"]  # of the values
-    unknowns: Unknowns  # what they are, and what was known of them
+    unknowns: Unknowns  # what they are; the prior that, with errors as told, gives these
     state: Float[np.ndarray, " P"]  # the values as a vector
     frames: Known  # that were used
     told: Calibration  # of the last pass, with the errors that it was told of
@@ -115,16 +121,16 @@ def calibrated(
     """As `calibrate`, with what the calibration is made of and how sure it is."""
     before = calibration or Calibration()
     known = _known(sensor, voltages, grounds, places, spread, times)
-    placed = bool(np.isfinite(known.places).all(1).sum() >= _PLACED)
     if not np.isfinite(known.places).all():
         progress("finding the contacts")
         known = _found(sensor, before, known)
     known = known._replace(weight=_weight(known.places, _ALIKE * sensor.mean_pitch))
-    unknowns, slopes = unknowns_of(sensor, before, placed), rig_slopes(sensor)
+    unknowns, slopes = unknowns_of(sensor, before), rig_slopes(sensor)
     state = trial = unknowns.start
     now, lowest, step = before, np.inf, 0 * state
     weighed = False
-    sums, first, covariance = None, None, np.linalg.inv(unknowns.prior)
+    sums, first, prior = None, None, unknowns.prior
+    covariance = np.linalg.inv(prior)
     for number in range(_PASSES):
         progress(f"pass {number + 1}")
         told = calibration_of(unknowns, trial, before)
@@ -141,10 +147,11 @@ def calibrated(
                 usual, weighed = np.median(new.each), True
                 less = usual / np.maximum(new.each, usual)
                 known = known._replace(weight=known.weight * less)
+                unknowns = widened(unknowns, trial)
                 new = sums_of(*given, known)
                 cost = _cost(unknowns, new, trial)
             state, now, sums, lowest = trial, told, new, cost
-            step, covariance = _step(unknowns, sums, state)
+            step, covariance, prior = _step(unknowns, sums, state)
             if not better:
                 break
         else:  # the slopes are not exact, nor are residuals linear
@@ -154,7 +161,6 @@ def calibrated(
             break
     assert first is not None and sums is not None
     left = float(sums.left / max(float(sums.free), 1.0))
-    covariance = _covariance(unknowns, sums, covariance, len(known.places))
     error = float(np.clip(np.sqrt(sums.shared / first.shared), _LEAST, 1))
     known_as = replace(
         now,
@@ -163,6 +169,7 @@ def calibrated(
         deviation=values_of(unknowns, np.sqrt(np.diag(covariance))),
         made=date.today().isoformat(),
     )
+    unknowns = unknowns._replace(prior=prior)
     return Calibrated(known_as, known.places, covariance, unknowns, state, known, now)
 
 
@@ -173,25 +180,24 @@ def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:
 
 def _step(
     unknowns: Unknowns, sums: Sums, state: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss and Newton's step, and the covariance of the values."""
-    prior = unknowns.prior
-    covariance = np.linalg.inv(sums.normal + prior)
-    return covariance @ (sums.right - prior @ (state - unknowns.start)), covariance
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss and Newton's step, the values' covariance, and the prior that makes this step.
 
-
-def _covariance(
-    unknowns: Unknowns, sums: Sums, inverse: Float[np.ndarray, "P P"], frames: int
-) -> Float[np.ndarray, "P P"]:
-    """H⁻¹(M + P)H⁻¹, H = N + P, M the scatter of what frames say; with what was held.
-
-    Errors are other than nominal values leave, and those of one frame are no independent
-    ones: M is what the frames' own right sides show. So many unknowns take up a part of it.
+    What frames share, the shapes of contacts above all, is no noise that they average. How
+    far frames scatter along each direction tells what they really know of it: where that is
+    less than their number says, what is known beforehand counts for more.
     """
-    taken = float(np.trace(inverse @ sums.normal)) / (sums.free / frames)
-    more = 1 / max(1 - taken / frames, 0.1)
-    spread = inverse @ (more * sums.scatter + unknowns.prior) @ inverse
-    return spread + unknowns.held
+    root = np.linalg.cholesky(np.linalg.inv(unknowns.prior))
+    known, turn = np.linalg.eigh(root.T @ sums.normal @ root)
+    known = np.maximum(known, 0)
+    scatter = np.einsum("ij,ik,kj->j", turn, root.T @ sums.scatter @ root, turn)
+    part = np.maximum(known, _NEVER) / np.maximum(scatter, _SCATTER * known + _NEVER)
+    along = turn.T @ (root.T @ sums.right)
+    off = turn.T @ np.linalg.solve(root, state - unknowns.start)
+    whole = 1 + part * known
+    step = root @ turn @ ((part * along - off) / whole)
+    back = np.linalg.solve(root.T, turn)
+    return step, root @ (turn / whole) @ turn.T @ root.T, (back / part) @ back.T
 
 
 def _known(sensor, voltages, grounds, places, spread, times) -> Known:

@@ -37,11 +37,11 @@ class HeldCalibration(eqx.Module):
     >>> import numpy as np
     >>> import tomojax as tx
     >>> with jax.enable_x64(True):
-    ...     sensor = tx.Sensor.grid(2, 2, divisions=(8, 8))
-    ...     places = np.random.default_rng(0).uniform(0.012, 0.028, (16, 2))
-    ...     discs = [tx.Disc(xy, 0.004, 1.0) for xy in places]
-    ...     volts = np.stack([tx.voltages(sensor, disc) for disc in discs])
-    ...     found = tx.calibration.calibrated(sensor, volts, np.tile(np.arange(4), (16, 1)))
+    ...     sensor = tx.Sensor.grid(3, 3, divisions=(12, 12))
+    ...     places = np.random.default_rng(0).uniform(0.008, 0.052, (24, 2))
+    ...     discs, corners = [tx.Disc(xy, 0.004, 0.3) for xy in places], [0, 2, 6, 8]
+    ...     volts = np.stack([tx.voltages(sensor, disc, corners) for disc in discs])
+    ...     found = tx.calibration.calibrated(sensor, volts, np.tile(corners, (24, 1)))
     ...     held = tx.calibration.HeldCalibration(sensor, found)
     >>> first = held.parts["gain"].start
     >>> by_voltages = jax.grad(lambda v: held.values(v)[first])  # call it where x64 is on

@@ -108,8 +108,7 @@ def calibrated_recording(
         places = places.repeat(per_scan, 0) if of_scans else places
     before = tare(recording, calibration)
     # Places of scans are those of their middle, whatever moves in them.
-    whole = places is not None or per_scan >= _LEAST
-    length = min(per_scan if whole else slots, _SLOTS)
+    length = frame_length(recording) if places is None else min(per_scan, _SLOTS)
     frames = touched(recording, before, length, most)
     good = frames.good.mean((0, 1)) > _GOOD if len(frames.good) else np.ones(0, bool)
     usable = frames.good[:, :, good].all((1, 2))
@@ -131,6 +130,13 @@ def calibrated_recording(
         times=frames.times[some],
         progress=progress,
     )
+
+
+def frame_length(recording: Recording) -> int:
+    """Slots of a frame: ten, or a scan of five to ten, in which a contact may be lifted."""
+    per_scan = recording.slots
+    whole = per_scan >= _LEAST
+    return min(per_scan if whole else recording.scans * per_scan, _SLOTS)
 
 
 def touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:

@@ -17,9 +17,6 @@ _GAIN, _ZERO, _SHEET, _GROUND, _GROUNDS, _OFF = 1e-3, 1.1, 0.03, 0.01, 0.1, 0.04
 # Zeros that were taken from contact-free slots are known so many times better.
 _TARED = 10.0
 
-# What is held has this part of its variance in the solve.
-_HELD = 1e-4
-
 # Half periods of the waves that are looked for.
 MOST = max(WAVES.values())
 
@@ -30,15 +27,10 @@ class Unknowns(NamedTuple):
     parts: dict[str, slice]
     start: Float[np.ndarray, " P"]
     prior: Float[np.ndarray, "P P"]  # inverse covariance
-    held: Float[np.ndarray, "P P"]  # covariance of what is not looked for
 
 
-def unknowns_of(sensor: Sensor, before: Calibration, placed: bool) -> Unknowns:
-    """Those of a rig near `before`; whether contacts are `placed`, at known places.
-
-    Contacts whose places are not known hardly tell a shift, a turn or a stretch of all
-    electrodes, and errors of the model that frames share tell them wrong: these are held.
-    """
+def unknowns_of(sensor: Sensor, before: Calibration) -> Unknowns:
+    """Those of a rig near `before`."""
     m, waves = sensor.electrode_count, len(smooth_orders(MOST))
     sizes = {"gain": m, "offset": m, "sheet": waves, "ground": m, "electrodes": 2 * m}
     ends = np.cumsum(list(sizes.values()))
@@ -58,19 +50,20 @@ def unknowns_of(sensor: Sensor, before: Calibration, placed: bool) -> Unknowns:
     put("gain", _GAIN**2)
     put("offset", (_ZERO * nominal_noise(sensor) / tared) ** 2)
     put("sheet", (_SHEET / (smooth_orders(MOST) ** 2).sum(1)) ** 2)
-    off = (_OFF * float(sensor.electrode_diameter)) ** 2
-    put("electrodes", off)
-    at = parts["electrodes"]
-    whole = np.zeros((ends[-1], 6))
-    whole[at] = affine(np.asarray(sensor.electrode_xy, float))
-    if not placed:
-        known[at, at] -= (1 - _HELD) * off * (whole @ whole.T)[at, at]
+    put("electrodes", (_OFF * float(sensor.electrode_diameter)) ** 2)
     rho = float(np.asarray(sensor.sheet_resistance).mean())
     known[parts["ground"], parts["ground"]] = rho**2 * (
         _GROUND**2 * np.eye(m) + _GROUNDS**2
     )
-    held = np.zeros_like(known) if placed else off * whole @ whole.T
-    return Unknowns(parts, start, np.linalg.inv(known), held)
+    return Unknowns(parts, start, np.linalg.inv(known))
+
+
+def widened(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> Unknowns:
+    """With electrodes as far off as a first pass has found them, where that is farther."""
+    at, prior = unknowns.parts["electrodes"], unknowns.prior.copy()
+    square = float(np.mean((state - unknowns.start)[at] ** 2))
+    prior[at, at] /= max(1.0, square * prior[at.start, at.start])
+    return unknowns._replace(prior=prior)
 
 
 def affine(places: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "N k"]:

@@ -203,13 +203,13 @@ class Adapter:
             self.counts[1 if fits else 3] += 1
             if not fits:
                 continue
-            new = self.gains.told(off, variance)
+            new = self._bounded(self.gains.told(off, variance))
             # All gains together stay: nothing tells of them.
             value, rate = (
                 old + np.where(told, a - old - (a - old)[told].mean(), 0)
                 for a, old in ((new.value, self.gains.value), (new.rate, self.gains.rate))
             )
-            self.gains = self._bounded(new._replace(value=value, rate=rate))
+            self.gains = new._replace(value=value, rate=rate)
 
     def _zero(self, zeros: Drift) -> Drift:
         return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)

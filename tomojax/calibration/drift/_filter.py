@@ -73,4 +73,11 @@ class Drift(NamedTuple):
         near, steep = _FASTEST * rate, _STEEPEST * rate
         value = np.clip(self.value, self.usual - near, self.usual + near)
         value = np.clip(value, -most, most)
-        return self._replace(value=value, rate=np.clip(self.rate, -steep, steep))
+        # After a long gap much could be: what is off by more than a third is still odd.
+        less = np.minimum(1, (most / 3) ** 2 / self.variance)
+        return self._replace(
+            value=value,
+            rate=np.clip(self.rate, -steep, steep),
+            variance=less * self.variance,
+            both=np.sqrt(less) * self.both,
+        )

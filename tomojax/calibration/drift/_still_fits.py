@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.calibration._recording import touched
+from tomojax.calibration._recording import frame_length, touched
 from tomojax.calibration._tare import quiet_slots, tare
 from tomojax.calibration.drift._adapter import lone_places, silence
 from tomojax.calibration.drift._fitted import left_of
@@ -14,7 +14,7 @@ from tomojax.recordings import Recording
 from tomojax.sensor import Calibration, nominal_noise
 
 # Frames that are looked at, slots of each; frames with a lone contact that tell enough.
-_FRAMES, _SLOTS, _ENOUGH = 96, 10, 8
+_FRAMES, _ENOUGH = 96, 8
 
 # χ² that a rig leaves of a contact where its errors are as stated: told errors are nearly
 # the largest that are usual. Several times as much fits no more, in zeros as in contacts.
@@ -79,8 +79,7 @@ def _zeros(recording: Recording, calibration: Calibration) -> dict[str, Any]:
 def _contacts(recording: Recording, calibration: Calibration) -> dict[str, Any]:
     sensor = recording.rig.sensor()
     tared = tare(recording, calibration)
-    length = min(recording.scans * recording.slots, _SLOTS)
-    frames = touched(recording, tared, length, _FRAMES)
+    frames = touched(recording, tared, frame_length(recording), _FRAMES)
     none = {"lone_contacts": 0, "contacts_chi2": None, "gains_off_percent": None}
     if not len(frames.voltages):
         return none
