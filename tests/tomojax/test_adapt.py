@@ -192,7 +192,8 @@ def test_what_is_followed_is_bounded(sensor, touches):
         hours.append(np.log(adapter.gain))
     moved = np.diff(hours, axis=0, prepend=0)
     assert np.abs(moved).max() < 0.12 and np.abs(hours).max() < 0.31
-    assert np.abs(np.mean(hours, 1)).max() < 5e-3
+    # What all have in common: a channel that is stopped leaves the others a part of it.
+    assert np.abs(np.mean(hours, 1)).max() < 0.3 / 6
 
 
 def test_a_gap_or_nonsense_does_no_harm(sensor, touches):
