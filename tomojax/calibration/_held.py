@@ -139,7 +139,7 @@ def _fits(
 ) -> tuple[Array, Array, Array]:
     """Each frame's contact, the scale of its errors, and slopes by the rig's geometry."""
 
-    def one(v: Array, g: Array, place: Array, spread: Array) -> tuple[Array, ...]:
+    def one(v: Array, g: Array, place: Array, spread: Array) -> Any:
         ready = prepared._replace(grounds=g)
         contact, found, frame, _ = fit_of(points, ready, v, place, spread)
         by_rig = slopes_by_rig(points.sheet, slopes, g, found.fitted)

@@ -228,12 +228,9 @@ def _bar(share: tuple[int, int]):
 def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
+    from tomojax.sensor import Calibration
 
-    if calibration is not None:
-        from tomojax.sensor import Calibration
-
-        known = Calibration.load(calibration)
-
+    known = None if calibration is None else Calibration.load(calibration)
     with open_recording(rec, **tdms) as recording:
         summary = info.summary(recording)
         with _bar((0, 1)) as bar:
@@ -245,7 +242,7 @@ def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
 
             rows = info.faults(recording, progress)
         fit = None
-        if calibration is not None:
+        if known is not None:
             from tomojax.calibration import still_fits
 
             try:

@@ -222,7 +222,7 @@ class Adapter:
 
         A contact that is held, or goes to and fro between a few squares, visits nothing.
         """
-        alone = np.isfinite(places).all(1)
+        alone = np.isfinite(places[:, 0]) & np.isfinite(places[:, 1])
         cells = np.floor(np.where(alone[:, None], places, 0) / self._pitch).astype(int)
         cells = np.where(alone[:, None], cells, -1)
         ends = np.flatnonzero((cells[1:] != cells[:-1]).any(1)) + 1

@@ -99,7 +99,12 @@ def _one(
     sound = jnp.isfinite(parameters).all() & jnp.isfinite(relative).all()
     where = jnp.where(sound, found.fitted.place[0], jnp.nan)
     variance = jnp.where(sound & (power > 1e-20), variance, 0)
-    return jnp.where(sound, relative, 0), variance, jnp.where(sound, chi, jnp.nan), where
+    return (
+        jnp.where(sound, relative, 0),
+        jnp.asarray(variance),
+        jnp.where(sound, chi, jnp.nan),
+        where,
+    )
 
 
 def _cost(parameters: Array, sheet: Any, frame: Any, tolerance: Array) -> Normal:
