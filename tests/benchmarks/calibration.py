@@ -235,6 +235,22 @@ def _values(sensor, known, rig: dict[str, np.ndarray]) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
+def _by_slots(axes: Any, rows: list[dict[str, Any]], scene: str) -> None:
+    """Place errors by slots; where most are miscounted a dot lies on the upper frame."""
+    each = [r["median_mm"] for r in rows if r["scene"] == scene]
+    top = 1.3 * max(a for a in each if a is not None and np.isfinite(a))
+    for k, kind in enumerate(KINDS):
+        own = [r for r in rows if r["kind"] == kind and r["scene"] == scene]
+        for at, slots in enumerate(SLOTS):
+            each = [r["median_mm"] for r in own if r["slots"] == slots]
+            each = [a if a is not None and np.isfinite(a) else top for a in each]
+            x = at + 0.22 * (k - 1)
+            axes.plot([x] * len(each), each, ".", color=COLOURS[kind], ms=5)
+            axes.plot(x, np.median(each), "_", color=COLOURS[kind], ms=16, mew=3)
+    axes.set_xticks(range(len(SLOTS)), [str(slots) for slots in SLOTS])
+    axes.set(xlabel="slots", ylabel="place error, median, mm", yscale="log")
+
+
 def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -> None:
     """Place errors by slots, electrodes that are left, and rigs without some errors."""
     import matplotlib
@@ -244,40 +260,19 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
 
     figure, axes = plt.subplots(2, 2, figsize=(10, 7.5), layout="constrained")
     (left, right), (pairs, off) = axes
-    for k, kind in enumerate(KINDS):
-        lone = [r for r in rows if r["kind"] == kind and r["scene"] == "lone"]
-        for slots in SLOTS:
-            each = [r["median_mm"] for r in lone if r["slots"] == slots]
-            at = SLOTS.index(slots) + 0.22 * (k - 1)
-            left.plot([at] * len(each), each, ".", color=COLOURS[kind], ms=5)
-            label = kind if slots == 1 else None
-            left.plot(
-                at, np.median(each), "_", color=COLOURS[kind], ms=18, mew=3, label=label
-            )
-        ten = [r for r in lone if r["slots"] == 10]
+    _by_slots(left, rows, "lone")
+    _by_slots(pairs, rows, "pair 20 mm")
+    for kind in KINDS:
+        ten = [r for r in rows if r["kind"] == kind and r["slots"] == 10]
+        ten = [r for r in ten if r["scene"] == "lone"]
         x = [f"{r['model']} {r['rig']}" for r in ten]
         y = [r["electrodes_mm"] for r in ten]
         right.plot(x, y, "o", color=COLOURS[kind], label=kind)
-        for n, name in enumerate(
-            r for r in dict.fromkeys(r["scene"] for r in rows) if "pair" in r
-        ):
-            each = [
-                r["median_mm"]
-                for r in rows
-                if r["kind"] == kind and r["scene"] == name and r["slots"] == 10
-            ]
-            at = n + 0.22 * (k - 1)
-            pairs.plot([at] * len(each), each, ".", color=COLOURS[kind])
-            pairs.plot(at, np.median(each), "_", color=COLOURS[kind], ms=18, mew=3)
-            pairs.text(n, pairs.get_ylim()[0], name, ha="center")
-    left.set_xticks(range(len(SLOTS)), [str(s) for s in SLOTS])
-    left.set(xlabel="slots", ylabel="place error of a contact, median, mm", yscale="log")
-    left.legend(title="a dot for each rig")
+    left.set_title("lone contacts, a dot for each rig")
+    pairs.set_title("pairs 20 mm apart: the worse place; on top: most miscounted")
+    right.legend()
     right.set(ylabel="electrodes off the places told, mm rms", yscale="log")
     right.tick_params(axis="x", rotation=60)
-    pairs.set(
-        ylabel="pairs, ten slots: the worse place, median, mm", xticks=[], yscale="log"
-    )
     for n, label in enumerate(OFF):
         each = [r for r in errors if r["left"] == label]
         off.plot([n] * len(each), [r["median_mm"] for r in each], ".", color="k")
@@ -288,7 +283,7 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
     off.set(
         ylabel="place error, median, mm",
         yscale="log",
-        title="rigs without some errors (green: soft contacts)",
+        title="without some errors (green: soft)",
     )
     figure.savefig(path, dpi=120)
 
@@ -298,7 +293,7 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=8)
     parser.add_argument("--first", type=int, default=0, help="of the rigs")
     parser.add_argument("--touches", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1000022)
+    parser.add_argument("--seed", type=int, default=1000023)
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     # Two processes of as many threads as cores would wait for each other.
@@ -312,6 +307,10 @@ def main() -> None:
     errors = [row for k in list(numbers)[:2] for row in switched_off(k, options.seed)]
     from benchmarks.physics import environment
 
+    for row in rows:  # JSON has no infinity: most were miscounted
+        row |= {
+            k: None for k, a in row.items() if isinstance(a, float) and not np.isfinite(a)
+        }
     report = {"environment": environment(), "rows": rows, "switched_off": errors}
     (options.out / "calibration.json").write_text(json.dumps(report, indent=1) + "\n")
     draw(rows, errors, options.out / "calibration.png")
