@@ -53,6 +53,7 @@ from tomojax.kernels.contacts._points import (
     LONG as LONG,
     metallic as metallic,
     NARROW as NARROW,
+    NOT_ROUND as NOT_ROUND,
     round_disc as round_disc,
     Sheet as Sheet,
     SIZE_WIDTH as SIZE_WIDTH,

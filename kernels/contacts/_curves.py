@@ -6,6 +6,7 @@ is uneven beside that is a sum of a few modes, other ones in each slot. Slopes l
 how those shares change with place and shape: modes make up for it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -36,12 +37,17 @@ _POINTS, _ROW, _UNEVEN = 18, 0.58, 0.3
 # from that it may be: from a current source to metal.
 _STRENGTH, _STRENGTH_WIDTH = 30.0, 1.5
 
+# How a bar's conductance falls towards its ends is known beforehand: by a half of an
+# ellipse's √(1 − s²), from none of a rectangle to all of it at 1 σ; and no more than leaves
+# some at each point.
+_TAPER, _MOST_TAPER = 0.5, 1.4
+
 # Parameters of a curve: middle; from there to a bar's end, or a ring's radius and nothing;
-# half a bar's width; strength; and 0 of a bar, 1 of a ring, which stays as it is.
-CURVE = 7
+# half a bar's width; strength; a bar's taper; and 0 of a bar, 1 of a ring, which stays.
+CURVE = 8
 
 # The longest step of each, as `discs` has them.
-_LONGEST = 6.0, 6.0, 6.0, 6.0, 0.7, 1.0, 0.0
+_LONGEST = 6.0, 6.0, 6.0, 6.0, 0.7, 1.0, 1.0, 0.0
 
 
 class _Shape(NamedTuple):
@@ -49,7 +55,8 @@ class _Shape(NamedTuple):
 
     at: Float[Array, "N 2"]
     weights: Float[Array, " N"]
-    modes: Float[Array, "k N"]  # the first is 1
+    tapered: Float[Array, " N"]  # how these change with the taper's parameter
+    modes: Float[Array, "k N"]  # what each lets flow there, nothing in all
 
 
 def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "7"]) -> Explained:
@@ -67,7 +74,7 @@ def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "7"]) -> 
         jnp.where(is_ring, jnp.abs(reach[:1]), 0),
         jnp.where(is_ring, NARROW * sheet.size, radius)[None],
     )
-    # A ring has no width, nor a second length: they are known to be 0.
+    # A ring has no second length; its width and its taper move nothing.
     unused = jnp.where(is_ring, jnp.eye(CURVE, dtype=moving.dtype)[3], 0)
     known = jnp.concatenate([unused[None], jnp.eye(CURVE, dtype=moving.dtype)[4:]])
     prior = jnp.matmul(known, parameters.at[-1].set(0), precision="highest")
@@ -78,6 +85,7 @@ def limits_of_curve(sheet: Sheet) -> Limits:
     """A bar is at most as wide as the table's largest disc. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
     highest = jnp.where(jnp.arange(CURVE) == 4, largest, jnp.inf)
+    highest = highest.at[6].set((_MOST_TAPER - _TAPER) / _TAPER)
     return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
 
 
@@ -93,15 +101,22 @@ def _shape_of(sheet: Sheet, p: Float[Array, "7"], is_ring: Bool[Array, ""]) -> _
     angle = 2 * np.pi * np.arange(_POINTS) / _POINTS
     waves = [f(k * angle) for k in (1, 2) for f in (np.cos, np.sin)]
     ring = jnp.abs(reach[0]) * jnp.asarray(np.stack(waves[:2], 1), p.dtype)
-    even, none = np.ones(_POINTS), np.zeros(_POINTS)
-    legendre = np.stack([even, nodes, 1.5 * nodes**2 - 0.5, none, none])
-    both = (bar, weights, legendre), (ring, even / _POINTS, np.stack([even, *waves]))
+    even, none = np.full(_POINTS, 1 / _POINTS), np.zeros(_POINTS)
+    legendre = weights * np.stack([nodes, 1.5 * nodes**2 - 0.5, none, none])
+    # Of one length as Gauss's weights have it, so that the sum stays 1.
+    ellipse = np.sqrt(1 - nodes**2)
+    taper = weights * (ellipse / (weights * ellipse).sum() - 1)
+    weights = weights + _TAPER * (1 + p[6]) * jnp.asarray(taper, p.dtype)
+    both = (
+        (bar, weights, _TAPER * taper, legendre),
+        (ring, even, none, even * np.stack(waves)),
+    )
     chosen = (
         jnp.where(is_ring, jnp.asarray(b, p.dtype), jnp.asarray(a, p.dtype))
         for a, b in zip(*both)
     )
-    at, weights, modes = chosen
-    return _Shape(place + at, weights, modes)
+    at, weights, tapered, modes = chosen
+    return _Shape(place + at, weights, tapered, modes)
 
 
 def _stretch(sheet: Sheet, p: Float[Array, "7"]) -> tuple[Array, Array, Array]:
@@ -121,39 +136,37 @@ def _curve(
 ) -> Explained:
     """Points that move with the parameters; `about` begins what is `Fitted`."""
     dtype, slots = parameters.dtype, len(frame.grounds)
-    at, weights, modes = shape
+    at, weights, tapered, modes = shape
     rows = jax.vmap(thin_rows_at, (None, None, 0))(sheet.thin, sheet.field.size, at)
     green = green_of(sheet, at, jnp.full(len(at), NARROW * sheet.size))
     among = jax.vmap(green)(at)
     strength = _STRENGTH * jnp.exp(_STRENGTH_WIDTH * parameters[5])
     own = sheet.sheet_resistance / (strength * weights)
     at_grounds = rows[:, 0, frame.grounds]
-    base, by_strength = (a.T for a in _even(among, own, at_grounds))  # (S, N)
-    # Modes carry nothing in all.
-    shares = modes[1:] * weights
+    stronger = _STRENGTH_WIDTH * own, own * tapered / weights
+    base, *by_own = (a.T for a in _even(among, own, at_grounds, stronger))  # (S, N)
     each = _made(base, rows[:, 0])[:, None]
-    others = jnp.broadcast_to(
-        _made(shares, rows[:, 0]), (slots, len(shares), rows.shape[-1])
-    )
-    total = jnp.asarray(np.eye(len(modes))[0], dtype)
+    others = jnp.broadcast_to(_made(modes, rows[:, 0]), (slots, len(modes), rows.shape[-1]))
+    unit = np.eye(len(modes) + 1)
+    total = jnp.asarray(unit[0], dtype)
     columns = _in_slots(sheet, frame, jnp.concatenate([each, others], 1), total)
     column = whitened_rows(frame, columns)
     flowing = currents_of(column[:, :1], frame.whitened)
     # What is known of the modes: further values that are measured as 0.
     stiff = 1 / (_UNEVEN * jnp.abs(flowing) + 1e-15)
-    more = stiff[..., None] * jnp.eye(len(modes), dtype=dtype)[:, 1:]
+    more = stiff[..., None] * jnp.asarray(unit[:, 1:], dtype)
     column = jnp.concatenate([column, more], -1)
-    measured = jnp.pad(frame.whitened, ((0, 0), (0, len(shares))))
+    measured = jnp.pad(frame.whitened, ((0, 0), (0, len(modes))))
     current = currents_of(column, measured)
     current = current + currents_of(column, measured - made_by(current, column))
     rest = measured - made_by(current, column)
-    fed = current[:, :1] * base + _made(current[:, 1:], shares)
+    fed = current[:, :1] * base + _made(current[:, 1:], modes)
     tangent = jnp.einsum("nkp,nkm->npm", moving, rows[:, 1:], precision="highest")
     tangent = _made(fed, tangent.reshape(len(at), -1)).reshape(slots, -1, rows.shape[-1])
-    stronger = current[:, :1] * _made(by_strength, rows[:, 0])
-    tangent = tangent.at[:, 5].add(stronger)
+    for k, by in zip((5, 6), by_own):
+        tangent = tangent.at[:, k].add(current[:, :1] * _made(by, rows[:, 0]))
     tangent = whitened_rows(frame, _in_slots(sheet, frame, tangent, jnp.zeros((), dtype)))
-    tangent = jnp.pad(tangent, ((0, 0), (0, 0), (0, len(shares))))
+    tangent = jnp.pad(tangent, ((0, 0), (0, 0), (0, len(modes))))
     drop = drops(sheet, frame.grounds, among, at_grounds.T, fed)
     drop = jnp.matmul(drop, weights[:, None], precision="highest")
     fitted = Fitted(*about, current[:, :1], drop, made_by(current, columns))
@@ -177,12 +190,15 @@ def _in_slots(
 
 
 def _even(
-    among: Float[Array, "N N"], own: Float[Array, " N"], at_ground: Float[Array, "N S"]
-) -> tuple[Float[Array, "N S"], Float[Array, "N S"]]:
+    among: Float[Array, "N N"],
+    own: Float[Array, " N"],
+    at_ground: Float[Array, "N S"],
+    less: Sequence[Float[Array, " N"]],
+) -> list[Float[Array, "N S"]]:
     """Shares of a slot's current that flow at each point of an even contact.
 
     (G + r)q = a + I·R_l(x), from V0 − u = r·q, whatever V0 is; Σq = I. And how they change
-    with `_STRENGTH_WIDTH`·ln of r less: G's inverse times r·q, Σ = 0.
+    with r `less` by each of some amounts d: G's inverse times d·q, Σ = 0.
     """
     mean = jnp.trace(among) / len(own)
     # Points nearer to each other than they are wide would make it singular.
@@ -196,4 +212,4 @@ def _even(
         return found + (total - found.sum(0)) / alone.sum() * alone
 
     shares = balanced(at_ground, 1.0)
-    return shares, balanced(_STRENGTH_WIDTH * own[:, None] * shares, 0.0)
+    return [shares, *(balanced(each[:, None] * shares, 0.0) for each in less)]

@@ -73,8 +73,13 @@ def _enough_for(size: int) -> float:
 
 
 def _asked(ladder: Ladder) -> Any:
-    """Whether a bar or a ring is worth a try: one disc does not do, nor do two."""
-    return ladder.asked & ~((ladder.discs.count == 2) & _explains(ladder.discs))
+    """Whether a bar or a ring is worth a try: one disc does not do, nor do two.
+
+    Two long ones may do for a bar.
+    """
+    two = (ladder.discs.count == 2) & _explains(ladder.discs)
+    square = (ladder.discs.parameters[:2, 3:5] ** 2).sum(-1)
+    return ladder.asked & ~(two & (square < model.NOT_ROUND**2).any())
 
 
 def _explains(found: Found) -> Any:
