@@ -37,8 +37,10 @@ GAIN = 8.0
 _PROMISE = 0.65
 
 # Discs nearer than this many usual radii, and a second or further one below this part of
-# the strongest, are what the model's error makes of fewer.
-_APART, _WEAKEST = 2.7, (0.04, 0.1)
+# the strongest, are what the model's error makes of fewer. Two discs at ± h have a moment
+# of h²: a calibrated model that leaves a part of the error brings h down by its root, but
+# not to where discs would lie on each other.
+_APART, _ON_EACH_OTHER, _WEAKEST = 2.7, 1.6, (0.04, 0.1)
 
 # First guesses: half a bar's length, of half the way between two discs that fit best; a
 # ring's radius beside that half way itself, in usual radii. A ring narrower than the
@@ -286,7 +288,9 @@ def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]
     """Whether no two discs are one, and none is a ghost."""
     place, current = found.place[:size], found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
-    near = apart.min() < (_APART * scene.method.sheet.size) ** 2
+    left = jnp.sqrt(scene.method.errors.part)
+    least = jnp.clip(_APART * left, _ON_EACH_OTHER, _APART)
+    near = apart.min() < (least * scene.method.sheet.size) ** 2
     weak = current.min() < _WEAKEST[size > 2] * current.max()
     return ~(near | weak)
 
