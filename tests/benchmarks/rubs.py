@@ -14,6 +14,7 @@ Writes rubs.json and rubs.png.
 
 import argparse
 import json
+import multiprocessing
 import os
 import sys
 import time
@@ -83,38 +84,63 @@ def _paused(n: int) -> np.ndarray:
     return np.where(k % 40 < 20, k - k % 40, k)
 
 
-def drawn(number: int, seed: int) -> dict[str, Any]:
-    """Of one rig: voltages of each kind of rub, and of contacts that are for judging."""
-    from benchmarks.calibration import scene
-
+def planned(number: int, seed: int) -> tuple[Any, dict[str, list], dict[str, np.ndarray]]:
+    """One rig; of each kind of rub, and of what is for judging, contacts and grounds."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, draw_touch, Elements, network_of
+    from tomojax.studies.rigs import draw_rig, draw_touch
 
     rng = np.random.default_rng([seed, number])
     sensor = tx.Sensor.grid(dtype=np.float32)
     rig = draw_rig(sensor, rng)
-    exact = (Elements if number % 2 else network_of)(rig)
     kinds = rubs_of(sensor, rng)
     kinds["judged"] = [[draw_touch(sensor, "usual", rng)] for _ in range(JUDGED)]
-    known: dict[Any, np.ndarray] = {}
+    some = (rng.choice(np.arange(1, 63), 8, replace=False) for _ in range(MOST))
+    every = np.array([[0, 63, *others] for others in some])
+    # A finger that stays is read under the same grounds again.
+    at = {kind: np.arange(len(frames)) for kind, frames in kinds.items()}
+    at["with pauses"] = _paused(len(kinds["with pauses"]))
+    return rig, kinds, {kind: every[k] for kind, k in at.items()}
+
+
+def _key(frame: list[Any], grounds: np.ndarray) -> tuple:
+    return *(id(t) for t in frame), *grounds
+
+
+def part(number: int, seed: int, k: int, parts: int) -> list[np.ndarray]:
+    """Exact voltages of every so many of a rig's frames; a frame that comes again once."""
+    from benchmarks.calibration import scene
+
+    from tomojax.studies.rigs import Elements, network_of
+
+    rig, kinds, grounds = planned(number, seed)
+    exact = (Elements if number % 2 else network_of)(rig)
+    each = {
+        _key(frame, under): (frame, under)
+        for kind, frames in kinds.items()
+        for frame, under in zip(frames, grounds[kind])
+    }
+    return [scene(exact, *made) for made in list(each.values())[k::parts]]
+
+
+def drawn(number: int, seed: int, parts: list[list[np.ndarray]]) -> dict[str, Any]:
+    """Of one rig what is read: of each kind of rub, and of contacts for judging."""
+    rig, kinds, grounds = planned(number, seed)
+    rng = np.random.default_rng([seed, number, 1])
     found: dict[str, Any] = {"place": [f[0].centre for f in kinds["judged"]]}
-    every = np.array(
-        [[0, 63, *rng.choice(np.arange(1, 63), 8, False)] for _ in range(MOST)]
-    )
+    known: dict[tuple, np.ndarray] = {}
     for kind, frames in kinds.items():
-        # A finger that stays is read under the same grounds again.
-        at = _paused(len(frames)) if kind == "with pauses" else np.arange(len(frames))
-        volts, grounds = [], every[at]
-        for frame, under in zip(frames, grounds):
-            key = *(id(t) for t in frame), *under
+        volts = []
+        for key in map(_key, frames, grounds[kind]):
+            n = len(known)
             if key not in known:
-                known[key] = scene(exact, frame, under)
+                known[key] = parts[n % len(parts)][n // len(parts)]
             volts.append(known[key])
-        found[kind] = rig.chain.read(np.array(volts), rng), grounds
+        found[kind] = rig.chain.read(np.array(volts), rng), grounds[kind]
     return found
 
 
 def judged(number: int, seed: int, rig: dict[str, Any]) -> list[dict[str, Any]]:
+    """Place errors after each kind of rub."""
     import tomojax as tx
 
     sensor = tx.Sensor.grid(dtype=np.float32)
@@ -177,11 +203,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    cores, seed = len(os.sched_getaffinity(0)), options.seed
     numbers = range(options.rigs)
-    with ProcessPoolExecutor(2) as pool:
-        rigs = list(pool.map(drawn, numbers, [options.seed] * options.rigs))
-    rows = [row for k, rig in zip(numbers, rigs) for row in judged(k, options.seed, rig)]
-    from benchmarks.physics import environment
+    start = multiprocessing.get_context("spawn")  # JAX's threads do not survive a fork
+    with ProcessPoolExecutor(cores, start) as pool:
+        each = [
+            [pool.submit(part, k, seed, i, cores) for i in range(cores)] for k in numbers
+        ]
+        rigs = [drawn(k, seed, [p.result() for p in each[k]]) for k in numbers]
+    # Each calibration is at work on two cores.
+    with ProcessPoolExecutor(max(1, cores // 4), start) as pool:
+        found = list(pool.map(judged, numbers, [seed] * len(numbers), rigs))
+    rows = [row for rows in found for row in rows]
+    from tomojax._environment import environment
 
     report = {"environment": environment(), "rows": rows}
     (options.out / "rubs.json").write_text(json.dumps(report, indent=1) + "\n")
