@@ -59,7 +59,7 @@ class _Shape(NamedTuple):
     modes: Float[Array, "k N"]  # what each lets flow there, nothing in all
 
 
-def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "7"]) -> Explained:
+def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "8"]) -> Explained:
     """A bar, with Legendre's modes; or a rim, with cos and sin of the angle and its double.
 
     One model of both: as a program it takes seconds to compile.
@@ -89,7 +89,7 @@ def limits_of_curve(sheet: Sheet) -> Limits:
     return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
 
 
-def _shape_of(sheet: Sheet, p: Float[Array, "7"], is_ring: Bool[Array, ""]) -> _Shape:
+def _shape_of(sheet: Sheet, p: Float[Array, "8"], is_ring: Bool[Array, ""]) -> _Shape:
     place, radius, reach = _stretch(sheet, p)
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS // 2)
     nodes, weights = np.tile(nodes, 2), np.tile(weights, 2) / 4
@@ -106,9 +106,10 @@ def _shape_of(sheet: Sheet, p: Float[Array, "7"], is_ring: Bool[Array, ""]) -> _
     # Of one length as Gauss's weights have it, so that the sum stays 1.
     ellipse = np.sqrt(1 - nodes**2)
     taper = weights * (ellipse / (weights * ellipse).sum() - 1)
-    weights = weights + _TAPER * (1 + p[6]) * jnp.asarray(taper, p.dtype)
+    full, falling = (jnp.asarray(a, p.dtype) for a in (weights, _TAPER * taper))
+    weights = full + (1 + p[6]) * falling
     both = (
-        (bar, weights, _TAPER * taper, legendre),
+        (bar, weights, falling, legendre),
         (ring, even, none, even * np.stack(waves)),
     )
     chosen = (
@@ -119,7 +120,7 @@ def _shape_of(sheet: Sheet, p: Float[Array, "7"], is_ring: Bool[Array, ""]) -> _
     return _Shape(place + at, weights, tapered, modes)
 
 
-def _stretch(sheet: Sheet, p: Float[Array, "7"]) -> tuple[Array, Array, Array]:
+def _stretch(sheet: Sheet, p: Float[Array, "8"]) -> tuple[Array, Array, Array]:
     place, radius = unpack(sheet, jnp.concatenate([p[:2], p[4:5]])[None])
     return place[0], radius[0], p[2:4] * sheet.unit
 

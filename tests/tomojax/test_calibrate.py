@@ -68,11 +68,44 @@ def test_what_is_left_is_at_most_half(presses, calibration):
 
 
 @pytest.fixture(scope="module")
-def blind(presses):
+def found(presses):
     """The same frames without their places."""
     volts, grounds = presses[0][:30], np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
     volts = np.take_along_axis(volts, grounds[..., None], 1)
-    return tx.calibration.calibrate(sensor(), volts, grounds)
+    return tx.calibration.calibrated(sensor(), volts, grounds)
+
+
+@pytest.fixture(scope="module")
+def blind(found):
+    return found.calibration
+
+
+def test_what_frames_do_not_tell_moves_freely(presses, found):
+    """What is listed makes no residual larger; what is not does, moved by 1 σ as before."""
+    told = tx.calibration.summary(sensor(), found)["not_told"]
+    assert "all gains together" in told and "all gains together" in tx.calibration.text(
+        sensor(), found
+    )
+    volts, grounds = presses[0][:30], np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
+    volts = np.take_along_axis(volts, grounds[..., None], 1)
+    known, each = found.calibration, np.random.default_rng(0).normal(size=(64, 2))
+    gain, places = np.asarray(known.gain), np.asarray(known.electrodes)
+    shift = np.tile([np.sqrt(2), 0.0], (64, 1))
+    moved = {
+        "all gains": replace(known, gain=gain * 1.001),
+        "a shift": replace(known, electrodes=places + 1e-4 * shift),
+        "each gain": replace(known, gain=gain * (1 + 1e-3 * each[:, 0])),
+        "each place": replace(known, electrodes=places + 1e-4 * each),
+    }
+    left = {}
+    for name, calibration in {"none": known, **moved}.items():
+        method = tx.method(sensor(), "points", 32, calibration)
+        batch = tx.Batch(method, 1.0, contacts=1, images=False)
+        left[name] = np.median(batch(calibration.voltages(volts), grounds).residual)
+    assert left["all gains"] < 1.01 * left["none"]
+    # The sheet's edges tell a little of a shift.
+    assert left["a shift"] < 2 * left["none"] < 0.7 * left["each place"]
+    assert left["each gain"] > 3 * left["none"]
 
 
 def test_places_need_not_be_known(rig, presses, blind, calibration):

@@ -156,6 +156,9 @@ def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
         reading.unjudged["drive"] = "no contact that holds still under several grounds"
     told = slots.rig.ground_resistance, slots.rig.sheet_resistance
     faults, factor, sigma, why = sheet_faults(work, *told, silent.frequency)
+    if faults and any(f.kind == "tear" for f in reading.faults):
+        # Its current goes around: what is left of the sheet seems to have more.
+        faults, why = [], "the sheet is torn: mend that first"
     reading.faults += faults
     if why:
         reading.unjudged["sheet_resistance"] = why

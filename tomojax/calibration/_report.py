@@ -11,6 +11,9 @@ from tomojax.sensor import Calibration, Sensor
 # A square that fewer frames touch is hardly known.
 _FEW = 2
 
+# Frames do not tell what keeps this part of the variance that it had beforehand.
+_KEPT = 0.5
+
 
 def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
     """Lists the values that were found and 1 σ of each kind, lengths in mm.
@@ -46,6 +49,7 @@ def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
         "whole_known_mm": 1e3 * whole,
         "errors_left_percent": 100 * calibration.error,
         "own_errors_left_percent": 100 * calibration.own,
+        "not_told": not_told(sensor, found),
     }
 
 
@@ -63,7 +67,37 @@ def text(sensor: Sensor, found: Calibrated) -> str:
         "left of nominal errors: {errors_left_percent:.0f} % of what channels share, "
         "{own_errors_left_percent:.0f} % of their own",
     ]
+    if told["not_told"]:
+        names = ", ".join(told["not_told"])
+        lines.append(f"not told by these frames, held by what is usual: {names}")
     return "\n".join([line.format(**told) for line in lines] + advice(sensor, found))
+
+
+def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
+    """Names what may move without leaving more of the voltages than before.
+
+    Of each direction d the part dᵀCd/dᵀP⁻¹d of its variance beforehand that is left.
+    """
+    xy = np.asarray(sensor.electrode_xy, float)
+    x, y = (xy - xy.mean(0)).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    moves = {
+        "all gains together": ("gain", one),
+        "all zeros together": ("offset", one),
+        "all ground paths together": ("ground", one),
+        "a shift of all electrodes along x": ("electrodes", np.append(one, zero)),
+        "a shift of all electrodes along y": ("electrodes", np.append(zero, one)),
+        "a turn of all electrodes": ("electrodes", np.append(-y, x)),
+        "a stretch of all electrodes": ("electrodes", np.append(x, y)),
+    }
+    before = np.linalg.inv(found.unknowns.prior)
+
+    def kept(name: str, along: np.ndarray) -> float:
+        at = found.parts[name]
+        now, then = (along @ c[at, at] @ along for c in (found.covariance, before))
+        return float(now / then)
+
+    return [name for name, move in moves.items() if kept(*move) > _KEPT]
 
 
 def advice(sensor: Sensor, found: Calibrated) -> list[str]:
