@@ -92,10 +92,10 @@ def test_what_frames_do_not_tell_moves_freely(presses, found):
     gain, places = np.asarray(known.gain), np.asarray(known.electrodes)
     shift = np.tile([np.sqrt(2), 0.0], (64, 1))
     moved = {
-        "all gains": replace(known, gain=gain * 1.001),
-        "a shift": replace(known, electrodes=places + 1e-4 * shift),
-        "each gain": replace(known, gain=gain * (1 + 1e-3 * each[:, 0])),
-        "each place": replace(known, electrodes=places + 1e-4 * each),
+        "all gains": replace(known, gain=tuple(gain * 1.001)),
+        "a shift": replace(known, electrodes=tuple(map(tuple, places + 1e-4 * shift))),
+        "each gain": replace(known, gain=tuple(gain * (1 + 1e-3 * each[:, 0]))),
+        "each place": replace(known, electrodes=tuple(map(tuple, places + 1e-4 * each))),
     }
     left = {}
     for name, calibration in {"none": known, **moved}.items():
