@@ -9,7 +9,8 @@ One lone contact for each frame of ten slots, two corners and eight others, draw
 other lone contacts, pairs and bars, with all 64 grounds, are for judging. Zeros are not
 tared. Judging seeds by default: nothing was set on them. What is left is set beside rigs
 whose errors are switched off one by one, with nominal values told as if they were
-calibrated. Writes calibration.json and calibration.png.
+calibrated. Writes calibration.json, calibration.png and
+calibration_maps.png.
 """
 
 import argparse
@@ -85,7 +86,7 @@ def judged_scenes(sensor: Any, rng: np.random.Generator) -> list[tuple[str, list
     return scenes
 
 
-def drawn(number: int, seed: int, touches: int) -> dict[str, Any]:
+def drawn(number: int, seed: int, touches: int, judge: bool = True) -> dict[str, Any]:
     """Voltages of all grounds under each contact of one rig, and what was true."""
     import tomojax as tx
     from tomojax.studies.rigs import draw_rig, draw_touch, Elements, network_of
@@ -95,7 +96,7 @@ def drawn(number: int, seed: int, touches: int) -> dict[str, Any]:
     rig = draw_rig(sensor, rng, off=0.1 if number // 2 % 2 else 0.03)
     exact = (Elements if number % 2 else network_of)(rig)
     rubbed = [("rub", [draw_touch(sensor, "usual", rng)]) for _ in range(touches)]
-    scenes = rubbed + judged_scenes(sensor, rng)
+    scenes = rubbed + (judged_scenes(sensor, rng) if judge else [])
     volts = [rig.chain.read(scene(exact, made), rng) for _, made in scenes]
     axis = (np.arange(32) + 0.5) / 32
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
@@ -301,6 +302,45 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
     figure.savefig(path, dpi=120)
 
 
+def draw_maps(seed: int, touches: int, path: Path) -> None:
+    """Sheet and electrodes of two rigs as they are, and as a blind calibration finds them.
+
+    Electrodes of the one are off as usual, of the other by 10 % of their diameter.
+    """
+    from matplotlib.figure import Figure
+
+    import tomojax as tx
+
+    sensor = tx.Sensor.grid(dtype=np.float32)
+    xy, size = np.asarray(sensor.electrode_xy, float), np.asarray(sensor.size, float)
+    figure = Figure(figsize=(11, 6.6), layout="constrained")
+    axes = figure.subplots(2, 3)
+    for row, number in zip(axes, (0, 2)):
+        rig = drawn(number, seed, touches, judge=False)
+        grounds = ten_of(seed, number, touches)
+        volts = np.take_along_axis(rig["volts"], grounds[..., None], 1)
+        known = tx.calibration.calibrate(sensor, volts, grounds)
+        found = known.sheet_factor(rig["grid"], size)
+        sheets = {"the sheet": rig["sheet"], "as it was found": found / found.mean()}
+        for axis, (name, factor) in zip(row, sheets.items()):
+            percent = 100 * (factor.reshape(32, 32).T - 1)
+            extent = (0, 1e3 * size[0], 0, 1e3 * size[1])
+            words = {"cmap": "RdBu_r", "vmin": -6, "vmax": 6, "extent": extent}
+            drawn_as = axis.imshow(percent, origin="lower", **words)
+            axis.set(xlabel="x, mm", ylabel="y, mm", title=f"rig {number}: {name}")
+        figure.colorbar(drawn_as, ax=list(row[:2]), label="resistance beside its mean, %")
+        true = 1e3 * (rig["electrodes"] - xy)
+        off = 1e3 * np.broadcast_to(known.electrodes, xy.shape)
+        row[2].plot(true.ravel(), off.ravel(), ".", color="C0")
+        most = 1.1 * np.abs(true).max()
+        row[2].plot([-most, most], [-most, most], color="0.6", lw=0.8)
+        left = np.sqrt(((true - off) ** 2).mean())
+        title = f"electrodes: {np.sqrt((true**2).mean()):.2f} mm off, {left:.2f} left"
+        row[2].set(xlabel="off its place, mm", ylabel="as found, mm", title=title)
+        row[2].set_aspect("equal")
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=10)
@@ -330,6 +370,7 @@ def main() -> None:
     report = {"environment": environment(), "rows": rows, "switched_off": errors}
     (options.out / "calibration.json").write_text(json.dumps(report, indent=1) + "\n")
     draw(rows, errors, options.out / "calibration.png")
+    draw_maps(options.seed, options.touches, options.out / "calibration_maps.png")
 
 
 if __name__ == "__main__":

@@ -228,9 +228,12 @@ def _bar(share: tuple[int, int]):
 def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
     from tomojax.recordings import info, open_recording
-    from tomojax.sensor import Calibration
 
-    known = None if calibration is None else Calibration.load(calibration)
+    known = None
+    if calibration is not None:
+        from tomojax.sensor import Calibration  # imports JAX: a recording alone needs none
+
+        known = Calibration.load(calibration)
     with open_recording(rec, **tdms) as recording:
         summary = info.summary(recording)
         with _bar((0, 1)) as bar:
