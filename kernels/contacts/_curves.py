@@ -37,9 +37,8 @@ _POINTS, _ROW, _UNEVEN = 18, 0.58, 0.3
 # from that it may be: from a current source to metal.
 _STRENGTH, _STRENGTH_WIDTH = 30.0, 1.5
 
-# How a bar's conductance falls towards its ends is known beforehand: by a half of an
-# ellipse's √(1 − s²), from none of a rectangle to all of it at 1 σ; and no more than leaves
-# some at each point.
+# A bar's taper: 0 of a rectangle; 1 of an ellipse, whose conductance falls as √(1 − s²)
+# towards its ends. Beforehand it is 0.5 ± 0.5. At the most some is left at each point.
 _TAPER, _MOST_TAPER = 0.5, 1.4
 
 # Parameters of a curve: middle; from there to a bar's end, or a ring's radius and nothing;

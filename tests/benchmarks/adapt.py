@@ -166,7 +166,7 @@ def judged(case, seed: int, hours: int) -> dict[str, Any]:
     row["pitch_mm"] = 1e3 * float(sensor.mean_pitch)
     row["seconds"] = time.perf_counter() - began
     row["ratio"] = row["adapt"]["median_mm"] / row["start"]["median_mm"]
-    hourly_ = [np.array(row[r]["hours_mm"]) for r in ("adapt", "start")]
+    hourly_ = [np.array(row[r]["hours_mm"], float) for r in ("adapt", "start")]
     busy = [h for h in range(hours) if h not in (*NIGHT, HELD)]
     row["worst_hour"] = float(np.max((hourly_[0] / hourly_[1])[busy]))
     print(json.dumps({k: v for k, v in row.items() if not isinstance(v, dict)}))
@@ -181,7 +181,7 @@ def hourly(file: Any, day: dict, places: np.ndarray, hours: int) -> dict[str, An
     moving, held = (at > 0), (at == 0)
     parts = [off[(hour == h) & (at >= 0)] for h in range(hours)]
     return {
-        "hours_mm": [1e3 * float(np.median(a)) if len(a) else np.nan for a in parts],
+        "hours_mm": [1e3 * float(np.median(a)) if len(a) else None for a in parts],
         "median_mm": 1e3 * float(np.median(off[moving])),
         "p90_mm": 1e3 * float(np.quantile(off[moving], 0.9)),
         "count_right": float((count == (at >= 0)).mean()),
@@ -217,7 +217,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     )
     for row, (above, below) in zip(rows, axes.T):
         for run, label in RUNS.items():
-            each = row[run]["hours_mm"]
+            each = np.array(row[run]["hours_mm"], float)
             x = np.arange(len(each)) + 0.5
             above.plot(x, each, ".-", color=COLOURS[run], label=label)
         above.axvspan(HELD, HELD + 1, color="0.9", lw=0)

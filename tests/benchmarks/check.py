@@ -227,7 +227,7 @@ def _sound(sensor: Any, row: str, rng: np.random.Generator, model: Any) -> Any:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1_000_100)
     parser.add_argument("--only", default="")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()

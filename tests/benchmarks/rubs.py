@@ -57,7 +57,7 @@ def finger(sensor: Any, unit: np.ndarray, rng: np.random.Generator) -> list[Any]
 
 
 def rubs_of(sensor: Any, rng: np.random.Generator) -> dict[str, list[list[Any]]]:
-    """Of each kind of rub, the contacts of each frame."""
+    """The contacts of each frame, for each kind of rub."""
     n = 30 * OFTEN
     longest = [s for s in SECONDS if s * OFTEN <= MOST][-1]
     once = finger(sensor, wandering(longest * OFTEN, OFTEN, rng), rng)
@@ -85,7 +85,7 @@ def _paused(n: int) -> np.ndarray:
 
 
 def planned(number: int, seed: int) -> tuple[Any, dict[str, list], dict[str, np.ndarray]]:
-    """One rig; of each kind of rub, and of what is for judging, contacts and grounds."""
+    """One rig, and the contacts and grounds of each kind of rub and of what is judged."""
     import tomojax as tx
     from tomojax.studies.rigs import draw_rig, draw_touch
 
@@ -107,7 +107,7 @@ def _key(frame: list[Any], grounds: np.ndarray) -> tuple:
 
 
 def part(number: int, seed: int, k: int, parts: int) -> list[np.ndarray]:
-    """Exact voltages of every so many of a rig's frames; a frame that comes again once."""
+    """Exact voltages of one of `parts` shares of a rig's frames, repeated ones once."""
     from benchmarks.calibration import scene
 
     from tomojax.studies.rigs import Elements, network_of
@@ -123,7 +123,7 @@ def part(number: int, seed: int, k: int, parts: int) -> list[np.ndarray]:
 
 
 def drawn(number: int, seed: int, parts: list[list[np.ndarray]]) -> dict[str, Any]:
-    """Of one rig what is read: of each kind of rub, and of contacts for judging."""
+    """What one rig reads during each kind of rub, and under the contacts for judging."""
     rig, kinds, grounds = planned(number, seed)
     rng = np.random.default_rng([seed, number, 1])
     found: dict[str, Any] = {"place": [f[0].centre for f in kinds["judged"]]}
@@ -211,7 +211,7 @@ def main() -> None:
             [pool.submit(part, k, seed, i, cores) for i in range(cores)] for k in numbers
         ]
         rigs = [drawn(k, seed, [p.result() for p in each[k]]) for k in numbers]
-    # Each calibration is at work on two cores.
+    # A calibration itself works on several cores.
     with ProcessPoolExecutor(max(1, cores // 4), start) as pool:
         found = list(pool.map(judged, numbers, [seed] * len(numbers), rigs))
     rows = [row for rows in found for row in rows]

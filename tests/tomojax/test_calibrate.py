@@ -38,16 +38,20 @@ def sensor():
 
 
 @pytest.fixture(scope="module")
-def calibration(rig, presses):
-    """Zeros from silence; the rest from 30 of the places, each with 16 grounds."""
+def frames(presses):
+    """30 of the contacts, each with 16 grounds."""
+    grounds = np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
+    return np.take_along_axis(presses[0][:30], grounds[..., None], 1), grounds
+
+
+@pytest.fixture(scope="module")
+def calibration(rig, presses, frames):
+    """Zeros from silence; the rest from 30 of the contacts, whose places are told."""
     silence = np.stack([rig.measure(np.zeros((2, 64))) for _ in range(40)])
     before = tx.calibration.tare(
         tx.recordings.ArrayRecording(tx.recordings.Rig.of(sensor()), silence, CORNERS)
     )
-    volts, places = presses
-    grounds = np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
-    volts = np.take_along_axis(volts[:30], grounds[..., None], 1)
-    return tx.calibration.calibrate(sensor(), volts, grounds, places[:30], before)
+    return tx.calibration.calibrate(sensor(), *frames, presses[1][:30], before)
 
 
 def test_what_is_left_is_at_most_half(presses, calibration):
@@ -68,11 +72,9 @@ def test_what_is_left_is_at_most_half(presses, calibration):
 
 
 @pytest.fixture(scope="module")
-def found(presses):
-    """The same frames without their places."""
-    volts, grounds = presses[0][:30], np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
-    volts = np.take_along_axis(volts, grounds[..., None], 1)
-    return tx.calibration.calibrated(sensor(), volts, grounds)
+def found(frames):
+    """A calibration from them without their places."""
+    return tx.calibration.calibrated(sensor(), *frames)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +82,11 @@ def blind(found):
     return found.calibration
 
 
-def test_what_frames_do_not_tell_moves_freely(presses, found):
-    """What is listed makes no residual larger; what is not does, moved by 1 σ as before."""
-    told = tx.calibration.summary(sensor(), found)["not_told"]
-    assert "all gains together" in told and "all gains together" in tx.calibration.text(
-        sensor(), found
-    )
-    volts, grounds = presses[0][:30], np.arange(0, 64, 4)[None] + np.arange(30)[:, None] % 4
-    volts = np.take_along_axis(volts, grounds[..., None], 1)
+def test_what_frames_do_not_tell_moves_freely(frames, found):
+    """A move that is listed leaves the residuals as they are; others raise them."""
+    assert tx.calibration.summary(sensor(), found)["not_told"] == ["all gains together"]
+    assert "usual: all gains together" in tx.calibration.text(sensor(), found)
+    volts, grounds = frames
     known, each = found.calibration, np.random.default_rng(0).normal(size=(64, 2))
     gain, places = np.asarray(known.gain), np.asarray(known.electrodes)
     shift = np.tile([np.sqrt(2), 0.0], (64, 1))

@@ -11,7 +11,7 @@ from tomojax.sensor import Calibration, Sensor
 # A square that fewer frames touch is hardly known.
 _FEW = 2
 
-# Frames do not tell what keeps this part of the variance that it had beforehand.
+# Frames hardly tell what keeps more than this part of its variance from before them.
 _KEPT = 0.5
 
 
@@ -20,6 +20,7 @@ def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
 
     How sure electrodes' places are has two parts: that of an affine map of all (shift,
     turn, stretch), which a rub without a ruler hardly tells, and what is left without it.
+    `not_told` names moves that these frames do not tell at all, or hardly.
     """
     calibration, m = found.calibration, sensor.electrode_count
     touched = squares_touched(sensor, found.places)
@@ -74,9 +75,10 @@ def text(sensor: Sensor, found: Calibrated) -> str:
 
 
 def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Names what may move without leaving more of the voltages than before.
+    """Names moves of many values together that the frames hardly tell.
 
-    Of each direction d the part dᵀCd/dᵀP⁻¹d of its variance beforehand that is left.
+    A move d is named if dᵀCd, its variance now, is more than half of dᵀP⁻¹d, its variance
+    before any frame.
     """
     xy = np.asarray(sensor.electrode_xy, float)
     x, y = (xy - xy.mean(0)).T
