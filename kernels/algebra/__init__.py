@@ -27,6 +27,7 @@ from tomojax.kernels.algebra._least_squares import (
     solve_positive as solve_positive,
 )
 from tomojax.kernels.algebra._positive import (
+    descended as descended,
     gaussian as gaussian,
     near_positive as near_positive,
     positive_least_squares as positive_least_squares,

@@ -41,7 +41,7 @@ class PositiveFit(NamedTuple):
     state: Any  # the model's there
 
 
-class _Run(NamedTuple):
+class Run(NamedTuple):
     """The best so far, and what is tried next."""
 
     w: Float[Array, "nx ny"]
@@ -156,46 +156,46 @@ def positive_least_squares(
             change = jnp.abs(_smoothed(prior, move)).max()
             return move * jnp.minimum(1, _LONGEST / jnp.maximum(change, _LONGEST / 100))
 
-        return _descended(nearly, newton, w, _WITHIN, _ENOUGH_WITHIN).w - w
+        return descended(nearly, newton, w, _WITHIN, _ENOUGH_WITHIN).w - w
 
-    run = _descended(evaluated, move_from, start, most, _ENOUGH)
+    run = descended(evaluated, move_from, start, most, _ENOUGH)
     (rest, state), values = run.state, positive_values(prior, run.w)
     cost = run.cost - (run.w**2).sum()
     return PositiveFit(values, cost, (rest**2).sum(1), state)
 
 
-def _descended(
+def descended(
     evaluated: Callable[[Array], tuple[Array, Any]],
     move_from: Callable[[Array, Any], Array],
     start: Array,
     most: int,
     enough: float,
-) -> _Run:
+) -> Run:
     """Moves while that lowers the cost by more than a part; halves what does not.
 
     **Arguments:** `evaluated`: cost and state at w; `move_from` w and state; `most`
     evaluations.
     """
 
-    def step(run: _Run) -> _Run:
+    def step(run: Run) -> Run:
         w = run.w + run.part * run.move
         cost, state = evaluated(w)
         steps = run.steps + 1
 
-        def onward() -> _Run:
+        def onward() -> Run:
             ended = run.cost - cost <= enough * cost
             # What would not be tried is not worked out.
             still = ~ended & (steps < most)
             move = lax.cond(still, move_from, lambda w, _: w, w, state)
-            return _Run(w, move, one, cost, state, steps, ended)
+            return Run(w, move, one, cost, state, steps, ended)
 
-        def shorter() -> _Run:
+        def shorter() -> Run:
             short = run.part <= _SHORTEST
             return run._replace(part=run.part / 2, steps=steps, ended=short)
 
         return lax.cond(cost < run.cost, onward, shorter)
 
-    def going(run: _Run) -> Array:
+    def going(run: Run) -> Array:
         return ~run.ended & (run.steps < most)
 
     one = jnp.ones((), start.dtype)
@@ -203,7 +203,7 @@ def _descended(
     nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), state)
     highest = jnp.asarray(jnp.inf, cost.dtype)
     zero, ended = jnp.zeros((), int), jnp.zeros((), bool)
-    first = _Run(start, jnp.zeros_like(start), one, highest, nothing, zero, ended)
+    first = Run(start, jnp.zeros_like(start), one, highest, nothing, zero, ended)
     return lax.while_loop(going, step, first)
 
 

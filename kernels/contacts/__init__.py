@@ -68,5 +68,6 @@ from tomojax.kernels.contacts._whiten import (
     unwhitened as unwhitened,
     whiten as whiten,
     whitened_columns as whitened_columns,
+    whitened_slopes as whitened_slopes,
     WhitenedFrame as WhitenedFrame,
 )

@@ -61,6 +61,16 @@ def whitened_rows(
     return jnp.concatenate([scaled - shared, found], -1)
 
 
+def whitened_slopes(
+    frame: WhitenedFrame, slopes: Float[Array, "S M P"]
+) -> Float[Array, "S W P"]:
+    """The same of slopes by P parameters."""
+    scaled = slopes * frame.scale[:, :, None]
+    found = jnp.matmul(frame.filter, scaled, precision="highest")
+    shared = jnp.matmul(jnp.swapaxes(frame.common, 1, 2), found, precision="highest")
+    return jnp.concatenate([scaled - shared, found], 1)
+
+
 def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S P W"]) -> Float[Array, "S P M"]:
     """From slopes of something by whitened voltages to those by voltages: the transpose."""
     count = frame.scale.shape[1]

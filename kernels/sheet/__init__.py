@@ -43,6 +43,7 @@ from tomojax.kernels.sheet._reduction import (
     voltage_change as voltage_change,
     voltage_drop as voltage_drop,
     voltage_sensitivity as voltage_sensitivity,
+    voltage_slopes as voltage_slopes,
 )
 from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._slots import (

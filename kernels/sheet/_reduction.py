@@ -198,6 +198,30 @@ def voltage_change(
     return change
 
 
+def voltage_slopes(
+    contact: ContactReduction,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    drive_voltage: Float[Array, ""],
+) -> Callable[[Float[Array, "some P"], Int[Array, " some"]], Float[Array, "L M P"]]:
+    """From ∂g/∂(P parameters) at some sites, and their numbers, to ∂V_i^l/∂(parameters), V.
+
+    As `voltage_change` of each parameter, by one product of matrices.
+    """
+    share, lift = _answers(contact, grounds, ground_resistance)
+    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
+    fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
+
+    def slopes(dg: Array, sites: Array) -> Array:
+        pairs = drop[:, None, sites] * fields[sites].T
+        at = matmul(pairs.reshape(-1, len(sites)), dg)
+        at = at.reshape(*pairs.shape[:2], dg.shape[1])
+        own = jnp.take_along_axis(at, grounds[:, None, None], 1)
+        return at[:, :-1] - share[:, :, None] * own + lift[:, :, None] * at[:, -1:]
+
+    return slopes
+
+
 def shared_ground_voltages(
     contact: ContactReduction,
     to_ground: Float[Array, "L M"],

@@ -111,7 +111,7 @@ def test_auto_takes_the_smallest_that_explains(scenes):
     rungs = dict(zip(names, found.rung))
     assert rungs["nothing"] == Rung.NOTHING
     assert rungs["faint"] == rungs["strong"] == Rung.POINTS
-    assert rungs["many"] >= Rung.SOURCE and rungs["short"] == Rung.CONDUCTANCE
+    assert rungs["many"] >= Rung.SOURCE and rungs["short"] == Rung.SHAPE
     # The same, frame by frame in one compiled function.
     k = names.index("many")
     prepared = method.prepare(TEN, np.ones((10, 64), bool), method.choose_lambda([]))

@@ -56,8 +56,8 @@ tdms_option = click.option(
 )
 @click.option(
     "--method",
-    help="auto, points, source, positive, conductance or linear; or follow, which carries "
-    "contacts on from slot to slot. [default: auto; source with --rate slot]",
+    help="auto, points, shape, source, positive, conductance or linear; or follow, which "
+    "carries contacts on from slot to slot. [default: auto; source with --rate slot]",
 )
 @click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
 @click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
@@ -90,6 +90,11 @@ tdms_option = click.option(
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
 @click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
 @click.option("--picture", type=_REPORT, help="Draw the contacts over time here (PNG).")
+@click.option(
+    "--outlines",
+    type=_REPORT,
+    help="Write the outlines of what touches here (.geojson or .svg), with --method shape.",
+)
 @click.option("--json", "json_path", type=_REPORT, help="Write the printed summary here.")
 @click.option("--verbose", is_flag=True, help="Print what was compiled, and for how long.")
 @click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
@@ -107,11 +112,13 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     from tomojax.cli.compiled import compiling
     from tomojax.recordings import open_recording
     from tomojax.results import (
+        check_outlines,
         default_method,
         distributed,
         reconstruct_recording,
         report,
         Settings,
+        write_outlines,
     )
 
     out = out or rec.with_name(rec.stem + ".results.h5")
@@ -138,7 +145,9 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         tare=options["tare"],
         adapt=options["adapt"],
     )
-    for path in (options["picture"], options["json_path"]):
+    if options["outlines"]:
+        check_outlines(options["outlines"], settings.method, settings.images)
+    for path in (options["picture"], options["json_path"], options["outlines"]):
         if path and not path.parent.is_dir():
             raise ValueError(f"{path}: no such folder; make it, or give another")
     with (
@@ -183,6 +192,9 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
             "environment": environment(),
         }
         options["json_path"].write_text(json.dumps(whole, indent=1) + "\n")
+    if options["outlines"]:
+        count = write_outlines(out, options["outlines"])
+        print(f"outlines: {count} in {options['outlines']}")
     if options["picture"]:
         from tomojax.results.plots import timeline
 

@@ -43,6 +43,8 @@ from tomojax.design.objectives import (
     ImageError as ImageError,
     ImageVariance as ImageVariance,
     score as score,
+    shape_objective as shape_objective,
+    ShapeInformation as ShapeInformation,
     simulate_scenes as simulate_scenes,
     SimulatedScenes as SimulatedScenes,
 )

@@ -34,6 +34,7 @@ from tomojax.methods.points import (
     sheet_of as sheet_of,
     UNIT as UNIT,
 )
+from tomojax.methods.shapes import ImageShape as ImageShape, ShapeModel as ShapeModel
 
 # The rest serves other rooms.
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "Estimate",
     "fields_of_rows",
     "Frame",
+    "ImageShape",
     "Linear",
     "method",
     "METHODS",

@@ -14,10 +14,6 @@ from tomojax._programs import kept
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
-from tomojax.methods._conductance import (
-    Conductance,
-    PreparedConductance,
-)
 from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Rung
 from tomojax.methods._errors import (
     highest_cost,
@@ -28,6 +24,7 @@ from tomojax.methods._errors import (
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
+from tomojax.methods.shapes import described, ImageShape, PreparedShape, ShapeModel
 from tomojax.sensor import Calibration, Sensor
 
 
@@ -36,12 +33,12 @@ class PreparedAuto(NamedTuple):
 
     errors: PreparedErrors
     source: PreparedSource
-    start: PreparedSource  # of `conductance`
+    shape: PreparedShape
 
 
 class Auto(AbstractMethod):
     """Each frame is worked on by `points`; what that leaves unexplained by `source`; and
-    what is left then by `conductance`.
+    what is left then by `shape`.
 
     A model explains a frame whose misfit is at the noise: the converter's, with the
     model's own error (`Errors`), to which `points`' tolerance belongs. λ is `source`'s.
@@ -55,28 +52,28 @@ class Auto(AbstractMethod):
     films: ClassVar[bool] = True
     stands_out: ClassVar[float] = Points.stands_out
     padded: ClassVar[bool] = False
-    cells_per_diameter: ClassVar[int] = Conductance.cells_per_diameter
+    cells_per_diameter: ClassVar[int] = ImageShape.cells_per_diameter
 
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
     points: Points
-    conductance: Conductance
+    shapes: ShapeModel
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Auto":
         """On an image of `shape` pixels."""
-        points, conductance = Points.of(sensor, shape), Conductance.of(sensor, shape)
-        return cls(shape, points.cell, points, conductance)
+        points = Points.of(sensor, shape)
+        return cls(shape, points.cell, points, ShapeModel.of(sensor, shape))
 
     def calibrated(self, calibration: Calibration) -> "Auto":
         points = self.points.calibrated(calibration)
-        conductance = self.conductance.calibrated(calibration)
-        return replace(self, points=points, conductance=conductance)
+        shapes = self.shapes.calibrated(calibration)
+        return replace(self, points=points, shapes=shapes)
 
     @property
     def source(self) -> Source:
         """The rung between."""
-        return self.conductance.source
+        return self.shapes.source
 
     @property
     def noise(self) -> Float[Array, ""]:
@@ -94,10 +91,8 @@ class Auto(AbstractMethod):
         return self.source.scale()
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedAuto:
-        start = self.conductance.prepare(grounds, good, 1.0)
-        return PreparedAuto(
-            start.errors, self.source.prepare(grounds, good, lam), start.source
-        )
+        shape = self.shapes.prepare(grounds, good, 1.0)
+        return PreparedAuto(shape.errors, self.source.prepare(grounds, good, lam), shape)
 
     def estimate(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
@@ -115,7 +110,7 @@ class Auto(AbstractMethod):
     ) -> Estimate:
         """Of what `points` does not explain."""
         explained, source = self._source(prepared, voltages, count)
-        largest = partial(self._conductance, prepared, voltages, count)
+        largest = partial(self._shape, prepared, voltages, count)
         return jax.lax.cond(explained, lambda: source, largest)
 
     def block(
@@ -156,14 +151,16 @@ class Auto(AbstractMethod):
         # Its flags stay: the image explains the slots, the contacts read off it may not.
         return cost < highest_cost(tolerance), estimate._replace(rung=rung)
 
-    def _conductance(
+    def _shape(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        ready = PreparedConductance(prepared.start, prepared.errors)
-        fitted = self.conductance.fitted(ready, voltages)
+        model = self.shapes
+        fitted = model.fitted(prepared.shape, voltages, model.nothing_before())
         image = fitted.current / jnp.prod(self.cell)
-        estimate = self.conductance.described(fitted, image, count)
-        return estimate._replace(rung=jnp.asarray(Rung.CONDUCTANCE.value))
+        estimate = described(model, fitted, image, count)
+        # Every rung's image is a current; what touches is told by `shape` itself.
+        rung = jnp.asarray(Rung.SHAPE.value)
+        return estimate._replace(rung=rung, touch=None, deviation=None)
 
 
 @kept

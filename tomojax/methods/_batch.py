@@ -187,6 +187,9 @@ class Batch:
             with np.errstate(invalid="ignore"):  # NaN where no slot is good
                 mean = (used[quiet].astype(float) ** 2).sum(1) / good[quiet].sum(1)
             rows.residual_by_electrode[quiet] = np.sqrt(mean)
+        for told in (rows.touch, rows.image_deviation):
+            if told is not None:
+                told[quiet] = 0
         return data & ~quiet
 
     def _prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:

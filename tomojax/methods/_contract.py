@@ -41,7 +41,8 @@ class Rung(IntEnum):
     NOTHING = 0
     POINTS = 1
     SOURCE = 2
-    CONDUCTANCE = 3
+    CONDUCTANCE = 3  # of files before `shape` took its place
+    SHAPE = 4
 
 
 class Estimate(NamedTuple):
@@ -69,6 +70,8 @@ class Estimate(NamedTuple):
     flags: Int[Array, ""] | int = 0  # bits that the method sets
     rung: Int[Array, ""] | int = 0  # of `auto`: which model
     by_electrode: Float[Array, " M"] | None = None  # residual of each, V rms
+    touch: Float[Array, "nx ny"] | None = None  # the probability that a pixel touches
+    deviation: Float[Array, "nx ny"] | None = None  # of the image
 
 
 class Frame(NamedTuple):
@@ -248,6 +251,8 @@ def judged(
         rung=jnp.asarray(estimate.rung, jnp.uint8),
         image=estimate.image if images else None,
         residual_by_electrode=estimate.by_electrode if images else None,
+        touch=estimate.touch if images else None,
+        image_deviation=estimate.deviation if images else None,
     )
 
 

@@ -10,6 +10,7 @@ from tomojax.methods._linear import Linear
 from tomojax.methods._pixels import pixel_divisions
 from tomojax.methods._source import PositiveSource, Source
 from tomojax.methods.points import Points
+from tomojax.methods.shapes import ImageShape
 from tomojax.sensor import Calibration, Sensor
 
 METHODS: dict[str, type] = {
@@ -19,6 +20,7 @@ METHODS: dict[str, type] = {
     "linear": Linear,
     "points": Points,
     "conductance": Conductance,
+    "shape": ImageShape,
 }
 
 # For each pitch: `source` reads a place around a peak, for which fewer are too few.
@@ -40,8 +42,9 @@ def method(
     "source" finds the current image of each slot, with nothing assumed of the contact;
     "positive" is the same with an image that is nowhere negative;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
-    "auto" takes the smallest of points, source and conductance that explains a frame;
-    "conductance" fits the contact's conductance at every pixel, in the exact model.
+    "auto" takes the smallest of points, source and shape that explains a frame;
+    "conductance" fits the contact's conductance at every pixel, in the exact model;
+    "shape" finds where an object touches, as a field of two levels, and how sure that is.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
 

@@ -64,6 +64,9 @@ class Rows(NamedTuple):
     residual_by_electrode: Annotated[Float[_Number, "n M"] | None, Column("<f4", "V")] = (
         None
     )
+    # Of `shape` alone: the probability that a pixel touches; the image's deviation.
+    touch: Annotated[Float[_Number, "n tx ty"] | None, Column("<f4", "1")] = None
+    image_deviation: Annotated[Float[_Number, "n tx ty"] | None, Column("<f4", "")] = None
 
     @classmethod
     def of(cls, contacts: Contacts, **others: Any) -> "Rows":

@@ -6,6 +6,12 @@ how grounds are designed.
 
 from tomojax.results._chosen import Chosen as Chosen
 from tomojax.results._file import partial_path as partial_path
+from tomojax.results._outlines import (
+    check_outlines as check_outlines,
+    Outline as Outline,
+    outlines_of as outlines_of,
+    write_outlines as write_outlines,
+)
 from tomojax.results._settings import default_method as default_method, Settings as Settings
 from tomojax.results._stream import reconstruct_recording as reconstruct_recording
 from tomojax.results._track import (
@@ -17,6 +23,8 @@ from tomojax.results._track import (
 
 # The rest serves other rooms.
 __all__ = [
+    "Outline",
+    "outlines_of",
     "reconstruct_recording",
     "Settings",
     "Touch",

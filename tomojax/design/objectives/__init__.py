@@ -20,3 +20,7 @@ from tomojax.design.objectives._rigs import (
     SimulatedScenes as SimulatedScenes,
 )
 from tomojax.design.objectives._scores import score as score
+from tomojax.design.objectives._shapes import (
+    shape_objective as shape_objective,
+    ShapeInformation as ShapeInformation,
+)

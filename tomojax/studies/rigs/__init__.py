@@ -16,3 +16,9 @@ from tomojax.studies.rigs._family import (
 from tomojax.studies.rigs._networked import network_of as network_of
 from tomojax.studies.rigs._rig import Chain as Chain, draw_rig as draw_rig, Rig as Rig
 from tomojax.studies.rigs._shapes import Touch as Touch
+from tomojax.studies.rigs._strokes import (
+    draw_strokes as draw_strokes,
+    GLYPHS as GLYPHS,
+    Strokes as Strokes,
+    THINGS as THINGS,
+)

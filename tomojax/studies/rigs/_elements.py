@@ -15,12 +15,13 @@ from scipy.spatial import Delaunay, KDTree
 
 from tomojax.studies.rigs._rig import Rig
 from tomojax.studies.rigs._shapes import Touch
+from tomojax.studies.rigs._strokes import Strokes
 
 # Nodes on a rim; the lattice's spacing, of the pitch; its growth away from a rim.
 _RIM, _LATTICE, _GROWTH = 36, 1 / 16, 0.2
 
-# Points of a contact.
-_CLOUD = 1000
+# Points of a contact, and of a larger one, for each square of a pitch.
+_CLOUD, _EACH = 1000, 900
 
 # Nodes closer than this, of the spacing there, are too close.
 _CLOSE = 0.6
@@ -74,21 +75,25 @@ class Elements:
         share = lumped[nodes] / (total[e] * self.rig.contact[e])
         return _links(self._unknown[nodes], e, share, self.count)
 
-    def touched(self, touch: Touch, grounds: Grounds) -> Float[np.ndarray, "S M"]:
+    def touched(self, touch: Touch | Strokes, grounds: Grounds) -> Float[np.ndarray, "S M"]:
         """Exact voltages, V, under some grounds."""
         return self.scene([touch], grounds)
 
-    def scene(self, touches: Sequence[Touch], grounds: Grounds) -> Float[np.ndarray, "S M"]:
+    def scene(
+        self, touches: Sequence[Touch | Strokes], grounds: Grounds
+    ) -> Float[np.ndarray, "S M"]:
         """Exact voltages, V, of several contacts at once under some grounds."""
         spread = [self._spread(touch) for touch in touches]
         if all(touch.exponent == 1 for touch in touches):
             return self._linear(touches, spread, grounds)
         return self._nonlinear(touches, spread, grounds)
 
-    def _spread(self, touch: Touch) -> tuple[np.ndarray, np.ndarray]:
+    def _spread(self, touch: Touch | Strokes) -> tuple[np.ndarray, np.ndarray]:
         """The unknowns that a contact feeds, and the conductance to each of them, S."""
-        i = np.arange(_CLOUD) + 0.5
-        radius, turn = np.sqrt(i / _CLOUD), i * np.pi * (3 - np.sqrt(5))
+        pitches = np.pi * np.prod(touch.half_axes) / self.rig.sensor.mean_pitch**2
+        count = max(_CLOUD, int(_EACH * pitches))
+        i = np.arange(count) + 0.5
+        radius, turn = np.sqrt(i / count), i * np.pi * (3 - np.sqrt(5))
         round_ = np.stack([radius * np.cos(turn), radius * np.sin(turn)], 1)
         c, s = np.cos(touch.angle), np.sin(touch.angle)
         cloud = touch.xy + round_ * touch.half_axes @ np.array([[c, s], [-s, c]])

@@ -8,6 +8,7 @@ from jaxtyping import Float, Integer
 from tomojax.studies.network import Network
 from tomojax.studies.rigs._rig import Rig
 from tomojax.studies.rigs._shapes import Touch
+from tomojax.studies.rigs._strokes import Strokes
 
 # Steps of the fixed point, how many share a factor, and how much of the current the last
 # one may change.
@@ -24,7 +25,7 @@ class Networked:
         )
 
     def touched(
-        self, touch: Touch, grounds: Integer[np.ndarray, " S"]
+        self, touch: Touch | Strokes, grounds: Integer[np.ndarray, " S"]
     ) -> Float[np.ndarray, "S M"]:
         """Exact voltages, V, under some grounds."""
         weights = self.weights(touch)
@@ -35,7 +36,7 @@ class Networked:
         g = g * (touch.conductance / weights.sum())
         return np.stack([self._under_law(touch, g, int(e)) for e in grounds])
 
-    def weights(self, touch: Touch) -> Float[np.ndarray, " cells"]:
+    def weights(self, touch: Touch | Strokes) -> Float[np.ndarray, " cells"]:
         """How much of the contact's conductance each cell has, relative."""
         cells = self.network.cells
         near = np.hypot(*(cells - touch.xy).T) <= max(touch.half_axes) + self.network.width
@@ -45,7 +46,7 @@ class Networked:
             raise ValueError(f"xy: got {touch.xy}, expected a contact on the sheet")
         return weights
 
-    def _under_law(self, touch: Touch, g: np.ndarray, ground: int) -> np.ndarray:
+    def _under_law(self, touch: Touch | Strokes, g: np.ndarray, ground: int) -> np.ndarray:
         """The voltages under one ground: a fixed point of each node's conductance G.
 
         A current I drawn from the ground lowers node k by I (series + u_k) below V0, and

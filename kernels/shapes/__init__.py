@@ -1,0 +1,24 @@
+"""Shapes of contacts: a field that says where an object touches, fitted to voltages.
+
+An object mostly touches or does not. The room knows the sheet and the errors of voltages;
+it knows nothing of rigs, files or what an image is used for.
+"""
+
+from tomojax.kernels.shapes._field import (
+    levels as levels,
+    modes_of as modes_of,
+    near_touching as near_touching,
+    touching as touching,
+    TwoLevels as TwoLevels,
+)
+from tomojax.kernels.shapes._fit import (
+    Evaluated as Evaluated,
+    fit_shape as fit_shape,
+    followed as followed,
+    PixelSites as PixelSites,
+    shape_curvature as shape_curvature,
+    shape_slopes as shape_slopes,
+    ShapeFit as ShapeFit,
+    Told as Told,
+)
+from tomojax.kernels.shapes._spread import PixelSpread as PixelSpread, spread as spread

@@ -1,0 +1,113 @@
+"""A field of two levels: where an object touches, its conductance; elsewhere, none.
+
+    g(x) = level(x)·logistic(f(x)),  f = mean + Σ_m w_m·φ_m(x),  w normal, of variance 1
+
+f is Gaussian beforehand, of Matérn's covariance of order 3/2, in the waves
+cos(πix/a)·cos(πjy/b) of the sheet. Its standard deviation is many times the width of the
+logistic function's slope: most of the sheet is at one of the two levels.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax.kernels.algebra import gaussian, matmul
+from tomojax.kernels.sheet import heights
+
+# Points of a pixel along each side, over which its conductance is averaged: an outline
+# crosses pixels.
+_POINTS = 2
+
+# f's standard deviation, its mean in these, and its length, of the electrodes' pitch. On
+# simulated letters, rings, hands and cables overlaps changed by 0.01 at most between 4 and
+# 10, lengths from 0.75 to 1.5 pitches.
+_WIDTH, _MEAN, _LENGTH = 10.0, -0.7, 1.5
+
+# Matérn's order.
+_ORDER = 1.5
+
+# The shortest half period of a wave, of the pitch: no image showed more with shorter ones.
+_SHORTEST = 0.5
+
+# A start's part of a pixel that touches: within these. Waves whose square is less than this
+# part of the longest one's are left out of it.
+_LEAST, _MOST, _SHORT = 1e-3, 0.05, 1e-3
+
+# The level is told from what is near: within as much, of the pitch; and is no less than
+# this part of that of the whole image: what is weaker may be no contact.
+_NEAR, _FAINT = 1.0, 0.1
+
+
+class TwoLevels(NamedTuple):
+    """The field's waves at points of n pixels; of K waves, the longest first."""
+
+    waves: Float[Array, "n q K"]  # φ_m, times its standard deviation beforehand
+    mean: Float[Array, ""]
+
+
+def modes_of(
+    shape: tuple[int, int], size: Float[np.ndarray, "2"], pitch: float, dtype
+) -> TwoLevels:
+    """The waves on an image of `shape` pixels over a sheet of `size`, m."""
+    most = np.floor(size / (_SHORTEST * pitch)).astype(int)
+    orders = np.moveaxis(np.indices(tuple(most + 1)), 0, -1).reshape(-1, 2)
+    wave = np.pi * orders / size
+    square = (wave**2).sum(1)
+    within = ((orders / np.maximum(most, 1)) ** 2).sum(1) <= 1
+    power = (2 * _ORDER / (_LENGTH * pitch) ** 2 + square) ** -(_ORDER + 1)
+    order = np.flatnonzero(within)
+    order = order[np.argsort(square[order], kind="stable")]
+    # Of a variance that all waves, the shorter ones too, would add up to.
+    far = np.moveaxis(np.indices(tuple(8 * (most + 1))), 0, -1).reshape(-1, 2)
+    rest = 2 * _ORDER / (_LENGTH * pitch) ** 2 + ((np.pi * far / size) ** 2).sum(1)
+    deviation = _WIDTH * np.sqrt(power / (rest ** -(_ORDER + 1)).sum())[order]
+    orders = orders[order]
+    x, y = ((np.arange(n * _POINTS) + 0.5) / (n * _POINTS) for n in shape)
+    along, across = (
+        np.cos(np.pi * i[:, None] * v) for i, v in zip(orders.T, (x, y), strict=True)
+    )
+    tall = (heights(orders) * deviation)[:, None, None, None, None]
+    along = along.reshape(len(orders), shape[0], 1, _POINTS, 1)
+    across = across.reshape(len(orders), 1, shape[1], 1, _POINTS)
+    waves = (tall * along * across).reshape(len(orders), -1, _POINTS**2)
+    waves = np.ascontiguousarray(np.moveaxis(waves, 0, 2))
+    return TwoLevels(jnp.asarray(waves, dtype), jnp.asarray(_MEAN * _WIDTH, dtype))
+
+
+def touching(
+    waves: Float[Array, "n q K"], mean: Float[Array, ""], w: Float[Array, " K"]
+) -> tuple[Float[Array, " n"], Float[Array, "n q"]]:
+    """The part of each pixel that touches; and at its points ∂/∂f of it, over q."""
+    inside = jax.nn.sigmoid(mean + matmul(waves, w))
+    return inside.mean(1), inside * (1 - inside) / waves.shape[1]
+
+
+def levels(
+    g: Float[Array, "nx ny"], cell: Float[Array, "2"], pitch: Float[Array, ""]
+) -> Float[Array, "nx ny"]:
+    """The conductance per area of what touches near each pixel: Σg²/Σg, near being by a
+    Gaussian. Objects of unlike conductance have each their own."""
+    along, across = (gaussian(n, _NEAR * pitch / c) for n, c in zip(g.shape, cell))
+    blur = lambda a: matmul(matmul(along, a), across.T)  # noqa: E731
+    tiny = jnp.finfo(g.dtype).tiny
+    whole = (g**2).sum() / jnp.maximum(g.sum(), tiny)
+    # What is far from all of it has no level of its own.
+    least = _FAINT * whole
+    own = (blur(g**2) + tiny) / jnp.maximum(blur(g), tiny)
+    return jnp.maximum(own, jnp.maximum(least, tiny))
+
+
+def near_touching(field: TwoLevels, touch: Float[Array, " n"]) -> Float[Array, " K"]:
+    """A w whose field is about where `touch` is that part of each pixel.
+
+    The waves are orthogonal at the points: each has a product of its own.
+    """
+    inside = jnp.clip(touch, _LEAST, 1 - _MOST)
+    f = jnp.log(inside / (1 - inside)) - field.mean
+    size = (field.waves**2).sum((0, 1))
+    along = matmul(field.waves.sum(1).T, f)
+    # Short waves are less than what noise would make of them.
+    return along / (size + size.max() * _SHORT)

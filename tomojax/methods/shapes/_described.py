@@ -1,0 +1,67 @@
+"""What a fitted shape says: contacts, flags."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.images import read_regions
+from tomojax.methods._contract import Estimate
+from tomojax.methods.shapes._model import FittedShape, ShapeModel
+
+# A region is what touches by half, of what touches most. What a further region carries of
+# what the first does, to be one that is not told of.
+_HALF, _OTHERS = 0.5, 0.1
+
+# Highest voltage, in the converter's noise, that places a contact. Where more than this
+# part of what touches may as well not, the place is not told.
+_FAINT, _VAGUE = 30.0, 0.3
+
+# A conductance per area is told until current enters an object within this part of a pitch
+# of its rim: of metal only that it is metal can be known.
+_RIM = 0.25
+
+
+def described(
+    model: ShapeModel, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
+) -> Estimate:
+    """Contacts are what touches and hangs together."""
+    touch = fitted.fit.touch.reshape(model.shape)
+    doubt = (fitted.touch * (1 - fitted.touch)).sum()
+    vague = doubt > _VAGUE * fitted.touch.sum()
+    read = lambda carried: read_regions(  # noqa: E731
+        touch, carried, model.cell, count + 1, _HALF
+    )
+    area = jnp.prod(model.cell)
+    contacts, flow = read(fitted.conductance * area), read(fitted.current)
+    # One more than are asked for says that there are others.
+    more = contacts.current[count] > _OTHERS * contacts.current[0]
+    # Their rims, which touch by less than half, are theirs as well.
+    whole = [carried.sum() for carried in (fitted.conductance * area, fitted.current)]
+    shares = [
+        w * a.current / jnp.maximum(jnp.nansum(a.current), jnp.finfo(w.dtype).tiny)
+        for w, a in zip(whole, (contacts, flow))
+    ]
+    contacts = contacts._replace(conductance=shares[0], current=shares[1])
+    some = jnp.minimum(contacts.count, count)
+    contacts = jax.tree.map(lambda a: a[:count] if a.ndim else a, contacts)
+    contacts = contacts._replace(count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8))
+    faint = fitted.seen & (fitted.highest < _FAINT * model.errors.noise)
+    squares = fitted.conductance.max() * model.sheet_resistance
+    metal = squares * (_RIM * model.pitch) ** 2 > 1
+    bits = (
+        (fitted.cost > 1, Flag.HIGH_RESIDUAL),
+        (more, Flag.CONTACTS_UNEXPLAINED),
+        (fitted.seen & metal, Flag.CONDUCTANCE_UNCERTAIN),
+        (faint | fitted.seen & vague, Flag.PLACE_UNCERTAIN),
+    )
+    flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
+    return Estimate(
+        contacts,
+        image,
+        fitted.residual,
+        flags,
+        by_electrode=fitted.by_electrode,
+        touch=fitted.touch,
+        deviation=fitted.deviation,
+    )

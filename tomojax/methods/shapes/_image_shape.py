@@ -1,0 +1,121 @@
+"""`shape`: where an object touches, as a field of two levels; exact model, all slots."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int, Integer
+
+from tomojax._programs import kept
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
+from tomojax.methods._rows import Rows
+from tomojax.methods.shapes._described import described
+from tomojax.methods.shapes._model import Before, CELLS, PreparedShape, ShapeModel
+from tomojax.sensor import Calibration, Sensor
+
+
+class ImageShape(AbstractMethod):
+    """The likeliest shape: g = level·logistic(f), f a Gaussian field beforehand.
+
+    The image is g, S/m²; rows have the probability that a pixel touches beside it.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "shape", grid=16)
+    >>> isinstance(method, tx.methods.ImageShape), method.image_unit
+    (True, 'S/m^2')
+    >>> bar = tx.Bar([0.04, 0.04], 0.04, 0.014, 0.0, 0.3)
+    >>> volts = np.asarray(tx.voltages(sensor, bar, [0, 3, 12, 15]))
+    >>> rows = tx.Batch(method, 1.0)(volts[None], np.array([[0, 3, 12, 15]]))
+    >>> found = rows.touch[0] > 0.5  # the probability that a pixel touches
+    >>> bool(0.7 < found.sum() * 0.005**2 / (0.04 * 0.014) < 1.5)
+    True
+    """
+
+    image_unit: ClassVar[str] = "S/m^2"  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
+    stands_out: ClassVar[float] = 3.3
+    cells_per_diameter: ClassVar[int] = CELLS
+    padded: ClassVar[bool] = False
+    films: ClassVar[bool] = True
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    model: ShapeModel
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ImageShape":
+        """On an image of `shape` pixels."""
+        model = ShapeModel.of(sensor, shape)
+        return cls(shape, model.cell, model)
+
+    def calibrated(self, calibration: Calibration) -> "ImageShape":
+        return replace(self, model=self.model.calibrated(calibration))
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.model.errors.noise
+
+    @property
+    def electrode_count(self) -> int:
+        return self.model.source.electrode_count
+
+    def choose_lambda(self, frames: list[Frame]) -> float:
+        """The error of a sheet with nominal values."""
+        return 1.0
+
+    def scale(self) -> float:
+        return 1.0
+
+    def sizes(self, contacts: int, images: bool) -> dict[str, int]:
+        nx, ny = self.shape
+        return super().sizes(contacts, images) | ({"tx": nx, "ty": ny} if images else {})
+
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedShape:
+        return self.model.prepare(grounds, good, lam)
+
+    def estimate(
+        self, prepared: PreparedShape, voltages: Float[Array, "S M"], count: int
+    ) -> Estimate:
+        """As the contract says; the image can be differentiated by the voltages, each
+        place's level staying as it is."""
+        nothing = self.model.nothing_before()
+        fitted = self.model.fitted(prepared, voltages, nothing, follow=True)
+        return described(self.model, fitted, fitted.conductance, count)
+
+    def block(
+        self,
+        prepared: PreparedShape,
+        voltages: Float[Array, "n S M"],
+        grounds: Integer[np.ndarray, "n S"],
+        count: int,
+        images: bool,
+        films: Int[np.ndarray, " n"] | None = None,
+    ) -> Rows:
+        """As `estimate`, frame by frame; a film's frames go on from the one before."""
+        rows, nothing, before = [], self.model.nothing_before(), None
+        for k, v in enumerate(voltages):
+            follows = films is not None and k > 0 and films[k] == films[k - 1]
+            start = before if follows else nothing
+            row, before = _row(self, prepared, v, count, images, start)
+            rows.append(row)
+        return jax.tree.map(lambda *r: np.stack(r), *rows)
+
+
+@kept
+def _row(
+    method: ImageShape,
+    prepared: PreparedShape,
+    voltages: Float[Array, "S M"],
+    count: int,
+    images: bool,
+    before: Before,
+) -> tuple[Rows, Before]:
+    fitted = method.model.fitted(prepared, voltages, before)
+    estimate = described(method.model, fitted, fitted.conductance, count)
+    return judged(method, estimate, voltages, images), fitted.next

@@ -1,0 +1,337 @@
+"""The model of `shape`: a field of two levels on the image's pixels, and its fit."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.contacts import whitened_columns
+from tomojax.kernels.shapes import (
+    Evaluated,
+    fit_shape,
+    followed,
+    levels,
+    modes_of,
+    near_touching,
+    PixelSites,
+    shape_curvature,
+    shape_slopes,
+    ShapeFit,
+    spread,
+    Told,
+    touching,
+    TwoLevels,
+)
+from tomojax.kernels.sheet import ground_voltages, reduce_sites, voltage_drop
+from tomojax.methods._contract import rms, rms_by_electrode
+from tomojax.methods._errors import (
+    Errors,
+    misfit_cost,
+    PreparedErrors,
+    seen,
+    whitened,
+    without_offset,
+)
+from tomojax.methods._pixels import pixels_of, site_table
+from tomojax.methods._source import PreparedSource, Source
+from tomojax.sensor import Calibration, Sensor
+
+# Cells of the mesh that are no wider than an electrode.
+CELLS = 2
+
+# Slots that a shape is fitted to, at most, the grounds as far apart as can be; and how many
+# of them errors of the model leave independent: the same sheet, electrodes and gains are
+# behind all. On simulated letters, rings and hands 64 slots overlapped no better than 16
+# of them, on rigs without errors neither, and took three times as long.
+_SLOTS, _INDEPENDENT = 16, 12.0
+
+# The coarse fit's pixels, of the image's along each side; and the part of its waves.
+_COARSER, _WAVES = 2, 2
+
+# Evaluations of the coarse fit and of the fine one; the gain, as a part of the cost, at
+# which they are enough.
+_FIRST, _THEN, _ENOUGH, _ENOUGH_THEN = 16, 8, 5e-3, 3e-3
+
+# A film's next frame: its level, of what came out of the one before (of which a fit makes
+# less, so that both settle). It starts anew where the cost is so many times as high, or
+# what came out is less than this part of the level: the object presses less, or is gone.
+_NEXT, _MORE, _UNDER = 1.28, 2.0, 0.55
+
+# The coarse fit's level, of that of `source`'s blurred image: far above what is there, so
+# that the field is in proportion to what the data ask for. The fine fit's level, of what
+# came out.
+_HIGH, _LEVEL = 40.0, 0.85
+
+# V0 − u at a contact is no less than this part of V0, for a start. The start's λ, of σ₁².
+_DROP, _START = 0.1, 1e-4
+
+
+class PreparedShape(NamedTuple):
+    """For S slots with their good channels."""
+
+    source: PreparedSource  # for the start
+    errors: PreparedErrors
+    fitted: Int[Array, " s"]  # the slots that the shape is fitted to
+    some: PreparedErrors  # theirs
+
+
+class Before(NamedTuple):
+    """Where a film's next frame starts."""
+
+    w: Float[Array, " K"]
+    level: Float[Array, "nx ny"]  # S/m²
+    cost: Float[Array, ""]  # inf: nothing is known
+
+
+class FittedShape(NamedTuple):
+    """One frame."""
+
+    fit: ShapeFit
+    level: Float[Array, "nx ny"]  # S/m² of what touches
+    conductance: Float[Array, "nx ny"]  # S/m²
+    current: Float[Array, "nx ny"]  # A per pixel, the mean over the slots
+    touch: Float[Array, "nx ny"]  # the probability
+    deviation: Float[Array, "nx ny"]  # of the conductance, S/m²
+    cost: Float[Array, ""]  # per slot, of the whitened misfit, of the tolerance
+    seen: Bool[Array, ""]
+    residual: Float[Array, ""]  # V rms
+    by_electrode: Float[Array, " M"]
+    highest: Float[Array, ""]  # |V|
+    next: Before
+
+
+class ShapeModel(eqx.Module):
+    """What fits a shape to a frame.
+
+    A coarse fit, whose level is far above what is there, starts from nothing; each place's
+    level is then read off it, and a fine fit ends it.
+    """
+
+    shape: tuple[int, int] = eqx.field(static=True)
+    cell: Float[Array, "2"]
+    source: Source
+    fine: PixelSites
+    field: TwoLevels
+    coarse: PixelSites
+    coarse_field: TwoLevels
+    errors: Errors
+    sheet_resistance: Float[Array, ""]
+    ground_resistance: Float[Array, "..."]
+    drive_voltage: Float[Array, ""]
+    pitch: Float[Array, ""]
+
+    @classmethod
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ShapeModel":
+        """On an image of `shape` pixels."""
+        # Metal discs where the sensor leaves it open, as for `points`.
+        if sensor.electrode_shunt is None:
+            sensor = replace(sensor, electrode_shunt=1.0)
+        less = (max(1, shape[0] // _COARSER), max(1, shape[1] // _COARSER))
+        fine, coarse = (pixels_of(sensor, s, CELLS) for s in (shape, less))
+        tables = [PixelSites(*site_table(p.sensor, p.shape)) for p in (fine, coarse)]
+        size, pitch = np.asarray(sensor.size, float), sensor.mean_pitch
+        field = modes_of(shape, size, pitch, sensor.dtype)
+        few = modes_of(less, size, pitch, sensor.dtype)
+        few = few._replace(waves=few.waves[:, :, : -(-few.waves.shape[2] // _WAVES)])
+        return cls(
+            shape,
+            fine.cell,
+            Source.of(sensor, shape),
+            tables[0],
+            field,
+            tables[1],
+            few,
+            Errors.of(sensor),
+            jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
+            fine.sensor.ground_resistance,
+            fine.sensor.drive_voltage,
+            jnp.asarray(pitch, sensor.dtype),
+        )
+
+    def calibrated(self, calibration: Calibration) -> "ShapeModel":
+        """As the calibration states its errors."""
+        ground = jnp.asarray(calibration.ground, self.cell.dtype)
+        errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
+        resistance = self.ground_resistance + ground
+        return replace(self, errors=errors, source=source, ground_resistance=resistance)
+
+    def prepare(
+        self,
+        grounds: Int[np.ndarray, " S"],
+        good: Bool[np.ndarray, "S M"],
+        lam: float,
+    ) -> PreparedShape:
+        """For slots with these grounds and good channels."""
+        start = self.source.prepare(grounds, good, _START * self.source.scale())
+        errors = self.errors.prepare(grounds, good, lam)
+        xy = np.asarray(self.errors.electrode_xy, float)[grounds]
+        used = np.asarray(np.asarray(errors.used).any(1))
+        some = _far_apart(xy, used, _SLOTS)
+        ready = self.errors.prepare(grounds[some], good[some], lam)
+        return PreparedShape(start, errors, jnp.asarray(some), ready)
+
+    def nothing_before(self) -> Before:
+        """For a frame that none came before."""
+        dtype = self.cell.dtype
+        w = jnp.zeros(self.field.waves.shape[2], dtype)
+        return Before(w, jnp.zeros(self.shape, dtype), jnp.asarray(jnp.inf, dtype))
+
+    def fitted(
+        self,
+        prepared: PreparedShape,
+        voltages: Float[Array, "S M"],
+        before: Before,
+        follow: bool = False,
+    ) -> FittedShape:
+        """The image, and how well it fits; `follow`: with its derivative."""
+        given = self._told(prepared.some, voltages[prepared.fitted])
+        told: Told = jax.lax.stop_gradient(given)
+        still = jax.lax.stop_gradient(voltages)
+        area = jnp.prod(self.cell)
+
+        def fine(w: Array, level: Array) -> tuple[ShapeFit, Array]:
+            each = (level * area).ravel()
+            fit = fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
+            return fit, level
+
+        def anew() -> tuple[ShapeFit, Array]:
+            return fine(*self._coarse(told, self._level(prepared.source, still)))
+
+        def onward() -> tuple[ShapeFit, Array]:
+            found = fine(before.w, before.level)
+            image = before.level * found[0].touch.reshape(self.shape)
+            under = (image**2).sum() < _UNDER * (image * before.level).sum()
+            worse = ~(found[0].cost <= _MORE * before.cost) | under
+            return jax.lax.cond(worse, anew, lambda: found)
+
+        fit, level = jax.lax.cond(jnp.isfinite(before.cost), onward, anew)
+        each = (level * area).ravel()
+        curvature = shape_curvature(self.field, self.fine, told, each, fit)
+        sure = spread(self.field, curvature, fit.w)
+        if follow:
+            fit = followed(self.field, self.fine, given, each, fit)
+        conductance = level * fit.touch.reshape(self.shape)
+        near = _NEXT * levels(conductance, self.cell, self.pitch)
+        images = {
+            "level": level,
+            "conductance": conductance,
+            "touch": sure.touch.reshape(self.shape),
+            "deviation": level * sure.deviation.reshape(self.shape),
+        }
+        ahead = Before(fit.w, near, fit.cost)
+        return self._judged(prepared.errors, voltages, fit, images, ahead)
+
+    def every_slot(self) -> PreparedErrors:
+        """The errors of all grounds' voltages, every channel good. Host code."""
+        count = self.source.electrode_count
+        return self.errors.prepare(np.arange(count), np.ones((count, count), bool), 1.0)
+
+    def slopes_at(
+        self, errors: PreparedErrors, w: Float[Array, " K"]
+    ) -> Float[Array, "L W K"]:
+        """What each slot's whitened voltages tell of the field at `w`: their slopes by it.
+
+        The object conducts as much that current enters it within a pitch of its rim.
+        """
+        count = self.source.electrode_count
+        level = jnp.prod(self.cell) / (self.sheet_resistance * self.pitch**2)
+        each = jnp.broadcast_to(level, self.fine.on_sheet.shape)
+        touch, steep = touching(self.field.waves, self.field.mean, w)
+        contact = reduce_sites(self.fine.table, self.fine.of(each * touch), count)
+        z, v0 = self.ground_resistance, self.drive_voltage
+        told = self._told(errors, ground_voltages(contact, errors.grounds, z, v0))
+        at = Evaluated(0 * told.frame.whitened, contact)
+        return shape_slopes(self.field, self.fine, told, each, steep, at)
+
+    def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> Told:
+        n = jnp.maximum(errors.used.any(1).sum(), 1).astype(voltages.dtype)
+        return Told(
+            voltages,
+            whitened(errors, voltages).frame,
+            errors.tolerance,
+            jnp.minimum(1, _INDEPENDENT / n),
+            self.ground_resistance,
+            self.drive_voltage,
+        )
+
+    def _judged(
+        self,
+        errors: PreparedErrors,
+        voltages: Float[Array, "S M"],
+        fit: ShapeFit,
+        images: dict[str, Array],
+        ahead: Before,
+    ) -> FittedShape:
+        """What the fit makes of all slots."""
+        z, v0, slots = self.ground_resistance, self.drive_voltage, errors.used.any(1)
+        n = jnp.maximum(slots.sum(), 1).astype(voltages.dtype)
+        contact = fit.at.contact
+        drop = voltage_drop(contact, errors.grounds, z, v0)
+        mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+        flat = images["conductance"].ravel() * jnp.prod(self.cell)
+        (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(mean)
+        left = ground_voltages(contact, errors.grounds, z, v0) - voltages
+        frame = whitened(errors, voltages).frame
+        misfits = (whitened_columns(frame, left) ** 2).sum(1)
+        costs = misfit_cost(misfits, errors.tolerance)
+        misfit, used = without_offset(errors, left)
+        return FittedShape(
+            fit,
+            **images,
+            current=(flat * at_pixels).reshape(self.shape),
+            cost=costs.sum() / n / errors.tolerance,
+            seen=seen(errors, frame, costs),
+            residual=rms(misfit, used),
+            by_electrode=rms_by_electrode(misfit, used),
+            highest=jnp.abs(voltages).max(),
+            next=ahead,
+        )
+
+    def _level(
+        self, prepared: PreparedSource, voltages: Float[Array, "S M"]
+    ) -> Float[Array, ""]:
+        """That of `source`'s image, S/m²."""
+        current = self.source.image(prepared, voltages)
+        v0 = self.drive_voltage
+        # What is under a contact is hardly higher than the highest electrode.
+        drop = jnp.maximum(jnp.abs(v0) - jnp.abs(voltages).max(), _DROP * jnp.abs(v0))
+        guess = jnp.maximum(jnp.sign(v0) * current / drop, 0)
+        tiny = jnp.finfo(guess.dtype).tiny
+        return ((guess**2).sum() + tiny) / (guess.sum() + tiny) / jnp.prod(self.cell)
+
+    def _coarse(
+        self, told: Told, blurred: Float[Array, ""]
+    ) -> tuple[Float[Array, " K"], Float[Array, "nx ny"]]:
+        """The field to begin with, and the level that is told from it, S/m²."""
+        field, sites = self.coarse_field, self.coarse
+        area = jnp.prod(self.cell) * self.fine.on_sheet.size / sites.on_sheet.size
+        level = _HIGH * blurred
+        n, _, few = field.waves.shape
+        start = jnp.zeros(few, level.dtype)
+        each = jnp.broadcast_to(level * area, n)
+        fit = fit_shape(field, sites, told, each, start, _FIRST, _ENOUGH)
+        touch, _ = touching(self.field.waves[:, :, :few], self.field.mean, fit.w)
+        image = level * touch
+        near = _LEVEL * levels(image.reshape(self.shape), self.cell, self.pitch)
+        return near_touching(self.field, image / near.ravel()), near
+
+
+def _far_apart(
+    xy: Float[np.ndarray, "S 2"], used: Bool[np.ndarray, " S"], most: int
+) -> Int[np.ndarray, " s"]:
+    """Slots that are used, `most` at most: each ground far from those before it."""
+    slots = np.flatnonzero(used) if used.any() else np.arange(len(used))
+    if len(slots) <= most:
+        return slots
+    away = ((xy[slots] - xy[slots].mean(0)) ** 2).sum(1)
+    chosen = [int(away.argmax())]
+    nearest = np.full(len(slots), np.inf)
+    while len(chosen) < most:
+        nearest = np.minimum(nearest, ((xy[slots] - xy[slots[chosen[-1]]]) ** 2).sum(1))
+        nearest[chosen] = -1
+        chosen.append(int(nearest.argmax()))
+    return slots[np.sort(chosen)]
