@@ -476,6 +476,7 @@ def gallery(shown: list[tuple], path: Path, most: int = 9) -> None:
 def draw(content: dict, path: Path) -> None:
     """Overlaps by slots, reliability, digits, and the smallest gaps and holes."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     figure = Figure(figsize=(15, 8.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
@@ -502,6 +503,9 @@ def draw(content: dict, path: Path) -> None:
     axes[0].set(
         xscale="log", xlabel="slots", ylabel="overlap: median, quartiles", ylim=(0, 1)
     )
+    axes[0].set_ylim(0, 1)
+    axes[0].set_xticks(slots, [str(s) for s in slots])
+    axes[0].xaxis.set_minor_formatter(NullFormatter())
     axes[0].set_title("strokes of 12 to 16 mm, 0.02 to 2 S/m²")
     axes[0].legend(fontsize=7, loc="lower right")
     for s in slots:
@@ -563,7 +567,9 @@ def draw(content: dict, path: Path) -> None:
         for r in rows:
             axes[5].annotate(r["pattern"], (r["slots"], r["overlap"]), fontsize=7)
     axes[5].set(xscale="log", xlabel="slots of a scan", ylabel="median overlap")
-    axes[5].set_title("the paper's patterns (round) and designed ones (square)")
+    axes[5].set_xticks([2, 4, 8, 16, 28, 64], ["2", "4", "8", "16", "28", "64"])
+    axes[5].xaxis.set_minor_formatter(NullFormatter())
+    axes[5].set_title("patterns of the paper; designed (squares)")
     figure.savefig(path, dpi=80)
 
 

@@ -152,5 +152,5 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
                 "mean_us": 1e6 * float(np.median(spent)) / len(volts),
                 "contacts_where_nothing_is": false,
                 "kinds": figures,
-                "rungs": np.bincount(rows.rung, minlength=4).tolist(),
+                "rungs": np.bincount(rows.rung, minlength=5).tolist(),
             }

@@ -73,7 +73,7 @@ def _rungs(model: AbstractMethod, rows: Rows) -> dict[str, list[int]]:
     """How many frames each rung of the ladder explained, where a method chooses."""
     if not model.tells_rung:
         return {}
-    return {"rungs": np.bincount(rows.rung, minlength=4).tolist()}
+    return {"rungs": np.bincount(rows.rung, minlength=5).tolist()}
 
 
 def _times(

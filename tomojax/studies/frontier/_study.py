@@ -63,6 +63,7 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         Job("points", ("corner", "corners", "all"), own, (64,)),
         Job("points", ("corners",), own, (64,), dtype="float64"),
         Job("conductance", ("corners", "all"), own, (2,), most=6),
+        Job("shape", ("corners", "all"), own, (2,), most=6),
         Job("auto", ("corners", "all"), own, (32,), most=10),
         Job("follow", ("around_contacts", "around", "all")),
         # What our methods get, and an image of the paper's 4 mm besides.

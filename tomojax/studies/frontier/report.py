@@ -19,12 +19,13 @@ COLOURS = {
     "positive": "C4",
     "points": "C0",
     "conductance": "C2",
+    "shape": "C6",
     "auto": "C5",
     "follow": "C9",
 }
 _PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D", "NumPy sLORETA": "^"}
 _TOLD = ("pattern", "slots", "pixels", "dtype", "output", "batch", "p50_us")
-_RUNGS = ("nothing", "points", "source", "conductance")
+_RUNGS = ("nothing", "points", "source", "conductance", "shape")
 WORDS = {
     "one": "one contact",
     "two": "two, 15 to 40 mm apart",
@@ -200,7 +201,9 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
         bottom = np.zeros(len(KINDS))
         for k, rung in enumerate(_RUNGS):
             shares = [chosen.get(("auto", kind), {}).get("rungs") for kind in KINDS]
-            part = np.array([100 * s[k] / sum(s) if s else 0 for s in shares])
+            # Rows of runs before `shape` have four rungs.
+            part = [100 * s[k] / sum(s) if s and k < len(s) else 0 for s in shares]
+            part = np.array(part)
             colour = COLOURS.get(rung, "0.8")
             line[2].bar(x, part, 0.7, bottom=bottom, color=colour, label=rung)
             bottom += part
