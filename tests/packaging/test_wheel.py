@@ -42,7 +42,7 @@ def test_wheel_holds_every_file(tmp_path) -> None:
     ):
         for source in (ROOT / folder).rglob("*.py"):
             assert f"{inside}/{source.relative_to(ROOT / folder)}" in held
-    assert {"tomojax/py.typed", "tomojax/demo.h5"} <= held
+    assert {"tomojax/py.typed", "tomojax/demo.h5", "tomojax/demo_shapes.npz"} <= held
     # Apart from the checkout, from the wheel alone.
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
     check = "import tomojax.kernels as k, tomojax.hardware; print(k.__file__)"

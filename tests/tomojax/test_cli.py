@@ -19,7 +19,7 @@ def test_demo_prints_and_draws(tmp_path) -> None:
     result = CliRunner().invoke(app.app, ["demo", "--out", str(tmp_path / "pictures")])
     assert result.exit_code == 0, result.output
     assert "64 electrodes" in result.output and "contacts  rows" in result.output
-    for name in ("contacts.png", "contacts.gif", "results.h5"):
+    for name in ("contacts.png", "contacts.gif", "shapes.png", "results.h5"):
         assert (tmp_path / "pictures" / name).stat().st_size > 10_000
     with Image.open(tmp_path / "pictures" / "contacts.gif") as film:
         assert film.n_frames == 100 and film.size == (384, 336)

@@ -1,7 +1,8 @@
-"""`tomojax demo`: a recording that comes with the package, reconstructed and shown.
+"""`tomojax demo`: recordings that come with the package, reconstructed and shown.
 
 The recording is simulated (`python -m tomojax.cli._demo_recording` makes it anew), with an
-uneven sheet, gain errors and noise that the reconstruction does not know of.
+uneven sheet, gain errors and noise that the reconstruction does not know of. Letters and a
+hand are from a resistor network (`tomojax.cli._demo_shapes`).
 """
 
 import sys
@@ -42,5 +43,9 @@ def demo(out: Path) -> None:
         frames = file["t"].shape[0]  # pyright: ignore
     with tqdm(total=frames, desc="clip", disable=None, file=sys.stderr) as bar:
         plots.clip(results, out / "contacts.gif", progress=bar.update)
-    for name in ("contacts.png", "contacts.gif"):
+    from tomojax.cli import _demo_shapes
+
+    with as_file(files("tomojax") / "demo_shapes.npz") as path:
+        _demo_shapes.draw(path, out / "shapes.png")
+    for name in ("contacts.png", "contacts.gif", "shapes.png"):
         print(f"picture: {out / name}")
