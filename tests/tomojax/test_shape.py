@@ -111,6 +111,9 @@ def test_hard_cases_are_defined_and_flagged(method, volts, rows):
     # All of its conductance is on the sheet, beyond which it reaches.
     total = rows.image[k].mean() * 0.16**2
     assert total == pytest.approx(MADE["sheet"].conductance, rel=0.2)
+    metal = {"metal": np.full((64, 64), 4.4) * (1 - np.eye(64))}
+    plate = batch_of(method, metal, ["metal"], TEN)
+    assert np.isfinite(plate.image).all() and plate.flags[0] & Flag.HIGH_RESIDUAL.value
     one = batch_of(method, volts, list(MADE), np.array([9]))
     assert np.isfinite(one.image).all() and np.isfinite(one.residual).all()
     good = np.ones((1, 10, 64), bool)

@@ -150,7 +150,7 @@ def write_outlines(results: Path, out: Path) -> int:
     """Writes the outlines of all rows with a contact, and returns how many there are.
 
     GeoJSON (lengths in m on the sheet, not on the Earth) has for each object its row, time,
-    area, centroid, axes, conductance and, where the results tell it, force; SVG a group
+    area, centroid, axes and conductance; SVG a group
     for each row, in mm.
     **Raises:** `ValueError` for results without probabilities of touch.
     """

@@ -17,6 +17,10 @@ _HALF, _OTHERS = 0.5, 0.1
 # part of what touches may as well not, the place is not told.
 _FAINT, _VAGUE = 30.0, 0.3
 
+# Voltages above this part of the drive are not there without a contact, though all of them
+# be alike (metal on the whole sheet), which an offset would explain as well.
+_SURELY = 0.05
+
 # A conductance per area is told until current enters an object within this part of a pitch
 # of its rim: of metal only that it is metal can be known.
 _RIM = 0.25
@@ -49,8 +53,9 @@ def described(
     faint = fitted.seen & (fitted.highest < _FAINT * model.errors.noise)
     squares = fitted.conductance.max() * model.sheet_resistance
     metal = squares * (_RIM * model.pitch) ** 2 > 1
+    high = fitted.highest > _SURELY * jnp.abs(model.drive_voltage)
     bits = (
-        (fitted.cost > 1, Flag.HIGH_RESIDUAL),
+        ((fitted.cost > 1) | high & ~fitted.seen, Flag.HIGH_RESIDUAL),
         (more, Flag.CONTACTS_UNEXPLAINED),
         (fitted.seen & metal, Flag.CONDUCTANCE_UNCERTAIN),
         (faint | fitted.seen & vague, Flag.PLACE_UNCERTAIN),
