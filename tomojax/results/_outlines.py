@@ -150,8 +150,7 @@ def write_outlines(results: Path, out: Path) -> int:
     """Writes the outlines of all rows with a contact, and returns how many there are.
 
     GeoJSON (lengths in m on the sheet, not on the Earth) has for each object its row, time,
-    area, centroid, axes and conductance; SVG a group
-    for each row, in mm.
+    area, centroid, axes and conductance; SVG has a group for each row, in mm.
     **Raises:** `ValueError` for results without probabilities of touch.
     """
     with h5py.File(results, "r") as file:
