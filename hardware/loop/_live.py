@@ -32,6 +32,7 @@ def run(
     budget: float | None = None,
     until: Callable[[], bool] = lambda: False,
     meanwhile: Callable[[], None] = lambda: None,
+    images: bool = True,
 ) -> None:
     """Goes on until the source ends or `until` says so; `source` is started.
 
@@ -40,7 +41,8 @@ def run(
     many lost. A slot older than `budget` (s; by default the time of one) when it is read
     is told to be hurried: the step's cheaper method, if it has one, answers.
     `meanwhile` is called a few times a second, between slots. So often the ring's `trim` is
-    looked at, which corrects the voltages for what has drifted.
+    looked at, which corrects the voltages for what has drifted. Without `images` the ring's
+    is left to another process.
     """
     m = source.electrodes
     require(ring.electrodes == m, "ring", f"{ring.electrodes} electrodes", f"{m}")
@@ -93,7 +95,7 @@ def run(
         latency = time.perf_counter() - got.arrived
         latencies[min(int(1e6 * latency), LONGEST - 1)] += 1
         ring.put(got, codes, _said(out, latency, ground))
-        if now > image_due:
+        if images and now > image_due:
             image_due = now + _IMAGE
             _draw(ring, step, state)
     ring.count(**source.counters.as_dict(), skipped=skipped)

@@ -125,6 +125,29 @@ def test_live_into_a_file_of_rerun(scene, tmp_path):
     assert all(name in told for name in (b"contacts_mm", b"image", b"latency_us"))
 
 
+def test_live_draws_shapes(held, tmp_path):
+    """At the end, if it has not begun before."""
+    with VirtualRig(held, rate=RATE, link="udp") as rig:
+        words = "live", rig.where, "--view", "none", "--shapes", "--seconds", 2
+        done = command(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (line,) = [x for x in done.stdout.splitlines() if "images of what touches" in x]
+    assert int(line.split()[0]) > 0
+
+
+def test_the_latest_slots_of_an_image():
+    from tomojax.hardware.loop.drawing import latest
+
+    rows = np.zeros(40, [("ground", "i2"), ("time", "f8")])
+    rows["ground"], rows["time"] = np.arange(40) % 12, 0.001 * np.arange(40)
+    some = latest(rows)
+    assert len(some) == 10 and (np.diff(some["time"]) > 0).all()
+    assert set(some["ground"]) == set(range(12)) - {4, 5}  # the two that are oldest
+    rows["time"][:37] -= 1.0
+    assert len(latest(rows)) == 2
+    assert len(latest(rows[:1])) == 1
+
+
 def test_live_with_a_config_and_a_recording(held, tmp_path):
     (tmp_path / "rig.toml").write_text(
         'method = "follow"\ncontacts = 1\nseconds = 4.0\nfile-seconds = 60.0\n'

@@ -174,6 +174,11 @@ def _calibrated(rec: Path, made: Path) -> None:
     help="Follow zeros and gains that drift, slowly; with --record OUT their log is "
     "OUT.adapted.h5.",
 )
+@click.option(
+    "--shapes",
+    is_flag=True,
+    help="Draw what touches in the view by the method shape, in a process of its own.",
+)
 @click.option("--record", "out", type=_FILE, help="Record here as well.")
 @click.option(
     "--real-time",
@@ -213,4 +218,6 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
         if options["adapt"]:
             log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
             opened.beside("adapter", str(path or ""), log)
-        opened.run(step, options["budget"])
+        if options["shapes"]:
+            opened.beside("drawing", str(path or ""))
+        opened.run(step, options["budget"], images=not options["shapes"])

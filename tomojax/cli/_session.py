@@ -44,8 +44,12 @@ class _Session:
         step: Any,
         budget: float | None = None,
         tell: Callable[[float], None] = lambda seconds: None,
+        images: bool = True,
     ) -> None:
-        """Until the time is up or Ctrl-C; `tell` is called with the seconds since."""
+        """Until the time is up or Ctrl-C; `tell` is called with the seconds since.
+
+        Without `images` a process beside the loop draws the view's.
+        """
         from tomojax.cli import _recordings
         from tomojax.hardware import run
 
@@ -68,6 +72,7 @@ class _Session:
                     budget=budget,
                     until=until,
                     meanwhile=look,
+                    images=images,
                 )
             finally:
                 self.ring.head["done"][...] = 1

@@ -1,0 +1,78 @@
+"""The live view's image by `shape`: a process that reads the ring and draws into it.
+
+The loop waits for nothing. An image is of the latest slot of each of a few grounds.
+"""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._ring import SIDE, SlotRing
+from tomojax.hardware.loop.recorder import rig_of
+
+# Between images, s; slots of an image, so many or what the scan has; how far back they are
+# looked for; how old they may be, s: what touches moves. How much it gives way.
+_EVERY, _SLOTS, _BACK, _OLD, _NICE = 0.1, (10, 2, 1), 256, 0.1, 5
+
+
+def latest(rows: np.ndarray) -> np.ndarray:
+    """The latest row of each ground, ten, two or one of them, the oldest first."""
+    rows = rows[-_BACK:]
+    rows = rows[(rows["ground"] >= 0) & (rows["time"] >= rows["time"][-1] - _OLD)]
+    _, first = np.unique(rows["ground"][::-1], return_index=True)
+    places = np.sort(len(rows) - 1 - first)
+    count = next((n for n in _SLOTS if n <= len(places)), 0)
+    return rows[places[len(places) - count :]]
+
+
+def draw(ring: SlotRing, told: dict[str, Any], path: str) -> int:
+    """Until the ring is done, of which the last is drawn; returns how many images."""
+    from tomojax.methods import Batch, method
+    from tomojax.sensor import Calibration
+
+    known = Calibration.load(path) if path else None
+    sensor = rig_of(told).sensor()
+    batch = Batch(method(sensor, "shape", SIDE, known), 1.0, contacts=1)
+    drawn, row, done = 0, 0, False
+    while not done:
+        done, started = bool(ring.head["done"]), time.monotonic()
+        first = int(ring.head["rows"]) - _BACK
+        rows, row, _ = ring.since(max(0 if done else row, first))
+        some = latest(rows) if len(rows) else rows
+        if len(some):
+            volts = some["codes"].astype(np.float32) * told["scale"] + told["offset"]
+            volts = volts * ring.trim[0] + ring.trim[1]
+            volts = volts if known is None else known.voltages(volts)
+            under = some["ground"].astype(int)
+            found = batch(volts[None].astype(np.float32), under[None])
+            if found.touch is not None:
+                ring.head["image"][...] = np.nan_to_num(found.touch[0])
+                drawn += 1
+        time.sleep(0 if done else max(0.0, _EVERY - (time.monotonic() - started)))
+    return drawn
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("ring", "told", "calibration"):
+        parser.add_argument(name)
+    given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
+    beside()
+    os.nice(_NICE)
+    try:
+        count = draw(SlotRing(given.ring), json.loads(given.told), given.calibration)
+    except (OSError, ValueError) as error:
+        sys.exit(f"tomojax: drawing: {error}")
+    print(f"{count} images of what touches", flush=True)
+
+
+if __name__ == "__main__":
+    main()
