@@ -233,6 +233,8 @@ assert len(batch._shared(jax.numpy.zeros((32, 1, 64))).sharding.device_set) == 2
 both = batch(v, g)
 one = tx.Batch(method, 1e8, devices=jax.devices()[:1])(v, g)
 for a, b in zip(both, one):
+    if a is None and b is None:
+        continue
     np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-9)
 print("same")
 """
