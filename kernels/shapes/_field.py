@@ -22,8 +22,8 @@ from tomojax.kernels.sheet import heights
 _POINTS = 2
 
 # f's standard deviation, its mean in these, and its length, of the electrodes' pitch. On
-# simulated letters, rings, hands and cables overlaps changed by 0.01 at most between 4 and
-# 10, lengths from 0.75 to 1.5 pitches.
+# simulated letters, rings, hands and cables (making seeds) overlaps changed by 0.03 at most
+# between 4 and 10, with lengths from 0.75 to 1.5 pitches.
 _WIDTH, _MEAN, _LENGTH = 10.0, -0.7, 1.5
 
 # Matérn's order.

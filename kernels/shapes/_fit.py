@@ -46,7 +46,7 @@ class PixelSites(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What is told of a frame."""
+    """A frame's voltages, their errors, and the rig's values."""
 
     voltages: Float[Array, "S M"]
     frame: WhitenedFrame
@@ -64,7 +64,7 @@ class Evaluated(NamedTuple):
 
 
 class ShapeFit(NamedTuple):
-    """Where it ended."""
+    """The end of a fit."""
 
     w: Float[Array, " K"]
     touch: Float[Array, " n"]  # the part of each pixel that touches
@@ -180,7 +180,7 @@ def shape_curvature(
     level: Float[Array, " n"],
     fit: ShapeFit,
 ) -> Float[Array, "K K"]:
-    """What the data tell of w: t·JᵀWJ. With I added, the inverse of w's covariance.
+    """Returns t·JᵀWJ, what the data tell of w; I added, it is the covariance's inverse.
 
     Whether a pixel touches is asked, which a tangent does not tell: far from f = 0 the
     logistic function is flat, and any f would do. Slopes are those of the chord to f = 0.

@@ -12,7 +12,7 @@ from tomojax.kernels.shapes._field import touching, TwoLevels
 
 
 class PixelSpread(NamedTuple):
-    """Of n pixels."""
+    """The uncertainty of n pixels."""
 
     touch: Float[Array, " n"]  # the probability that a pixel touches
     deviation: Float[Array, " n"]  # of its conductance, of the level

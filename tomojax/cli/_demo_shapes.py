@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-# What touches: name, height and width of the strokes, m; turn, rad; S/m².
+# Each shape: name, height and width of the strokes, m; turn, rad; S/m².
 _SHAPES = (
     ("S", 0.11, 0.014, 0.2, 0.3),
     ("H", 0.1, 0.014, -0.3, 0.1),

@@ -1,4 +1,4 @@
-"""What a fitted shape says: contacts, flags."""
+"""Reads contacts and flags off a fitted shape."""
 
 import jax
 import jax.numpy as jnp

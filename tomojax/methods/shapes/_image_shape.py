@@ -1,4 +1,4 @@
-"""`shape`: where an object touches, as a field of two levels; exact model, all slots."""
+"""`shape`: where an object touches, as a field of two levels, in the exact model."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -82,8 +82,10 @@ class ImageShape(AbstractMethod):
     def estimate(
         self, prepared: PreparedShape, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        """As the contract says; the image can be differentiated by the voltages, each
-        place's level staying as it is."""
+        """Fits the shape; the image can be differentiated by the voltages.
+
+        Each place's level stays as it is in that derivative.
+        """
         nothing = self.model.nothing_before()
         fitted = self.model.fitted(prepared, voltages, nothing, follow=True)
         return described(self.model, fitted, fitted.conductance, count)

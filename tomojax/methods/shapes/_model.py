@@ -80,7 +80,7 @@ class PreparedShape(NamedTuple):
 
 
 class Before(NamedTuple):
-    """Where a film's next frame starts."""
+    """A start for a film's next frame."""
 
     w: Float[Array, " K"]
     level: Float[Array, "nx ny"]  # S/m²
