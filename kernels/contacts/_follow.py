@@ -79,7 +79,9 @@ def follow(
     own = jnp.where(there, in_slot(sheet, raw, ground), 0)
     lean = _lean(sheet, known, raw, ground)
     own = own.at[:, 0].add((lean[..., None] * own[:, 1:3]).sum(1))
-    seen = search(sheet, candidates, known, own[:, 0], weights, voltages, ground)
+    # What it looks for are currents in the drive's direction.
+    towards = jnp.sign(sheet.drive_voltage) * voltages
+    seen = search(sheet, candidates, known, own[:, 0], weights, towards, ground)
     new, there = seen.new, seen.there
     raw = jnp.where(new[:, None, None], candidates.tangent[seen.chosen], raw)
     columns = jnp.where(new[:, None, None], in_slot(sheet, raw, ground), own)

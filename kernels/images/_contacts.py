@@ -179,9 +179,9 @@ def described(
 
 
 def strongest_first(found: Contacts, first: Bool[Array, " C"]) -> Contacts:
-    """Those that are `first`, by their current, and how many."""
+    """Those that are `first`, by their current's size, and how many."""
     # A few contacts: to count the stronger ones is quicker than to sort.
-    key = jnp.where(first, found.current, -jnp.inf)
+    key = jnp.where(first, jnp.abs(found.current), -jnp.inf)
     turn = jnp.arange(len(key))
     before = (key > key[:, None]) | ((key == key[:, None]) & (turn < turn[:, None]))
     order = jnp.argmax(before.sum(1) == turn[:, None], 1)

@@ -78,6 +78,7 @@ class Linear(AbstractMethod):
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
@@ -89,8 +90,8 @@ class Linear(AbstractMethod):
         z = sensor.ground_resistance
         loop = loop_resistance(table, grounds, z)
         maps = _pixel_jacobian(pixels, table, grounds)
-        noise = nominal_noise(sensor)
-        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell, noise)
+        about = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
+        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell, *about)
 
     @classmethod
     def from_maps(
@@ -100,15 +101,17 @@ class Linear(AbstractMethod):
         shape: tuple[int, int],
         cell: Array,
         noise: float = 0.0,
+        polarity: float = 1.0,
     ) -> "Linear":
-        """Of any J (L, M, pixels); `noise` of a reading, V."""
+        """Of any J (L, M, pixels); `noise` of a reading, V; `polarity` of the drive."""
         rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
         turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
         turn = jnp.asarray(turn.copy(), maps.dtype)
         basis, factors = matmul(turn.T, reduced.basis), matmul(reduced.factors, turn)
-        return cls(shape, cell, basis, factors, conductance, jnp.asarray(noise, cell.dtype))
+        about = (jnp.asarray(value, cell.dtype) for value in (noise, polarity))
+        return cls(shape, cell, basis, factors, conductance, *about)
 
     def calibrated(self, calibration: Calibration) -> "Linear":
         return replace(self, reading_noise=noise_as(calibration, self.noise))
@@ -159,6 +162,7 @@ class Linear(AbstractMethod):
     def estimate(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
+        voltages = self.polarity * voltages
         phi, coefficients = self.image(prepared, voltages)
         image = phi.reshape(self.shape)
         current = (phi * prepared.current).reshape(self.shape)
@@ -170,6 +174,8 @@ class Linear(AbstractMethod):
         each = rms_by_electrode(grid[1], grid[0])
         flags = self._unexplained(prepared, voltages, contacts)
         flags = flags | jnp.where(prepared.small, Flag.BAD_LAMBDA.value, 0)
+        contacts = contacts._replace(current=self.polarity * contacts.current)
+        image = self.polarity * image
         return Estimate(contacts, image, residual, flags, by_electrode=each)
 
     def _unexplained(

@@ -95,6 +95,7 @@ class AbstractSource(AbstractMethod):
     smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
     reading_noise: Float[Array, ""]  # of a reading, V rms
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
 
     @classmethod
     def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
@@ -106,8 +107,8 @@ class AbstractSource(AbstractMethod):
         pixels = pixels_of(sensor, shape)
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
-        noise = nominal_noise(sensor)
-        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise)
+        about = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
+        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, *about)
 
     @classmethod
     def from_maps(
@@ -117,8 +118,12 @@ class AbstractSource(AbstractMethod):
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
+        polarity: float = 1.0,
     ) -> _S:
-        """Of any T^l; the image is smooth over `length`, in pixels; `noise` V."""
+        """Of any T^l; the image is smooth over `length`, in pixels; `noise` V.
+
+        `polarity` of the drive: currents flow out of the object if it is 1, into it if −1.
+        """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
         if length is not None:
@@ -139,7 +144,7 @@ class AbstractSource(AbstractMethod):
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
         smoothed = jnp.asarray(smoothed.reshape(drawn.shape), dtype)
         errors = jnp.asarray(noise, dtype), jnp.ones((), dtype)
-        whole = drawn, drawn_factors, smoothed, *errors
+        whole = drawn, drawn_factors, smoothed, *errors, jnp.asarray(polarity, dtype)
         # pyright takes `positive`, a ClassVar by its meaning, for a field.
         return cls(shape, reach, cell, basis, factors, along, across, *whole)  # pyright: ignore
 
@@ -251,6 +256,7 @@ class AbstractSource(AbstractMethod):
     def estimate(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
+        voltages = self.polarity * voltages
         coefficients = matmul(voltages.ravel(), prepared.operators)
         statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
         contacts = read_contacts(
@@ -267,7 +273,9 @@ class AbstractSource(AbstractMethod):
             self.cell,
         )
         there = jnp.arange(count) < contacts.count.astype(int)
-        contacts = strongest_first(contacts._replace(current=carried), there)
+        contacts = strongest_first(
+            contacts._replace(current=self.polarity * carried), there
+        )
         bit = Flag.CONTACTS_UNEXPLAINED.value
         flags = jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
 
@@ -280,7 +288,7 @@ class AbstractSource(AbstractMethod):
             add, jnp.zeros_like(voltages[0]), (prepared.misfits, voltages)
         )
         used = jnp.sum(prepared.used, 0).astype(squares.dtype)
-        image = self.smooth_image(prepared, voltages) / self.cell.prod()
+        image = self.smooth_image(prepared, voltages) * (self.polarity / self.cell.prod())
         residual = jnp.sqrt(squares.sum() / used.sum())
         each = jnp.sqrt(squares / used)
         return Estimate(contacts, image, residual, flags, by_electrode=each)

@@ -106,8 +106,9 @@ def first(scene: Fitting) -> Ladder:
 
 
 def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
-    """Each candidate's column times what was measured."""
-    return along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
+    """Each candidate's column times what was measured, in the drive's direction."""
+    forward = jnp.sign(scene.method.sheet.drive_voltage)
+    return forward * along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
 
 
 def _spacing(candidates: Float[Array, "K 2"]) -> Float[Array, ""]:
@@ -286,7 +287,8 @@ def _believed(scene: Fitting, found: Found, size: int) -> Found:
 
 def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
     """Whether no two discs are one, and none is a ghost."""
-    place, current = found.place[:size], found.current[:size]
+    place = found.place[:size]
+    current = jnp.sign(scene.method.sheet.drive_voltage) * found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
     left = jnp.sqrt(scene.method.errors.part)
     least = jnp.clip(_APART * left, _ON_EACH_OTHER, _APART)
