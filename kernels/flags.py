@@ -3,8 +3,24 @@
 import enum
 
 
+class Level(enum.IntEnum):
+    """How much a flag takes from a row.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> flags = tx.Flag.MODEL_LIMITED | tx.Flag.HIGH_RESIDUAL
+    >>> tx.Flag(flags).level.name
+    'DOUBT'
+    """
+
+    INFORMATION = 0  # the row holds
+    DOUBT = 1  # a place may be far off, or a contact is missing
+    NO_ANSWER = 2  # the row says nothing
+
+
 class Flag(enum.IntFlag):
-    """Bits of a flag. 0 is a good frame.
+    """Bits of a flag; `level` says how much they take from a row.
 
     **Example:**
 
@@ -38,3 +54,29 @@ class Flag(enum.IntFlag):
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
     PLACE_UNCERTAIN = 524288  # a place is no better known than to half a pitch
     CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told
+    GROUND_NOT_LOWEST = 4194304  # another electrode is lower than the one told as grounded
+    AGAINST_DRIVE = 8388608  # voltages are against the direction of the drive
+
+    @property
+    def level(self) -> Level:
+        """The highest of its bits' levels."""
+        if self & NO_ANSWER:
+            return Level.NO_ANSWER
+        return Level.DOUBT if self & DOUBT else Level.INFORMATION
+
+
+# Of one of these a row says nothing.
+NO_ANSWER = Flag.SOLVE_FAILED | Flag.NO_DATA
+
+# With one of these a row is not to be trusted as it stands.
+DOUBT = (
+    Flag.BAD_LAMBDA
+    | Flag.BAD_GROUNDS
+    | Flag.SATURATED
+    | Flag.HIGH_RESIDUAL
+    | Flag.CONTACTS_UNEXPLAINED
+    | Flag.PLACE_UNCERTAIN
+    | Flag.GROUND_NOT_LOWEST
+    | Flag.AGAINST_DRIVE
+    | NO_ANSWER
+)

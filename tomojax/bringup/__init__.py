@@ -4,6 +4,7 @@ The room judges recordings of nothing, of a rub and of two corners, in NumPy alo
 the sheet's physics and nothing of methods or of how slots come in.
 """
 
+from tomojax.bringup import signs as signs
 from tomojax.bringup._check import check as check
 from tomojax.bringup._fault import Checked as Checked, Fault as Fault
 from tomojax.bringup._report import (
@@ -13,4 +14,4 @@ from tomojax.bringup._report import (
     write_order as write_order,
 )
 
-__all__ = ["check", "Checked", "Fault", "picture", "summary", "text", "write_order"]
+__all__ = ["check", "Checked", "Fault", "picture", "signs", "summary", "text", "write_order"]

@@ -76,6 +76,10 @@ class Auto(AbstractMethod):
         return self.shapes.source
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.points.drive_sign
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.points.noise
 

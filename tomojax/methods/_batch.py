@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax._require import require
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import AbstractMethod, Frame
+from tomojax.methods._doubts import look_at, Looked
 from tomojax.methods._rows import empty_rows, Rows
 
 # Calls that run side by side: the parts of one call are not all parallel.
@@ -21,9 +22,6 @@ _WORKERS = 2
 
 # Fewer frames are not shared among them: each call has its costs.
 _LEAST = 16
-
-# A frame with no more than this part of its voltages places a contact badly.
-_FEW = 0.25
 
 # Films of a part: a call has as many frames, of which each film has a first.
 _FILMS = 128
@@ -75,6 +73,7 @@ class Batch:
         self.film = film if method.films else 1
         self._prepared: OrderedDict[bytes, Any] = OrderedDict()
         self._begun = False
+        self._about = float(method.drive_sign), float(method.noise)
 
     def __call__(
         self,
@@ -103,8 +102,9 @@ class Batch:
         rows = self.empty(len(voltages))
         if flags is not None:
             rows.flags[:] = flags
-        usable = self._nothing(voltages, good, rows)
         grounds = np.where(good.any(2), grounds, 0)
+        looked = look_at(voltages, grounds, good, *self._about)
+        usable = self._nothing(voltages, good, looked, rows)
         keys = grounds * 0 if self.method.any_grounds else grounds
         apart = keys
         if lams is not None:
@@ -134,6 +134,8 @@ class Batch:
         for some in _slices(parts[len(alone) :], _KEPT):
             with ThreadPoolExecutor(_WORKERS) as pool:
                 list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
+        many = rows.contact_count > looked.most
+        rows.flags[many] |= np.uint32(Flag.PLACE_UNCERTAIN)
         return rows
 
     def _parts(self, group: np.ndarray) -> list[np.ndarray]:
@@ -167,19 +169,18 @@ class Batch:
         """Rows of n frames that say nothing yet."""
         return empty_rows(n, self.method.sizes(self.contacts, self.images))
 
-    def _nothing(self, voltages, good, rows: Rows) -> Bool[np.ndarray, " n"]:
+    def _nothing(
+        self, voltages, good, looked: Looked, rows: Rows
+    ) -> Bool[np.ndarray, " n"]:
         """Fills in rows without data or contact; the others are for the method.
 
         The ladder's lowest step: no contact, image 0, all of the voltages left over.
         """
         used = voltages if good.all() else np.where(good, voltages, 0)
-        data = good.any((1, 2))
-        height = np.maximum(used.max((1, 2)), -used.min((1, 2)))
-        quiet = data & (height <= self.threshold)
+        data = looked.data
+        quiet = data & (looked.height <= self.threshold)
         rows.flags[~data] |= np.uint32(Flag.NO_DATA)
-        few = good.sum((1, 2)) <= _FEW * good[0].size if len(good) else data
-        rows.flags[few & data] |= np.uint32(Flag.PLACE_UNCERTAIN)
-        rows.flags[quiet] |= np.uint32(Flag.NO_CONTACT)
+        rows.flags[:] |= np.where(quiet, np.uint32(Flag.NO_CONTACT), looked.flags)
         squares = (used[quiet].astype(float) ** 2).sum((1, 2))
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
         if rows.image is not None and rows.residual_by_electrode is not None:

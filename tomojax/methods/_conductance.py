@@ -158,6 +158,10 @@ class Conductance(AbstractMethod):
         return replace(self, errors=errors, source=source, ground_resistance=resistance)
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return jnp.sign(self.drive_voltage)
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 

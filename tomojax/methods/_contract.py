@@ -154,6 +154,11 @@ class AbstractMethod(eqx.Module):
 
     @property
     @abstractmethod
+    def drive_sign(self) -> Float[Array, ""]:
+        """The drive's direction: 1 or −1."""
+
+    @property
+    @abstractmethod
     def noise(self) -> Float[Array, ""]:
         """Noise of a reading, V rms."""
 

@@ -117,6 +117,10 @@ class Linear(AbstractMethod):
         return replace(self, reading_noise=noise_as(calibration, self.noise))
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.reading_noise
 

@@ -154,6 +154,10 @@ class AbstractSource(AbstractMethod):
         return replace(self, reading_noise=noise, error=error)
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.reading_noise
 

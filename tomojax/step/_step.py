@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax._require import require
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
+from tomojax.kernels.levels import level_bits
 from tomojax.methods import judge
 from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
@@ -65,6 +66,7 @@ class Step:
         self._policies = tuple(policies.values())
         self._corners = exploration(sensor).astype(jnp.int32)
         self._good, self._highest = jnp.asarray(good), highest
+        self._drive_sign = float(np.sign(sensor.drive_voltage))
         zero, gain = calibration.offset, calibration.gain
         self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
         self.traces = 0
@@ -212,7 +214,17 @@ class Step:
         )
         ground = jnp.clip(slot.ground, 0, self.electrode_count - 1).astype(jnp.int32)
         elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
-        return Read(voltages, used, ground, elapsed, known & enough, _bits(flags))
+        bits = _bits(flags) | jnp.where(known, self._against(voltages, used, ground), 0)
+        return Read(voltages, used, ground, elapsed, known & enough, bits)
+
+    def _against(self, voltages: Array, used: Array, ground: Array) -> Int[Array, ""]:
+        """What cannot be, see `level_bits`."""
+        towards: Array = voltages * self._drive_sign
+        high = jnp.where(used, towards, -jnp.inf).max()
+        low = jnp.where(used, towards, jnp.inf).min()
+        at = jnp.where(used, towards, -jnp.inf)[ground]
+        bits = level_bits(low, high, at, self._method.noise, jnp)
+        return jnp.asarray(bits, jnp.int32)
 
     def _told(
         self, state: Remembered, slot: Slot, read: Read

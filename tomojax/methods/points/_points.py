@@ -81,6 +81,10 @@ class Points(AbstractMethod):
         return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return jnp.sign(self.sheet.drive_voltage)
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 

@@ -58,6 +58,10 @@ class ImageShape(AbstractMethod):
         return replace(self, model=self.model.calibrated(calibration))
 
     @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return jnp.sign(self.model.drive_voltage)
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.model.errors.noise
 

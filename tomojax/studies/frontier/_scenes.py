@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from tomojax.kernels.flags import Flag
+from tomojax.kernels import flags
 from tomojax.methods import Rows
 from tomojax.sensor import Sensor
 from tomojax.studies.network import Contact, Network
@@ -40,20 +40,8 @@ _SIDE, _SQUARE = 0.16, 10e3
 # both are found within this part of their distance.
 FAR, APART = 1.0, 1 / 3
 
-# Any of these says that a row is not to be trusted as it stands.
-DOUBT = sum(
-    flag.value
-    for flag in (
-        Flag.HIGH_RESIDUAL,
-        Flag.CONTACTS_UNEXPLAINED,
-        Flag.PLACE_UNCERTAIN,
-        Flag.BAD_LAMBDA,
-        Flag.SATURATED,
-        Flag.SOLVE_FAILED,
-        Flag.NO_DATA,
-        Flag.NO_CONTACT,
-    )
-)
+# Any of these says that a row is not to be trusted as it stands, or that nothing touches.
+DOUBT = int(flags.DOUBT | flags.Flag.NO_CONTACT)
 
 
 class Trials(NamedTuple):

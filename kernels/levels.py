@@ -1,0 +1,36 @@
+"""What a slot's voltages say of its wiring without any model of the contact.
+
+An object that touches feeds current into the sheet, and the grounded electrode alone takes
+it out: so every voltage is in the direction of the drive, and the grounded electrode has
+the lowest of all (the maximum principle), whatever the sheet, the contacts and the ground
+path are. NumPy's arrays and JAX's are both taken.
+"""
+
+from typing import Any
+
+from tomojax.kernels.flags import Flag
+
+# A grounded electrode above the lowest voltage by this part of the slot's span is none: the
+# neighbours of a ground are higher by a fifth and more. Nor is one with this part of the
+# highest voltage: its path would have more resistance than the sheet.
+_ABOVE, _PART = 0.05, 0.5
+
+# Voltages that are lower than so many times the noise tell nothing; the lowest of many
+# channels is so many below what it would be without.
+TELLS, _LOWEST = 20.0, 6.0
+
+
+def level_bits(low: Any, high: Any, at_ground: Any, noise: Any, xp: Any) -> Any:
+    """Bits of what cannot be, of each slot: AGAINST_DRIVE and GROUND_NOT_LOWEST.
+
+    **Arguments:** the lowest and the highest voltage of a slot's good channels, and that of
+    the grounded electrode (−∞ where that channel is not good), V in the direction of the
+    drive; `noise` of a reading, V; `xp`: `numpy` or `jax.numpy`.
+    """
+    against = (-low > high) & (-low > TELLS * noise)
+    span = high - low
+    above = at_ground - low > _ABOVE * span + _LOWEST * noise
+    above = above | (at_ground > _PART * high)
+    lifted = ~against & above & (high > TELLS * noise)
+    drive = xp.where(against, Flag.AGAINST_DRIVE.value, 0)
+    return drive | xp.where(lifted, Flag.GROUND_NOT_LOWEST.value, 0)

@@ -1,0 +1,210 @@
+"""Names what is wrong with a rig, from what a recording of it cannot be otherwise."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tomojax.bringup._wiring import floating, lines_of, order_of, quality, starts
+from tomojax.bringup.sheet._plane import Plane
+from tomojax.bringup.signs._some import Some, some_of
+from tomojax.kernels.flags import Flag
+from tomojax.kernels.levels import level_bits, TELLS
+from tomojax.recordings import Recording
+
+# A slot is touched where its voltages span this part of the drive, and quiet where they
+# span no more than that.
+_TOUCHED, _QUIET = 0.02, 0.005
+
+# Slots that are needed to say anything, and at most that contacts are fitted to.
+_FEW, _MOST = 8, 150
+
+# A level is an offset from these parts of the drive, and of a slot's highest voltage, on.
+# Half of the drive, and it is no offset but a ground that is missing.
+_OFFSET, _LIFTED, _FLOATING = 0.01, 0.05, 0.5
+
+# Parts of the touched slots in which something holds that no chance explains.
+_AGAINST, _OFTEN = 0.5, 0.1
+
+# What lone contacts leave of a slot's span where the order of channels is right; more, and
+# the contacts are others.
+_FITS = 0.03
+
+# The part of the lines, or channels, that a shift by one explains.
+_SHIFTED = 0.6
+
+
+class Sign(NamedTuple):
+    """A fault that a recording shows by itself.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sign = tx.bringup.signs.Sign("offset", "all codes are 1 V too high", 40)
+    >>> sign.kind
+    'offset'
+    """
+
+    kind: str
+    text: str
+    slots: int  # that were looked at
+
+
+def find_signs(recording: Recording) -> list[Sign]:
+    """Looks at some slots of a recording for signs of a fault.
+
+    Kinds: "drive" (voltages against it), "offset" (of all codes), "ground" (lines ground
+    other electrodes than is told, or none), "channels" (in another order). Nothing is
+    found where fewer than eight slots are touched.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> rng = np.random.default_rng(0)
+    >>> places = rng.uniform(0.012, 0.068, (24, 2))
+    >>> volts = [tx.voltages(sensor, tx.Disc(xy, 0.004, 1.0)) for xy in places]
+    >>> volts = np.stack(volts) + 3e-4 * rng.normal(size=(24, 16, 16))
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, (np.arange(16) + 1) % 16)
+    >>> [sign.kind for sign in tx.bringup.signs.find_signs(recording)]
+    ['ground']
+    """
+    some = some_of(recording)
+    signs: list[Sign] = []
+    touched = some.high - some.low > _TOUCHED * some.drive
+    some, sign = _against(some, touched)
+    signs += sign
+    some, sign = _offset(some, touched)
+    signs += sign
+    some = some.take(np.flatnonzero(touched))
+    if len(some.asked) < _FEW:
+        return signs
+    return signs + _wired(some, Plane(recording.rig))
+
+
+def _against(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:
+    """Voltages against the drive; turned round for what is looked for next."""
+    against = (-some.low > some.high) & touched
+    if touched.sum() < _FEW or against.sum() <= _AGAINST * touched.sum():
+        return some, []
+    sign = Sign(
+        "drive",
+        f"voltages are against the drive, told as {'+' if some.drive else ''}"
+        f"{some.drive:g} V in its direction: look at drive_voltage, and at the sign of scale",
+        int(touched.sum()),
+    )
+    return some._replace(volts=-some.volts), [sign]
+
+
+def _offset(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:
+    """What all codes are off; taken off for what is looked for next."""
+    least = _OFFSET * some.drive + 10 * some.noise
+    quiet = some.high - some.low < _QUIET * some.drive + 10 * some.noise
+    level = 0.0
+    count = int(quiet.sum())
+    if count >= _FEW:
+        level = float(np.median((some.high + some.low)[quiet]) / 2)
+    if (count < _FEW or level > _FLOATING * some.drive) and touched.sum() >= _FEW:
+        count = int(touched.sum())
+        level = _floor(some.take(np.flatnonzero(touched)), least)
+    if abs(level) <= least:
+        return some, []
+    sign = Sign(
+        "offset",
+        f"all codes are about {level:+.3g} V off: look at the attribute offset, or at the "
+        "converter's zero",
+        count,
+    )
+    return some._replace(volts=np.where(some.good, some.volts - level, 0)), [sign]
+
+
+def _floor(some: Some, least: float) -> float:
+    """The level that the lowest channels of touched slots share.
+
+    A ground path lifts them in proportion to a slot's current, which rises with its highest
+    voltage less the lowest; an offset lifts them all by the same.
+    """
+    low, span = some.low, some.high - some.low
+    floor = float(np.median(low))
+    if floor < -least:
+        return floor
+    if floor <= _LIFTED * float(np.median(some.high)):
+        return 0.0
+    x = np.stack([np.ones_like(span), span], 1)
+    weight = np.ones_like(span)
+    found = np.zeros(2)
+    for _ in range(10):
+        found = np.linalg.lstsq(x * weight[:, None], low * weight, rcond=None)[0]
+        left = np.abs(low - x @ found)
+        weight = np.sqrt(1 / (1 + (left / max(np.median(left), 1e-9)) ** 2))
+    return float(found[0]) if found[0] > max(least, floor / 2) else 0.0
+
+
+def _wired(some: Some, plane: Plane) -> list[Sign]:
+    """Grounds and channels, by the levels of every slot and by fits to some."""
+    n = len(some.asked)
+    bits = level_bits(some.low, some.high, some.at_ground, some.noise, np)
+    wrong = (bits & Flag.GROUND_NOT_LOWEST.value > 0) & (some.high > TELLS * some.noise)
+    chosen = some.take(np.unique(np.linspace(0, n - 1, min(n, _MOST)).astype(int)))
+    usable = chosen.good.mean(0) > 0.5
+    signs = []
+    judged = _order(chosen, plane, usable)
+    if judged is None:
+        if wrong.mean() > _OFTEN:
+            signs.append(_ground(n, wrong, "another electrode is lower"))
+        return signs
+    electrode, lines = judged
+    moved = np.flatnonzero((electrode != np.arange(plane.count)) & usable)
+    if len(moved):
+        signs.append(Sign("channels", _moved(electrode, moved, plane), len(chosen.asked)))
+    off = lines.ground != lines.asked
+    off &= lines.ground >= -1
+    if off.any() and wrong.mean() > _OFTEN / 2:
+        signs.append(_ground(n, wrong, _shift(lines.asked, lines.ground, plane.count)))
+    elif wrong.mean() > _OFTEN and not len(moved):
+        signs.append(_ground(n, wrong, "another electrode is lower"))
+    return signs
+
+
+def _order(some: Some, plane: Plane, usable: np.ndarray):
+    """The electrode of each channel and what lines ground; None where nothing fits."""
+    if usable.sum() < max(7, plane.count // 2):
+        return None
+    given = plane, some.volts, usable, some.asked
+    order = order_of(*given, enough=_FITS / 3)
+    if quality(order.fits) > _FITS:
+        return None
+    lines = lines_of(order.fits, some.asked, floating(some.volts, usable, some.drive))
+    return order.electrode, lines
+
+
+def _ground(n: int, wrong: np.ndarray, how: str) -> Sign:
+    part = 100 * wrong.mean()
+    return Sign(
+        "ground",
+        f"the electrode told as grounded is none in {part:.0f} % of the touched slots: {how}",
+        n,
+    )
+
+
+def _shift(asked: np.ndarray, ground: np.ndarray, count: int) -> str:
+    for by in (1, -1):
+        if ((asked + by) % count == ground).mean() > _SHIFTED:
+            return f"the index is off by {by:+d}"
+    some = np.flatnonzero(asked != ground)[:4]
+    none = "none"
+    return ", ".join(
+        f"line {asked[k]} grounds {ground[k] if ground[k] >= 0 else none}" for k in some
+    )
+
+
+def _moved(electrode: np.ndarray, moved: np.ndarray, plane: Plane) -> str:
+    for name, order in starts(plane).items():
+        if name != "as told" and (order == electrode).mean() > _SHIFTED:
+            return f"channels are in another order: {name}"
+    told = ", ".join(f"{c} reads electrode {electrode[c]}" for c in moved[:4])
+    more = ", …" if len(moved) > 4 else ""
+    return f"channels are in another order: {told}{more}"
