@@ -49,9 +49,10 @@ def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
     found += ring.said().splitlines()
     if last is None:
         return [*found, "no slot yet"]
-    flags = ", ".join(str(f.name).lower() for f in Flag if f & int(last["flags"]))
-    flags = flags or "no flags"
-    found.append(f"{last['time']:.3f} s, ground {last['ground']}, {flags}")
+    flags = Flag(int(last["flags"]))
+    names = ", ".join(str(f.name).lower() for f in Flag if f & flags) or "no flags"
+    level = f"{flags.level.name.replace('_', ' ')}: " if flags.level else ""
+    found.append(f"{last['time']:.3f} s, ground {last['ground']}, {level}{names}")
     for xy, g in zip(last["xy"][: last["count"]], last["conductance"]):
         x, y = 1e3 * xy
         found.append(f"contact at {x:6.2f}, {y:6.2f} mm, {1e6 * g:9.2f} µS")

@@ -14,4 +14,13 @@ from tomojax.bringup._report import (
     write_order as write_order,
 )
 
-__all__ = ["check", "Checked", "Fault", "picture", "signs", "summary", "text", "write_order"]
+__all__ = [
+    "check",
+    "Checked",
+    "Fault",
+    "picture",
+    "signs",
+    "summary",
+    "text",
+    "write_order",
+]

@@ -239,6 +239,7 @@ def _bar(share: tuple[int, int]):
 @tdms_option
 def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
     """What the recording REC holds, and its faults."""
+    from tomojax.bringup.signs import find_signs
     from tomojax.recordings import info, open_recording
 
     known = None
@@ -256,6 +257,8 @@ def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
                 bar.update(done - bar.n)
 
             rows = info.faults(recording, progress)
+        signs = find_signs(recording)
+        rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
         fit = None
         if known is not None:
             from tomojax.calibration import still_fits

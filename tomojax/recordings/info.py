@@ -97,7 +97,6 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
         lines.append("  no faults")
     for row in rows:
         where = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in row["where"])
-        lines.append(
-            f"  {row['fault']}: {row['scans']} scans" + (f": {where}" if where else "")
-        )
+        count = "" if row["scans"] is None else f": {row['scans']} scans"
+        lines.append(f"  {row['fault']}{count}" + (f": {where}" if where else ""))
     return "\n".join(lines)

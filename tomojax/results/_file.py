@@ -94,6 +94,8 @@ class ResultsFile:
                     _contiguous(file, name, (self.chunks, *shape), kind)
                     file[name].attrs["unit"] = unit
                 file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
+                levels = {f.name: f.level.name for f in Flag}
+                file["flags"].attrs["levels"] = json.dumps(levels)
                 if "rung" in layout:
                     names = {rung.name.lower(): rung.value for rung in Rung}
                     file["rung"].attrs["models"] = json.dumps(names)

@@ -49,7 +49,7 @@ def timeline(path: Path) -> Figure:
     found = [f for f in Flag if (flags & f.value).any()]
     for k, flag in enumerate(found):
         when = t[flags & flag.value > 0]
-        left[3].plot(when, np.full(len(when), k), "|", color="C3")
+        left[3].plot(when, np.full(len(when), k), "|", color="C3" if flag.level else "0.5")
     left[3].set_yticks(range(len(found)), [str(f.name) for f in found], fontsize=7)
     left[3].set(xlabel="s", ylim=(-0.5, max(0.5, len(found) - 0.5)))
     path_axes = figure.add_subplot(grid[:2, 2])

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from tomojax.kernels.flags import Flag
+from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
 
 _ROWS = 1 << 20  # read at once
 
@@ -19,11 +19,15 @@ def summary(path: Path) -> dict:
         n = len(file["t"])
         counts, bits = np.zeros(256, int), np.zeros(32, int)
         stretches, previous, residual = [], 0, []
+        doubted = silent = 0
         for start in range(0, n, _ROWS):
             part = slice(start, min(start + _ROWS, n))
             count, flags = file["contact_count"][part], file["flags"][part]
             counts += np.bincount(count, minlength=256)
             bits += [int((flags >> b & 1).sum()) for b in range(32)]
+            none = flags & int(NO_ANSWER) > 0
+            silent += int(none.sum())
+            doubted += int(((flags & int(DOUBT) > 0) & ~none).sum())
             residual.append(
                 np.nanmedian(file["residual"][part][count > 0]) if count.any() else 0
             )
@@ -38,6 +42,8 @@ def summary(path: Path) -> dict:
             "lam": float(file.attrs["lam"]),
             "lam_relative": float(file.attrs["lam_relative"]),
             "rows_by_contacts": {str(k): int(c) for k, c in enumerate(counts) if c},
+            "rows_doubted": doubted,
+            "rows_without_answer": silent,
             "rows_by_flag": {
                 f.name: int(bits[f.value.bit_length() - 1])
                 for f in Flag
@@ -80,9 +86,15 @@ def text(found: dict, path: Path) -> str:
         "contacts  rows",
         *(f"{k:>8s}  {c}" for k, c in found["rows_by_contacts"].items()),
     ]
+    lines.append(
+        f"{found['rows_doubted']} rows in doubt, {found['rows_without_answer']} without "
+        "an answer"
+    )
     if found["rows_by_flag"]:
-        lines.append("flag              rows")
-        lines += [f"{k:16s}  {c}" for k, c in found["rows_by_flag"].items()]
+        lines.append("flag                        rows  what it takes from them")
+    for name, count in found["rows_by_flag"].items():
+        level = Flag[name].level.name.lower().replace("_", " ")
+        lines.append(f"{name:22s}  {count:8d}  {level}")
     if found["rows"]:
         lines.append("first stretches of contact, the strongest one's median")
         lines.append("  from s     to s  contacts   x mm   y mm   current µA")

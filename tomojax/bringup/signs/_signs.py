@@ -1,10 +1,9 @@
 """Names what is wrong with a rig, from what a recording of it cannot be otherwise."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from tomojax.bringup._wiring import floating, lines_of, order_of, quality, starts
 from tomojax.bringup.sheet._plane import Plane
@@ -31,8 +30,9 @@ _AGAINST, _OFTEN = 0.5, 0.1
 # the contacts are others.
 _FITS = 0.03
 
-# The part of the lines, or channels, that a shift by one explains.
-_SHIFTED = 0.6
+# The part of the lines, or channels, that a shift by one explains. And of the slots, from
+# which on a ground is hardly read.
+_SHIFTED, _SELDOM = 0.6, 0.2
 
 
 class Sign(NamedTuple):
@@ -87,13 +87,15 @@ def find_signs(recording: Recording) -> list[Sign]:
 
 def _against(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:
     """Voltages against the drive; turned round for what is looked for next."""
-    against = (-some.low > some.high) & touched
+    # With an offset alone voltages may be below 0 as well; but then the ground is lowest.
+    span = some.high - some.low
+    upside_down = some.at_ground - some.low > _AGAINST * span
+    against = (-some.low > some.high) & upside_down & touched
     if touched.sum() < _FEW or against.sum() <= _AGAINST * touched.sum():
         return some, []
     sign = Sign(
         "drive",
-        f"voltages are against the drive, told as {'+' if some.drive else ''}"
-        f"{some.drive:g} V in its direction: look at drive_voltage, and at the sign of scale",
+        "voltages are against the drive: look at the signs of drive_voltage and scale",
         int(touched.sum()),
     )
     return some._replace(volts=-some.volts), [sign]
@@ -158,13 +160,19 @@ def _wired(some: Some, plane: Plane) -> list[Sign]:
         return signs
     electrode, lines = judged
     moved = np.flatnonzero((electrode != np.arange(plane.count)) & usable)
-    if len(moved):
+    # Channels that are grounded most of the time are seldom read.
+    if (
+        len(moved)
+        and not np.isin(
+            electrode[moved], lines.ground[lines.slots > _SELDOM * len(chosen.asked)]
+        ).all()
+    ):
         signs.append(Sign("channels", _moved(electrode, moved, plane), len(chosen.asked)))
     off = lines.ground != lines.asked
     off &= lines.ground >= -1
     if off.any() and wrong.mean() > _OFTEN / 2:
         signs.append(_ground(n, wrong, _shift(lines.asked, lines.ground, plane.count)))
-    elif wrong.mean() > _OFTEN and not len(moved):
+    elif wrong.mean() > _OFTEN and not signs:
         signs.append(_ground(n, wrong, "another electrode is lower"))
     return signs
 
@@ -185,7 +193,7 @@ def _ground(n: int, wrong: np.ndarray, how: str) -> Sign:
     part = 100 * wrong.mean()
     return Sign(
         "ground",
-        f"the electrode told as grounded is none in {part:.0f} % of the touched slots: {how}",
+        f"the electrode told as grounded is none in {part:.0f} % of touched slots: {how}",
         n,
     )
 

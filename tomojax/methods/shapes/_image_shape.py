@@ -59,7 +59,7 @@ class ImageShape(AbstractMethod):
 
     @property
     def drive_sign(self) -> Float[Array, ""]:
-        return jnp.sign(self.model.drive_voltage)
+        return self.model.drive_sign
 
     @property
     def noise(self) -> Float[Array, ""]:

@@ -124,6 +124,10 @@ class ShapeModel(eqx.Module):
     drive_voltage: Float[Array, ""]
     pitch: Float[Array, ""]
 
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return jnp.sign(self.drive_voltage)
+
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ShapeModel":
         """On an image of `shape` pixels."""
