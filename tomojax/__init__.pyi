@@ -11,7 +11,7 @@ from . import (
     step as step,
 )
 from .calibration import calibrate_recording as calibrate_recording
-from .kernels.flags import DOUBT as DOUBT, Flag as Flag, NO_ANSWER as NO_ANSWER
+from .kernels.flags import Flag as Flag
 from .methods import Batch as Batch, method as method
 from .paper import pattern as pattern, reconstruct as reconstruct
 from .recordings import find_faults as find_faults, open_recording as open_recording

@@ -219,7 +219,7 @@ def judged(rows: Any, xy: np.ndarray, half: float) -> dict[str, int]:
     there = np.arange(off.shape[1]) < rows.contact_count[:, None]
     told = rows.contact_count > 0
     far = told & (np.where(there, off, 0).max(1) > half)
-    doubt = (rows.flags & int(tx.DOUBT)) > 0
+    doubt = (rows.flags & int(tx.methods.DOUBT)) > 0
     return {
         "scenes": len(told),
         "told": int(told.sum()),

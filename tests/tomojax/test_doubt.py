@@ -35,7 +35,7 @@ def rows_of(sensor, made, name="source", lines=None, change=lambda v: v, grounds
 
 
 def doubted(rows) -> np.ndarray:
-    return rows.flags & int(tx.DOUBT) > 0
+    return rows.flags & int(tx.methods.DOUBT) > 0
 
 
 def test_levels_of_flags():
@@ -43,7 +43,7 @@ def test_levels_of_flags():
     assert tx.Flag.GAP.level.name == "INFORMATION"
     assert (tx.Flag.GAP | tx.Flag.PLACE_UNCERTAIN).level.name == "DOUBT"
     assert tx.Flag.NO_DATA.level.name == "NO_ANSWER"
-    assert tx.NO_ANSWER & tx.DOUBT == tx.NO_ANSWER
+    assert tx.methods.NO_ANSWER & tx.methods.DOUBT == tx.methods.NO_ANSWER
 
 
 @pytest.mark.parametrize("name", ["source", "points", "linear"])

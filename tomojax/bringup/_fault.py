@@ -1,10 +1,10 @@
 """What `check` says: faults, what it could not judge, and how the rig is really wired."""
 
+import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
-from scipy.special import erf
 
 Kind = Literal[
     "dead",
@@ -79,4 +79,4 @@ class Checked(NamedTuple):
 
 def certainty(deviations: Any) -> float:
     """The probability that something so many deviations from sound is a fault."""
-    return float(np.clip(erf(abs(deviations) / np.sqrt(2)), 0.5, _SUREST))
+    return float(np.clip(math.erf(abs(deviations) / math.sqrt(2)), 0.5, _SUREST))

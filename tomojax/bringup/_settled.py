@@ -1,7 +1,6 @@
 """Takes off what all channels still show of the slot before."""
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tomojax.bringup._amounts import settling
 from tomojax.bringup._reading import Reading
@@ -87,6 +86,8 @@ def _unsettled(volts: np.ndarray, slots: Slots, part: float, recursive: bool) ->
         follows = slots.follows[:, None]
         return np.where(follows, (volts - part * before) / (1 - part), volts)
     if part < 0.5:
+        from scipy.signal import lfilter
+
         found = np.empty_like(volts)
         for a, b in slots.runs(slots.follows | np.roll(slots.follows, -1)):
             start = volts[a : a + 1] * part / (1 - part)

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
-from scipy.optimize import linear_sum_assignment
 
 from tomojax.bringup.sheet._fit import Fits, fitted
 from tomojax.bringup.sheet._plane import Plane
@@ -205,6 +204,8 @@ def _assigned(cost: np.ndarray, order: np.ndarray, usable: np.ndarray) -> np.nda
     moving = np.flatnonzero(wrong)
     if not len(moving):
         return order
+    from scipy.optimize import linear_sum_assignment  # `info` seldom comes here
+
     table = cost[np.ix_(moving, free)].copy()
     for i, c in enumerate(moving):
         table[i, free == order[c]] *= _BETTER
@@ -237,6 +238,8 @@ def _whole(new, order, usable, cost) -> np.ndarray:
 
 def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
     """Orders from how alike channels are, slot by slot: neighbours on the sheet are."""
+    from scipy.optimize import linear_sum_assignment
+
     m = plane.count
     scaled = volts / np.maximum(np.median(volts, 1, keepdims=True), 1e-9)
     ranks = scaled.argsort(1).argsort(1) / m

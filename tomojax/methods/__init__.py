@@ -5,6 +5,7 @@ and `Batch` applies them to many frames. The room knows nothing of files, nor of
 grounded next.
 """
 
+from tomojax.kernels.flags import DOUBT as DOUBT, NO_ANSWER as NO_ANSWER
 from tomojax.methods._batch import (
     Batch as Batch,
     check_limits as check_limits,
@@ -40,6 +41,7 @@ from tomojax.methods.shapes import ImageShape as ImageShape, ShapeModel as Shape
 __all__ = [
     "AbstractMethod",
     "Batch",
+    "DOUBT",
     "empty_rows",
     "Estimate",
     "fields_of_rows",
@@ -48,6 +50,7 @@ __all__ = [
     "Linear",
     "method",
     "METHODS",
+    "NO_ANSWER",
     "Points",
     "Rows",
     "Rung",

@@ -166,12 +166,13 @@ class Linear(AbstractMethod):
     def estimate(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        voltages = self.polarity * voltages
         phi, coefficients = self.image(prepared, voltages)
         image = phi.reshape(self.shape)
-        current = (phi * prepared.current).reshape(self.shape)
+        forward = self.polarity * phi
+        current = (forward * prepared.current).reshape(self.shape)
         # As the paper reads its images: above half the maximum.
-        contacts = read_contacts(image, current, self.cell, count, 0.5, False)
+        heights = forward.reshape(self.shape)
+        contacts = read_contacts(heights, current, self.cell, count, 0.5, False)
         misfit = matmul(prepared.rows, coefficients) - voltages.ravel()
         residual = jnp.sqrt(jnp.mean(misfit**2, where=prepared.used))
         grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
@@ -179,7 +180,6 @@ class Linear(AbstractMethod):
         flags = self._unexplained(prepared, voltages, contacts)
         flags = flags | jnp.where(prepared.small, Flag.BAD_LAMBDA.value, 0)
         contacts = contacts._replace(current=self.polarity * contacts.current)
-        image = self.polarity * image
         return Estimate(contacts, image, residual, flags, by_electrode=each)
 
     def _unexplained(

@@ -227,13 +227,15 @@ class AbstractSource(AbstractMethod):
             spread += ((operator @ rows @ basis).T * basis.T).sum(1)
             noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
         count = max(1, used.sum())
+        # Images are of currents in the drive's direction.
+        forward = float(self.polarity) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
         return PreparedSource(
-            jnp.asarray(np.concatenate([o.T for o in operators]) / count, dtype),
+            jnp.asarray(forward * np.concatenate([o.T for o in operators]), dtype),
             jnp.asarray(through / count, dtype),
             jnp.asarray(np.stack(misfits), dtype),
-            jnp.asarray(np.concatenate([o.T for o in imaging]) / count, dtype),
+            jnp.asarray(forward * np.concatenate([o.T for o in imaging]), dtype),
             jnp.asarray(total / count + drawn_lam * np.eye(len(total)), dtype),
             jnp.asarray(drawn_lam, dtype),
             jnp.asarray(basis * np.sqrt(count / spread), dtype),
@@ -244,12 +246,16 @@ class AbstractSource(AbstractMethod):
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """The mean current image of the slots, A per pixel (or element of T)."""
-        return matmul(matmul(voltages.ravel(), prepared.operators), self.basis)
+        coefficients = matmul(voltages.ravel(), prepared.operators)
+        return self.polarity * matmul(coefficients, self.basis)
 
     def smooth_image(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
     ) -> Array:
-        """The image that is drawn, A per pixel; nowhere negative where `positive`."""
+        """The image that is drawn, A per pixel in the drive's direction.
+
+        It is nowhere negative where `positive`.
+        """
         coefficients = matmul(voltages.ravel(), prepared.imaging)
         if not self.positive:  # one product, where a Gaussian of each image takes longer
             return matmul(coefficients, self.smoothed).reshape(self.shape)
@@ -260,7 +266,6 @@ class AbstractSource(AbstractMethod):
     def estimate(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        voltages = self.polarity * voltages
         coefficients = matmul(voltages.ravel(), prepared.operators)
         statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
         contacts = read_contacts(
