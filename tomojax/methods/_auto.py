@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax._programs import kept
+from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
@@ -127,6 +128,7 @@ class Auto(AbstractMethod):
         rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
+            stop_if_asked()  # each takes as long as hundreds of the others
             here = prepared
             if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
                 good, lam = np.asarray(prepared.errors.used), prepared.source.lam

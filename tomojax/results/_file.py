@@ -21,6 +21,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax._whole import held
 from tomojax.kernels.flags import Flag
 from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
 
@@ -136,11 +137,15 @@ class ResultsFile:
     def keep(self, **arrays: Any) -> None:
         """Puts arrays beside the rows, in place of those before: at once or not at all."""
         new = self._state.with_name(self._state.name + ".new")
-        with open(new, "wb") as file:
-            np.savez(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._state)
+        try:
+            with open(new, "wb") as file:
+                np.savez(file, **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(self._state)
+        except OSError:
+            new.unlink(missing_ok=True)
+            raise
 
     def kept(self) -> dict[str, np.ndarray]:
         """Reads what `keep` has put there last; nothing where it never did."""
@@ -149,10 +154,15 @@ class ResultsFile:
         with np.load(self._state) as arrays:
             return dict(arrays)
 
+    def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
+        """Keeps other runs from this file; `shared`: but for those that share the work."""
+        return held(self.partial.with_name(self.partial.name + ".lock"), shared)
+
     def discard(self) -> None:
         """Removes what an earlier run left."""
-        for path in (self._done, self.partial, self._state):
-            path.unlink(missing_ok=True)
+        names = (".new", ".done", "", ".state", ".state.new")
+        for name in names:
+            self.partial.with_name(self.partial.name + name).unlink(missing_ok=True)
 
     def finish(self) -> None:
         """Gives OUT.partial its name."""
@@ -219,6 +229,14 @@ def attributes(path: Path) -> dict[str, Any]:
         return dict(file.attrs)
 
 
+def is_results(path: Path) -> bool:
+    """Whether a file holds results, of this version or another."""
+    try:
+        return attributes(path).get("schema") == SCHEMA
+    except OSError:
+        return False
+
+
 def partial_path(out: Path) -> Path:
     """Where a results file is made."""
     return out.with_name(out.name + ".partial")
@@ -264,16 +282,23 @@ def _write_all(file: int, values: np.ndarray, offset: int) -> None:
         left, offset = left[count:], offset + count
 
 
-def check_output(out: Path, resume: bool, overwrite: bool) -> None:
-    """Before any work: OUT can be made, and nothing that is there would be lost."""
+def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:
+    """Before any work: OUT can be made, and nothing that is there would be lost.
+
+    `resumes`: of work that goes on with OUT.partial.
+    """
     require(out.parent.is_dir(), f"{out}", "no such folder", "a folder that exists")
     require(os.access(out.parent, os.W_OK), f"{out}", "no permission", "a writable folder")
     require(not out.is_dir(), f"{out}", "a folder", "a file's name")
+    # Whatever else lies there may be somebody's recording.
+    ours = not out.is_file() or out.stat().st_size == 0 or is_results(out)
+    if resume or overwrite:
+        require(ours, f"{out}", "a file that holds no results", "a new name")
     if not overwrite:
         require(
             not out.exists() or resume, f"{out}", "a file", "a new name, or --overwrite"
         )
-        begun = partial_path(out).exists()
+        begun = resumes and partial_path(out).exists()
         require(
             not begun or resume,
             f"{partial_path(out)}",

@@ -1,12 +1,16 @@
 """What decides the rows of a results file, beside the recording."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from tomojax._environment import environment
 from tomojax._require import require
+from tomojax.calibration import tare
 from tomojax.methods import check_limits, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, Recording
+from tomojax.sensor import Calibration
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
@@ -128,3 +132,33 @@ def _asked_or_fitting(recording: Recording, settings: Settings) -> int:
         rows = slots if settings.rate == "slot" else 1
         scans = min(scans, _CHUNK_IMAGES // (4 * settings.pixels**2 * rows))
     return max(1, scans)
+
+
+def configuration(recording: Recording, settings: Settings, size: int) -> dict:
+    """What makes the rows what they are: two runs with the same make the same bytes."""
+    return {
+        **asdict(settings),
+        "grid": settings.pixels,
+        "chunk": size,
+        "scans": recording.scans,
+        "recording_sha256": recording.digest(),
+        "versions": environment(),
+    }
+
+
+def calibration_of(recording: Recording, settings: Settings) -> Calibration:
+    """That of the settings, with zeros from the recording itself where it tells them."""
+    given = settings.calibration
+    calibration = Calibration.load(given) if given else Calibration()
+    return tare(recording, calibration) if settings.tare else calibration
+
+
+def require_same(config: dict, attributes: dict, path: Path) -> None:
+    before = json.loads(attributes["configuration"])
+    for name, value in config.items():
+        was = before.get(name)
+        if was != value:
+            raise ValueError(
+                f"{path}: {name}: begun with {was}, now {value}; "
+                "give the same, or --overwrite"
+            )
