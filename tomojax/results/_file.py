@@ -156,7 +156,11 @@ class ResultsFile:
 
     def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
         """Keeps other runs from this file; `shared`: but for those that share the work."""
-        return held(self.partial.with_name(self.partial.name + ".lock"), shared)
+        return held(self._lock, shared)
+
+    @property
+    def _lock(self) -> Path:
+        return self.partial.with_name(self.partial.name + ".lock")
 
     def discard(self) -> None:
         """Removes what an earlier run left."""
@@ -170,6 +174,7 @@ class ResultsFile:
             self.partial.replace(self.out)
             self._done.unlink()
         self._state.unlink(missing_ok=True)
+        self._lock.unlink(missing_ok=True)  # of processes that share the work
 
     def writer(self) -> "RowWriter":
         """Writes into OUT.partial."""
@@ -225,15 +230,18 @@ class RowWriter:
 
 def attributes(path: Path) -> dict[str, Any]:
     """Of a results file, or one in the making."""
-    with h5py.File(path, "r") as file:
-        return dict(file.attrs)
+    try:
+        with h5py.File(path, "r") as file:
+            return dict(file.attrs)
+    except OSError as error:
+        raise ValueError(f"{path}: not a results file: {error}") from None
 
 
 def is_results(path: Path) -> bool:
     """Whether a file holds results, of this version or another."""
     try:
         return attributes(path).get("schema") == SCHEMA
-    except OSError:
+    except ValueError:
         return False
 
 

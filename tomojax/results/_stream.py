@@ -5,6 +5,7 @@ run leaves undone any later run, or another process, does with the same bytes. `
 `--adapt` go through them in order, see `_following` and `_adapting`.
 """
 
+import errno
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,6 +35,9 @@ from tomojax.sensor import Calibration
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
 _LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0
+
+# What a disk says that is full, may hold no larger file, or fails.
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def choose_lambda(
@@ -116,8 +120,10 @@ def reconstruct_recording(
         try:
             _reconstruct(recording, settings, file, config, share, overwrite, progress)
         except OSError as error:
+            if error.errno not in _DISK:
+                raise
             raise ValueError(
-                f"{out}: {error.strerror or error}; --resume goes on with it"
+                f"{out}: {error.strerror}; make room, then --resume goes on with it"
             ) from None
     return out
 
@@ -150,13 +156,13 @@ def _reconstruct(
         _wait_for(file.partial)
     begun = file.partial.exists() and not (overwrite and share[0] == 0)
     if not begun:
-        file.discard()
         if follows:
             lam = model.scale()
         elif settings.lam is None and chosen is not None and chosen.median:
             lam = chosen.median * model.scale()
         else:
             lam = choose_lambda(recording, model, settings, calibration)
+        file.discard()
         _create(file, recording, settings, calibration, model, lam, config)
     try:
         attributes = _file.attributes(file.partial)
