@@ -44,10 +44,11 @@ class Settings:
     off on a recorded drag, at about one and a half times the speed); `chunk` None is
     some seconds of work that fit the memory; `threshold` None is the method's own.
     `calibration`: a file of `Calibration.save`; `tare`: channels' zeros from contact-free
-    slots, where there are; `policy`: a file of `save_policy`, whose slots alone are
-    used, with its λ; `films`: whether
-    a row may begin at the contacts of one shortly before (None: where rows follow each other closely enough, in a recording long enough to be worth it); `adapt`: whether
-    zeros and gains that drift are followed, see `tomojax.calibration.Adapter`.
+    slots, where there are; `policy`: a file of `save_policy`, whose slots alone are used,
+    with its λ; `films`: whether a row may begin at the contacts of one shortly before
+    (None: where rows follow each other closely enough, in a recording long enough to be
+    worth it); `adapt`: whether zeros and gains that drift are followed, see
+    `tomojax.calibration.Adapter`.
 
     **Example:**
 
