@@ -10,6 +10,7 @@ a line says so, and the time to the end is noted. Then the command goes on where
 """
 
 import argparse
+import faulthandler
 import hashlib
 import json
 import os
@@ -28,10 +29,10 @@ DATA = Path("/work/shared/data")
 
 # Scans of the spanner for each method and rate: some seconds of work.
 SCANS = {
-    ("auto", "scan"): 600,
-    ("auto", "slot"): 600,
-    ("points", "scan"): 600,
-    ("points", "slot"): 600,
+    ("auto", "scan"): 300,
+    ("auto", "slot"): 300,
+    ("points", "scan"): 300,
+    ("points", "slot"): 300,
     ("source", "scan"): 1000,
     ("source", "slot"): 1000,
     ("linear", "scan"): 1000,
@@ -42,7 +43,7 @@ SCANS = {
     ("conductance", "slot"): 30,
     ("shape", "scan"): 24,
     ("shape", "slot"): 8,
-    ("follow", "slot"): 600,
+    ("follow", "slot"): 300,
 }
 CHUNKS = 6
 
@@ -74,8 +75,9 @@ def jobs(folder: Path, only: str) -> list[Job]:
     results = folder / "results.h5"
     words = ["track", str(results), "-o", "OUT/o.h5"]
     found.append(Job("track", words, [results], ["o.h5"], []))
-    words = ["calibrate", str(rec), "-o", "OUT/o.json", "--frames", "60"]
-    found.append(Job("calibrate", words, [rec], ["o.json"], []))
+    drag = DATA / "drag_around.h5"
+    words = ["calibrate", str(drag), "-o", "OUT/o.json", "--frames", "30"]
+    found.append(Job("calibrate", words, [drag], ["o.json"], []))
     words = "design --slots 3 --contacts 8 --policy OUT/p.npz --json OUT/d.json".split()
     found.append(Job("design", words, [], ["p.npz", "d.json"], []))
     words = "frontier --quick --scenes 2 --only source --out OUT".split()
@@ -106,6 +108,8 @@ def begin(words: list[str], log: Path) -> int:
     out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(out, 1)
     os.dup2(out, 2)
+    # Where a thread is that holds all others up, for the log.
+    faulthandler.register(signal.SIGUSR1, all_threads=True)
     sys.argv = ["tomojax", *words]
     from tomojax.cli import main
 
@@ -183,7 +187,11 @@ def torture(job: Job, folder: Path, count: int, rng: random.Random) -> dict:
             number = rng.choice((signal.SIGINT, signal.SIGKILL))
             began = time.monotonic()
             os.killpg(child, number) if _leads(child) else os.kill(child, number)
-            status = wait(child, 60)
+            status = wait(child, 2.0)
+            if status is None:
+                os.kill(child, signal.SIGUSR1)
+                status = wait(child, 60)
+                shutil.copy(log, folder / f"late-{job.name}-{told['moments']}.txt")
             told["moments"] += 1
             told["working"] += any(place.iterdir())
             if number == signal.SIGINT:

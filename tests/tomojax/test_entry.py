@@ -282,7 +282,7 @@ with listening(lambda: "tomojax: stopped"):
 @pytest.mark.parametrize("times", [1, 2])
 def test_ctrl_c_ends_a_call_that_does_not_come_back(times) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-c", _STUCK], stdout=-1, stderr=-1, text=True
+        [sys.executable, "-c", _STUCK], stdout=-1, stderr=-1, text=True, process_group=0
     )
     assert process.stdout is not None
     process.stdout.readline()
