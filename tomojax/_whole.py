@@ -4,11 +4,15 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from time import monotonic, sleep
 
 try:
     import fcntl
 except ImportError:  # Windows: nobody is kept from a file
     fcntl = None
+
+# Seconds in which a lock that others share is asked for again.
+_MOMENT = 1.0
 
 # What is being written: a process that ends at once removes these.
 _unfinished: set[Path] = set()
@@ -70,26 +74,36 @@ def held(path: Path, shared: bool) -> Iterator[None]:
     **Raises:** `ValueError` where another run holds it.
     """
     file = _taken(path, shared)
+    if file is not None and not shared:
+        _unfinished.add(path)
     try:
         yield
     finally:
+        _unfinished.discard(path)
         if file is not None:
-            # Removed while it is held: who opened it meanwhile finds another in its place.
-            if not shared:
-                with suppress(OSError):
-                    path.unlink()
+            # The last one removes it, while it is held alone: who opened it meanwhile finds
+            # another in its place.
+            with suppress(OSError):
+                if shared:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
             os.close(file)
 
 
 def _taken(path: Path, shared: bool) -> int | None:
     if fcntl is None:
         return None
+    # Of those that share, whoever leaves holds it alone for a moment.
+    end = monotonic() + (_MOMENT if shared else 0.0)
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(file)
+            if monotonic() < end:
+                sleep(0.05)
+                continue
             out = path.name.removesuffix(".partial.lock")
             raise ValueError(
                 f"{path.with_name(out)}: another run is writing it; wait for it, or stop it"

@@ -237,11 +237,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("/tmp/interrupts"))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    cache = str(given.folder / "cache")
-    os.environ.update(JAX_COMPILATION_CACHE_DIR=cache, TOMOJAX_PROGRAMS=cache)
+    cache = given.folder / "cache"
+    cache.mkdir(exist_ok=True)
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.update(TOMOJAX_PROGRAMS=str(cache), TF_CPP_MIN_LOG_LEVEL="3")
     os.environ.update(JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0")
-    os.environ.update(TF_CPP_MIN_LOG_LEVEL="3", OPENBLAS_NUM_THREADS="1")
-    Path(cache).mkdir(exist_ok=True)
+    os.environ.update(OPENBLAS_NUM_THREADS="1")
     # No backend starts with them, and no thread: children may be forked.
     import jax  # noqa: F401
     import scipy.linalg  # noqa: F401

@@ -174,7 +174,6 @@ class ResultsFile:
             self.partial.replace(self.out)
             self._done.unlink()
         self._state.unlink(missing_ok=True)
-        self._lock.unlink(missing_ok=True)  # of processes that share the work
 
     def writer(self) -> "RowWriter":
         """Writes into OUT.partial."""
