@@ -25,7 +25,7 @@ from pathlib import Path
 
 import h5py
 
-DATA = Path("/work/shared/data")
+DATA = Path(__file__).parents[3] / "shared" / "data"
 
 # Scans of the spanner for each method and rate: some seconds of work.
 SCANS = {
@@ -63,19 +63,18 @@ class Job:
         return [word.replace("OUT", str(folder)) for word in self.words]
 
 
-def jobs(folder: Path, only: str) -> list[Job]:
+def jobs(folder: Path, data: Path, only: str) -> list[Job]:
     found = []
     for (method, rate), scans in SCANS.items():
-        rec = _part(folder / f"rec-{scans}.h5", scans)
+        rec = _part(folder / f"rec-{scans}.h5", data, scans)
         words = f"reconstruct {rec} -o OUT/o.h5 --method {method} --rate {rate}".split()
         words += ["--chunk", str(max(1, scans // CHUNKS))]
         name = f"reconstruct {method} {rate}"
         found.append(Job(name, words, [rec], ["o.h5"], ["--resume"]))
-    rec = _part(folder / "rec-600.h5", 600)
     results = folder / "results.h5"
     words = ["track", str(results), "-o", "OUT/o.h5"]
     found.append(Job("track", words, [results], ["o.h5"], []))
-    drag = DATA / "drag_around.h5"
+    drag = data / "drag_around.h5"
     words = ["calibrate", str(drag), "-o", "OUT/o.json", "--frames", "30"]
     found.append(Job("calibrate", words, [drag], ["o.json"], []))
     words = "design --slots 3 --contacts 8 --policy OUT/p.npz --json OUT/d.json".split()
@@ -86,11 +85,11 @@ def jobs(folder: Path, only: str) -> list[Job]:
     return [job for job in found if re.search(only, job.name)]
 
 
-def _part(path: Path, scans: int) -> Path:
+def _part(path: Path, data: Path, scans: int) -> Path:
     """The first scans with the spanner on the sheet, as a recording of their own."""
     if path.exists():
         return path
-    with h5py.File(DATA / "bounce_spanner_copline.h5") as old, h5py.File(path, "w") as new:
+    with h5py.File(data / "bounce_spanner_copline.h5") as old, h5py.File(path, "w") as new:
         new.attrs.update(old.attrs)
         first = max(0, len(old["t0"]) // 2 - scans // 2)
         for name in old:
@@ -108,6 +107,8 @@ def begin(words: list[str], log: Path) -> int:
     out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(out, 1)
     os.dup2(out, 2)
+    # A shell lets what it starts in the background ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # Where a thread is that holds all others up, for the log.
     faulthandler.register(signal.SIGUSR1, all_threads=True)
     sys.argv = ["tomojax", *words]
@@ -235,6 +236,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="Jobs whose name fits this.")
     parser.add_argument("--folder", type=Path, default=Path("/tmp/interrupts"))
+    parser.add_argument("--data", type=Path, default=DATA, help="The recordings.")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     cache = given.folder / "cache"
@@ -253,12 +255,12 @@ def main() -> None:
     import tomojax.step  # noqa: F401
 
     # `track` needs results to follow.
-    if not (given.folder / "results.h5").exists():
-        rec = _part(given.folder / "rec-600.h5", 600)
+    if re.search(given.only, "track") and not (given.folder / "results.h5").exists():
+        rec = _part(given.folder / "rec-600.h5", given.data, 600)
         words = f"reconstruct {rec} -o {given.folder / 'results.h5'} --method points"
         assert wait(begin(words.split(), given.folder / "log.txt"), 1200) == 0
     rng = random.Random(given.seed)
-    every = jobs(given.folder, given.only)
+    every = jobs(given.folder, given.data, given.only)
     for k, job in enumerate(every):
         share = given.count * (k + 1) // len(every) - given.count * k // len(every)
         told = torture(job, given.folder, share, rng)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import click
 import h5py
@@ -308,3 +309,14 @@ def test_blas_has_one_thread_unless_the_user_says_otherwise(monkeypatch, rec) ->
         assert result.exit_code == 0
         found = {name: os.environ[name] for name in names if name in os.environ}
         assert found == (given or dict.fromkeys(names, "1"))
+
+
+def test_killed_and_stopped_at_random_moments(shared_data, tmp_path) -> None:
+    """An excerpt of tests/fuzz/interrupts.py, which has 200 of all commands."""
+    script = Path(__file__).parents[1] / "fuzz" / "interrupts.py"
+    words = ["--count", "2", "--only", "source scan", "--folder", str(tmp_path)]
+    words += ["--data", str(shared_data)]
+    run = subprocess.run([sys.executable, script, *words], capture_output=True, text=True)
+    told = json.loads(run.stdout or run.stderr)
+    assert told["moments"] == 2 and told["ends"] and not told["wrong"], told
+    assert not told["strays"] and max(told["ctrl_c_s"], default=0) < 20
