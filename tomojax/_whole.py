@@ -80,7 +80,7 @@ def held(path: Path, shared: bool) -> Iterator[None]:
         yield
     finally:
         _unfinished.discard(path)
-        if file is not None:
+        if file is not None and fcntl is not None:
             # The last one removes it, while it is held alone: who opened it meanwhile finds
             # another in its place.
             with suppress(OSError):

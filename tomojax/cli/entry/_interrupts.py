@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from time import monotonic, sleep
-from typing import Any
+from typing import Any, NoReturn
 
 from tomojax._stopping import asked
 from tomojax._whole import remove_unfinished
@@ -72,7 +72,7 @@ def _hear(ear: socket.socket, words: Callable[[], str]) -> None:
             due = monotonic() + _PATIENCE
 
 
-def _end(words: Callable[[], str]) -> None:
+def _end(words: Callable[[], str]) -> NoReturn:
     remove_unfinished()
     with suppress(Exception):
         print(f"\n{words()}", file=sys.stderr, flush=True)
