@@ -1,6 +1,7 @@
 """Files that are there whole or not at all, and that one run at a time writes."""
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -41,7 +42,7 @@ def whole(path: Path | str) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(part, target)
     except OSError as error:
-        raise OSError(f"{path}: {error.strerror or error}") from None
+        raise OSError(f"{path}: {reason(error)}") from None
     finally:
         remove(part)
         _unfinished.discard(part)
@@ -51,6 +52,13 @@ def write_text(path: Path | str, text: str) -> None:
     """Writes a text file, whole or not at all."""
     with whole(path) as part:
         part.write_text(text)
+
+
+def reason(error: BaseException) -> str:
+    """What the system says is wrong, in one line: HDF5 wraps that in two."""
+    found = re.search(r"error message = '([^']+)'", str(error))
+    text = found[1] if found else getattr(error, "strerror", None) or str(error)
+    return " ".join(text.split())
 
 
 def remove_unfinished() -> None:

@@ -162,6 +162,10 @@ def test_files_are_whole_or_not_at_all(tmp_path) -> None:
         raise RuntimeError
     with pytest.raises(OSError, match="a.json: No space left"), whole(path):
         raise OSError(errno.ENOSPC, "No space left on device")
+    # As HDF5 says it, in two lines.
+    told = "Can't close file (time = 1\n, error message = 'No space left on device')"
+    with pytest.raises(OSError, match="a.json: No space left on device$"), whole(path):
+        raise OSError(told)
     assert path.read_text() == "whole"
     assert sorted(tmp_path.iterdir()) == [path, link]
 

@@ -77,6 +77,6 @@ def _run() -> None:
         print(f"tomojax: {error.format_message()}", file=sys.stderr)
         raise SystemExit(2) from None
     except (OSError, ValueError) as error:
-        print(f"tomojax: {error}", file=sys.stderr)
+        print(f"tomojax: {' '.join(str(error).splitlines())}", file=sys.stderr)
         raise SystemExit(2) from None
     raise SystemExit(status or 0)

@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
-from tomojax._whole import held
+from tomojax._whole import held, reason
 from tomojax.kernels.flags import Flag
 from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
 
@@ -115,8 +115,7 @@ class ResultsFile:
                 rows * np.dtype(k).itemsize * int(np.prod(s)) for s, k, _ in layout.values()
             )
             raise ValueError(
-                f"{self.out}: {getattr(error, 'strerror', 0) or error}; "
-                f"{size / 1e9:.3g} GB are needed there"
+                f"{self.out}: {reason(error)}; {size / 1e9:.3g} GB are needed there"
             ) from None
 
     def done(self) -> np.ndarray:

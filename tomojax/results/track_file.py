@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
-from tomojax._whole import whole
+from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output, SCHEMA
 from tomojax.results._track import Touch, touches, track, Tracks
@@ -75,7 +75,7 @@ def track_results(
                 for name, values in found._asdict().items():
                     new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
-            text = str(error).removeprefix(f"{out}: ")
+            text = reason(error).removeprefix(f"{out}: ")
             raise ValueError(f"{out}: cannot be written: {text}") from None
     return found, touches(found, t)
 
