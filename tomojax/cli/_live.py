@@ -52,7 +52,7 @@ def _shared(command: Any) -> Any:
     for option in (
         click.option(
             "--config",
-            type=InputFile(),
+            type=InputFile(empty=True),
             is_eager=True,
             expose_value=False,
             callback=_config,

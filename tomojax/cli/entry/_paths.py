@@ -21,13 +21,17 @@ Beside = Callable[[dict[str, Any]], Path]
 
 
 class InputFile(click.Path):
-    """A file that the command reads, and so never writes."""
+    """A file that the command reads, and so never writes; `empty`: it may be."""
 
-    def __init__(self):
+    def __init__(self, empty: bool = False):
         super().__init__(path_type=Path)
+        self.empty = empty
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        path = super().convert(value, param, ctx)
+        path = Path(super().convert(value, param, ctx))
+        if not self.empty and path.is_file() and path.stat().st_size == 0:
+            expected = "expected one with something in it"
+            self.fail(f"{path}: got an empty file, {expected}", param, ctx)
         if ctx is not None:
             ctx.meta.setdefault(_READ, []).append(path)
         return path
@@ -118,9 +122,6 @@ def check_paths(read: list[Path], written: list[Written], overwrite: bool | None
     `overwrite`: of a command that has such an option.
     """
     known = {_identity(path): f"read from {path}" for path in read}
-    for path in read:
-        empty = path.is_file() and path.stat().st_size == 0
-        require(not empty, f"{path}", "an empty file", "one with something in it")
     for one in written:
         for path in (one.path, *one.beside):
             here = _identity(path)
