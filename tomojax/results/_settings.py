@@ -11,8 +11,8 @@ import numpy as np
 from tomojax._environment import environment
 from tomojax._require import require
 from tomojax.calibration import tare
-from tomojax.methods import check_limits, METHODS
-from tomojax.recordings import CHUNK_SLOTS, Rate, Recording
+from tomojax.methods import AbstractMethod, check_limits, frames_of, METHODS
+from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
 from tomojax.sensor import Calibration
 
 # Bytes of a chunk's images.
@@ -29,6 +29,9 @@ _MOVED, _SPEED, _LONGEST = 0.2, 1.0, 16
 # Films' programs take seconds to compile, which as many rows are worth.
 _WORTH = 20_000
 
+
+# Frames that λ is chosen from.
+_LAMBDA_FRAMES = 8
 
 # Settings that are files.
 _FILES = "calibration", "policy"
@@ -169,6 +172,30 @@ def calibration_of(recording: Recording, settings: Settings) -> Calibration:
     given = settings.calibration
     calibration = Calibration.load(given) if given else Calibration()
     return tare(recording, calibration) if settings.tare else calibration
+
+
+def choose_lambda(
+    recording: Recording,
+    method: AbstractMethod,
+    settings: Settings,
+    calibration: Calibration,
+) -> float:
+    """λ of the settings, or the method's choice from the first stretch with a contact."""
+    if settings.lam is not None:
+        return settings.lam
+    size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
+    for start in range(0, recording.scans, size):
+        chunk = read_chunk(recording, start, min(start + size, recording.scans))
+        height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
+        # Not the edges of a contact, where it lasts for a part of the scan.
+        own, given = float(method.threshold), settings.threshold
+        least = own if given is None else given
+        touched = (height > least) & (height >= height.max() / 2)
+        if touched.any():
+            volts = calibration.voltages(chunk.voltages)
+            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
+            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
+    return method.choose_lambda([])
 
 
 def _digest(name: str, path: str) -> str:

@@ -20,48 +20,24 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.calibration import force
-from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
-from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
+from tomojax.methods import Batch, method as make_method, Rows
+from tomojax.recordings import Chunk, read_chunk, Recording
 from tomojax.results._chosen import Chosen
 from tomojax.results._settings import (
     calibration_of,
+    choose_lambda,
     chunk_scans,
     configuration,
     film_rows,
     require_same,
     Settings,
 )
-from tomojax.sensor import Calibration
 
-# Frames that λ is chosen from, and the seconds after which what is written is marked.
-_LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0
+# Seconds after which what is written is marked.
+_MARK_SECONDS = 2.0
 
 # What a disk says that is full, may hold no larger file, or fails.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-
-
-def choose_lambda(
-    recording: Recording,
-    method: AbstractMethod,
-    settings: Settings,
-    calibration: Calibration,
-) -> float:
-    """λ of the settings, or the method's choice from the first stretch with a contact."""
-    if settings.lam is not None:
-        return settings.lam
-    size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
-    for start in range(0, recording.scans, size):
-        chunk = read_chunk(recording, start, min(start + size, recording.scans))
-        height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
-        # Not the edges of a contact, where it lasts for a part of the scan.
-        own, given = float(method.threshold), settings.threshold
-        least = own if given is None else given
-        touched = (height > least) & (height >= height.max() / 2)
-        if touched.any():
-            volts = calibration.voltages(chunk.voltages)
-            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
-            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
-    return method.choose_lambda([])
 
 
 def reconstruct_recording(
