@@ -28,7 +28,7 @@ class InputFile(click.Path):
         self.empty = empty
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        path = Path(super().convert(value, param, ctx))
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
         if not self.empty and path.is_file() and path.stat().st_size == 0:
             expected = "expected one with something in it"
             self.fail(f"{path}: got an empty file, {expected}", param, ctx)
