@@ -33,8 +33,13 @@ _own_end, _listens = Event(), Event()
 @contextmanager
 def listening(words: Callable[[], str]) -> Iterator[None]:
     """Hears Ctrl-C; `words` is the line that is printed before the process ends."""
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # whoever started the process decides
+    # Ctrl-C may be ignored, as a shell asks of what runs in the background: then nothing is
+    # heard, unless a command listens to it (`interrupts`).
+    if signal.getsignal(signal.SIGINT) not in (
+        signal.default_int_handler,
+        signal.SIG_IGN,
+    ):
+        yield  # whoever called this decides
         return
     ear, mouth = socket.socketpair()
     mouth.setblocking(False)
