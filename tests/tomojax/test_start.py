@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,18 @@ def test_others_cannot_write_the_folder(environment) -> None:
     compiled.keep_compiled()
     assert environment["JAX_COMPILATION_CACHE_DIR"] == str(folder)
     assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_program_that_was_cut_short_goes(environment, monkeypatch) -> None:
+    """JAX warns of it each time, and writes no other in its place."""
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    compiled.keep_compiled()
+    folder = Path(environment["JAX_COMPILATION_CACHE_DIR"])
+    for name in ("jit_one-12-cache", "jit_one_more-34-cache"):
+        (folder / name).write_text("cut")
+    text = "Error reading persistent compilation cache entry for 'jit_one': error: -5"
+    warnings.showwarning(UserWarning(text), UserWarning, "compiler.py", 783)
+    assert [path.name for path in folder.iterdir()] == ["jit_one_more-34-cache"]
 
 
 def test_the_programs_used_longest_ago_go_first(environment, tmp_path, monkeypatch) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._whole import write_text
 from tomojax.bringup._fault import Checked, Fault
 
 # How faults are drawn at their electrodes: marker and colour.
@@ -103,7 +104,7 @@ def write_order(checked: Checked, path: Path | str) -> None:
         f"channels = {checked.channels.tolist()}",
         f"grounds = {checked.grounds.tolist()}",
     ]
-    Path(path).write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def picture(checked: Checked) -> Any:

@@ -18,3 +18,6 @@ def main() -> None:
             file=sys.stderr,
         )
         raise SystemExit(2) from None
+    except KeyboardInterrupt:  # while the commands themselves are imported
+        print("\ntomojax: stopped", file=sys.stderr)
+        raise SystemExit(130) from None

@@ -11,11 +11,14 @@ from pathlib import Path
 
 import click
 
+from tomojax._whole import whole
+from tomojax.cli.entry import Command, OutputFolder
 
-@click.command()
+
+@click.command(cls=Command)
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=OutputFolder("results.h5", "contacts.png", "contacts.gif", "shapes.png"),
     default=Path("tomojax-demo"),
     show_default=True,
     help="Folder for the pictures and the results.",
@@ -38,14 +41,17 @@ def demo(out: Path) -> None:
         )
         reconstruct_recording(recording, results, Settings(grid=32), overwrite=True)
     print(report.text(report.summary(results), results))
-    plots.timeline(results).savefig(out / "contacts.png", dpi=110)
+    with whole(out / "contacts.png") as part:
+        plots.timeline(results).savefig(part, dpi=110)
     with h5py.File(results) as file:
         frames = file["t"].shape[0]  # pyright: ignore
     with tqdm(total=frames, desc="clip", disable=None, file=sys.stderr) as bar:
-        plots.clip(results, out / "contacts.gif", progress=bar.update)
+        with whole(out / "contacts.gif") as part:
+            plots.clip(results, part, progress=bar.update)
     from tomojax.cli import _demo_shapes
 
     with as_file(files("tomojax") / "demo_shapes.npz") as path:
-        _demo_shapes.draw(path, out / "shapes.png")
+        with whole(out / "shapes.png") as part:
+            _demo_shapes.draw(path, part)
     for name in ("contacts.png", "contacts.gif", "shapes.png"):
         print(f"picture: {out / name}")

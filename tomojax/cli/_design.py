@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
-_FOLDER = click.Path(file_okay=False, path_type=Path)
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command, InputFile, OutputFile, OutputFolder
 
 # Cells of the map of what a design tells, along a side.
 _MAP = 32
 
 
-@click.command()
+@click.command(cls=Command)
 @click.option(
     "--region",
     type=float,
@@ -42,13 +42,21 @@ _MAP = 32
 @click.option("--noise", type=float, help="V rms. [default: as the method takes it]")
 @click.option("--lam", type=float, help="λ of an image. [default: the noise's]")
 @click.option("--contacts", type=int, default=64, show_default=True, help="In a region.")
-@click.option("--like", type=_FILE, help="A recording of the rig: its sheet, electrodes.")
-@click.option("--json", "json_path", type=_FILE, help="Write all of it here.")
-@click.option("--out", type=_FOLDER, help="Folder for a picture.")
+@click.option(
+    "--like", type=InputFile(), help="A recording of the rig: its sheet, electrodes."
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report", makes=True),
+    help="Write all of it here; replaces an earlier report.",
+)
+@click.option("--out", type=OutputFolder("design.png"), help="Folder for a picture.")
 @click.option(
     "--policy",
-    type=_FILE,
-    help="Also a table by place, for `tomojax live --policy`: an .npz file.",
+    type=OutputFile("policy", makes=True),
+    help="Also a table by place, for `tomojax live --policy`: an .npz file; replaces an "
+    "earlier one.",
 )
 def design(
     region: tuple | None,
@@ -89,10 +97,11 @@ def design(
             told = {k: v for k, v in report.items() if not k.startswith("_")}
             told["environment"] = environment()
             text = json.dumps(told, indent=1).replace("NaN", "null")
-            json_path.write_text(text + "\n")
+            write_text(json_path, text + "\n")
         if out:
             path = out / "design.png"
-            _draw(sensor, report).savefig(path, dpi=110)
+            with whole(path) as part:
+                _draw(sensor, report).savefig(part, dpi=110)
             print(f"picture: {path}")
         if policy:
             _table(sensor, policy, options)

@@ -9,8 +9,7 @@ from typing import Any
 import click
 
 from tomojax.cli._session import session
-
-_FILE = click.Path(path_type=Path)
+from tomojax.cli.entry import Command, InputFile, OutputFile
 
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
@@ -53,7 +52,7 @@ def _shared(command: Any) -> Any:
     for option in (
         click.option(
             "--config",
-            type=_FILE,
+            type=InputFile(empty=True),
             is_eager=True,
             expose_value=False,
             callback=_config,
@@ -66,7 +65,11 @@ def _shared(command: Any) -> Any:
             default="terminal",
             show_default=True,
         ),
-        click.option("--rrd", type=_FILE, help="With --view rerun: a file, no viewer."),
+        click.option(
+            "--rrd",
+            type=OutputFile("view"),
+            help="With --view rerun: a file, no viewer; replaces an earlier one.",
+        ),
         click.option("--seconds", type=float, help="[default: until Ctrl-C]"),
         click.option(
             "--file-seconds",
@@ -81,7 +84,9 @@ def _shared(command: Any) -> Any:
         ),
         click.option("--speed", type=float, help="Of a recording; 1 is its own."),
         click.option(
-            "--like", type=_FILE, help="A recording of this rig: its sheet and electrodes."
+            "--like",
+            type=InputFile(),
+            help="A recording of this rig: its sheet and electrodes.",
         ),
         click.option(
             "--channels",
@@ -99,9 +104,15 @@ def _shared(command: Any) -> Any:
     return click.argument("source")(command)
 
 
-@click.command()
+@click.command(cls=Command)
 @_shared
-@click.option("-o", "--out", type=_FILE, required=True, help="The recording.")
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile("recording", also=(".calibration.json",)),
+    required=True,
+    help="The recording.",
+)
 @click.option(
     "--pattern", default="all", show_default=True, help="Ground conditions, over and over."
 )
@@ -153,7 +164,7 @@ def _calibrated(rec: Path, made: Path) -> None:
     print(f"calibration: {made}")
 
 
-@click.command()
+@click.command(cls=Command)
 @_shared
 @click.option("--method", default="follow", show_default=True)
 @click.option(
@@ -167,7 +178,7 @@ def _calibrated(rec: Path, made: Path) -> None:
     "--budget", type=float, help="A slot that is older is late, s. [default: one slot]"
 )
 @click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
-@click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
 @click.option(
     "--adapt",
     is_flag=True,
@@ -179,7 +190,12 @@ def _calibrated(rec: Path, made: Path) -> None:
     is_flag=True,
     help="Draw what touches in the view by the method shape, in a process of its own.",
 )
-@click.option("--record", "out", type=_FILE, help="Record here as well.")
+@click.option(
+    "--record",
+    "out",
+    type=OutputFile("recording", also=(".adapted.h5",)),
+    help="Record here as well.",
+)
 @click.option(
     "--real-time",
     is_flag=True,

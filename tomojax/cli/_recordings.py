@@ -1,18 +1,14 @@
 """Commands on recordings: `tomojax reconstruct` and `tomojax info`."""
 
 import json
-import os
-import signal
 import sys
-from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import click
 
-_FILE = click.Path(path_type=Path)
-_REPORT = click.Path(dir_okay=False, path_type=Path)
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command, InputFile, interrupts, OutputFile, STOPPED, stopped
 
 
 def _tdms(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
@@ -46,9 +42,14 @@ tdms_option = click.option(
 )
 
 
-@click.command()
-@click.argument("rec", type=_FILE)
-@click.option("-o", "--out", type=_FILE, help="Results file. [default: REC.results.h5]")
+@click.command(cls=Command)
+@click.argument("rec", type=InputFile())
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile("results", lambda given: _results_of(given["rec"])),
+    help="Results file. [default: REC.results.h5]",
+)
 @click.option(
     "--rate",
     type=click.Choice(["scan", "slot"]),
@@ -70,7 +71,7 @@ tdms_option = click.option(
 @click.option(
     "--threshold", type=float, help="V: less is no contact. [default: the method's]"
 )
-@click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
+@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
 @click.option(
     "--tare/--no-tare",
     default=True,
@@ -83,25 +84,35 @@ tdms_option = click.option(
 )
 @click.option(
     "--policy",
-    type=_FILE,
+    type=InputFile(),
     help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
 )
 @click.option("--chunk", type=int, help="Scans that are worked on at once.")
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
-@click.option("--overwrite", is_flag=True, help="Begin anew over what is there.")
-@click.option("--picture", type=_REPORT, help="Draw the contacts over time here (PNG).")
+@click.option("--overwrite", is_flag=True, help="Begin anew over results that are there.")
+@click.option(
+    "--picture",
+    type=OutputFile("picture"),
+    help="Draw the contacts over time here (PNG); replaces a picture.",
+)
 @click.option(
     "--outlines",
-    type=_REPORT,
-    help="Write the outlines of what touches here (.geojson or .svg), with --method shape.",
+    type=OutputFile("outlines"),
+    help="Write the outlines of what touches here (.geojson or .svg), with --method "
+    "shape; replaces outlines.",
 )
-@click.option("--json", "json_path", type=_REPORT, help="Write the printed summary here.")
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the printed summary here; replaces an earlier one.",
+)
 @click.option("--verbose", is_flag=True, help="Print what was compiled, and for how long.")
 @click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
 @click.option("--processes", type=int, help="How many share it.")
 @click.option("--process", type=int, help="Which of them this is, from 0.")
 @tdms_option
-def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
+def reconstruct(rec: Path, out: Path, **options: Any) -> None:
     """Contacts and images of every scan or slot of the recording REC.
 
     Ctrl-C, a crash or a full disk leave OUT.partial: --resume goes on with it, to the same
@@ -121,7 +132,6 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
         write_outlines,
     )
 
-    out = out or rec.with_name(rec.stem + ".results.h5")
     given = [options[n] for n in ("coordinator", "processes", "process")]
     follows = options["method"] == "follow"
     if follows and any(value is not None for value in given):
@@ -147,9 +157,6 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     )
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
-    for path in (options["picture"], options["json_path"], options["outlines"]):
-        if path and not path.parent.is_dir():
-            raise ValueError(f"{path}: no such folder; make it, or give another")
     with (
         open_recording(rec, **options["tdms"]) as recording,
         _bar(share) as bar,
@@ -175,8 +182,8 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
             )
         except KeyboardInterrupt:
             bar.close()
-            print(f"\ntomojax: stopped; --resume goes on with {out}", file=sys.stderr)
-            raise SystemExit(130) from None
+            print(f"\n{stopped()}", file=sys.stderr)
+            raise SystemExit(STOPPED) from None
     distributed.leave(share, out)
     if options["verbose"]:
         print(compiled.table())
@@ -186,40 +193,25 @@ def reconstruct(rec: Path, out: Path | None, **options: Any) -> None:
     summary = report.summary(out)
     print(report.text(summary, out))
     if options["json_path"]:
-        whole = {
+        told = {
             "rows": summary.pop("rows"),
             "summary": summary,
             "environment": environment(),
         }
-        options["json_path"].write_text(json.dumps(whole, indent=1) + "\n")
+        write_text(options["json_path"], json.dumps(told, indent=1) + "\n")
     if options["outlines"]:
         count = write_outlines(out, options["outlines"])
         print(f"outlines: {count} in {options['outlines']}")
     if options["picture"]:
         from tomojax.results.plots import timeline
 
-        timeline(out).savefig(options["picture"], dpi=110)
+        with whole(options["picture"]) as part:
+            timeline(out).savefig(part, dpi=110)
         print(f"picture: {options['picture']}")
 
 
-@contextmanager
-def interrupts():
-    """Ctrl-C as an event: as an exception it may come up inside a callback and be lost.
-
-    A second one ends the process at once, which loses nothing that has been written.
-    """
-    event = Event()
-
-    def handle(number: int, frame: Any) -> None:
-        if event.is_set():
-            os._exit(130)
-        event.set()
-
-    before = signal.signal(signal.SIGINT, handle)
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _results_of(rec: Path) -> Path:
+    return rec.with_name(rec.stem + ".results.h5")
 
 
 def _bar(share: tuple[int, int]):
@@ -228,13 +220,18 @@ def _bar(share: tuple[int, int]):
     return tqdm(desc="reconstruct", unit="chunk", disable=None, position=share[0])
 
 
-@click.command()
-@click.argument("rec", type=_FILE)
+@click.command(cls=Command)
+@click.argument("rec", type=InputFile())
 @click.option(
-    "--calibration", type=_FILE, help="Say how old this is, and whether REC still fits it."
+    "--calibration",
+    type=InputFile(),
+    help="Say how old this is, and whether REC still fits it.",
 )
 @click.option(
-    "--json", "json_path", type=_REPORT, help="Write the rows and a summary here."
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the rows and a summary here; replaces an earlier one.",
 )
 @tdms_option
 def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
@@ -277,4 +274,4 @@ def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
         from tomojax._environment import environment
 
         report = {"rows": rows, "summary": summary, "environment": environment()}
-        json_path.write_text(json.dumps(report, indent=1) + "\n")
+        write_text(json_path, json.dumps(report, indent=1) + "\n")

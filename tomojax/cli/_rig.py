@@ -8,28 +8,43 @@ from typing import Any
 
 import click
 
+from tomojax._whole import whole, write_text
 from tomojax.cli._recordings import tdms_option
-
-_FILE = click.Path(path_type=Path)
-_REPORT = click.Path(dir_okay=False, path_type=Path)
+from tomojax.cli.entry import Command, InputFile, OutputFile
 
 
-@click.command()
-@click.argument("rec", type=_FILE)
-@click.argument("places", type=_REPORT, required=False)
-@click.option("-o", "--out", type=_REPORT, help="[default: REC.calibration.json]")
-@click.option("--from", "before", type=_FILE, help="An older calibration to begin with.")
+@click.command(cls=Command)
+@click.argument("rec", type=InputFile())
+@click.argument("places", type=InputFile(), required=False)
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
+    help="[default: REC.calibration.json]",
+)
+@click.option(
+    "--from", "before", type=InputFile(), help="An older calibration to begin with."
+)
 @click.option(
     "--frames", type=int, default=1000, show_default=True, help="At most, of ten slots."
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
-@click.option("--picture", type=_REPORT, help="Draw sheet and electrodes here (PNG).")
-@click.option("--json", "json_path", type=_REPORT, help="Write the printed figures here.")
+@click.option(
+    "--picture",
+    type=OutputFile("picture"),
+    help="Draw sheet and electrodes here (PNG); replaces a picture.",
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the printed figures here; replaces an earlier report.",
+)
 @tdms_option
 def calibrate(
     rec: Path,
     places: Path | None,
-    out: Path | None,
+    out: Path,
     before: Path | None,
     frames: int,
     overwrite: bool,
@@ -48,7 +63,6 @@ def calibrate(
     from tomojax.recordings import open_recording
     from tomojax.sensor import Calibration
 
-    out = out or rec.with_name(rec.stem + ".calibration.json")
     if out.exists() and not overwrite:
         raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
     if frames < 16:
@@ -75,14 +89,19 @@ def calibrate(
     print(room.text(sensor, found))
     print(f"calibration: {out}")
     if picture:
-        room.picture(sensor, found).savefig(picture, dpi=110)
+        with whole(picture) as part:
+            room.picture(sensor, found).savefig(part, dpi=110)
         print(f"picture: {picture}")
     if json_path:
         from tomojax._environment import environment
 
         row = room.summary(sensor, found)
         report = {"rows": [row], "summary": row, "environment": environment()}
-        json_path.write_text(json.dumps(report, indent=1) + "\n")
+        write_text(json_path, json.dumps(report, indent=1) + "\n")
+
+
+def _calibration_of(rec: Path) -> Path:
+    return rec.with_name(rec.stem + ".calibration.json")
 
 
 # Names of sources that are no files.
@@ -105,7 +124,7 @@ class _Corners(click.ParamType):
         return int(parts[0]), int(parts[1])
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("source", metavar="SOURCE|REC")
 @click.option(
     "--corners",
@@ -114,11 +133,26 @@ class _Corners(click.ParamType):
     help="Electrodes at the corners that were touched in the end, as 0,7, or none. "
     "[default: 0 and the last of row 0]",
 )
-@click.option("-o", "--out", type=_REPORT, help="A SOURCE's recording, which is kept.")
-@click.option("--write", type=_REPORT, help="The corrected order, for --config of live.")
-@click.option("--picture", type=_REPORT, help="Draw the sheet and its faults here (PNG).")
-@click.option("--json", "json_path", type=_REPORT, help="Write the faults here.")
-@click.option("--like", type=_FILE, help="A recording of this sensor.")
+@click.option(
+    "-o", "--out", type=OutputFile("recording"), help="A SOURCE's recording, which is kept."
+)
+@click.option(
+    "--write",
+    type=OutputFile("order"),
+    help="The corrected order, for --config of live; replaces an earlier one.",
+)
+@click.option(
+    "--picture",
+    type=OutputFile("picture"),
+    help="Draw the sheet and its faults here (PNG); replaces a picture.",
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the faults here; replaces an earlier report.",
+)
+@click.option("--like", type=InputFile(), help="A recording of this sensor.")
 @click.option("--quiet", type=float, default=4.0, show_default=True, help="Of a SOURCE, s.")
 @click.option("--rub", type=float, default=20.0, show_default=True, help="Of a SOURCE, s.")
 @click.option("--touch", type=float, default=3.0, show_default=True, help="Of a SOURCE, s.")
@@ -183,13 +217,14 @@ def check(
         bringup.write_order(found, write)
         print(f"order: {write}; use it with --config {write}")
     if picture:
-        bringup.picture(found).savefig(picture, dpi=110)
+        with whole(picture) as part:
+            bringup.picture(found).savefig(part, dpi=110)
         print(f"picture: {picture}")
     if json_path:
         from tomojax._environment import environment
 
         report = bringup.summary(found) | {"environment": environment()}
-        json_path.write_text(json.dumps(report, indent=1) + "\n")
+        write_text(json_path, json.dumps(report, indent=1) + "\n")
     return 1 if found.faults else 0
 
 

@@ -13,6 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from tomojax.cli.entry import interrupts
+
 
 class _Session:
     """A source and a ring, with the processes beside them."""
@@ -50,7 +52,6 @@ class _Session:
 
         Without `images` a process beside the loop draws the view's.
         """
-        from tomojax.cli import _recordings
         from tomojax.hardware import run
 
         view = subprocess.Popen(self._view) if self._view else None
@@ -62,7 +63,7 @@ class _Session:
             if self.recorder is not None:
                 self.recorder.look()
 
-        with _recordings.interrupts() as stop:
+        with interrupts(own_end=True) as stop:
             until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
             try:
                 run(

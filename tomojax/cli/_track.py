@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command, InputFile, OutputFile
 
 
 def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
@@ -19,9 +20,14 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     return place, height
 
 
-@click.command()
-@click.argument("results", type=_FILE)
-@click.option("-o", "--out", type=_FILE, help="[default: RESULTS.track.h5]")
+@click.command(cls=Command)
+@click.argument("results", type=InputFile())
+@click.option(
+    "-o",
+    "--out",
+    type=OutputFile("results", lambda given: _track_of(given["results"])),
+    help="[default: RESULTS.track.h5]",
+)
 @click.option(
     "--smooth/--filter", default=True, show_default=True, help="Later rows count."
 )
@@ -36,10 +42,19 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     callback=_drift,
     help="M,LN_G: by how much a row changes places and ln g; 0,0 stands still.",
 )
-@click.option("--overwrite", is_flag=True, help="Over what is there.")
-@click.option("--picture", type=_FILE, help="Draw the paths here (PNG).")
-@click.option("--json", "json_path", type=_FILE, help="Write the contacts here.")
-def track(results: Path, out: Path | None, **options: Any) -> None:
+@click.option("--overwrite", is_flag=True, help="Over results that are there.")
+@click.option(
+    "--picture",
+    type=OutputFile("picture"),
+    help="Draw the paths here (PNG); replaces a picture.",
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the contacts here; replaces an earlier report.",
+)
+def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS (of `reconstruct --method points` or auto) over time.
 
     A contact's place and conductance come from all rows that show it, and it has a number:
@@ -48,10 +63,6 @@ def track(results: Path, out: Path | None, **options: Any) -> None:
     from tomojax._environment import environment
     from tomojax.results import track_file as work
 
-    out = out or results.with_name(results.stem + ".track.h5")
-    for path in (options["picture"], options["json_path"]):
-        if path and not path.parent.is_dir():
-            raise ValueError(f"{path}: no such folder; make it, or give another")
     names = ("overwrite", "smooth", "hold", "least", "drift")
     _, found = work.track_results(results, out, **{name: options[name] for name in names})
     print(work.text(found))
@@ -62,7 +73,12 @@ def track(results: Path, out: Path | None, **options: Any) -> None:
             "summary": {"contacts": len(found)},
             "environment": environment(),
         }
-        options["json_path"].write_text(json.dumps(report, indent=1) + "\n")
+        write_text(options["json_path"], json.dumps(report, indent=1) + "\n")
     if options["picture"]:
-        work.picture(results, out).savefig(options["picture"], dpi=110)
+        with whole(options["picture"]) as part:
+            work.picture(results, out).savefig(part, dpi=110)
         print(f"picture: {options['picture']}")
+
+
+def _track_of(results: Path) -> Path:
+    return results.with_name(results.stem + ".track.h5")

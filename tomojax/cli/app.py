@@ -12,6 +12,7 @@ from tomojax.cli._recordings import info, reconstruct
 from tomojax.cli._rig import calibrate, check
 from tomojax.cli._track import track
 from tomojax.cli.compiled import keep_compiled
+from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.studies import frontier, stability, table1
 
 
@@ -32,8 +33,12 @@ def app(context: click.Context, no_cache: bool) -> None:
         return
     # JAX calls LAPACK in SciPy's OpenBLAS. Its threads wait in a loop for each other: on
     # a machine with other work they take turns with that work, and table1 took 14 times
-    # as long. JAX has threads of its own.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # as long. JAX has threads of its own. NumPy and SciPy read this as they are imported,
+    # so no command module imports them at its top. OpenBLAS takes OMP_NUM_THREADS for the
+    # other two: a user who has set any of them has decided.
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    if not any(name in os.environ for name in names):
+        os.environ.update(dict.fromkeys(names, "1"))
     if not no_cache:
         keep_compiled()
 
@@ -57,14 +62,21 @@ for command in (
 
 def run() -> None:
     """Runs `app`; an error is one line on standard error, and its exit status is 2."""
+    with listening(stopped):
+        _run()
+
+
+def _run() -> None:
     try:
         status = app(standalone_mode=False)
-    except click.exceptions.Abort:
-        raise SystemExit(130) from None
+        sys.stdout.flush()  # a full disk or a closed pipe is told here
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        print(f"\n{stopped()}", file=sys.stderr)
+        raise SystemExit(STOPPED) from None
     except click.ClickException as error:
         print(f"tomojax: {error.format_message()}", file=sys.stderr)
         raise SystemExit(2) from None
     except (OSError, ValueError) as error:
-        print(f"tomojax: {error}", file=sys.stderr)
+        print(f"tomojax: {' '.join(str(error).splitlines())}", file=sys.stderr)
         raise SystemExit(2) from None
     raise SystemExit(status or 0)

@@ -3,7 +3,9 @@
 import hashlib
 import os
 import platform
+import re
 import sys
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 # Bytes of all folders together; the programs of `points` for one number of slots take 40
 # MB. JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
@@ -53,6 +56,7 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
         if not os.access(folder, os.W_OK):
             return
         _drop_oldest(folder.parent, kind, limit)
+        _drop_when_cut_short(folder)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         if kind == "compiled":
             # See `tomojax._programs`. Tests change constants, which it cannot see.
@@ -108,6 +112,26 @@ def _drop_oldest(cache: Path, kind: str, limit: int) -> None:
         with suppress(OSError):
             path.unlink()
         size -= bytes_there
+
+
+def _drop_when_cut_short(folder: Path) -> None:
+    """Removes a program that JAX cannot read: it is compiled, and written, anew.
+
+    JAX writes in place, and never over what is there (jax/_src/lru_cache.py): a command
+    that was killed as it wrote would leave a warning to all that come after.
+    """
+    show = warnings.showwarning
+
+    def heard(message: Any, *others: Any, **more: Any) -> None:
+        found = re.search(r"reading persistent .* entry for '(\w+)'", str(message))
+        if found is None:
+            show(message, *others, **more)
+            return
+        for path in folder.glob(f"{found[1]}-*"):
+            with suppress(OSError):
+                path.unlink()
+
+    warnings.showwarning = heard
 
 
 @dataclass

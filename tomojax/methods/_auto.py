@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax._programs import kept
+from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
@@ -52,6 +53,8 @@ class Auto(AbstractMethod):
     films: ClassVar[bool] = True
     stands_out: ClassVar[float] = Points.stands_out
     padded: ClassVar[bool] = False
+    # As `points`; `shape` works on some, a twentieth or so, for a hundred times as long.
+    seconds_per_slot: ClassVar[float] = 2e-3
     cells_per_diameter: ClassVar[int] = ImageShape.cells_per_diameter
 
     shape: tuple[int, int] = eqx.field(static=True)
@@ -131,6 +134,7 @@ class Auto(AbstractMethod):
         rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
+            stop_if_asked()  # each takes as long as hundreds of the others
             here = prepared
             if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
                 good, lam = np.asarray(prepared.errors.used), prepared.source.lam

@@ -12,6 +12,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax._require import require
+from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import AbstractMethod, Frame
 from tomojax.methods._doubts import look_at, Looked
@@ -120,6 +121,7 @@ class Batch:
         wide = jax.config.jax_enable_x64  # pyright: ignore
 
         def work(job: tuple[Any, np.ndarray]) -> None:
+            stop_if_asked()
             prepared, part = job
             with jax.enable_x64(wide):
                 self._run(prepared, part, voltages, grounds, good, rows)

@@ -144,6 +144,10 @@ class AbstractMethod(eqx.Module):
     # Frames of a compiled call: as many as keep the working set in the cache. What is left
     # of a group fills the smallest that holds it, so that at most three are compiled.
     blocks: ClassVar[tuple[int, ...]] = (32, 256, 1024)
+    # About what a slot costs, s, as two cores of 2024 measured it (tests/benchmarks/
+    # costs.py). Only the length of a chunk follows from it: a number, and no measurement,
+    # as two runs with the same configuration make the same bytes.
+    seconds_per_slot: ClassVar[float] = 2e-5
     # Whether a call is filled up to that with zeros; else the method does what it needs.
     padded: ClassVar[bool] = True
 

@@ -322,3 +322,4 @@ class PositiveSource(AbstractSource):
     """The same, with an image of currents that flow out of the object alone."""
 
     positive: ClassVar[bool] = True  # pyright: ignore
+    seconds_per_slot: ClassVar[float] = 5e-4

@@ -21,6 +21,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax._whole import held, reason
 from tomojax.kernels.flags import Flag
 from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
 
@@ -116,8 +117,7 @@ class ResultsFile:
                 rows * np.dtype(k).itemsize * int(np.prod(s)) for s, k, _ in layout.values()
             )
             raise ValueError(
-                f"{self.out}: {getattr(error, 'strerror', 0) or error}; "
-                f"{size / 1e9:.3g} GB are needed there"
+                f"{self.out}: {reason(error)}; {size / 1e9:.3g} GB are needed there"
             ) from None
 
     def done(self) -> np.ndarray:
@@ -138,11 +138,15 @@ class ResultsFile:
     def keep(self, **arrays: Any) -> None:
         """Puts arrays beside the rows, in place of those before: at once or not at all."""
         new = self._state.with_name(self._state.name + ".new")
-        with open(new, "wb") as file:
-            np.savez(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(self._state)
+        try:
+            with open(new, "wb") as file:
+                np.savez(file, **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(self._state)
+        except OSError:
+            new.unlink(missing_ok=True)
+            raise
 
     def kept(self) -> dict[str, np.ndarray]:
         """Reads what `keep` has put there last; nothing where it never did."""
@@ -151,10 +155,19 @@ class ResultsFile:
         with np.load(self._state) as arrays:
             return dict(arrays)
 
+    def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
+        """Keeps other runs from this file; `shared`: but for those that share the work."""
+        return held(self._lock, shared)
+
+    @property
+    def _lock(self) -> Path:
+        return self.partial.with_name(self.partial.name + ".lock")
+
     def discard(self) -> None:
         """Removes what an earlier run left."""
-        for path in (self._done, self.partial, self._state):
-            path.unlink(missing_ok=True)
+        names = (".new", ".done", "", ".state", ".state.new")
+        for name in names:
+            self.partial.with_name(self.partial.name + name).unlink(missing_ok=True)
 
     def finish(self) -> None:
         """Gives OUT.partial its name."""
@@ -217,8 +230,19 @@ class RowWriter:
 
 def attributes(path: Path) -> dict[str, Any]:
     """Of a results file, or one in the making."""
-    with h5py.File(path, "r") as file:
-        return dict(file.attrs)
+    try:
+        with h5py.File(path, "r") as file:
+            return dict(file.attrs)
+    except OSError as error:
+        raise ValueError(f"{path}: not a results file: {error}") from None
+
+
+def is_results(path: Path) -> bool:
+    """Whether a file holds results, of this version or another."""
+    try:
+        return attributes(path).get("schema") == SCHEMA
+    except ValueError:
+        return False
 
 
 def partial_path(out: Path) -> Path:
@@ -266,16 +290,23 @@ def _write_all(file: int, values: np.ndarray, offset: int) -> None:
         left, offset = left[count:], offset + count
 
 
-def check_output(out: Path, resume: bool, overwrite: bool) -> None:
-    """Before any work: OUT can be made, and nothing that is there would be lost."""
+def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:
+    """Before any work: OUT can be made, and nothing that is there would be lost.
+
+    `resumes`: of work that goes on with OUT.partial.
+    """
     require(out.parent.is_dir(), f"{out}", "no such folder", "a folder that exists")
     require(os.access(out.parent, os.W_OK), f"{out}", "no permission", "a writable folder")
     require(not out.is_dir(), f"{out}", "a folder", "a file's name")
+    # Whatever else lies there may be somebody's recording.
+    ours = not out.is_file() or out.stat().st_size == 0 or is_results(out)
+    if resume or overwrite:
+        require(ours, f"{out}", "a file that holds no results", "a new name")
     if not overwrite:
         require(
             not out.exists() or resume, f"{out}", "a file", "a new name, or --overwrite"
         )
-        begun = partial_path(out).exists()
+        begun = resumes and partial_path(out).exists()
         require(
             not begun or resume,
             f"{partial_path(out)}",

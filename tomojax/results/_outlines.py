@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from tomojax._require import require
+from tomojax._whole import whole
 
 # Rows that are read at once; the probability at an outline.
 _ROWS, _HALF = 256, 0.5
@@ -158,7 +159,8 @@ def write_outlines(results: Path, out: Path) -> int:
         require(has, f"{results}", "no image of touch", "results of --method shape")
         size = np.asarray(file.attrs["size"], float)
     write = _svg if out.suffix.lower() == ".svg" else _geojson
-    return write(_rows(results, size), size, out)
+    with whole(out) as part:
+        return write(_rows(results, size), size, part)
 
 
 def _rows(results: Path, size: np.ndarray) -> Iterator[tuple[int, float, list[Outline]]]:

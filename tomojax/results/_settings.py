@@ -1,15 +1,25 @@
 """What decides the rows of a results file, beside the recording."""
 
-from dataclasses import dataclass
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tomojax._environment import environment
 from tomojax._require import require
-from tomojax.methods import check_limits, METHODS
-from tomojax.recordings import CHUNK_SLOTS, Rate, Recording
+from tomojax.calibration import tare
+from tomojax.methods import AbstractMethod, check_limits, frames_of, METHODS
+from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
+from tomojax.sensor import Calibration
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
+
+# What is lost at most when a run is stopped, s of work; and of `follow` what a slot costs.
+_SECONDS, _FOLLOW = 5.0, 2e-4
 
 # A film's contacts move by this part of a pitch at most, at the speed of a fast hand (m/s):
 # half of what a candidate is off. More rows than the last save little: its first is
@@ -20,6 +30,13 @@ _MOVED, _SPEED, _LONGEST = 0.2, 1.0, 16
 _WORTH = 20_000
 
 
+# Frames that λ is chosen from.
+_LAMBDA_FRAMES = 8
+
+# Settings that are files.
+_FILES = "calibration", "policy"
+
+
 @dataclass(frozen=True)
 class Settings:
     """What decides the rows of a results file, beside the recording.
@@ -27,13 +44,14 @@ class Settings:
     `method` None is "auto", and "source" for a row per slot. `lam` None is the method's own
     choice from the first frames with a contact; `grid` None
     is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
-    off on a recorded drag, at about one and a half times the speed); `chunk` None fits the
-    memory; `threshold` None is the method's own. `calibration`: a file of
-    `Calibration.save`; `tare`: channels' zeros from contact-free slots, where there are;
-    `policy`: a file of `save_policy`, whose slots alone are used, with its λ; `films`:
-    whether a row may begin at the contacts of one shortly before (None: where rows follow
-    each other closely enough, in a recording long enough to be worth it); `adapt`: whether
-    zeros and gains that drift are followed, see `tomojax.calibration.Adapter`.
+    off on a recorded drag, at about one and a half times the speed); `chunk` None is
+    some seconds of work that fit the memory; `threshold` None is the method's own.
+    `calibration`: a file of `Calibration.save`; `tare`: channels' zeros from contact-free
+    slots, where there are; `policy`: a file of `save_policy`, whose slots alone are used,
+    with its λ; `films`: whether a row may begin at the contacts of one shortly before
+    (None: where rows follow each other closely enough, in a recording long enough to be
+    worth it); `adapt`: whether zeros and gains that drift are followed, see
+    `tomojax.calibration.Adapter`.
 
     **Example:**
 
@@ -121,10 +139,93 @@ def _asked_or_fitting(recording: Recording, settings: Settings) -> int:
     if settings.chunk:
         return settings.chunk
     slots = recording.slots
+    fallback = _FOLLOW if settings.method == "follow" else 0.0
+    each = getattr(METHODS.get(settings.method), "seconds_per_slot", fallback)
+    costly = int(_SECONDS / each) if each else CHUNK_SLOTS
     # A row per slot has a group for each ground, which has to fill its blocks; a row per
     # scan has few, and a quarter of the memory does.
-    scans = (CHUNK_SLOTS if settings.rate == "slot" else CHUNK_SLOTS // 4) // slots
+    most = CHUNK_SLOTS if settings.rate == "slot" else CHUNK_SLOTS // 4
+    scans = min(most, costly) // slots
     if settings.images:
         rows = slots if settings.rate == "slot" else 1
         scans = min(scans, _CHUNK_IMAGES // (4 * settings.pixels**2 * rows))
     return max(1, scans)
+
+
+def configuration(recording: Recording, settings: Settings, size: int) -> dict:
+    """What makes the rows what they are: two runs with the same make the same bytes."""
+    given = {name: getattr(settings, name) for name in _FILES}
+    digests = {f"{n}_sha256": _digest(n, path) for n, path in given.items() if path}
+    return {
+        **asdict(settings),
+        **digests,
+        "grid": settings.pixels,
+        "chunk": size,
+        "scans": recording.scans,
+        "recording_sha256": recording.digest(),
+        "versions": environment(),
+    }
+
+
+def calibration_of(recording: Recording, settings: Settings) -> Calibration:
+    """That of the settings, with zeros from the recording itself where it tells them."""
+    given = settings.calibration
+    calibration = Calibration.load(given) if given else Calibration()
+    return tare(recording, calibration) if settings.tare else calibration
+
+
+def choose_lambda(
+    recording: Recording,
+    method: AbstractMethod,
+    settings: Settings,
+    calibration: Calibration,
+) -> float:
+    """λ of the settings, or the method's choice from the first stretch with a contact."""
+    if settings.lam is not None:
+        return settings.lam
+    size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
+    for start in range(0, recording.scans, size):
+        chunk = read_chunk(recording, start, min(start + size, recording.scans))
+        height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
+        # Not the edges of a contact, where it lasts for a part of the scan.
+        own, given = float(method.threshold), settings.threshold
+        least = own if given is None else given
+        touched = (height > least) & (height >= height.max() / 2)
+        if touched.any():
+            volts = calibration.voltages(chunk.voltages)
+            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
+            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
+    return method.choose_lambda([])
+
+
+def _digest(name: str, path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise ValueError(f"{path}: not a {name}: {error}") from None
+
+
+def require_same(config: dict, attributes: dict, path: Path) -> None:
+    """**Raises:** `ValueError` where results were begun with something else."""
+    own = "configuration" in attributes and "tracked" not in attributes
+    require(own, f"{path}", "no results of reconstruct", "the file of a run to go on with")
+    before = json.loads(attributes["configuration"])
+    for name in sorted({*config, *before}):
+        was, now = before.get(name), config.get(name)
+        # A file counts by its content, wherever it lies.
+        if was == now or (name in _FILES and was and now):
+            continue
+        was, now = _shortened(was, now)
+        raise ValueError(
+            f"{path}: {name}: begun with {was}, now {now}; give the same, or --overwrite"
+        )
+
+
+def _shortened(was: Any, now: Any) -> tuple[Any, Any]:
+    """Of two tables what differs, of digests their beginnings."""
+    if isinstance(was, dict) and isinstance(now, dict):
+        names = [name for name in now if was.get(name) != now[name]] or list(now)
+        return tuple(  # pyright: ignore
+            ", ".join(f"{name} {table.get(name)}" for name in names) for table in (was, now)
+        )
+    return tuple(v[:12] if isinstance(v, str) and len(v) == 64 else v for v in (was, now))  # pyright: ignore

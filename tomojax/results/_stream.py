@@ -5,6 +5,7 @@ run leaves undone any later run, or another process, does with the same bytes. `
 `--adapt` go through them in order, see `_following` and `_adapting`.
 """
 
+import errno
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,41 +18,26 @@ from typing import Any
 
 import numpy as np
 
-from tomojax._environment import environment
 from tomojax._require import require
-from tomojax.calibration import force, tare
-from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
-from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
+from tomojax.calibration import force
+from tomojax.methods import Batch, method as make_method, Rows
+from tomojax.recordings import Chunk, read_chunk, Recording
 from tomojax.results._chosen import Chosen
-from tomojax.results._settings import chunk_scans, film_rows, Settings
-from tomojax.sensor import Calibration
+from tomojax.results._settings import (
+    calibration_of,
+    choose_lambda,
+    chunk_scans,
+    configuration,
+    film_rows,
+    require_same,
+    Settings,
+)
 
-# Frames that λ is chosen from, and the seconds after which what is written is marked.
-_LAMBDA_FRAMES, _MARK_SECONDS = 8, 2.0
+# Seconds after which what is written is marked.
+_MARK_SECONDS = 2.0
 
-
-def choose_lambda(
-    recording: Recording,
-    method: AbstractMethod,
-    settings: Settings,
-    calibration: Calibration,
-) -> float:
-    """λ of the settings, or the method's choice from the first stretch with a contact."""
-    if settings.lam is not None:
-        return settings.lam
-    size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
-    for start in range(0, recording.scans, size):
-        chunk = read_chunk(recording, start, min(start + size, recording.scans))
-        height = np.where(chunk.good, np.abs(chunk.voltages), 0).max((1, 2))
-        # Not the edges of a contact, where it lasts for a part of the scan.
-        own, given = float(method.threshold), settings.threshold
-        least = own if given is None else given
-        touched = (height > least) & (height >= height.max() / 2)
-        if touched.any():
-            volts = calibration.voltages(chunk.voltages)
-            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
-            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
-    return method.choose_lambda([])
+# What a disk says that is full, may hold no larger file, or fails.
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 def reconstruct_recording(
@@ -90,23 +76,50 @@ def reconstruct_recording(
     from tomojax.results import _adapting, _file, _following
 
     settings, out = settings or Settings(), Path(out)
-    alone, follows = share == (0, 1), settings.method == "follow"
     settings.check()
-    if follows:
+    if settings.method == "follow":
         _following.require_alone(share)
     if settings.adapt:
         _adapting.require_alone(share)
-    _file.check_output(out, resume or share[0] > 0, overwrite)
+    goes_on = resume or share[0] > 0
+    _file.check_output(out, goes_on, overwrite)
     size = chunk_scans(recording, settings)
     file = _file.ResultsFile(out, -(-recording.scans // size))
-    config = _configuration(recording, settings, size)
-    if (resume or share[0] > 0) and out.exists() and not file.partial.exists():
-        _require_same(config, _file.attributes(out), out)
-        if alone:
-            file.discard()  # the marks of a run that was killed as it ended
-        return out
+    config = configuration(recording, settings, size)
+    with file.locked(shared=share[1] > 1):
+        _file.check_output(out, goes_on, overwrite)  # as another run has left it
+        if goes_on and out.exists() and not file.partial.exists():
+            require_same(config, _file.attributes(out), out)
+            if share == (0, 1):
+                file.discard()  # the marks of a run that was killed as it ended
+            return out
+        try:
+            _reconstruct(recording, settings, file, config, share, overwrite, progress)
+        except OSError as error:
+            if error.errno not in _DISK:
+                raise
+            raise ValueError(
+                f"{out}: {error.strerror}; make room, then --resume goes on with it"
+            ) from None
+    return out
+
+
+def _reconstruct(
+    recording: Recording,
+    settings: Settings,
+    file: Any,
+    config: dict,
+    share: tuple[int, int],
+    overwrite: bool,
+    progress: Callable[[int, int], None],
+) -> None:
+    """Makes the file, or goes on with it."""
+    from tomojax.results import _adapting, _file, _following
+
+    alone, follows = share == (0, 1), settings.method == "follow"
     calibration = calibration_of(recording, settings)
     if follows:
+        size = config["chunk"]
         model: Any = _following.Following(recording, settings, calibration, size)
     else:
         sensor = recording.rig.sensor()
@@ -119,70 +132,57 @@ def reconstruct_recording(
         _wait_for(file.partial)
     begun = file.partial.exists() and not (overwrite and share[0] == 0)
     if not begun:
-        file.discard()
         if follows:
             lam = model.scale()
         elif settings.lam is None and chosen is not None and chosen.median:
             lam = chosen.median * model.scale()
         else:
             lam = choose_lambda(recording, model, settings, calibration)
+        file.discard()
         _create(file, recording, settings, calibration, model, lam, config)
-    attributes = _file.attributes(file.partial)
-    _require_same(config, attributes, file.partial)
-    if follows:
-        solve: Any = model
-    else:
-        batch = Batch(
-            model,
-            float(attributes["lam"]),
-            settings.contacts,
-            settings.images,
-            settings.threshold,
-            film=film_rows(recording, settings),
-        )
-        solve = partial(_solved, settings, calibration, chosen, batch)
-    if settings.adapt:
-        solve = _adapting.Adapting(recording, calibration, model, solve)
-    if follows or settings.adapt:
-        solve.resume(file.kept())
+    try:
+        attributes = _file.attributes(file.partial)
+        require_same(config, attributes, file.partial)
+        if follows:
+            solve: Any = model
+        else:
+            batch = Batch(
+                model,
+                float(attributes["lam"]),
+                settings.contacts,
+                settings.images,
+                settings.threshold,
+                film=film_rows(recording, settings),
+            )
+            solve = partial(_solved, settings, calibration, chosen, batch)
+        if settings.adapt:
+            solve = _adapting.Adapting(recording, calibration, model, solve)
+        if follows or settings.adapt:
+            solve.resume(file.kept())
         with closing(file.writer()) as writer:
             work = partial(_work, recording, settings, calibration, solve, file, writer)
-            work(np.arange(solve.start, file.chunks), progress)
-        file.finish()
-        return out
-    with closing(file.writer()) as writer:
-        left = np.flatnonzero(~file.done())
-        mine = left % share[1] == share[0]
-        work = partial(_work, recording, settings, calibration, solve, file, writer)
-        work(left[mine], progress)
-        if not alone:
-            # What another process has not done comes last, from its end: done twice it is
-            # the same bytes, and nobody need wait for a process that was killed.
-            left = np.flatnonzero(~file.done())
-            work(left[::-1], progress)
+            if follows or settings.adapt:
+                work(np.arange(solve.start, file.chunks), progress)
+            else:
+                _share_out(file, share, work, progress)
+    except ValueError:
+        if alone and not begun and not file.done().any():
+            file.discard()  # bad input: the next run does not stumble over it
+        raise
     # Process 0 gives the file its name: the others may still be about to write.
     if share[0] == 0 and file.done().all():
         file.finish()
-    return out
 
 
-def _configuration(recording: Recording, settings: Settings, size: int) -> dict:
-    """What makes the rows what they are: two runs with the same make the same bytes."""
-    return {
-        **asdict(settings),
-        "grid": settings.pixels,
-        "chunk": size,
-        "scans": recording.scans,
-        "recording_sha256": recording.digest(),
-        "versions": environment(),
-    }
-
-
-def calibration_of(recording: Recording, settings: Settings) -> Calibration:
-    """That of the settings, with zeros from the recording itself where it tells them."""
-    given = settings.calibration
-    calibration = Calibration.load(given) if given else Calibration()
-    return tare(recording, calibration) if settings.tare else calibration
+def _share_out(file: Any, share: tuple[int, int], work: Any, progress: Any) -> None:
+    left = np.flatnonzero(~file.done())
+    mine = left % share[1] == share[0]
+    work(left[mine], progress)
+    if share != (0, 1):
+        # What another process has not done comes last, from its end: done twice it is
+        # the same bytes, and nobody need wait for a process that was killed.
+        left = np.flatnonzero(~file.done())
+        work(left[::-1], progress)
 
 
 def _create(file, recording, settings, calibration, model, lam, config) -> None:
@@ -217,17 +217,6 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
         },
         _file.adapted_fields(recording.electrodes) if settings.adapt else None,
     )
-
-
-def _require_same(config: dict, attributes: dict, path: Path) -> None:
-    before = json.loads(attributes["configuration"])
-    for name, value in config.items():
-        was = before.get(name)
-        if was != value:
-            raise ValueError(
-                f"{path}: {name}: begun with {was}, now {value}; "
-                "give the same, or --overwrite"
-            )
 
 
 def _wait_for(path: Path, seconds: float = 600.0) -> None:

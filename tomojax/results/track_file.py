@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output, SCHEMA
 from tomojax.results._track import Touch, touches, track, Tracks
@@ -37,8 +38,9 @@ def track_results(
 
     **Raises:** `ValueError` naming the file and what is wrong with it.
     """
-    check_output(out, resume=False, overwrite=overwrite)
-    require(path.resolve() != out.resolve(), f"{out}", "the results file", "another name")
+    same = out.exists() and path.exists() and path.samefile(out)
+    require(not same, f"{out}", "the results file", "another name")
+    check_output(out, resume=False, overwrite=overwrite, resumes=False)
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -64,15 +66,17 @@ def track_results(
             )
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
-        building = out.with_name(out.name + ".partial")
-        with h5py.File(building, "w") as new:
-            new.attrs.update(attributes | {"tracked": json.dumps(options)})
-            for name in file:
-                if name not in Tracks._fields and name not in _LEFT_OUT:
-                    file.copy(name, new)
-            for name, values in found._asdict().items():
-                new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
-        building.replace(out)
+        try:
+            with whole(out) as part, h5py.File(part, "w") as new:
+                new.attrs.update(attributes | {"tracked": json.dumps(options)})
+                for name in file:
+                    if name not in Tracks._fields and name not in _LEFT_OUT:
+                        file.copy(name, new)
+                for name, values in found._asdict().items():
+                    new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
+        except (OSError, RuntimeError) as error:  # HDF5 says it in either way
+            text = reason(error).removeprefix(f"{out}: ")
+            raise ValueError(f"{out}: cannot be written: {text}") from None
     return found, touches(found, t)
 
 

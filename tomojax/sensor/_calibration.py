@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tomojax._require import require
+from tomojax._whole import write_text
 from tomojax.kernels.sheet import cell_centres, smooth_modes
 from tomojax.sensor._sensor import Sensor
 
@@ -127,9 +128,9 @@ class Calibration:
         return replace(sensor, sheet_resistance=values, divisions=divisions)
 
     def save(self, path: Path | str) -> None:
-        """As JSON."""
+        """As JSON; the file is there whole or not at all."""
         content = {"schema": SCHEMA, "schema_version": VERSION, **asdict(self)}
-        Path(path).write_text(json.dumps(content, indent=1) + "\n")
+        write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path | str) -> "Calibration":

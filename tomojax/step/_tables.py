@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tomojax._require import require
+from tomojax._whole import whole
 from tomojax.sensor import Sensor
 from tomojax.step._policies import Lookup
 
@@ -25,7 +26,7 @@ def save_policy(policy: Lookup, path: Path | str) -> None:
     (2, 1, 2)
     """
     arrays = {name: getattr(policy, name) for name in ("table", "idle", "size", "lam")}
-    with open(path, "wb") as file:
+    with whole(path) as part, part.open("wb") as file:
         given = {k: np.asarray(v) for k, v in arrays.items() if v is not None}
         np.savez(file, **given)  # pyright: ignore
 

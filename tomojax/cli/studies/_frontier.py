@@ -6,10 +6,12 @@ from pathlib import Path
 
 import click
 
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command
 from tomojax.cli.studies._study import begin, named, study_options
 
 
-@click.command()
+@click.command(cls=Command)
 @click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
 @click.option("--only", multiple=True, help="This method alone; may be given again.")
 @study_options("frontier", "rows and a summary", "Of each kind. [default: 20; quick: 6]")
@@ -17,7 +19,7 @@ def frontier(
     quick: bool,
     only: tuple[str, ...],
     out: Path,
-    json_path: Path | None,
+    json_path: Path,
     scenes: int | None,
     seed: int,
     like: Path | None,
@@ -58,19 +60,20 @@ def frontier(
         print(line)
     for row in failed:
         print(f"failed: {row['method']}, {row['dtype']}: {row['failed']}")
-    path = json_path or out / "frontier.json"
     summary = report.summary(rows) | {"failed": failed}
     told = {"rows": rows, "rates": rates, "day": day, "summary": summary}
     told["environment"] = environment()
-    path.write_text(json.dumps(told, indent=1) + "\n")
+    write_text(json_path, json.dumps(told, indent=1) + "\n")
     for draw, name in (
         (report.chart, "frontier.png"),
         (report.rungs, "frontier_rungs.png"),
     ):
-        draw(rows).savefig(out / name, dpi=110)
+        with whole(out / name) as part:
+            draw(rows).savefig(part, dpi=110)
         print(f"picture: {out / name}")
     if rates:
-        report.rate_chart(rates).savefig(out / "frontier_rates.png", dpi=110)
+        with whole(out / "frontier_rates.png") as part:
+            report.rate_chart(rates).savefig(part, dpi=110)
         print(f"picture: {out / 'frontier_rates.png'}")
 
 

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import click
 
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command
 from tomojax.cli.studies._study import begin, named, study_options
 
 
-@click.command()
+@click.command(cls=Command)
 @click.option("--quick", is_flag=True, help="Four methods, few scenes; some minutes.")
 @click.option("--only", multiple=True, help="This sweep alone; may be given again.")
 @study_options(
@@ -19,7 +21,7 @@ def stability(
     quick: bool,
     only: tuple[str, ...],
     out: Path,
-    json_path: Path | None,
+    json_path: Path,
     scenes: int | None,
     seed: int,
     like: Path | None,
@@ -66,14 +68,15 @@ def stability(
     flagged = report.flagged(limits)
     print(report.flagged_text(flagged))
     summary = {"flagged": flagged, "values": rows, "numbers": numbers}
-    path = json_path or out / "stability.json"
     told = {"rows": limits, "summary": summary, "environment": environment()}
-    path.write_text(json.dumps(told, indent=1) + "\n")
+    write_text(json_path, json.dumps(told, indent=1) + "\n")
     picture = out / "stability.png"
-    report.chart(rows, limits).savefig(picture, dpi=100)
+    with whole(picture) as part:
+        report.chart(rows, limits).savefig(part, dpi=100)
     print(f"picture: {picture}")
     if numbers:
         print(report.numbers_text(numbers))
         picture = out / "stability_numbers.png"
-        report.numbers_chart(numbers, limits).savefig(picture, dpi=100)
+        with whole(picture) as part:
+            report.numbers_chart(numbers, limits).savefig(part, dpi=100)
         print(f"picture: {picture}")

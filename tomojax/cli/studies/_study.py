@@ -6,13 +6,15 @@ from typing import Any
 
 import click
 
+from tomojax.cli.entry import InputFile, OutputFile, OutputFolder
+
 
 def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
     """Options of a command that leaves `name`.json and pictures in a folder."""
     options = (
         click.option(
             "--out",
-            type=click.Path(file_okay=False, path_type=Path),
+            type=OutputFolder(*_names(name), goes_on=True),
             default=Path(f"tomojax-{name}"),
             show_default=True,
             help="Folder for pictures and rows; run again, it goes on where it was.",
@@ -20,14 +22,17 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
         click.option(
             "--json",
             "json_path",
-            type=click.Path(dir_okay=False, path_type=Path),
-            help=f"Write {report} here. [default: {name}.json in the folder]",
+            type=OutputFile(
+                "report", lambda given: given["out"] / f"{name}.json", makes=True
+            ),
+            help=f"Write {report} here; replaces a report. [default: {name}.json in "
+            "the folder]",
         ),
         click.option("--scenes", type=int, help=scenes),
         click.option("--seed", type=int, default=0, show_default=True),
         click.option(
             "--like",
-            type=click.Path(dir_okay=False, path_type=Path),
+            type=InputFile(),
             help="A recording of the rig: its sheet and electrodes.",
         ),
     )
@@ -38,6 +43,16 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
         return command
 
     return wrapped
+
+
+def _names(name: str) -> list[str]:
+    """Of files in the folder, beside the report."""
+    pictures = {
+        "frontier": ("frontier.png", "frontier_rungs.png", "frontier_rates.png"),
+        "stability": ("stability.png", "stability_numbers.png"),
+    }[name]
+    kept = ("-run.json", "-rows.jsonl", "-scenes.npz")
+    return [*pictures, *(name + suffix for suffix in kept)]
 
 
 def begin(

@@ -6,14 +6,23 @@ from pathlib import Path
 
 import click
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
-_FOLDER = click.Path(file_okay=False, path_type=Path)
+from tomojax._whole import whole, write_text
+from tomojax.cli.entry import Command, OutputFile, OutputFolder
+
+_PICTURES = tuple(f"table1_{name}.png" for name in ("table", "dependence", "images"))
 
 
-@click.command()
-@click.option("--json", "json_path", type=_FILE, help="Write the rows and a summary here.")
+@click.command(cls=Command)
 @click.option(
-    "--out", type=_FOLDER, help="Folder for three pictures; without it, none is drawn."
+    "--json",
+    "json_path",
+    type=OutputFile("report", makes=True),
+    help="Write the rows and a summary here; replaces an earlier report.",
+)
+@click.option(
+    "--out",
+    type=OutputFolder(*_PICTURES),
+    help="Folder for three pictures; without it, none is drawn.",
 )
 def table1(json_path: Path | None, out: Path | None) -> None:
     """Predict the paper's Table I and set it beside the paper's numbers."""
@@ -34,11 +43,12 @@ def table1(json_path: Path | None, out: Path | None) -> None:
             "summary": report.summary(study),
             "environment": environment(),
         }
-        json_path.write_text(json.dumps(told, indent=1) + "\n")
+        write_text(json_path, json.dumps(told, indent=1) + "\n")
     if out:
         from tomojax.studies.table1 import plots
 
         for draw in (plots.table, plots.dependence, plots.images):
             path = out / f"table1_{draw.__name__}.png"
-            draw(study).savefig(path, dpi=110)
+            with whole(path) as part:
+                draw(study).savefig(part, dpi=110)
             print(f"picture: {path}")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 
 from tomojax._programs import Kept, kept
+from tomojax._stopping import stop_if_asked
 from tomojax.methods.points._found import fitting_of
 from tomojax.methods.points._ladder import first, Ladder, steps
 
@@ -45,6 +46,7 @@ def called(
     size = call_size(frames.voltages.shape[1])
     whole: Any = None
     for k in range(0, len(rows), size):
+        stop_if_asked()
         part = np.arange(k, min(k + size, len(rows)))
         filled = np.resize(part, size)
         there = (np.arange(size) < len(part))[:, None, None]

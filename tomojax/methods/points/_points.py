@@ -52,6 +52,7 @@ class Points(AbstractMethod):
     films: ClassVar[bool] = True
     stands_out: ClassVar[float] = 3.3
     padded: ClassVar[bool] = False
+    seconds_per_slot: ClassVar[float] = 3e-4  # of one or two contacts
     blocks: ClassVar[tuple[int, ...]] = (2048,)
 
     shape: tuple[int, int] = eqx.field(static=True)

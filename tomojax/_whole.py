@@ -1,0 +1,125 @@
+"""Files that are there whole or not at all, and that one run at a time writes."""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import monotonic, sleep
+
+try:
+    import fcntl
+except ImportError:  # Windows: nobody is kept from a file
+    fcntl = None
+
+# Seconds in which a lock that others share is asked for again.
+_MOMENT = 1.0
+
+# What is being written: a process that ends at once removes these.
+_unfinished: set[Path] = set()
+
+
+@contextmanager
+def whole(path: Path | str) -> Iterator[Path]:
+    """Gives a name to write to; at the end that file takes the name `path`.
+
+    A pipe or a device, such as /dev/stdout, is written to itself. A symbolic link stays:
+    what it points to is replaced.
+
+    **Raises:** `OSError` that names `path`; then nothing is left of what was written.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    target = Path(os.path.realpath(path))
+    # The suffix stays last: by it pictures know their format.
+    part = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+    _unfinished.add(part)
+    try:
+        yield part
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(part, target)
+    except OSError as error:
+        raise OSError(f"{path}: {reason(error)}") from None
+    finally:
+        remove(part)
+        _unfinished.discard(part)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Writes a text file, whole or not at all."""
+    with whole(path) as part:
+        part.write_text(text)
+
+
+def reason(error: BaseException) -> str:
+    """What the system says is wrong, in one line: HDF5 wraps that in two."""
+    found = re.search(r"error message = '([^']+)'", str(error))
+    text = found[1] if found else getattr(error, "strerror", None) or str(error)
+    return " ".join(text.split())
+
+
+def remove_unfinished() -> None:
+    """Removes what this process is writing: it ends now."""
+    for part in list(_unfinished):
+        remove(part)
+
+
+def remove(part: Path) -> None:
+    """Removes a file; a folder that went away is no error."""
+    with suppress(OSError):
+        part.unlink()
+
+
+@contextmanager
+def held(path: Path, shared: bool) -> Iterator[None]:
+    """Holds the lock file `path`; the system lets go of it when the process ends.
+
+    `shared`: with others that hold it so as well. A disk without locks keeps nobody out.
+
+    **Raises:** `ValueError` where another run holds it.
+    """
+    file = _taken(path, shared)
+    if file is not None and not shared:
+        _unfinished.add(path)
+    try:
+        yield
+    finally:
+        _unfinished.discard(path)
+        if file is not None and fcntl is not None:
+            # The last one removes it, while it is held alone: who opened it meanwhile finds
+            # another in its place.
+            with suppress(OSError):
+                if shared:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()
+            os.close(file)
+
+
+def _taken(path: Path, shared: bool) -> int | None:
+    if fcntl is None:
+        return None
+    # Of those that share, whoever leaves holds it alone for a moment.
+    end = monotonic() + (_MOMENT if shared else 0.0)
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            if monotonic() < end:
+                sleep(0.05)
+                continue
+            out = path.name.removesuffix(".partial.lock")
+            raise ValueError(
+                f"{path.with_name(out)}: another run is writing it; wait for it, or stop it"
+            ) from None
+        except OSError:
+            os.close(file)
+            return None
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file), os.stat(path)):
+                return file
+        os.close(file)

@@ -1,0 +1,21 @@
+"""What all commands have in common: paths that are checked first, Ctrl-C that is heard.
+
+Before a command works, each file that it will write is compared with each that it reads
+and with the others it writes. The room knows no command.
+"""
+
+from tomojax.cli.entry._command import (
+    Command as Command,
+    failed_to_read as failed_to_read,
+    stopped as stopped,
+)
+from tomojax.cli.entry._interrupts import (
+    interrupts as interrupts,
+    listening as listening,
+    STOPPED as STOPPED,
+)
+from tomojax.cli.entry._paths import (
+    InputFile as InputFile,
+    OutputFile as OutputFile,
+    OutputFolder as OutputFolder,
+)

@@ -1,0 +1,56 @@
+"""A command whose paths are checked before it works, and that says what it left."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tomojax.cli.entry._paths import check_paths, paths_read, paths_written, Written
+
+# Of the command that runs: what it writes, and what was there before.
+_running: list[tuple[Written, Any]] = []
+
+
+class Command(click.Command):
+    """As click's; no file is written that is read, or written twice.
+
+    **Raises:** `ValueError` before any work.
+    """
+
+    def invoke(self, ctx: click.Context) -> Any:
+        read, written = paths_read(ctx), paths_written(ctx)
+        check_paths(read, written, ctx.params.get("overwrite"))
+        _running[:] = [(one, _state(one.path)) for one in written]
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:  # click takes it for Ctrl-C
+            raise ValueError(failed_to_read(read, error)) from None
+
+
+def failed_to_read(read: list[Path], error: BaseException) -> str:
+    """One line on input that ended too early."""
+    names = ", ".join(map(str, read)) or "standard input"
+    return f"{names}: ends too early: {error or 'nothing left to read'}"
+
+
+def stopped() -> str:
+    """One line on what a command that is stopped leaves."""
+    for one, _ in _running:
+        partial = one.path.with_name(one.path.name + ".partial")
+        if one.kind == "results" and partial.exists():
+            return f"tomojax: stopped; --resume goes on with {one.path}"
+    for one, _ in _running:
+        if one.goes_on:
+            return f"tomojax: stopped; the same command goes on in {one.folder}"
+    left = [one for one, before in _running if _state(one.path) == before]
+    names = list(dict.fromkeys(str(one.folder or one.path) for one in left))
+    return "tomojax: stopped" + (f"; not written: {', '.join(names)}" if names else "")
+
+
+def _state(path: Path) -> Any:
+    try:
+        about = os.stat(path)
+    except OSError:
+        return None
+    return about.st_ino, about.st_mtime_ns, about.st_size

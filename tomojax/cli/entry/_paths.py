@@ -1,0 +1,178 @@
+"""Types of options that are paths: what is read, what is written."""
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from tomojax._require import require
+from tomojax.cli.entry._kinds import KINDS, PICTURES
+
+# Where a context keeps what it was told to read.
+_READ = "tomojax.read"
+
+# What a results file has beside it while it is made.
+_BESIDE = (".partial", ".partial.new", ".partial.done", ".partial.lock")
+_BESIDE += (".partial.state", ".partial.state.new")
+
+Beside = Callable[[dict[str, Any]], Path]
+
+
+class InputFile(click.Path):
+    """A file that the command reads, and so never writes; `empty`: it may be."""
+
+    def __init__(self, empty: bool = False):
+        super().__init__(path_type=Path)
+        self.empty = empty
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not self.empty and path.is_file() and path.stat().st_size == 0:
+            expected = "expected one with something in it"
+            self.fail(f"{path}: got an empty file, {expected}", param, ctx)
+        if ctx is not None:
+            ctx.meta.setdefault(_READ, []).append(path)
+        return path
+
+
+class OutputFile(click.Path):
+    """A file that the command writes.
+
+    `kind` of `KINDS`, whose files alone are replaced; "results" and "recording" have rules
+    of their own. `beside`: its name by default, from the other values. `also`: suffixes of
+    companions that may be written beside it. `makes`: the command makes its folder.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        beside: Beside | None = None,
+        also: tuple[str, ...] = (),
+        makes: bool = False,
+    ):
+        super().__init__(path_type=Path)
+        self.kind, self.beside, self.also, self.makes = kind, beside, also, makes
+
+
+class OutputFolder(click.Path):
+    """A folder, and the names of files that the command writes there.
+
+    `goes_on`: the same command goes on with what is there.
+    """
+
+    def __init__(self, *names: str, goes_on: bool = False):
+        super().__init__(file_okay=False, path_type=Path)
+        self.names, self.goes_on = names, goes_on
+
+
+class Written(NamedTuple):
+    """A file that a command will write."""
+
+    path: Path
+    option: str
+    kind: str
+    makes: bool
+    beside: tuple[Path, ...]  # what the work itself needs beside it
+    folder: Path | None = None  # of all its files, where the option names that
+    goes_on: bool = False
+
+
+def paths_read(context: click.Context) -> list[Path]:
+    """Lists the files that the command was told to read; a source may be one."""
+    found = list(context.meta.get(_READ, ()))
+    source = context.params.get("source")
+    if isinstance(source, str) and Path(source).is_file():
+        found.append(Path(source))
+    return found
+
+
+def paths_written(context: click.Context) -> list[Written]:
+    """Lists the files that the command will write; sets names that have a default."""
+    found = []
+    for parameter in context.command.params:
+        kind, name = parameter.type, parameter.name
+        if not isinstance(kind, OutputFile | OutputFolder) or name is None:
+            continue
+        value = context.params.get(name)
+        if value is None and isinstance(kind, OutputFile) and kind.beside:
+            value = context.params[name] = kind.beside(context.params)
+        if value is not None:
+            found += _files(kind, max(parameter.opts, key=len), value)
+    return found
+
+
+def _files(kind: OutputFile | OutputFolder, option: str, path: Path) -> Iterator[Written]:
+    if isinstance(kind, OutputFolder):
+        for name in kind.names:
+            what = {".png": "picture", ".gif": "picture", ".h5": "results"}
+            of = what.get(Path(name).suffix, "")
+            yield Written(path / name, option, of, True, (), path, kind.goes_on)
+        return
+    beside = [path.with_name(path.stem + suffix) for suffix in kind.also]
+    if kind.kind == "results":
+        beside += [path.with_name(path.name + suffix) for suffix in _BESIDE]
+    yield Written(path, option, kind.kind, kind.makes, tuple(beside))
+
+
+def check_paths(read: list[Path], written: list[Written], overwrite: bool | None) -> None:
+    """**Raises:** `ValueError` where work would destroy, or could not be kept.
+
+    `overwrite`: of a command that has such an option.
+    """
+    known = {_identity(path): f"read from {path}" for path in read}
+    for one in written:
+        for path in (one.path, *one.beside):
+            here = _identity(path)
+            require(
+                here not in known,
+                f"{one.option}: {path}",
+                f"a file that is {known.get(here)}",
+                "another name",
+            )
+        for path in (one.path, *one.beside):
+            known[_identity(path)] = f"written by {one.option}"
+        _check_place(one)
+        _check_replaced(one, overwrite)
+
+
+def _identity(path: Path) -> Any:
+    """The same for two names of one file: through links, and where there is none yet."""
+    try:
+        about = path.stat()
+    except OSError:
+        return os.path.normcase(os.path.realpath(path))
+    return about.st_dev, about.st_ino
+
+
+def _check_place(one: Written) -> None:
+    path, folder = one.path, one.path.parent
+    require(not path.is_dir(), f"{one.option}: {path}", "a folder", "a file's name")
+    if one.kind == "picture":
+        names = ", ".join(PICTURES)
+        fine = path.suffix.lower() in (*PICTURES, ".gif")
+        require(fine, f"{one.option}: {path}", repr(path.suffix), f"a name with {names}")
+    if one.makes:
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+    if not folder.is_dir():
+        raise ValueError(f"{path}: no such folder; make it, or give another")
+    may = os.access(folder, os.W_OK) or (path.exists() and not path.is_file())
+    require(may, f"{one.option}: {path}", "no permission", "a folder that can be written")
+
+
+def _check_replaced(one: Written, overwrite: bool | None) -> None:
+    """A file that is there is replaced only by one of its own kind."""
+    words, is_one = KINDS.get(one.kind, ("", None))
+    path = one.path
+    # Without --overwrite the command itself says that a file is there.
+    refused = overwrite is False and one.kind == "calibration"
+    if is_one is None or refused or not path.is_file() or not path.stat().st_size:
+        return
+    require(
+        is_one(path),
+        f"{one.option}: {path}",
+        "a file that is there already and is something else",
+        f"a new name, or {words} to replace",
+    )
