@@ -38,3 +38,4 @@ class Flag(enum.IntFlag):
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
     PLACE_UNCERTAIN = 524288  # a place is no better known than to half a pitch
     CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told
+    CLOCK_MENDED = 2097152  # the row's time is not the rig's clock's, which fell or stood
