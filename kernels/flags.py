@@ -54,6 +54,7 @@ class Flag(enum.IntFlag):
     CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
     PLACE_UNCERTAIN = 524288  # a place is no better known than to half a pitch
     CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told
+    CLOCK_MENDED = 2097152  # the row's time is not the rig's clock's, which fell or stood
     GROUND_NOT_LOWEST = 4194304  # another electrode is lower than the one told as grounded
     AGAINST_DRIVE = 8388608  # voltages are against the direction of the drive
 

@@ -30,6 +30,8 @@ class Counters:
     early: int = 0  # slots from before the rig's description: not given out
     disconnects: int = 0
     restarts: int = 0  # the rig was switched off and on
+    jumps: int = 0  # times that its slot numbers jumped
+    clock: int = 0  # slots at which its clock fell or stood: told again by the recording
 
     def as_dict(self) -> dict[str, int]:
         return asdict(self)

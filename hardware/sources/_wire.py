@@ -11,6 +11,7 @@ from jaxtyping import Int
 
 from tomojax._require import require
 from tomojax.hardware.sources import _frames as frames
+from tomojax.hardware.sources._numbers import Clock, Numbers, Placed
 from tomojax.hardware.sources._source import Counters, Got, SlotSource
 
 # After so long without a message the rig is asked to start again, s; and a start that
@@ -19,8 +20,6 @@ _SILENCE, _NO_ANSWER = 0.25, 5.0
 
 # Slots with another ground than asked for, until it is asked for again.
 _PATIENCE = 50
-
-_HALF = 2**31
 
 
 class Link(ABC):
@@ -49,6 +48,7 @@ class WireSource(SlotSource):
     It goes on through whatever becomes of the line: a link that is cut is opened again, a
     rig that is silent is asked to start again. Slots of a rig that went on meanwhile are
     counted by their numbers, those of one that was switched off by the time that went by.
+    Numbers that jump and a clock that falls are met as `Numbers` and `Clock` say.
     """
 
     def __init__(self, link: Link, electrodes: int = 64):
@@ -61,10 +61,10 @@ class WireSource(SlotSource):
         self._grounds: tuple[int, ...] | None = None
         self._unheeded = 0
         self._messages: deque[tuple[bytes, float]] = deque()
-        self._next = 0  # sequence number of the next slot
+        self._ready: deque[tuple[frames.Slot, Got]] = deque()
+        self._order, self._clock = Numbers(self.counters), Clock(self.counters)
         self._number = self._missed = 0
-        self._clock = (0, 0.0)  # µs of the rig's, and the `time` that it is
-        self._begins: float | None = 0.0  # the next slot's `time`, where its clock is new
+        # When a slot was last given out, or the rig described itself.
         self._heard = self._asked = self._opened = 0.0
         self._last: Got | None = None
 
@@ -89,11 +89,12 @@ class WireSource(SlotSource):
     def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
         end = time.perf_counter() + timeout
         while True:
-            while self._messages:
-                slot = self._take(*self._messages.popleft())
-                if slot is not None:
-                    np.copyto(codes, slot[0].codes)
-                    return slot[1]
+            while self._messages and not self._ready:
+                self._take(*self._messages.popleft())
+            if self._ready:
+                slot, got = self._ready.popleft()
+                np.copyto(codes, slot.codes)
+                return got
             left = end - time.perf_counter()
             if left <= 0:
                 return None
@@ -112,7 +113,7 @@ class WireSource(SlotSource):
 
     @property
     def waiting(self) -> int:
-        return len(self._messages)
+        return len(self._messages) + len(self._ready)
 
     def _ask(self) -> None:
         self._asked = time.perf_counter()
@@ -147,46 +148,40 @@ class WireSource(SlotSource):
             self._ask()
         if not self._open:  # cut again by what was just sent
             return
+        # Whatever else comes: noise, or slots of another rig, are no answer.
+        if time.perf_counter() - max(self._heard, self._asked) > _SILENCE:
+            self._ask()
+            if not self._open:
+                return
         try:
             found, now = self._link.receive(min(timeout, _SILENCE))
         except OSError:
             self._cut()
             return
-        if found:
-            self._heard = now
-            self._messages.extend((message, now) for message in found)
-        elif now - max(self._heard, self._asked) > _SILENCE:
-            self._ask()
+        self._messages.extend((message, now) for message in found)
 
-    def _take(self, message: bytes, arrived: float) -> tuple[frames.Slot, Got] | None:
+    def _take(self, message: bytes, arrived: float) -> None:
         found = frames.unpack(message, self.electrodes)
         if found is None:
             self.counters.bad += 1
-            return None
-        if isinstance(found, frames.Description):
+        elif isinstance(found, frames.Description):
             self._describe(found, arrived)
-            return None
-        if self._told is None:
+        elif self._told is None:
+            # It goes on from before this program: it is asked again what it is.
             self.counters.early += 1
-            # It goes on from before this program: it is to say what it is.
-            if arrived - self._asked > _SILENCE:
-                self._ask()
-            return None
-        ahead = (found.sequence - self._next) % 2**32
-        if ahead >= _HALF:
-            self.counters.late += 1
-            return None
-        return found, self._got(found, ahead, arrived)
+        else:
+            for placed in self._order.add(found, arrived):
+                self._ready.append((placed.slot, self._got(placed)))
 
-    def _got(self, slot: frames.Slot, ahead: int, arrived: float) -> Got:
-        lost = ahead + self._missed
-        self._missed = 0
-        self._next = (slot.sequence + 1) % 2**32
-        if self._begins is not None:
-            self._clock, self._begins = (slot.microseconds, self._begins), None
+    def _got(self, placed: Placed) -> Got:
+        slot, arrived = placed.slot, placed.arrived
+        lost = placed.lost + self._missed
+        self._missed, self._heard = 0, arrived
+        away = (lost + 1) / self.rate
+        if placed.anew and self._last is not None:
+            self._clock.begin(self._last.time + away)
         self._number += lost
-        began, base = self._clock
-        when = base + 1e-6 * (slot.microseconds - began)
+        when = self._clock(slot.microseconds, away)
         got = Got(slot.ground, lost, self._number, when, arrived)
         self._number += 1
         self.counters.lost += lost
@@ -205,6 +200,11 @@ class WireSource(SlotSource):
             self.set_grounds(self._grounds)
 
     def _describe(self, told: frames.Description, arrived: float) -> None:
+        before = self._told
+        another = before is not None and before.session != told.session
+        if another and arrived - self._asked > _NO_ANSWER:
+            self.counters.bad += 1  # nobody asked: it is another rig's
+            return
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         numbers = told.rate, told.scale, told.offset
@@ -212,7 +212,7 @@ class WireSource(SlotSource):
         require(
             sound, "rate, scale, offset", f"a rig with {numbers}", "a rate, and a scale"
         )
-        before, self._told = self._told, told
+        self._told = told
         if before is not None:
             # What is recorded and worked on would mean something else from here on.
             was = before.rate, before.scale, before.offset
@@ -220,14 +220,15 @@ class WireSource(SlotSource):
                 numbers == was, "rate, scale, offset", f"a rig with {numbers}", f"{was}"
             )
         self.rate, self.scale, self.offset = numbers
+        self._order.rate, self._heard = told.rate, arrived
         if before is None:
-            self._next = told.sequence
-        elif before.session != told.session:
+            self._order.begin(told.sequence, arrived)
+        elif another:
             # Its numbers began anew: what was lost is told by the time.
             self.counters.restarts += 1
-            self._next = told.sequence
+            self._order.begin(told.sequence, arrived)
             last = self._last
             if last is not None:
                 away = max(1, round((arrived - last.arrived) * told.rate))
                 self._missed += away
-                self._begins = last.time + (away + 1) / told.rate
+                self._clock.begin(last.time + (self._missed + 1) / told.rate)

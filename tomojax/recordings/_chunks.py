@@ -74,6 +74,8 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
     )
     bits = bits.copy()
     bits[_after_gaps(recording, scans.t0, first)[keep], 0] |= np.uint32(Flag.GAP)
+    if len(recording.retimed):
+        bits[recording.retimed[start:stop]] |= np.uint32(Flag.CLOCK_MENDED)
     t0 = scans.t0[keep]
     if rate == "scan":
         return Chunk(t0, v, grounds, good, np.bitwise_or.reduce(bits, 1))

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax.recordings._clock import mended_gaps, mended_times
 from tomojax.recordings._recording import (
     check,
-    check_times,
     Recording,
     Rig,
     Scans,
@@ -108,8 +108,20 @@ class Hdf5Recording(Recording):
             whole = np.flatnonzero(np.isfinite(self._t0))
             self.scans = int(whole[-1]) + 1 if len(whole) else 0
             self._t0 = self._t0[: self.scans]
+        self.gaps, said = mended_gaps(self.gaps, self.scans)
+        self.mended += said
         check(self)
-        check_times(self._t0, self.slots, self.rig.f_switch)
+        self._believe()
+
+    def _believe(self) -> None:
+        """Times of a clock that can be believed, and elsewhere by the scans' numbers."""
+        rows = self.rows_after_gaps()
+        lost = np.zeros(self.scans + 1, np.int64)
+        np.add.at(lost, np.minimum(rows, self.scans), self.gaps[:, 1])
+        numbers = np.arange(self.scans) + np.cumsum(lost)[: self.scans]
+        usual = self.slots / self.rig.f_switch
+        self._t0, self.retimed, said = mended_times(self._t0, numbers, usual)
+        self.mended += said
 
     def _dataset(self, name: str, axes: int, kinds: str) -> h5py.Dataset:
         found = self._file.get(name)

@@ -20,7 +20,6 @@ SCHEMA, VERSION = "tomojax-recording", 1
 _NUMBERS = (1e-9, 1e12)
 _LARGEST_SHEET = 10.0  # m
 _FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
-_SCAN_INTERVALS = (0.5, 100.0)  # between scans, over the time of their slots
 
 # The paper's rig, for forms that do not say.
 PAPER = {
@@ -136,6 +135,8 @@ class Recording(ABC):
     slots: int
     electrodes: int
     gaps: np.ndarray
+    mended: tuple[str, ...] = ()  # what the reader put right, in sentences
+    retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
@@ -235,26 +236,6 @@ def check(recording: Recording) -> None:
     require(recording.slots > 0, "v", "no slots in a scan", "at least one")
     check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
     _check_gaps(recording)
-
-
-def check_times(t0: np.ndarray, slots: int, f_switch: float) -> None:
-    """Start times that rise, at an interval that fits the slots."""
-    require(np.isfinite(t0).all(), "t0", "NaN or infinite", "seconds")
-    if len(t0) < 2:
-        return
-    steps = np.diff(t0)
-    back = np.flatnonzero(steps <= 0)
-    require(
-        not back.size, "t0", f"falls or repeats after scan {back[:1]}", "rising seconds"
-    )
-    ratio = float(np.median(steps)) * f_switch / slots
-    low, high = _SCAN_INTERVALS
-    require(
-        low <= ratio <= high,
-        "t0",
-        f"scans {np.median(steps):.3g} s apart",
-        f"seconds: {slots} slots at f_switch = {f_switch:g} Hz: {slots / f_switch:.3g} s",
-    )
 
 
 def _check_gaps(recording: Recording) -> None:

@@ -30,6 +30,7 @@ def summary(recording: Recording) -> dict:
         "size_m": list(rig.size),
         "electrode_diameter_m": rig.electrode_diameter,
         "notes": rig.notes,
+        "mended": list(recording.mended),
     }
 
 
@@ -93,6 +94,7 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
         lines.append(
             f"  {found['scans_lost']} scans lost; numbers below count those present"
         )
+    lines += [f"  put right: {sentence}" for sentence in found["mended"]]
     if not rows:
         lines.append("  no faults")
     for row in rows:
