@@ -136,6 +136,7 @@ class Recording(ABC):
     slots: int
     electrodes: int
     gaps: np.ndarray
+    mended: tuple[str, ...] = ()  # what the reader put right, in sentences
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
