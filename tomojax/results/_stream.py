@@ -23,6 +23,7 @@ from tomojax.calibration import force, tare
 from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
 from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
 from tomojax.results._chosen import Chosen
+from tomojax.results._load import attributes as attributes_of
 from tomojax.results._settings import chunk_scans, film_rows, Settings
 from tomojax.sensor import Calibration
 
@@ -101,7 +102,7 @@ def reconstruct_recording(
     file = _file.ResultsFile(out, -(-recording.scans // size))
     config = _configuration(recording, settings, size)
     if (resume or share[0] > 0) and out.exists() and not file.partial.exists():
-        _require_same(config, _file.attributes(out), out)
+        _require_same(config, attributes_of(out), out)
         if alone:
             file.discard()  # the marks of a run that was killed as it ended
         return out
@@ -127,7 +128,7 @@ def reconstruct_recording(
         else:
             lam = choose_lambda(recording, model, settings, calibration)
         _create(file, recording, settings, calibration, model, lam, config)
-    attributes = _file.attributes(file.partial)
+    attributes = attributes_of(file.partial)
     _require_same(config, attributes, file.partial)
     if follows:
         solve: Any = model
@@ -181,7 +182,7 @@ def _configuration(recording: Recording, settings: Settings, size: int) -> dict:
 def calibration_of(recording: Recording, settings: Settings) -> Calibration:
     """That of the settings, with zeros from the recording itself where it tells them."""
     given = settings.calibration
-    calibration = Calibration.load(given) if given else Calibration()
+    calibration = Calibration.load(given, recording.electrodes) if given else Calibration()
     return tare(recording, calibration) if settings.tare else calibration
 
 
