@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from tomojax._require import require
-from tomojax.files import read_npz, read_table
 from tomojax.calibration._calibrate import Calibrated, calibrated
 from tomojax.calibration._tare import tare
+from tomojax.files import read_npz, read_table
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 

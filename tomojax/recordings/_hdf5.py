@@ -39,8 +39,9 @@ class Hdf5Recording(Recording):
     """A file of the form "Recording, version 1".
 
     Also one that is still being written in HDF5's SWMR mode, or that a crash left so: the
-    scans that are there when it is opened, and before the end where it is cut off. MATLAB's files have no attributes: there they
-    are variables of the same names, and every array has its axes in MATLAB's order.
+    scans that are there when it is opened, and before the end where it is cut off.
+    MATLAB's files have no attributes: there they are variables of the same names, and every
+    array has its axes in MATLAB's order.
     """
 
     def __init__(self, path: Path):
