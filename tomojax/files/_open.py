@@ -141,13 +141,17 @@ class OpenContainer:
             size = f"{row * (stop - start)} bytes"
             raise ValueError(f"{name}: got {size}, expected what this machine holds")
         each = max(1, _PIECE // row)
-        pieces = [
-            self._piece(name, at, min(at + each, stop), axis)
-            for at in range(start, stop, each)
-        ]
-        if not pieces:
-            pieces = [self._piece(name, start, start, axis)]
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis)
+        if stop - start <= each:
+            return self._piece(name, start, stop, axis)
+        made = np.empty(
+            (*shape[:-1], stop - start) if axis else (stop - start, *shape[1:]),
+            self.dtype(name),
+        )
+        for at in range(start, stop, each):
+            part = slice(at - start, min(at + each, stop) - start)
+            piece = self._piece(name, at, min(at + each, stop), axis)
+            made[(..., part) if axis else part] = piece
+        return made
 
     def read_whole(self, name: str) -> np.ndarray:
         """A dataset that is needed at once, of rows that lie in the file.

@@ -197,7 +197,7 @@ class RowWriter:
                 continue
             offset, kind, shape = self._place[name]
             some = np.ascontiguousarray(some, kind)
-            require(some.shape[1:] == shape, name, f"shape {shape}", some.shape[1:])
+            require(some.shape[1:] == shape, name, f"shape {shape}", f"{some.shape[1:]}")
             row = kind.itemsize * int(np.prod(shape))
             _write_all(self._data, some, offset + start * row)
 

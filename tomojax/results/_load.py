@@ -12,6 +12,8 @@ from tomojax.methods import fields_of_rows
 
 SCHEMA, VERSION = "tomojax-results", 1
 
+_ROWS = 1 << 14  # read at once, where few of them are kept
+
 # A covariance is no one's where xy² exceeds xx·yy by more than float32's rounding; a
 # variance below 0 by as little, m².
 _ROUNDING, _LEAST = 1e-3, 1e-15
@@ -98,6 +100,22 @@ class LoadedResults:
             text = text if text.startswith(name) else f"{name}: cannot be read ({text})"
             raise ValueError(f"{self.path}: {text}") from None
         return values
+
+    def stretch(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Rows `start` to `stop` of a dataset."""
+        try:
+            return self._file.read(name, start, stop)
+        except (OSError, ValueError) as error:
+            told = f"{name}: rows {start} to {stop} cannot be read ({error})"
+            raise ValueError(f"{self.path}: {told}") from None
+
+    def thinned(self, name: str, step: int) -> np.ndarray:
+        """Every so many rows of a dataset."""
+        each = step * max(1, _ROWS // step)
+        starts = range(0, self.rows, each)
+        return np.concatenate(
+            [self.stretch(name, at, min(at + each, self.rows))[::step] for at in starts]
+        )
 
     def unit(self, name: str) -> dict[str, Any]:
         """Attributes of a dataset."""
