@@ -80,15 +80,21 @@ class LoadedResults:
         require(one, f"{self.path}: {name}", str(value)[:40], "one number")
         return float(value)  # pyright: ignore
 
-    def sheet(self) -> tuple[np.ndarray, int]:
-        """The sheet's size, m, and the number of electrodes."""
-        size, xy = (np.asarray(self.attributes.get(n)) for n in ("size", "electrode_xy"))
+    def size(self) -> np.ndarray:
+        """The sheet's, m."""
+        size = np.asarray(self.attributes.get("size"))
         fine = size.shape == (2,) and size.dtype.kind == "f"
         fine = fine and bool(np.isfinite(size).all() and (size > 0).all())
         require(fine, f"{self.path}: size", str(size)[:40], "two lengths, m")
-        fine = xy.ndim == 2 and xy.shape[1] == 2 and len(xy) > 0
+        return size
+
+    def electrode_xy(self) -> np.ndarray:
+        """The electrodes' places (M, 2), m."""
+        xy = np.asarray(self.attributes.get("electrode_xy"))
+        fine = xy.ndim == 2 and xy.shape[1] == 2 and len(xy) > 0 and xy.dtype.kind in "iuf"
+        fine = fine and bool(np.isfinite(xy).all())
         require(fine, f"{self.path}: electrode_xy", f"shape {xy.shape}", "(M, 2), m")
-        return size, len(xy)
+        return xy
 
     def read(self, name: str) -> np.ndarray:
         """A dataset, whose values are judged where they can be wrong."""

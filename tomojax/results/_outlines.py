@@ -153,7 +153,7 @@ def write_outlines(results: Path, out: Path) -> int:
     with LoadedResults(results) as file:
         has = {"touch", "image", "contact_count"} <= set(file.names)
         require(has, f"{results}", "no image of touch", "results of --method shape")
-        size = file.sheet()[0]
+        size = file.size()
     write = _svg if out.suffix.lower() == ".svg" else _geojson
     return write(_rows(results, size), size, out)
 

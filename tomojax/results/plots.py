@@ -33,11 +33,11 @@ def timeline(path: Path) -> Figure:
             name = "residual_by_electrode"
             if name in file.names and "electrode_xy" in file.attributes:
                 each = 1e3 * file.stretch(name, strongest, strongest + 1)[0]
-                electrodes = 1e3 * file.attributes["electrode_xy"]
+                electrodes = 1e3 * file.electrode_xy()
         covariance = None
         if "contact_covariance" in file.names:
             covariance = file.thinned("contact_covariance", step)
-        width, height = 1e3 * file.sheet()[0]
+        width, height = 1e3 * file.size()
     figure = Figure(figsize=(14, 8), layout="constrained")
     grid = figure.add_gridspec(4, 3)
     left = [figure.add_subplot(grid[k, :2]) for k in range(4)]

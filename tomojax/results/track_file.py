@@ -41,7 +41,7 @@ def track_results(
     check_output(out, resume=False, overwrite=overwrite)
     require(path.resolve() != out.resolve(), f"{out}", "the results file", "another name")
     with LoadedResults(path) as file:
-        size, electrodes = file.sheet()
+        size, electrodes = file.size(), len(file.electrode_xy())
         drive, sheet = (file.number(n) for n in ("drive_voltage", "sheet_resistance"))
         told = "contact_covariance" in file.names
         need = "results of points or auto, with contact_covariance"
