@@ -80,14 +80,15 @@ class Hdf5:
             found = h5py.h5o.open(self._file.id, name.encode("utf-8", "surrogateescape"))
             if not isinstance(found, h5py.h5d.DatasetID):
                 raise Refused("a group, or another thing without numbers")
-            _require_own(found, self.size)
+            stored = _stored(found, self.size, self.growing)
+            _require_own(found, self.size, stored)
             dataset = h5py.Dataset(found)
             told = _numbers(dataset)
             rows = self._rows(dataset)
             told["attributes"] = _attributes(dataset)
             self._datasets[name] = dataset
             told["place"] = found.get_offset()
-            told["stored"] = min(found.get_storage_size(), self.size)
+            told["stored"] = stored
             return told | {"whole_rows": rows}
         except Refused as error:
             return {"refused": str(error)}
@@ -122,7 +123,17 @@ class Hdf5:
         return np.asarray(dataset[..., start:stop] if axis else dataset[start:stop])
 
 
-def _require_own(found: Any, size: int) -> None:
+def _stored(found: Any, size: int, growing: bool) -> int:
+    """Bytes of a dataset in the file, of which a part may be cut off."""
+    try:
+        return min(found.get_storage_size(), size)
+    except Exception:
+        if not growing:
+            raise
+        return size  # the index of chunks is not all there
+
+
+def _require_own(found: Any, size: int, stored: int) -> None:
     """**Raises:** `Refused` for data that do not lie in the file, or of no size of ours."""
     plist = found.get_create_plist()
     layout = plist.get_layout()
@@ -145,7 +156,6 @@ def _require_own(found: Any, size: int) -> None:
         place = found.get_offset()
         if place is not None and place + declared > size:
             raise Refused(f"{declared} bytes, beyond the file's end")
-    stored = min(found.get_storage_size(), size)
     if declared > _SLACK + _RATIO * stored:
         raise Refused(f"shape {shape} in {stored} bytes")
 

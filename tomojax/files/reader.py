@@ -97,7 +97,8 @@ def _said(error: Exception) -> dict[str, Any]:
         text = f"more than {_MEMORY >> 20} MB for what a file of its size holds"
     # `ModuleNotFoundError` is told by the name of what is not installed.
     missing = getattr(error, "name", None)
-    return {"error": text, "kind": type(error).__name__, "missing": missing}
+    kind = "OSError" if isinstance(error, OSError) else type(error).__name__
+    return {"error": text, "kind": kind, "missing": missing}
 
 
 def _warm() -> None:
