@@ -4,10 +4,15 @@ from typing import Any
 
 import numpy as np
 
+# Of what came, letters that a line shows: an array's have many lines, a file's text any.
+_SHOWN = 200
+
 
 def require(condition: Any, name: str, got: Any, expected: str) -> None:
     if not condition:
-        raise ValueError(f"{name}: got {got}, expected {expected}")
+        text = " ".join(str(got).split())
+        text = text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
+        raise ValueError(f"{name}: got {text}, expected {expected}")
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax.files import read_npz
 from tomojax.hardware.sources import _frames as frames
 
 # Waits longer than this are slept, s; the rest is spun, as sleeping wakes late.
@@ -127,7 +128,7 @@ class Firmware:
     """State and faults; `run` until the time is up."""
 
     def __init__(self, link: Pty | Udp, options: argparse.Namespace):
-        scene = np.load(options.scene)
+        scene = read_npz(options.scene, "no scene", ("voltages", "dwell"))
         self._link, self._options = link, options
         self._rng = np.random.default_rng(options.seed)
         full = 32000 / max(5.0, float(np.abs(scene["voltages"]).max()))

@@ -75,7 +75,7 @@ def results(tmp_path):
     path = tmp_path / "rows.h5"
     touch = np.stack([image(ellipse), np.zeros(SHAPE)])
     with h5py.File(path, "w") as file:
-        file.attrs["size"] = SIZE
+        file.attrs.update(schema="tomojax-results", schema_version=1, size=SIZE)
         file["t"] = [0.5, 1.0]
         file["touch"], file["image"] = touch, 0.3 * touch
         file["contact_count"] = np.array([1, 0], np.uint8)

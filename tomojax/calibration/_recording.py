@@ -10,6 +10,7 @@ from jaxtyping import Float, Integer
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated, calibrated
 from tomojax.calibration._tare import tare
+from tomojax.files import read_npz, read_table
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 
@@ -180,14 +181,12 @@ def read_places(path: Path) -> Float[np.ndarray, "n 2"]:
     """
     try:
         if path.suffix == ".npz":
-            with np.load(path) as file:
-                places = file["xy"]
+            places = read_npz(path, "places", ["xy"])["xy"]
         else:
-            places = np.genfromtxt(path, delimiter=",", comments="#")
+            places = read_table(path, "places")
             places = places[1:] if np.isnan(places[:1]).all() else places
-    except (OSError, KeyError, ValueError) as error:
-        why = str(error).splitlines()[0]
-        raise ValueError(f"{path}: places: {why}; give x and y in metres") from None
+    except ValueError as error:
+        raise ValueError(f"{error}; give x and y in metres") from None
     fits = places.ndim == 2 and places.shape[1] == 2
     require(fits, f"{path}: places", f"shape {places.shape}", "(n, 2), x and y in metres")
     return np.asarray(places, float)

@@ -36,6 +36,7 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     2.0 mV
     """
     calibration = calibration or Calibration()
+    calibration.check_count(recording.electrodes)
     v, grounds = quiet_slots(recording, calibration)
     if len(v) < _LEAST:
         return calibration

@@ -1,7 +1,6 @@
 """Commands on rigs: `tomojax record` and `tomojax live`."""
 
 import sys
-import tomllib
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> 
 
 
 def _read_config(context: click.Context, path: Path) -> None:
+    from tomojax.files import read_toml
+
     try:
-        found = tomllib.loads(path.read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
-        raise click.BadParameter(f"{path}: {error}") from None
+        found = read_toml(path, "no options in TOML")
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
     keys = {}
     for key, value in found.items():
         name = key.replace("-", "_")
@@ -214,6 +215,11 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     calibration = None if path is None else Calibration.load(path)
 
     def compiled(sensor: Any) -> Any:
+        if calibration is not None:
+            try:
+                calibration.check_count(sensor.electrode_count)
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from None
         print("compiling …", file=sys.stderr)
         own = policy.endswith(".npz")
         return make_step(

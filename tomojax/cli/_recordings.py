@@ -240,11 +240,11 @@ def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict
     from tomojax.recordings import info, open_recording
 
     known = None
-    if calibration is not None:
-        from tomojax.sensor import Calibration  # imports JAX: a recording alone needs none
-
-        known = Calibration.load(calibration)
     with open_recording(rec, **tdms) as recording:
+        if calibration is not None:
+            from tomojax.sensor import Calibration  # imports JAX: REC alone needs none
+
+            known = Calibration.load(calibration, recording.electrodes)
         summary = info.summary(recording)
         with _bar((0, 1)) as bar:
             bar.set_description("info")

@@ -76,7 +76,7 @@ def calibrate(
     with open_recording(rec, **tdms) as recording:
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
-        older = Calibration.load(before) if before else None
+        older = Calibration.load(before, recording.electrodes) if before else None
         try:
             found = room.calibrated_recording(
                 recording, told, frames, calibration=older, progress=say

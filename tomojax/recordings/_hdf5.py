@@ -1,17 +1,14 @@
 """Recording version 1 in HDF5, and the same fields as variables of a MATLAB v7.3 file."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
-# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
-# (h5py does not say whether a name is a group or a dataset)
 
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax.files import open_container, OpenContainer
 from tomojax.recordings._clock import mended_gaps, mended_times
 from tomojax.recordings._recording import (
     check,
@@ -34,21 +31,26 @@ _NUMBERS = (
 
 _MEND = "copy it again from where it was recorded"
 
+# What no rig has.
+_MOST_ELECTRODES, _MOST_SLOTS = 4096, 1 << 16
+
 
 class Hdf5Recording(Recording):
     """A file of the form "Recording, version 1".
 
     Also one that is still being written in HDF5's SWMR mode, or that a crash left so: the
-    scans that are there when it is opened. MATLAB's files have no attributes: there they
-    are variables of the same names, and every array has its axes in MATLAB's order.
+    scans that are there when it is opened, and before the end where it is cut off.
+    MATLAB's files have no attributes: there they are variables of the same names, and every
+    array has its axes in MATLAB's order.
     """
 
     def __init__(self, path: Path):
         self.path = path
-        self._file, self._growing = _open(path)
+        self._file = _open(path)
+        self._growing = self._file.growing
         try:
             self._load()
-        except (KeyError, RuntimeError, OSError) as error:
+        except OSError as error:
             self._file.close()
             reason = str(error).strip("'\"")
             raise ValueError(f"file: damaged ({reason}); {_MEND}") from None
@@ -57,29 +59,38 @@ class Hdf5Recording(Recording):
             raise
 
     def _load(self) -> None:
-        matlab = any("MATLAB_class" in item.attrs for item in self._file.values())
+        named = [n for n in self._file.names if self._file.refused(n) is None]
+        matlab = any("MATLAB_class" in self._file.attributes_of(n) for n in named)
         field = _variables(self._file) if matlab else _attributes(self._file)
         _check_schema(field)
-        v, ground = self._dataset("v", 3, "iu"), self._dataset("ground", 2, "iu")
-        t0 = self._dataset("t0", 2 if matlab else 1, "fiu")
+        v, ground = self._shape("v", 3, "iu"), self._shape("ground", 2, "iu")
+        t0 = self._shape("t0", 2 if matlab else 1, "fiu")
         self._axes = -1 if matlab else 0
-        self._v, self._ground = v, ground
-        shape = v.shape[::-1] if matlab else v.shape
-        scans, self.slots, self.electrodes = shape
+        require(not matlab or 1 in t0, "t0", f"shape {t0}", "one row or column")
+        scans, self.slots, self.electrodes = v[::-1] if matlab else v
+        counts = self.electrodes <= _MOST_ELECTRODES and self.slots <= _MOST_SLOTS
+        most = f"up to {_MOST_SLOTS} slots of {_MOST_ELECTRODES} electrodes"
+        require(counts, "v", f"{self.slots} of {self.electrodes}", most)
         lengths = {
             "v": scans,
-            "ground": ground.shape[self._axes],
-            "t0": max(t0.shape) if matlab else t0.shape[0],
+            "ground": ground[self._axes],
+            "t0": max(t0) if matlab else t0[0],
         }
         self.scans = min(lengths.values()) if self._growing else scans
         for name, length in lengths.items():
             fits = length == self.scans or self._growing
             require(fits, name, f"{length} scans", f"{scans}, as v has")
-        slots = ground.shape[::-1][1] if matlab else ground.shape[1]
+        slots = ground[::-1][1] if matlab else ground[1]
         require(slots == self.slots, "ground", f"{slots} slots", f"{self.slots}, as v has")
-        require(self._file["v"].dtype.itemsize <= 4, "v", v.dtype, "integer codes")
-        xy = self._dataset("electrode_xy", 2, "f")[()]
-        gaps = self._dataset("gaps", 2, "iuf")[()] if "gaps" in self._file else _NO_GAPS
+        kind = self._file.dtype("v")
+        require(kind.itemsize <= 4, "v", kind, "integer codes")
+        self._shape("electrode_xy", 2, "f")
+        xy = self._file.read_whole("electrode_xy")
+        gaps = _NO_GAPS
+        if "gaps" in self._file.names:
+            self._shape("gaps", 2, "iuf")
+            gaps = self._file.read_whole("gaps")
+        require(np.isfinite(gaps).all(), "gaps", "NaN or infinite", "whole numbers")
         self.gaps = (gaps.T if matlab and gaps.size else gaps).astype(int)
         if not gaps.size:
             self.gaps = _NO_GAPS
@@ -87,7 +98,7 @@ class Hdf5Recording(Recording):
         require(self._scale != 0, "scale", 0, "V per code")
         units = _text(field, "units")
         require(units == "V", "units", repr(units), "'V': scale·code + offset in volts")
-        codes = np.iinfo(v.dtype)
+        codes = np.iinfo(kind)
         rails = sorted(
             self._scale * float(c) + self._offset for c in (codes.min, codes.max)
         )
@@ -102,12 +113,7 @@ class Hdf5Recording(Recording):
             notes=_text(field, "notes") if field("notes", "") != "" else "",
             **numbers,
         )
-        self._t0 = np.ravel(t0[()])[: self.scans].astype(float)
-        if self._growing:
-            # Times are written last: a row without one is not whole yet.
-            whole = np.flatnonzero(np.isfinite(self._t0))
-            self.scans = int(whole[-1]) + 1 if len(whole) else 0
-            self._t0 = self._t0[: self.scans]
+        self._load_times()
         self.gaps, said = mended_gaps(self.gaps, self.scans)
         self.mended += said
         check(self)
@@ -123,24 +129,40 @@ class Hdf5Recording(Recording):
         self._t0, self.retimed, said = mended_times(self._t0, numbers, usual)
         self.mended += said
 
-    def _dataset(self, name: str, axes: int, kinds: str) -> h5py.Dataset:
-        found = self._file.get(name)
-        here = sorted(self._file)
-        require(isinstance(found, h5py.Dataset), name, f"only {here}", "this dataset")
-        assert isinstance(found, h5py.Dataset)
-        shape, kind = found.shape, found.dtype.kind
+    def _load_times(self) -> None:
+        """The start of each scan, and how many scans are whole."""
+        self._t0 = np.ravel(self._file.read_whole("t0")).astype(float)
+        if not self._growing:
+            return
+        told = self.scans
+        some = [self._file.whole_rows(name) for name in ("v", "ground", "t0")]
+        self.scans = min([told, *(n for n in some if n is not None)])
+        self._t0 = self._t0[: self.scans]
+        # Times are written last: a row without one is not whole yet.
+        whole = np.flatnonzero(np.isfinite(self._t0))
+        last = int(whole[-1]) + 1 if len(whole) else 0
+        if self.scans < told:
+            cut = f"the file is cut off: {last} of {told} scans can be read"
+            self.mended = (*self.mended, cut)
+            before = np.cumsum(self.gaps[:, 1]) - self.gaps[:, 1]
+            self.gaps = self.gaps[self.gaps[:, 0] - before < last]
+        self.scans, self._t0 = last, self._t0[:last]
+
+    def _shape(self, name: str, axes: int, kinds: str) -> tuple[int, ...]:
+        here = sorted(self._file.names)[:20]
+        require(name in here or name in self._file.names, name, f"only {here}", "it")
+        shape, kind = self._file.shape(name), self._file.dtype(name)
         require(len(shape) == axes, name, f"shape {shape}", f"{axes} axes")
-        require(kind in kinds, name, f"type {found.dtype}", f"type of kind {kinds}")
-        return found
+        require(kind.kind in kinds, name, f"type {kind}", f"type of kind {kinds}")
+        return shape
 
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         try:
+            codes = self._file.read("v", start, stop, self._axes)
+            ground = self._file.read("ground", start, stop, self._axes)
             if self._axes:
-                codes = np.swapaxes(self._v[..., start:stop], 0, 2)
-                ground = self._ground[..., start:stop].T
-            else:
-                codes, ground = self._v[start:stop], self._ground[start:stop]
+                codes, ground = np.swapaxes(codes, 0, 2), ground.T
         except OSError as error:
             raise ValueError(
                 f"{self.path}: v: scans {start} to {stop} cannot be read ({error}); copy"
@@ -161,55 +183,63 @@ class Hdf5Recording(Recording):
         self._file.close()
 
 
+# Of a variable that stands for an attribute, values.
+_LONGEST = 1 << 16
+
 _NO_GAPS = np.zeros((0, 2), int)
 
 
-def _open(path: Path) -> tuple[h5py.File, bool]:
-    """The file, and whether a writer has (or had) it open."""
-    require(h5py.is_hdf5(path), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
-    growing = _written_in_swmr_mode(path)
+def _open(path: Path) -> OpenContainer:
+    with path.open("rb") as raw:
+        require(_is_hdf5(raw), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
     try:
-        if growing:
-            return h5py.File(path, "r", libver="latest", swmr=True), True
-        return h5py.File(path, "r"), False
+        return open_container(path)
     except OSError as error:
         reason = str(error)
+    except ValueError as error:
+        raise ValueError(f"{error}; {_MEND}") from None
     if "truncated" in reason:
         raise ValueError(f"file: cut off ({reason}), expected all of it; {_MEND}")
     raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
-def _written_in_swmr_mode(path: Path) -> bool:
-    """Whether a SWMR writer has the file open, or had it at a crash: so the superblock.
+def _is_hdf5(raw: Any) -> bool:
+    """By the signature, at the start or behind a block of its user's (MATLAB's has 512)."""
+    at = 0
+    while len(start := raw.read(8)) == 8:
+        if start == b"\x89HDF\r\n\x1a\n":
+            return True
+        at = max(512, 2 * at)
+        raw.seek(at)
+    return False
 
-    HDF5 leaves out its check of the file's length in that mode: asked for without need
-    it would read a file that is cut off.
-    """
-    with path.open("rb") as file:
-        start = file.read(12)
-        whole = len(start) == 12 and start[:4] == b"\x89HDF"
-        return whole and start[8] >= 3 and bool(start[11] & 4)
 
+def _attributes(file: OpenContainer) -> Callable:
+    told = file.attributes
 
-def _attributes(file: h5py.File) -> Callable:
     def field(name: str, *default: Any) -> Any:
-        if name not in file.attrs:
-            require(default, name, "no such attribute", "it, as in recording version 1")
+        if name not in told:
+            why = file.refused(name) or "no such attribute"
+            require(default, name, why, "it, as in recording version 1")
             return default[0]
-        return file.attrs[name]
+        return told[name]
 
     return field
 
 
-def _variables(file: h5py.File) -> Callable:
+def _variables(file: OpenContainer) -> Callable:
     def field(name: str, *default: Any) -> Any:
-        if name not in file:
+        if name not in file.names:
             require(default, name, "no such variable", "it, as in recording version 1")
             return default[0]
-        data = file[name]
-        value = data[()]  # pyright: ignore
-        if data.attrs.get("MATLAB_class") == b"char":
-            return "".join(map(chr, np.ravel(value)))
+        shape = file.shape(name)
+        require(np.prod(shape) <= _LONGEST, name, f"shape {shape}", "a number or a text")
+        value = file.read(name)
+        if file.attributes_of(name).get("MATLAB_class") == b"char":
+            text = np.ravel(value)
+            fine = text.dtype.kind == "u" and not (text > 0x10FFFF).any()
+            require(fine, name, f"type {text.dtype}", "a text's codes")
+            return "".join(map(chr, text))
         return value
 
     return field

@@ -21,6 +21,10 @@ _NUMBERS = (1e-9, 1e12)
 _LARGEST_SHEET = 10.0  # m
 _FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
 
+# A disc of the paper is a quarter of a pitch, and its sheet has 1024 cells of that size. A
+# sheet of 64 electrodes of a 32nd of a pitch has so many; `source` takes 2.5 GB for it.
+_MOST_CELLS = 1 << 16
+
 # The paper's rig, for forms that do not say.
 PAPER = {
     "f_switch": 10e3,
@@ -91,10 +95,13 @@ class Rig:
         )
 
     def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
-        """The sensor, on the coarsest mesh that its electrodes allow."""
+        """The sensor, on the coarsest mesh that its electrodes allow.
+
+        **Raises:** `ValueError` for electrodes that are too small for their sheet.
+        """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
-        cells = np.ceil(np.array(self.size) / self.electrode_diameter * (1 - 1e-9))
+        cells = _cells(self)
         return Sensor(
             self.size,
             self.electrode_xy,
@@ -235,7 +242,19 @@ def check(recording: Recording) -> None:
     require(recording.scans > 0, "v", "no scans", "at least one")
     require(recording.slots > 0, "v", "no slots in a scan", "at least one")
     check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
+    _cells(rig)
     _check_gaps(recording)
+
+
+def _cells(rig: Rig) -> np.ndarray:
+    """Of the coarsest mesh that resolves the electrodes, along both sides."""
+    size, diameter = np.array(rig.size), rig.electrode_diameter
+    cells = np.ceil(size / diameter * (1 - 1e-9))
+    least = float(np.sqrt(size.prod() / _MOST_CELLS))
+    told = f"{diameter:g} m, which takes {cells.prod():.3g} cells"
+    expected = f"about {least:.2g} m or more on this sheet, for {_MOST_CELLS} cells"
+    require(cells.prod() <= _MOST_CELLS, "electrode_diameter", told, expected)
+    return cells
 
 
 def _check_gaps(recording: Recording) -> None:

@@ -6,7 +6,10 @@ from typing import Any
 import numpy as np
 
 from tomojax._require import require
+from tomojax.files import open_container
 from tomojax.recordings._recording import check, PAPER, Recording, Rig, Scans
+
+_MOST_SLOTS = 1 << 16
 
 
 class TdmsRecording(Recording):
@@ -29,15 +32,13 @@ class TdmsRecording(Recording):
         slots: int | str | None = None,
         rail: float | str = 5.0,
     ):
-        from nptdms import TdmsFile
-
         self.path = path
         require("{}" in channels, "channels", repr(channels), "a name with {} in it")
         with path.open("rb") as raw:
             require(raw.read(4) == b"TDSm", "file", "no TDMS file", "a recording in TDMS")
         try:
-            self._file = TdmsFile.open(path)
-        except (ValueError, KeyError, EOFError) as error:
+            self._file = open_container(path, "tdms")
+        except (ValueError, OSError) as error:
             raise ValueError(f"file: cannot be read as TDMS ({error})") from None
         try:
             self._load(group, channels, ground, slots, rail)
@@ -46,26 +47,29 @@ class TdmsRecording(Recording):
             raise
 
     def _load(self, group, channels, ground, slots, rail) -> None:
-        groups = [g.name for g in self._file.groups()]
-        require(group in groups, "group", repr(group), f"one of {groups}")
-        found = {c.name: c for c in self._file[group].channels()}
+        groups = sorted({name.partition("/")[0] for name in self._file.names})
+        require(group in groups, "group", repr(group), f"one of {groups[:20]}")
+        known = set(self._file.names)
         self._channels = []
-        while (name := channels.format(len(self._channels))) in found:
-            self._channels.append(found[name])
+        while (name := f"{group}/{self._named(channels)}") in known:
+            self._channels.append(name)
         self.electrodes = len(self._channels)
-        require(
-            self.electrodes, "channels", f"only {sorted(found)[:5]}", channels.format(0)
-        )
+        found = sorted(n.partition("/")[2] for n in known if n.startswith(f"{group}/"))
+        require(self.electrodes, "channels", f"only {found[:5]}", self._named(channels))
         require(ground in found, "ground", f"no {ground!r} in {group!r}", "this channel")
-        self._ground = found[ground]
-        lengths = {len(c) for c in (*self._channels, self._ground)}
+        self._ground = f"{group}/{ground}"
+        lengths = {self._file.shape(n)[0] for n in (*self._channels, self._ground)}
         require(len(lengths) == 1, "channels", f"lengths {sorted(lengths)}", "one length")
-        properties: dict[str, Any] = dict(self._file.properties)
+        properties: dict[str, Any] = self._file.attributes
         value = properties.get("slots_per_scan") if slots is None else slots
         require(value is not None, "slots", None, "the slots of a scan: slots=10")
-        self.slots = int(_number("slots", value))
-        require(self.slots > 0, "slots", value, "1 or more")
-        self.scans = lengths.pop() // self.slots
+        slots_of = _number("slots", value)
+        whole = 1 <= slots_of <= _MOST_SLOTS and slots_of == int(slots_of)
+        require(whole, "slots", value, f"a whole number up to {_MOST_SLOTS}")
+        self.slots = int(slots_of)
+        self.scans, rest = divmod(lengths.pop(), self.slots)
+        if rest:
+            self.mended = (f"the last {rest} slots make no whole scan and are left out",)
         self.gaps = np.zeros((0, 2), int)
         rail = abs(_number("rail", rail))
         numbers = {n: _number(n, properties.get(n, d)) for n, d in PAPER.items()}
@@ -85,13 +89,24 @@ class TdmsRecording(Recording):
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         offset, length = start * self.slots, (stop - start) * self.slots
-        ground = self._ground.read_data(offset, length)
         volts = np.empty((length, self.electrodes), np.float32)
-        for e, channel in enumerate(self._channels):
-            volts[:, e] = channel.read_data(offset, length)
+        try:
+            ground = self._file.read(self._ground, offset, offset + length)
+            for e, channel in enumerate(self._channels):
+                volts[:, e] = self._file.read(channel, offset, offset + length)
+        except OSError as error:
+            told = f"scans {start} to {stop} cannot be read ({error})"
+            raise ValueError(
+                f"{self.path}: channels: {told}; copy the file again"
+            ) from None
+        fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
+        ground = np.where(fine, ground, -1)  # no electrode's number: told as a fault
         shape = (stop - start, self.slots)
         t0 = np.arange(start, stop) * self.slots / self.rig.f_switch
         return Scans(volts.reshape(*shape, -1), ground.reshape(shape).astype(int), t0)
+
+    def _named(self, channels: str) -> str:
+        return channels.replace("{}", str(len(self._channels)))
 
     def close(self) -> None:
         self._file.close()

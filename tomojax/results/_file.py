@@ -22,10 +22,10 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax._whole import held, reason
+from tomojax.files import open_container, read_npz
 from tomojax.kernels.flags import Flag
 from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
-
-SCHEMA, VERSION = "tomojax-results", 1
+from tomojax.results._load import places, SCHEMA, VERSION
 
 
 def fields(
@@ -123,9 +123,12 @@ class ResultsFile:
     def done(self) -> np.ndarray:
         """Which chunks are written; all, once another process has finished the file."""
         try:
-            return np.frombuffer(self._done.read_bytes(), bool)
+            marks = self._done.read_bytes()
         except FileNotFoundError:
             return np.ones(self.chunks, bool)
+        fits = len(marks) == self.chunks
+        require(fits, f"{self._done}", f"{len(marks)} marks", f"{self.chunks}: --overwrite")
+        return np.frombuffer(marks, np.uint8) == 1
 
     def finished(self, chunk: int) -> bool:
         """Whether that chunk is written by now."""
@@ -152,8 +155,10 @@ class ResultsFile:
         """Reads what `keep` has put there last; nothing where it never did."""
         if not self._state.exists():
             return {}
-        with np.load(self._state) as arrays:
-            return dict(arrays)
+        try:
+            return read_npz(self._state, "no state of a run", (), None)
+        except ValueError as error:
+            raise ValueError(f"{error}; begin anew with --overwrite") from None
 
     def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
         """Keeps other runs from this file; `shared`: but for those that share the work."""
@@ -185,11 +190,7 @@ class RowWriter:
     """Rows to their places; chunks are marked once their rows are on disk."""
 
     def __init__(self, partial: Path, done: Path):
-        with h5py.File(partial, "r") as file:
-            self._place = {
-                name: (data.id.get_offset(), data.dtype, data.shape[1:])
-                for name, data in file.items()
-            }
+        self._place = places(partial)
         self._data = os.open(partial, os.O_WRONLY)
         self._marks = os.open(done, os.O_WRONLY)
         self._unmarked: list[int] = []
@@ -211,7 +212,7 @@ class RowWriter:
                 continue
             offset, kind, shape = self._place[name]
             some = np.ascontiguousarray(some, kind)
-            assert some.shape[1:] == shape
+            require(some.shape[1:] == shape, name, f"shape {shape}", f"{some.shape[1:]}")
             row = kind.itemsize * int(np.prod(shape))
             _write_all(self._data, some, offset + start * row)
 
@@ -228,20 +229,12 @@ class RowWriter:
         os.close(self._marks)
 
 
-def attributes(path: Path) -> dict[str, Any]:
-    """Of a results file, or one in the making."""
-    try:
-        with h5py.File(path, "r") as file:
-            return dict(file.attrs)
-    except OSError as error:
-        raise ValueError(f"{path}: not a results file: {error}") from None
-
-
 def is_results(path: Path) -> bool:
     """Whether a file holds results, of this version or another."""
     try:
-        return attributes(path).get("schema") == SCHEMA
-    except ValueError:
+        with open_container(path) as file:
+            return file.attributes.get("schema") == SCHEMA
+    except (OSError, ValueError):
         return False
 
 

@@ -1,20 +1,17 @@
 """Outlines of what touches, from a results file of `shape`: GeoJSON, or SVG."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
-# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
-# (h5py does not say whether a name is a group or a dataset)
 
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
 from tomojax._require import require
 from tomojax._whole import whole
+from tomojax.results._load import LoadedResults
 
 # Rows that are read at once; the probability at an outline.
 _ROWS, _HALF = 256, 0.5
@@ -154,23 +151,21 @@ def write_outlines(results: Path, out: Path) -> int:
     area, centroid, axes and conductance; SVG has a group for each row, in mm.
     **Raises:** `ValueError` for results without probabilities of touch.
     """
-    with h5py.File(results, "r") as file:
-        has = "touch" in file
+    with LoadedResults(results) as file:
+        has = {"touch", "image", "contact_count"} <= set(file.names)
         require(has, f"{results}", "no image of touch", "results of --method shape")
-        size = np.asarray(file.attrs["size"], float)
+        size = file.size()
     write = _svg if out.suffix.lower() == ".svg" else _geojson
     with whole(out) as part:
         return write(_rows(results, size), size, part)
 
 
 def _rows(results: Path, size: np.ndarray) -> Iterator[tuple[int, float, list[Outline]]]:
-    with h5py.File(results, "r") as file:
-        for start in range(0, len(file["t"]), _ROWS):
-            part = slice(start, start + _ROWS)
-            names = ("t", "touch", "image", "contact_count")
-            for k, (t, touch, image, count) in enumerate(
-                zip(*(file[n][part] for n in names))
-            ):
+    with LoadedResults(results) as file:
+        names = ("t", "touch", "image", "contact_count")
+        for start in range(0, file.rows, _ROWS):
+            read = (file.stretch(n, start, start + _ROWS) for n in names)
+            for k, (t, touch, image, count) in enumerate(zip(*read)):
                 if count and np.isfinite(touch).all():
                     yield start + k, float(t), outlines_of(touch, size, image)
 

@@ -170,7 +170,7 @@ def configuration(recording: Recording, settings: Settings, size: int) -> dict:
 def calibration_of(recording: Recording, settings: Settings) -> Calibration:
     """That of the settings, with zeros from the recording itself where it tells them."""
     given = settings.calibration
-    calibration = Calibration.load(given) if given else Calibration()
+    calibration = Calibration.load(given, recording.electrodes) if given else Calibration()
     return tare(recording, calibration) if settings.tare else calibration
 
 

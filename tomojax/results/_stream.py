@@ -23,6 +23,7 @@ from tomojax.calibration import force
 from tomojax.methods import Batch, method as make_method, Rows
 from tomojax.recordings import Chunk, read_chunk, Recording
 from tomojax.results._chosen import Chosen
+from tomojax.results._load import attributes as attributes_of
 from tomojax.results._settings import (
     calibration_of,
     choose_lambda,
@@ -89,7 +90,7 @@ def reconstruct_recording(
     with file.locked(shared=share[1] > 1):
         _file.check_output(out, goes_on, overwrite)  # as another run has left it
         if goes_on and out.exists() and not file.partial.exists():
-            require_same(config, _file.attributes(out), out)
+            require_same(config, attributes_of(out), out)
             if share == (0, 1):
                 file.discard()  # the marks of a run that was killed as it ended
             return out
@@ -114,7 +115,7 @@ def _reconstruct(
     progress: Callable[[int, int], None],
 ) -> None:
     """Makes the file, or goes on with it."""
-    from tomojax.results import _adapting, _file, _following
+    from tomojax.results import _adapting, _following
 
     alone, follows = share == (0, 1), settings.method == "follow"
     calibration = calibration_of(recording, settings)
@@ -141,7 +142,7 @@ def _reconstruct(
         file.discard()
         _create(file, recording, settings, calibration, model, lam, config)
     try:
-        attributes = _file.attributes(file.partial)
+        attributes = attributes_of(file.partial)
         require_same(config, attributes, file.partial)
         if follows:
             solve: Any = model

@@ -12,28 +12,32 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tomojax.kernels.flags import Flag
+from tomojax.results._load import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
 
 
 def timeline(path: Path) -> Figure:
     """Places and currents of the contacts over time, the path on the sheet, and flags."""
-    with h5py.File(path, "r") as file:
-        step = max(1, -(-len(file["t"]) // _POINTS))
+    with LoadedResults(path) as file:
+        step = max(1, -(-file.rows // _POINTS))
         t, xy, current, flags, residual = (
-            file[name][::step]
+            file.thinned(name, step)
             for name in ("t", "contact_xy", "contact_current", "flags", "residual")
         )
-        image = file["image"][_strongest(file)] if "image" in file else None
-        unit = file["image"].attrs["unit"] if image is not None else ""
-        name, each, electrodes = "residual_by_electrode", None, np.zeros((0, 2))
-        if name in file and "electrode_xy" in file.attrs:
-            each = 1e3 * file[name][_strongest(file)]
-            electrodes = 1e3 * file.attrs["electrode_xy"]
+        image, unit, each, electrodes = None, "", None, np.zeros((0, 2))
+        if "image" in file.names:
+            strongest = _strongest(file)
+            image = file.stretch("image", strongest, strongest + 1)[0]
+            unit = file.unit("image").get("unit", "")
+            name = "residual_by_electrode"
+            if name in file.names and "electrode_xy" in file.attributes:
+                each = 1e3 * file.stretch(name, strongest, strongest + 1)[0]
+                electrodes = 1e3 * file.electrode_xy()
         covariance = None
-        if "contact_covariance" in file:
-            covariance = file["contact_covariance"][::step]
-        width, height = 1e3 * file.attrs["size"]
+        if "contact_covariance" in file.names:
+            covariance = file.thinned("contact_covariance", step)
+        width, height = 1e3 * file.size()
     figure = Figure(figsize=(14, 8), layout="constrained")
     grid = figure.add_gridspec(4, 3)
     left = [figure.add_subplot(grid[k, :2]) for k in range(4)]
@@ -88,8 +92,8 @@ def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **sty
         axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
 
 
-def _strongest(file: h5py.File) -> int:
-    current = np.nan_to_num(file["contact_current"][:, 0])
+def _strongest(file: LoadedResults) -> int:
+    current = np.nan_to_num(file.read("contact_current")[:, 0])
     return int(current.argmax())
 
 

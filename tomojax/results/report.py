@@ -1,46 +1,47 @@
 """What a results file says in a few lines."""
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
-# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
-# (h5py does not say whether a name is a group or a dataset)
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
+from tomojax._require import require
 from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
+from tomojax.results._load import LoadedResults
 
 _ROWS = 1 << 20  # read at once
 
 
 def summary(path: Path) -> dict:
     """Counts of contacts and of flags, units in the keys; `rows` has the stretches."""
-    with h5py.File(path, "r") as file:
-        n = len(file["t"])
+    with LoadedResults(path) as file:
+        for name in ("contact_count", "flags", "residual", "contact_xy", "contact_current"):
+            require(name in file.names, f"{path}: {name}", "none", "this dataset")
+        n, t = file.rows, file.read("t")
         counts, bits = np.zeros(256, int), np.zeros(32, int)
         stretches, previous, residual = [], 0, []
         doubted = silent = 0
         for start in range(0, n, _ROWS):
             part = slice(start, min(start + _ROWS, n))
-            count, flags = file["contact_count"][part], file["flags"][part]
-            counts += np.bincount(count, minlength=256)
+            count, flags, left = (
+                file.stretch(name, part.start, part.stop)
+                for name in ("contact_count", "flags", "residual")
+            )
+            counts += np.bincount(count, minlength=256)[:256]
             bits += [int((flags >> b & 1).sum()) for b in range(32)]
             none = flags & int(NO_ANSWER) > 0
             silent += int(none.sum())
             doubted += int(((flags & int(DOUBT) > 0) & ~none).sum())
-            residual.append(
-                np.nanmedian(file["residual"][part][count > 0]) if count.any() else 0
-            )
-            _collect(stretches, count, file, part, previous)
+            residual.append(np.nanmedian(left[count > 0]) if count.any() else 0)
+            _collect(stretches, count, file, t, part, previous)
             previous = int(count[-1])
-        seconds = float(file["t"][-1] - file["t"][0])
+        seconds = float(t[-1] - t[0])
         return {
             "rows": stretches,
             "rows_in_all": n,
             "duration_s": seconds,
-            "method": str(file.attrs["method"]),
-            "lam": float(file.attrs["lam"]),
-            "lam_relative": float(file.attrs["lam_relative"]),
+            "method": str(file.attributes.get("method")),
+            "lam": file.number("lam"),
+            "lam_relative": file.number("lam_relative"),
             "rows_by_contacts": {str(k): int(c) for k, c in enumerate(counts) if c},
             "rows_doubted": doubted,
             "rows_without_answer": silent,
@@ -50,11 +51,11 @@ def summary(path: Path) -> dict:
                 if bits[f.value.bit_length() - 1]
             },
             "residual_median_V": float(np.median(residual)),
-            "images": "image" in file,
+            "images": "image" in file.names,
         }
 
 
-def _collect(stretches: list, count, file, part: slice, previous: int, most=12) -> None:
+def _collect(stretches: list, count, file, t, part: slice, previous: int, most=12) -> None:
     """The first stretches with contact: when, and where the strongest was on average."""
     if len(stretches) >= most:
         return
@@ -64,11 +65,14 @@ def _collect(stretches: list, count, file, part: slice, previous: int, most=12) 
         ends = np.flatnonzero(~touched[1 + start :])
         stop = start + (ends[0] if ends.size else len(count) - start)
         rows = slice(part.start + start, part.start + stop)
-        xy, current = file["contact_xy"][rows, 0], file["contact_current"][rows, 0]
+        xy, current = (
+            file.stretch(name, rows.start, rows.stop)[:, 0]
+            for name in ("contact_xy", "contact_current")
+        )
         stretches.append(
             {
-                "from_s": float(file["t"][rows.start]),
-                "to_s": float(file["t"][rows.stop - 1]),
+                "from_s": float(t[rows.start]),
+                "to_s": float(t[rows.stop - 1]),
                 "contacts": int(count[start:stop].max()),
                 "x_mm": 1e3 * float(np.nanmedian(xy[:, 0])),
                 "y_mm": 1e3 * float(np.nanmedian(xy[:, 1])),

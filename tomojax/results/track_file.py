@@ -13,7 +13,8 @@ import numpy as np
 from tomojax._require import require
 from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
-from tomojax.results._file import check_output, SCHEMA
+from tomojax.results._file import check_output
+from tomojax.results._load import LoadedResults
 from tomojax.results._track import Touch, touches, track, Tracks
 
 # Datasets that tracks replace or add, with their units.
@@ -41,48 +42,45 @@ def track_results(
     same = out.exists() and path.exists() and path.samefile(out)
     require(not same, f"{out}", "the results file", "another name")
     check_output(out, resume=False, overwrite=overwrite, resumes=False)
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise ValueError(f"{path}: not a results file: {error}") from None
-    with file:
-        require(file.attrs.get("schema") == SCHEMA, f"{path}: schema", "another", SCHEMA)
-        attributes = dict(file.attrs)
-        for name in ("drive_voltage", "sheet_resistance", "size", "electrode_xy"):
-            require(
-                name in attributes, f"{path}: {name}", "none", "results of this version"
-            )
-        told = "contact_covariance" in file
+    with LoadedResults(path) as file:
+        size, electrodes = file.size(), len(file.electrode_xy())
+        drive, sheet = (file.number(n) for n in ("drive_voltage", "sheet_resistance"))
+        told = "contact_covariance" in file.names
         need = "results of points or auto, with contact_covariance"
-        require(told, f"{path}", attributes.get("method", "unknown method"), need)
-        rows, t = _rows(file), file["t"][()]
+        method = file.attributes.get("method", "unknown method")
+        require(told, f"{path}", method, need)
+        rows, t = _rows(file), file.read("t")
         try:
-            found = track(
-                rows,
-                float(attributes["drive_voltage"]),
-                float(attributes["sheet_resistance"]),
-                pitch=_pitch(attributes),
-                **options,
-            )
+            # As `Sensor.mean_pitch`, m.
+            pitch = float(np.sqrt(np.prod(size) / electrodes))
+            found = track(rows, drive, sheet, pitch=pitch, **options)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
         try:
-            with whole(out) as part, h5py.File(part, "w") as new:
-                new.attrs.update(attributes | {"tracked": json.dumps(options)})
-                for name in file:
-                    if name not in Tracks._fields and name not in _LEFT_OUT:
-                        file.copy(name, new)
-                for name, values in found._asdict().items():
-                    new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
+            with whole(out) as part:
+                _write(part, file, found, options)
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
             text = reason(error).removeprefix(f"{out}: ")
             raise ValueError(f"{out}: cannot be written: {text}") from None
     return found, touches(found, t)
 
 
-def _rows(file: h5py.File) -> Rows:
-    some = {f: file[f][()] for f in Rows._fields if f not in _LEFT_OUT and f in file}
-    none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(len(file["t"]), np.uint8)}
+def _write(out: Path, file: LoadedResults, found: Tracks, options: dict) -> None:
+    with h5py.File(out, "w") as new:
+        new.attrs.update(file.attributes | {"tracked": json.dumps(options)})
+        for name in file.names:
+            if name not in Tracks._fields and name not in _LEFT_OUT:
+                new[name] = file.read(name)
+                new[name].attrs.update(file.unit(name))
+        for name, values in found._asdict().items():
+            new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
+
+
+def _rows(file: LoadedResults) -> Rows:
+    some = {f: file.read(f) for f in Rows._fields if f not in _LEFT_OUT and f in file.names}
+    for name in ("contact_count", "contact_xy", "contact_conductance", "contact_current"):
+        require(name in some, f"{file.path}: {name}", "none", "this dataset")
+    none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(file.rows, np.uint8)}
     return Rows(**(none | some))  # pyright: ignore
 
 
@@ -106,9 +104,10 @@ def picture(path: Path, out: Path) -> Any:
 
     from tomojax.results.plots import ellipses
 
-    with h5py.File(path) as raw, h5py.File(out) as file:
-        t, before = file["t"][()], raw["contact_xy"][()]
-        raw_g = raw["contact_conductance"][()]
+    with LoadedResults(path) as raw:
+        t, before = raw.read("t"), raw.read("contact_xy")
+        raw_g = raw.read("contact_conductance")
+    with h5py.File(out) as file:  # which this process has written
         xy, g = file["contact_xy"][()], file["contact_conductance"][()]
         spread, names = file["contact_covariance"][()], file["contact_track"][()]
         width, height = 1e3 * file.attrs["size"]
@@ -136,8 +135,3 @@ def picture(path: Path, out: Path) -> Any:
     sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal", xlabel="x, mm")
     sheet.set(ylabel="y, mm", title="paths, with ellipses of two standard deviations")
     return figure
-
-
-def _pitch(attributes: dict) -> float:
-    """As `Sensor.mean_pitch`, m."""
-    return float(np.sqrt(np.prod(attributes["size"]) / len(attributes["electrode_xy"])))

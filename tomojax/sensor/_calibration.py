@@ -1,7 +1,7 @@
 """What a rig is beside its nominal values: zeros, gains, and how its sheet varies."""
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from tomojax._require import require
 from tomojax._whole import write_text
+from tomojax.files import read_json
 from tomojax.kernels.sheet import cell_centres, smooth_modes
 from tomojax.sensor._sensor import Sensor
 
@@ -24,6 +25,11 @@ WAVES = {14: 4, 27: 6}
 
 # Of what nominal values leave: see `Calibration`.
 _PARTS = ("error", "own")
+
+# Axes that the values of a field may have.
+_AXES = {"noise": (0,), "sheet": (1,), "error": (0,), "own": (0,), "electrodes": (0, 2)} | {
+    name: (0, 1) for name in ("offset", "gain", "ground")
+}
 
 
 @dataclass(frozen=True)
@@ -66,16 +72,15 @@ class Calibration:
     made: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("offset", "gain", "noise", "sheet", "ground", *_PARTS, "electrodes"):
-            value = getattr(self, name)
-            values = np.asarray(1.0 if value is None else value, float)
-            require(np.isfinite(values).all(), name, getattr(self, name), "numbers")
+        for name, axes in _AXES.items():
+            _require_numbers(name, getattr(self, name), axes)
         require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
         for name in ("noise", *_PARTS):
             value = getattr(self, name)
             require(value is None or value > 0, name, value, "above 0")
+        _require_numbers("pressure", self.pressure, (1,))
         law = np.asarray(self.pressure or (1, 1), float)
-        fine = law.shape == (2,) and bool(np.isfinite(law).all() and (law > 0).all())
+        fine = law.shape == (2,) and bool((law > 0).all())
         require(fine, "pressure", self.pressure, "c and k, above 0")
         waves = " or ".join(map(str, WAVES))
         require(len(self.sheet) in WAVES, "sheet", len(self.sheet), f"{waves} waves")
@@ -85,6 +90,12 @@ class Calibration:
         grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 9)] * 2), -1).reshape(-1, 2)
         positive = bool((self.sheet_factor(grid, np.ones(2)) > 0).all())
         require(positive, "sheet", self.sheet, "less than the sheet itself")
+        require(_is_day(self.made), "made", repr(self.made)[:40], "a day as 2026-01-31")
+        known = self.deviation if isinstance(self.deviation, dict) else {}
+        told = type(self.deviation).__name__
+        require(known or not self.deviation, "deviation", told, "values by their names")
+        for name, value in known.items():
+            _require_numbers(f"deviation of {name}"[:60], value, (0, 1, 2))
 
     def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
         """Readings corrected for zeros and gains, in their dtype."""
@@ -113,10 +124,7 @@ class Calibration:
 
         **Raises:** `ValueError` for a calibration of another number of electrodes.
         """
-        m = sensor.electrode_count
-        for name in ("offset", "gain", "ground", "electrodes"):
-            told = np.shape(getattr(self, name))
-            require(not told or told[0] == m, name, f"{told[:1]} values", f"{m} of them")
+        self.check_count(sensor.electrode_count)
         if np.any(self.electrodes):
             moved = np.asarray(sensor.electrode_xy, float) + np.asarray(self.electrodes)
             sensor = replace(sensor, electrode_xy=jnp.asarray(moved, sensor.dtype))
@@ -127,26 +135,63 @@ class Calibration:
         values = np.asarray(sensor.sheet_resistance) * factor
         return replace(sensor, sheet_resistance=values, divisions=divisions)
 
+    def check_count(self, electrodes: int) -> None:
+        """**Raises:** `ValueError` for a calibration of another number of electrodes."""
+        for name in ("offset", "gain", "ground", "electrodes"):
+            told = np.shape(getattr(self, name))
+            fits = not told or told[0] == electrodes
+            require(fits, name, f"{told[:1]} values", f"{electrodes} of them")
+
     def save(self, path: Path | str) -> None:
         """As JSON; the file is there whole or not at all."""
         content = {"schema": SCHEMA, "schema_version": VERSION, **asdict(self)}
         write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
-    def load(cls, path: Path | str) -> "Calibration":
-        """**Raises:** `ValueError` naming the file and the field."""
-        try:
-            content = json.loads(Path(path).read_text())
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path}: not a calibration: {error}") from None
+    def load(cls, path: Path | str, electrodes: int | None = None) -> "Calibration":
+        """Of a file; `electrodes`: how many the rig has, where that is known.
+
+        **Raises:** `ValueError` naming the file and the field.
+        """
+        content = read_json(path, "not a calibration")
         known = isinstance(content, dict) and content.pop("schema", None) == SCHEMA
         require(known, f"{path}: schema", "another", SCHEMA)
         version = content.pop("schema_version", None)
         require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
+        names = {one.name for one in fields(cls)}
+        for name in content:
+            require(
+                name in names, f"{path}: {name}", "this field", ", ".join(sorted(names))
+            )
         try:
-            return cls(**{name: _tuples(value) for name, value in content.items()})
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from None
+            made = cls(**{name: _tuples(value) for name, value in content.items()})
+            if electrodes is not None:
+                made.check_count(electrodes)
+            return made
+        except (TypeError, ValueError, OverflowError) as error:
+            why = " ".join(str(error).split())[:300]  # an array's words have many lines
+            raise ValueError(f"{path}: {why}") from None
+
+
+def _require_numbers(name: str, value: Any, axes: tuple[int, ...]) -> None:
+    """**Raises:** `ValueError` for anything but None or finite numbers with such axes."""
+    if value is None:
+        return
+    try:
+        values = np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):  # texts, lists of any lengths
+        values = np.full(1, np.nan)
+    shown = str(value)[:60] + ("…" if len(str(value)) > 60 else "")
+    require(np.isfinite(values).all(), name, shown, "numbers")
+    fits = values.ndim in axes
+    require(fits, name, f"shape {values.shape}", f"{' or '.join(map(str, axes))} axes")
+
+
+def _is_day(made: Any) -> bool:
+    try:
+        return made is None or bool(date.fromisoformat(made))
+    except (TypeError, ValueError):
+        return False
 
 
 def _tuples(value: Any) -> Any:

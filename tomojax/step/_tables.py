@@ -7,6 +7,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax._whole import whole
+from tomojax.files import read_npz
 from tomojax.sensor import Sensor
 from tomojax.step._policies import Lookup
 
@@ -51,14 +52,11 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
         ...
     ValueError: table.npz: size: got [0.08 0.08], expected [0.16 0.16]
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            table, idle, size = file["table"], file["idle"], file["size"]
-            lam = file["lam"] if "lam" in file else None
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file") from None
-    except (OSError, KeyError, ValueError) as error:
-        raise ValueError(f"{path}: no table of grounds ({error})") from None
+    file = read_npz(path, "no table of grounds", ("table", "idle", "size"), ("lam",))
+    table, idle, size, lam = (file.get(n) for n in ("table", "idle", "size", "lam"))
+    assert table is not None and idle is not None and size is not None
+    whole = table.dtype.kind in "iu" and idle.dtype.kind in "iu"
+    require(whole, f"{path}: table", table.dtype, "numbers of electrodes")
     fits = table.ndim == 3 and idle.shape == table.shape[2:] and table.size > 0
     require(fits, f"{path}: table", f"shape {table.shape}", "(nx, ny, slots)")
     m = sensor.electrode_count
@@ -66,7 +64,9 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
     require(known, f"{path}: table", f"{table.min()} to {table.max()}", f"0 to {m - 1}")
     same = size.shape == (2,) and np.allclose(size, np.asarray(sensor.size), rtol=1e-4)
     require(same, f"{path}: size", size, f"{np.asarray(sensor.size)}")
-    fine = lam is None or (lam.shape == table.shape[:2] and (lam > 0).all())
+    fine = lam is None or (
+        lam.shape == table.shape[:2] and bool((np.isfinite(lam) & (lam > 0)).all())
+    )
     require(fine, f"{path}: lam", "no λ for each place", "numbers above 0")
     at = jnp.asarray(table, jnp.int32), jnp.asarray(idle, jnp.int32)
     given = None if lam is None else jnp.asarray(lam, sensor.dtype)

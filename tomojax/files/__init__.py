@@ -1,0 +1,26 @@
+"""Files from outside: whatever they hold, they are read, or one line says why not.
+
+HDF5 and TDMS are read in a process of their own, with limits: their libraries may loop,
+crash or open other files on bytes that nobody has made by hand. The room knows nothing of
+recordings or results, and imports no JAX.
+"""
+
+from tomojax.files._npz import read_npz as read_npz
+from tomojax.files._open import (
+    open_container as open_container,
+    OpenContainer as OpenContainer,
+)
+from tomojax.files._text import (
+    read_json as read_json,
+    read_table as read_table,
+    read_toml as read_toml,
+)
+
+__all__ = [
+    "open_container",
+    "OpenContainer",
+    "read_json",
+    "read_npz",
+    "read_table",
+    "read_toml",
+]

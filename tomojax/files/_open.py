@@ -1,0 +1,326 @@
+"""Opens a container of datasets, HDF5 or TDMS, in a process with limits."""
+
+import atexit
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import threading
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+# Bytes of one answer; of a dataset that is read whole, over those of the machine's memory.
+_PIECE, _WHOLE = 1 << 25, 0.25
+
+# Bytes of a dataset over those that hold it, up to a few whatever the ratio. Measured
+# numbers and times pack to a third.
+_PACKED, _FEW = 200, 1 << 24
+
+# A reader that does not answer ends itself; nobody waits longer, s.
+_WAIT = 60.0
+
+
+class OpenContainer:
+    """Attributes and datasets of a file from outside; a context that closes it.
+
+    `attributes` by name (numbers, arrays and texts); `names` of its members; `growing`:
+    whether a writer has it open in SWMR mode, or had it at a crash; `whole_rows` by name:
+    how many rows of a dataset lie in such a file.
+
+    **Example:**
+
+    >>> import h5py
+    >>> from tomojax.files import open_container, OpenContainer
+    >>> with h5py.File("numbers.h5", "w") as file:
+    ...     file["v"], file.attrs["unit"] = [1, 2, 3], "V"
+    >>> with open_container("numbers.h5") as opened:
+    ...     print(isinstance(opened, OpenContainer), opened.attributes["unit"])
+    ...     print(opened.read("v"), opened.shape("v"))
+    True V
+    [1 2 3] (3,)
+    """
+
+    def __init__(self, path: Path, kind: str, options: dict[str, Any]):
+        self.path = path
+        self._lock = threading.Lock()
+        self._served: Any = None
+        asked = {"kind": kind, "path": os.path.abspath(path), "options": options}
+        self._connection = _readers.connect(asked)
+        about = self._about(asked)
+        self.growing: bool = about["growing"]
+        self._attributes, self._members = about["attributes"], about["members"]
+
+    def _about(self, asked: dict[str, Any]) -> dict[str, Any]:
+        if self._connection is not None:
+            with self._lock:
+                told = self._received()
+            if "about" in told:
+                return told["about"]
+            self.close()
+            if told["kind"] == "ModuleNotFoundError":
+                raise ModuleNotFoundError(told["error"], name=told["missing"])
+            # `OSError` is HDF5's; others are of what this package has looked at itself.
+            raise (OSError if told["kind"] == "OSError" else ValueError)(told["error"])
+        from tomojax.files import _served, _served_tdms
+
+        kinds = {"hdf5": _served.Hdf5, "tdms": _served_tdms.Tdms}
+        try:
+            self._served = kinds[asked["kind"]](asked["path"], asked["options"])
+        except (OSError, ValueError, ModuleNotFoundError):
+            raise
+        except Exception as error:
+            raise ValueError(" ".join(str(error).split())) from None
+        return self._served.about()
+
+    @property
+    def names(self) -> list[str]:
+        return list(self._members)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Those that can be read."""
+        told = self._attributes.items()
+        return {name: decode(one) for name, one in told if "refused" not in one}
+
+    def attributes_of(self, name: str) -> dict[str, Any]:
+        """Of a member that can be read."""
+        told = self._member(name).get("attributes", {}).items()
+        return {key: decode(one) for key, one in told if "refused" not in one}
+
+    def refused(self, name: str) -> str | None:
+        """Why an attribute or a member of that name cannot be read; None where it can."""
+        told = self._members.get(name) or self._attributes.get(name) or {}
+        return told.get("refused")
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        return tuple(self._member(name)["shape"])
+
+    def dtype(self, name: str) -> np.dtype:
+        return np.dtype(self._member(name)["dtype"])
+
+    def whole_rows(self, name: str) -> int | None:
+        return self._member(name).get("whole_rows")
+
+    def stored(self, name: str) -> int:
+        """Bytes of it in the file."""
+        return self._member(name)["stored"]
+
+    def place(self, name: str) -> int | None:
+        """Where it begins in the file, if it lies there in one piece."""
+        return self._member(name).get("place")
+
+    def _member(self, name: str) -> dict[str, Any]:
+        told = self._members.get(name)
+        why = "nothing" if told is None else told.get("refused")
+        if why:
+            raise ValueError(f"{name}: got {why}, expected numbers in the file itself")
+        return told
+
+    def read(
+        self, name: str, start: int = 0, stop: int | None = None, axis: int = 0
+    ) -> Any:
+        """A dataset, or a stretch along its first axis, or its last one (`axis` -1).
+
+        **Raises:** `OSError` for data that cannot be read, `ValueError` for more of them
+        than the machine holds.
+        """
+        shape, item = self.shape(name), self.dtype(name).itemsize
+        if not shape:
+            return self._piece(name, 0, 0, 0)
+        count = shape[axis]
+        stop = count if stop is None else min(stop, count)
+        start = min(start, stop)
+        row = max(1, math.prod(shape) // max(1, count)) * item
+        if row * (stop - start) > _WHOLE * memory() or row > 2 * _PIECE:
+            size = f"{row * (stop - start)} bytes"
+            raise ValueError(f"{name}: got {size}, expected what this machine holds")
+        each = max(1, _PIECE // row)
+        if stop - start <= each:
+            return self._piece(name, start, stop, axis)
+        made = np.empty(
+            (*shape[:-1], stop - start) if axis else (stop - start, *shape[1:]),
+            self.dtype(name),
+        )
+        for at in range(start, stop, each):
+            part = slice(at - start, min(at + each, stop) - start)
+            piece = self._piece(name, at, min(at + each, stop), axis)
+            made[(..., part) if axis else part] = piece
+        return made
+
+    def read_whole(self, name: str) -> np.ndarray:
+        """A dataset that is needed at once, of rows that lie in the file.
+
+        **Raises:** as `read`; `ValueError` for one that is much larger than what it is
+        stored in: a small file must not cost the machine's memory.
+        """
+        shape, stop = self.shape(name), self.whole_rows(name)
+        size = math.prod(shape) * self.dtype(name).itemsize
+        if size > _FEW + _PACKED * self.stored(name):
+            told = f"shape {shape} in {self.stored(name)} bytes"
+            raise ValueError(f"{name}: got {told}, expected measured numbers")
+        return self.read(name, 0, stop)
+
+    def _piece(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
+        if self._served is not None:
+            return self._served.read(name, start, stop, axis)
+        if self._connection is None:
+            raise OSError("the file is closed")
+        with self._lock:
+            try:
+                self._connection.send_bytes(json.dumps([name, start, stop, axis]).encode())
+            except OSError:
+                self._gone()
+            told = self._received()
+            if "error" in told:
+                raise OSError(told["error"])
+            shape, kind = tuple(told["shape"]), np.dtype(told["dtype"])
+            if not math.prod(shape):
+                return np.zeros(shape, kind)
+            content = self._bytes()
+        # Its own memory, which can be written.
+        return np.frombuffer(bytearray(content), kind).reshape(shape)
+
+    def _received(self) -> dict[str, Any]:
+        return json.loads(self._bytes())
+
+    def _bytes(self) -> bytes:
+        assert self._connection is not None
+        try:
+            if self._connection.poll(_WAIT):
+                return self._connection.recv_bytes()
+        except (EOFError, OSError):
+            pass
+        except BaseException:  # Ctrl-C: an answer that comes later is no other's
+            self.close()
+            raise
+        self._gone()
+        raise AssertionError
+
+    def _gone(self) -> None:
+        self.close()
+        raise OSError("damaged: its library crashes or does not come back")
+
+    def close(self) -> None:
+        """Ends the process that reads the file."""
+        self._served = None
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def __enter__(self) -> "OpenContainer":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def open_container(
+    path: Path | str, kind: Literal["hdf5", "tdms"] = "hdf5"
+) -> OpenContainer:
+    """Opens a file of datasets in a process of its own, with limits.
+
+    **Raises:** `OSError` with the library's words where it cannot open the file, and
+    `ValueError` for a file that is damaged otherwise; `ModuleNotFoundError` without the
+    library.
+
+    **Example:**
+
+    >>> import h5py
+    >>> from tomojax.files import open_container
+    >>> with h5py.File("numbers.h5", "w") as file:
+    ...     file["v"] = [1, 2, 3]
+    ...     file["other"] = h5py.ExternalLink("/etc/passwd", "/")
+    >>> with open_container("numbers.h5") as opened:
+    ...     opened.read("v"), opened.refused("other")
+    (array([1, 2, 3]), 'a link that leads elsewhere')
+    """
+    return OpenContainer(Path(path), kind, {})
+
+
+def decode(told: dict[str, Any]) -> Any:
+    """What `encode` was given."""
+    if "text" in told:
+        return told["text"]
+    if "texts" in told:
+        return np.array(told["texts"], object)
+    if "numbers" in told:
+        return np.array(told["numbers"], told["dtype"]).reshape(told["shape"])[()]
+    if "shape" in told:
+        texts = [one.encode("latin-1") for one in told["bytes"]]
+        return np.array(texts, told["dtype"]).reshape(told["shape"])[()]
+    return told["bytes"].encode("latin-1")
+
+
+def memory() -> int:
+    """Of the machine, bytes."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):  # not on every system
+        return 1 << 33
+
+
+class _Readers:
+    """The process that forks for each file; begun with the first one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._control: socket.socket | None = None
+        self._process: subprocess.Popen | None = None
+        self._owner = 0
+
+    def connect(self, asked: dict[str, Any]) -> Connection | None:
+        """A connection to a new fork; None where the system cannot fork."""
+        if not hasattr(os, "fork") or not sys.executable:
+            return None
+        ours, theirs = Pipe()
+        with self._lock:
+            for _ in range(2):  # it may have been killed
+                if self._control is None or self._owner != os.getpid():
+                    self._begin()
+                assert self._control is not None
+                try:
+                    message = json.dumps(asked).encode()
+                    socket.send_fds(self._control, [message], [theirs.fileno()])
+                    break
+                except OSError:
+                    self.close()
+        theirs.close()
+        return ours
+
+    def _begin(self) -> None:
+        self._control, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._owner = os.getpid()
+        path = os.pathsep.join(p for p in sys.path if p)
+        environment = os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, "-P", "-m", "tomojax.files.reader"]
+        with other:
+            self._process = subprocess.Popen(
+                command,
+                stdin=other,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=environment,
+            )
+
+    def close(self) -> None:
+        """Ends it, with the forks that nobody asks any more."""
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        if self._process is not None and self._owner == os.getpid():
+            try:
+                self._process.wait(5)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._process = None
+
+
+_readers = _Readers()
+atexit.register(_readers.close)

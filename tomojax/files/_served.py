@@ -1,0 +1,215 @@
+"""What is read of an HDF5 file from outside: plain datasets that lie in the file itself.
+
+Runs in the reader's process, see `reader`. No link, virtual dataset or external storage is
+followed, and sizes are compared with the bytes that are there before any are read.
+"""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
+# (h5py does not say whether a name is a group or a dataset)
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tomojax.files._superblock import Growing, growing
+
+# deflate, shuffle, fletcher32, szip, nbit, scaleoffset and h5py's lzf: what HDF5 and h5py
+# bring with them. Others would be loaded from a folder of plugins.
+_FILTERS = (1, 2, 3, 4, 5, 6, 32000)
+
+# A chunk's bytes once it is unpacked; names in a file; bytes of an attribute.
+_CHUNK, _NAMES, _ATTRIBUTE = 1 << 27, 4096, 1 << 24
+
+# Bytes of a dataset over those that are stored: deflate packs 1032 into one at best. Up to
+# the slack whatever the ratio.
+_RATIO, _SLACK = 1100, 1 << 24
+
+# A file that is being written may be torn as it is opened: again, s.
+_AGAIN = (0.02, 0.1, 0.3)
+
+
+class Refused(Exception):
+    """What a file has instead of what it should."""
+
+
+class Hdf5:
+    """A file's attributes and datasets."""
+
+    def __init__(self, path: str, options: dict[str, Any]):
+        self.size = Path(path).stat().st_size
+        with open(path, "rb") as raw:
+            self.growing = growing(raw.read(12))
+        self.mended: list[str] = []
+        self._datasets: dict[str, Any] = {}
+        for wait in (*_AGAIN, None) if self.growing else (None,):
+            try:
+                self._load(path)
+                return
+            except Exception:
+                if wait is None:
+                    raise
+                time.sleep(wait)
+
+    def _load(self, path: str) -> None:
+        if self.growing:
+            raw = Growing(Path(path))
+            self.size = raw.size
+            self._file = h5py.File(raw, "r")
+        else:
+            self._file = h5py.File(path, "r")
+        names = list(self._file)
+        if len(names) > _NAMES:
+            raise Refused(f"{len(names)} names in it")
+        self.attributes = _attributes(self._file)
+        self.members = {name: self._member(name) for name in names}
+
+    def about(self) -> dict[str, Any]:
+        """All that is known before a row is read."""
+        told = self.attributes, self.members, self.growing
+        return dict(zip(("attributes", "members", "growing"), told))
+
+    def _member(self, name: str) -> dict[str, Any]:
+        try:
+            link = self._file.get(name, getlink=True)
+            if type(link) is not h5py.HardLink:
+                raise Refused("a link that leads elsewhere")
+            found = h5py.h5o.open(self._file.id, name.encode("utf-8", "surrogateescape"))
+            if not isinstance(found, h5py.h5d.DatasetID):
+                raise Refused("a group, or another thing without numbers")
+            stored = _stored(found, self.size, self.growing)
+            _require_own(found, self.size, stored)
+            dataset = h5py.Dataset(found)
+            told = _numbers(dataset)
+            rows = self._rows(dataset)
+            told["attributes"] = _attributes(dataset)
+            self._datasets[name] = dataset
+            told["place"] = found.get_offset()
+            told["stored"] = stored
+            return told | {"whole_rows": rows}
+        except Refused as error:
+            return {"refused": str(error)}
+        except Exception as error:  # h5py's are of any class
+            return {"refused": f"what is damaged ({_line(error)})"}
+
+    def _rows(self, dataset: Any) -> int | None:
+        """Rows along the first axis whose chunks lie in a file that may be cut off."""
+        if not self.growing or dataset.chunks is None:
+            return None
+        whole, step = 0, dataset.chunks[0]
+        across = [range(0, n, c) for n, c in zip(dataset.shape[1:], dataset.chunks[1:])]
+        others = math.prod(map(len, across))
+        if others > 1:  # no recorder of ours cuts scans
+            return None
+        rest = (0,) * (dataset.ndim - 1)
+        for start in range(0, dataset.shape[0], step):
+            try:
+                chunk = dataset.id.get_chunk_info_by_coord((start, *rest))
+            except Exception:  # the index itself ends here
+                break
+            if chunk.byte_offset is None or chunk.byte_offset + chunk.size > self.size:
+                break
+            whole = min(start + step, dataset.shape[0])
+        return whole
+
+    def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
+        """A stretch along the first or the last axis."""
+        dataset = self._datasets[name]
+        if not dataset.ndim:
+            return np.asarray(dataset[()])
+        return np.asarray(dataset[..., start:stop] if axis else dataset[start:stop])
+
+
+def _stored(found: Any, size: int, growing: bool) -> int:
+    """Bytes of a dataset in the file, of which a part may be cut off."""
+    try:
+        return min(found.get_storage_size(), size)
+    except Exception:
+        if not growing:
+            raise
+        return size  # the index of chunks is not all there
+
+
+def _require_own(found: Any, size: int, stored: int) -> None:
+    """**Raises:** `Refused` for data that do not lie in the file, or of no size of ours."""
+    plist = found.get_create_plist()
+    layout = plist.get_layout()
+    if layout == h5py.h5d.VIRTUAL:
+        raise Refused("a virtual dataset")
+    if plist.get_external_count():
+        raise Refused("data in another file")
+    filters = [plist.get_filter(k)[0] for k in range(plist.get_nfilters())]
+    for number in filters:
+        if number not in _FILTERS:
+            raise Refused(f"data packed by filter {number}")
+    item = found.get_type().get_size()
+    shape = found.shape
+    declared = math.prod(shape) * item
+    if layout == h5py.h5d.CHUNKED:
+        chunk = math.prod(plist.get_chunk()) * item
+        if chunk > _CHUNK:
+            raise Refused(f"chunks of {chunk} bytes")
+    if layout == h5py.h5d.CONTIGUOUS:
+        place = found.get_offset()
+        if place is not None and place + declared > size:
+            raise Refused(f"{declared} bytes, beyond the file's end")
+    if declared > _SLACK + _RATIO * stored:
+        raise Refused(f"shape {shape} in {stored} bytes")
+
+
+def _numbers(dataset: Any) -> dict[str, Any]:
+    kind = dataset.dtype
+    if kind.kind not in "biufS" or kind.itemsize > 8 and kind.kind != "S":
+        raise Refused(f"type {kind}")
+    if kind.itemsize == 0 or kind.itemsize > 1 << 16:
+        raise Refused(f"type {kind}")
+    if dataset.shape is None:
+        raise Refused("no data")
+    return {"shape": list(dataset.shape), "dtype": kind.str}
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    found = {}
+    for name in item.attrs:
+        try:
+            number = h5py.h5a.open(item.id, name.encode("utf-8", "surrogateescape"))
+            if number.get_storage_size() > _ATTRIBUTE:
+                raise Refused("too many values")
+            if math.prod(number.shape or ()) > 1 << 20:
+                raise Refused("too many values")
+            found[name] = encode(item.attrs[name])
+        except Refused as error:
+            found[name] = {"refused": str(error)}
+        except Exception as error:
+            found[name] = {"refused": f"what is damaged ({_line(error)})"}
+    return found
+
+
+def encode(value: Any) -> dict[str, Any]:
+    """A value as JSON has it; `OpenContainer` makes it anew."""
+    if isinstance(value, str):
+        return {"text": value}
+    if isinstance(value, bytes):
+        return {"bytes": value.decode("latin-1")}
+    if isinstance(value, bool | int | float):
+        value = np.asarray(value)[()]
+    if not isinstance(value, np.ndarray | np.generic):
+        raise Refused(f"type {type(value).__name__}")
+    array = np.asarray(value)
+    if array.dtype.kind == "O" and all(isinstance(one, str) for one in array.flat):
+        return {"texts": array.tolist()}
+    if array.dtype.kind == "S":
+        texts = [one.decode("latin-1") for one in array.ravel()]
+        return {"bytes": texts, "shape": list(array.shape), "dtype": array.dtype.str}
+    if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
+        raise Refused(f"type {array.dtype}")
+    told = {"shape": list(array.shape), "dtype": array.dtype.str}
+    return {"numbers": array.ravel().tolist(), **told}
+
+
+def _line(error: Exception) -> str:
+    text = str(error).strip("'\"") or type(error).__name__
+    return " ".join(text.split())[:160]

@@ -1,0 +1,105 @@
+"""Small files of text: JSON, TOML, and tables of numbers."""
+
+import json
+import tomllib
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+# Largest file that is read, bytes: no calibration or order of wires comes near it, a table
+# of places has 40 bytes a slot.
+_SMALL, _TABLE = 1 << 24, 1 << 30
+
+
+def read_json(path: Path | str, what: str) -> Any:
+    """The content of a JSON file.
+
+    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.files import read_json
+    >>> _ = Path("rig.json").write_text('{"gain": 2}')
+    >>> read_json("rig.json", "not a calibration")
+    {'gain': 2}
+    >>> _ = Path("rig.json").write_text("[" * 100_000)
+    >>> read_json("rig.json", "not a calibration")
+    Traceback (most recent call last):
+        ...
+    ValueError: rig.json: not a calibration: brackets too deep
+    """
+    return _parsed(path, what, json.loads)
+
+
+def read_toml(path: Path | str, what: str) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.files import read_toml
+    >>> _ = Path("order.toml").write_text("channels = [1, 0]")
+    >>> read_toml("order.toml", "no options")
+    {'channels': [1, 0]}
+    """
+    return _parsed(path, what, tomllib.loads)
+
+
+def read_table(path: Path | str, what: str) -> Float[np.ndarray, "n columns"]:
+    """Numbers with commas between; NaN where a field is no number.
+
+    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.files import read_table
+    >>> _ = Path("places.csv").write_text("x,y\\n0.03,0.05\\n")
+    >>> print(read_table("places.csv", "places"))
+    [[ nan  nan]
+     [0.03 0.05]]
+    """
+    path = Path(path)
+    _require_file(path, what, _TABLE)
+    try:
+        # An open file: of a path NumPy would unpack .gz by itself, of any size.
+        with path.open(encoding="utf-8") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an empty file
+            found = np.genfromtxt(file, delimiter=",", comments="#")
+    except Exception as error:  # whatever NumPy makes of it
+        raise ValueError(f"{path}: {what}: {_line(error)}") from None
+    return np.asarray(found, float)
+
+
+def _parsed(path: Path | str, what: str, parse: Callable[[str], Any]) -> Any:
+    path = Path(path)
+    _require_file(path, what, _SMALL)
+    try:
+        return parse(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError(f"{path}: {what}: brackets too deep") from None
+    except (OSError, ValueError) as error:  # also of bytes that are no text
+        raise ValueError(f"{path}: {what}: {_line(error)}") from None
+
+
+def _require_file(path: Path, what: str, most: int) -> None:
+    """Of a FIFO or a device a reader would wait for ever."""
+    if not path.is_file():
+        reason = "a folder" if path.is_dir() else "no such file"
+        reason = "no plain file" if path.exists() and not path.is_dir() else reason
+        raise ValueError(f"{path}: {what}: {reason}")
+    size = path.stat().st_size
+    if size > most:
+        raise ValueError(f"{path}: {what}: got {size} bytes, expected up to {most}")
+
+
+def _line(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(str(text).split())[:200]

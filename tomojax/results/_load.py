@@ -1,0 +1,188 @@
+"""A results file from outside: what it says is judged before anything is made of it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.files import open_container
+from tomojax.methods import fields_of_rows
+
+SCHEMA, VERSION = "tomojax-results", 1
+
+_ROWS = 1 << 14  # read at once, where few of them are kept
+
+# A covariance is no one's where xy² exceeds xx·yy by more than float32's rounding; a
+# variance below 0 by as little, m².
+_ROUNDING, _LEAST = 1e-3, 1e-15
+
+
+class LoadedResults:
+    """An open results file; a context that closes it.
+
+    `attributes` and `names` as the file has them; `rows`: how many.
+    **Raises:** `ValueError`, one line that names the file and the field.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            require(path.is_file(), "file", "none, or a folder", "a file")
+            self._file = open_container(path)
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{path}: not a results file: {error}") from None
+        try:
+            self._check()
+        except (OSError, ValueError) as error:
+            self.close()
+            raise ValueError(f"{path}: {error}") from None
+
+    def _check(self) -> None:
+        file = self._file
+        self.attributes: dict[str, Any] = file.attributes
+        schema = self.attributes.get("schema")
+        require(isinstance(schema, str) and schema == SCHEMA, "schema", "another", SCHEMA)
+        version = self.attributes.get("schema_version")
+        same = isinstance(version, np.integer) and int(version) == VERSION
+        require(same, "schema_version", str(version)[:40], f"{VERSION}")
+        shape = file.shape("t")
+        require(len(shape) == 1 and shape[0] > 0, "t", f"shape {shape}", "(rows,)")
+        self.rows, known = shape[0], fields_of_rows()
+        require(file.dtype("t").kind == "f", "t", file.dtype("t"), "float64")
+        sizes: dict[str, int] = {}
+        for name in known:
+            if name not in file.names:
+                continue
+            shape, field = file.shape(name), known[name]
+            kind = file.dtype(name).kind
+            wanted = "f" if np.dtype(field.kind).kind == "f" else "iu"
+            require(kind in wanted, name, f"type {file.dtype(name)}", field.kind)
+            told = (self.rows, *(sizes.get(s, s) for s in field.sizes))
+            fits = len(shape) == len(told) and all(
+                size == int(t) for size, t in zip(shape, told) if str(t).isdigit()
+            )
+            expected = f"({', '.join(map(str, told))})"
+            require(fits, name, f"shape {shape}", expected)
+            sizes |= dict(zip(field.sizes, shape[1:]))
+        self.contacts = sizes.get("C", 0)
+
+    @property
+    def names(self) -> list[str]:
+        """Of datasets that can be read."""
+        return [n for n in self._file.names if self._file.refused(n) is None]
+
+    def number(self, name: str) -> float:
+        """An attribute that is one number above 0, or below."""
+        value = self.attributes.get(name)
+        one = isinstance(value, np.number) and bool(np.isfinite(value)) and value != 0
+        require(one, f"{self.path}: {name}", str(value)[:40], "one number")
+        return float(value)  # pyright: ignore
+
+    def size(self) -> np.ndarray:
+        """The sheet's, m."""
+        size = np.asarray(self.attributes.get("size"))
+        fine = size.shape == (2,) and size.dtype.kind == "f"
+        fine = fine and bool(np.isfinite(size).all() and (size > 0).all())
+        require(fine, f"{self.path}: size", str(size)[:40], "two lengths, m")
+        return size
+
+    def electrode_xy(self) -> np.ndarray:
+        """The electrodes' places (M, 2), m."""
+        xy = np.asarray(self.attributes.get("electrode_xy"))
+        fine = xy.ndim == 2 and xy.shape[1] == 2 and len(xy) > 0 and xy.dtype.kind in "iuf"
+        fine = fine and bool(np.isfinite(xy).all())
+        require(fine, f"{self.path}: electrode_xy", f"shape {xy.shape}", "(M, 2), m")
+        return xy
+
+    def read(self, name: str) -> np.ndarray:
+        """A dataset, whose values are judged where they can be wrong."""
+        try:
+            values = self._file.read_whole(name)
+            _check_values(name, values, self.contacts)
+        except (OSError, ValueError) as error:
+            text = str(error)
+            text = text if text.startswith(name) else f"{name}: cannot be read ({text})"
+            raise ValueError(f"{self.path}: {text}") from None
+        return values
+
+    def stretch(self, name: str, start: int, stop: int) -> np.ndarray:
+        """Rows `start` to `stop` of a dataset."""
+        try:
+            return self._file.read(name, start, stop)
+        except (OSError, ValueError) as error:
+            told = f"{name}: rows {start} to {stop} cannot be read ({error})"
+            raise ValueError(f"{self.path}: {told}") from None
+
+    def thinned(self, name: str, step: int) -> np.ndarray:
+        """Every so many rows of a dataset."""
+        each = step * max(1, _ROWS // step)
+        starts = range(0, self.rows, each)
+        return np.concatenate(
+            [self.stretch(name, at, min(at + each, self.rows))[::step] for at in starts]
+        )
+
+    def unit(self, name: str) -> dict[str, Any]:
+        """Attributes of a dataset."""
+        return self._file.attributes_of(name)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> "LoadedResults":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def _check_values(name: str, values: np.ndarray, contacts: int) -> None:
+    if name == "t":
+        require(np.isfinite(values).all(), name, "NaN or infinite", "seconds")
+    if name == "contact_count":
+        most = int(values.max(initial=0))
+        fits = most <= contacts and int(values.min(initial=0)) >= 0
+        require(fits, name, most, f"0 to {contacts}, as contact_xy has places")
+    if name == "contact_covariance":
+        xx, yy, xy = np.moveaxis(values.astype(float), -1, 0)
+        known = np.isfinite(values).all(-1)
+        wrong = (
+            (xx < -_LEAST)
+            | (yy < -_LEAST)
+            | (xy**2 > (1 + _ROUNDING) * xx * yy + _LEAST**2)
+        )
+        require(not (wrong & known).any(), name, "negative ones", "variances above 0")
+
+
+def attributes(path: Path) -> dict[str, Any]:
+    """Of a results file, or one in the making."""
+    with LoadedResults(path) as opened:
+        found = opened.attributes
+    try:
+        told = json.loads(found["configuration"])
+        assert isinstance(told, dict)
+    except (KeyError, TypeError, ValueError, AssertionError, RecursionError):
+        raise ValueError(f"{path}: configuration: got none, expected a run's") from None
+    return found
+
+
+def places(path: Path) -> dict[str, tuple[int, np.dtype, tuple[int, ...]]]:
+    """Where each dataset of a file in the making lies: offset, type, shape of a row.
+
+    **Raises:** `ValueError` where one does not lie in one piece, or over another.
+    """
+    try:
+        with open_container(path) as file:
+            names = file.names
+            found = {n: (file.place(n), file.dtype(n), file.shape(n)) for n in names}
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: not a results file: {error}") from None
+    end = 0
+    for place, kind, shape in sorted(found.values(), key=lambda one: one[0] or 0):
+        apart = place is not None and place >= end
+        require(
+            apart, f"{path}: datasets", "not laid out by tomojax", "one after the other"
+        )
+        end = (place or 0) + kind.itemsize * int(np.prod(shape))
+    return {n: (p or 0, kind, shape[1:]) for n, (p, kind, shape) in found.items()}
