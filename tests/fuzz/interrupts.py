@@ -7,6 +7,13 @@ fall into the work itself. After each SIGKILL or Ctrl-C: what the command reads 
 was; what it writes is absent, or the bytes of a run that nobody interrupted; after Ctrl-C
 a line says so, and the time to the end is noted. Then the command goes on where it was
 (`--resume`, or once more), to the same bytes in the end.
+
+2026-11-26, two cores shared with five other engineers (load 8): 146 moments of track,
+calibrate, design, and of reconstruct by auto, points, conductance, shape (both rates) and
+follow, 107 of them with a file begun. Nothing was lost and nothing half made had a name;
+20 runs that went on ended with the same bytes. From Ctrl-C to the end, 77 times: median
+1.05 s, 90 % 1.22 s, at most 1.81 s. One file was left, `.o.PID.partial.h5` of a track that
+was killed as it wrote. Not run by then: source, linear, positive, frontier.
 """
 
 import argparse
@@ -79,7 +86,7 @@ def jobs(folder: Path, data: Path, only: str) -> list[Job]:
     found.append(Job("calibrate", words, [drag], ["o.json"], []))
     words = "design --slots 3 --contacts 8 --policy OUT/p.npz --json OUT/d.json".split()
     found.append(Job("design", words, [], ["p.npz", "d.json"], []))
-    words = "frontier --quick --scenes 2 --only source --out OUT".split()
+    words = "frontier --quick --scenes 2 --only points --out OUT".split()
     names = ["frontier.json"]
     found.append(Job("frontier", words, [], names, [], exact=False))
     return [job for job in found if re.search(only, job.name)]
