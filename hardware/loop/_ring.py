@@ -6,12 +6,14 @@ slots and is told how many: whoever is late loses, and nobody else is kept waiti
 
 import os
 import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tomojax._require import require
+from tomojax.hardware.loop._leftovers import abandoned, claim, sweep
 from tomojax.hardware.sources import Counters
 
 # Of the image that goes along, pixels of a side; latencies, by µs, as a histogram; and
@@ -80,11 +82,20 @@ class SlotRing:
     def create(
         cls, electrodes: int, contacts: int = 2, length: int = 1 << 16, folder: Any = None
     ) -> "SlotRing":
-        """Of `length` slots, in memory where the system has a folder for that."""
+        """Of `length` slots, in memory where the system has a folder for that.
+
+        Rings of processes that were killed are removed from there.
+        """
         require(length >= 2, "length", length, "2 or more slots")
         shared = Path("/dev/shm")
-        place = folder or (shared if shared.is_dir() else None)
-        number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
+        place = folder or (shared if shared.is_dir() else tempfile.gettempdir())
+        sweep(Path(place), "tomojax-*.ring")
+        own = None
+        while own is None:
+            number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
+            own = claim(Path(name))
+            if own is None and Path(name).exists():  # no locks here
+                break
         head = 64 + _HEAD.itemsize + 8 * electrodes
         size = head + length * _row(electrodes, contacts).itemsize
         with os.fdopen(number, "wb") as file:
@@ -92,7 +103,14 @@ class SlotRing:
             file.truncate(size)
         made = cls(name)
         made.trim[0] = 1
+        if own is not None:
+            weakref.finalize(made, os.close, own)
         return made
+
+    @property
+    def done(self) -> bool:
+        """Whether the writer has ended, by itself or because it was killed."""
+        return bool(self.head["done"]) or abandoned(self.path)
 
     def put(self, got: Any, codes: np.ndarray, said: dict[str, Any]) -> None:
         """One slot more: a `Got`, its codes, and the other fields by name."""

@@ -59,7 +59,7 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
     zero = np.broadcast_to(np.asarray(known.offset, float), ring.electrodes)
     gain = np.broadcast_to(np.asarray(known.gain, float), ring.electrodes)
     while not done:
-        done = bool(ring.head["done"])
+        done = ring.done
         rows, row, _ = ring.since(row)
         if len(rows):
             places = _places(rows)

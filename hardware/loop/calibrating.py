@@ -104,7 +104,7 @@ def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
     drawn, known = Map(rig_of(told)), Known(path)
     row, done, left = 0, False, np.zeros((0, ring.electrodes))
     while not done:
-        done = bool(ring.head["done"])
+        done = ring.done
         rows, row, _ = ring.since(row)
         volts = rows["codes"] * told["scale"] + told["offset"]
         volts = np.concatenate([left, volts])

@@ -42,7 +42,7 @@ def draw(ring: SlotRing, told: dict[str, Any], path: str) -> int:
     batch = Batch(method(sensor, "shape", SIDE, known), 1.0, contacts=1)
     drawn, row, done = 0, 0, False
     while not done:
-        done, started = bool(ring.head["done"]), time.monotonic()
+        done, started = ring.done, time.monotonic()
         first = int(ring.head["rows"]) - _BACK
         rows, row, _ = ring.since(max(0 if done else row, first))
         some = latest(rows) if len(rows) else rows

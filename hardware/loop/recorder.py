@@ -70,6 +70,8 @@ class File:
         # It gets its name with its first rows: no file of that name is without.
         self.path, self._new = path, path.with_name(path.name + ".new")
         self.rows = self._lost = 0
+        # What is measured is its owner's alone.
+        os.close(os.open(self._new, os.O_CREAT | os.O_WRONLY, 0o600))
         self._file = h5py.File(self._new, "w", libver="latest")
         names = dict(told)
         self._file["electrode_xy"] = np.asarray(names.pop("electrode_xy"), float)
@@ -126,7 +128,7 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
     """Until the ring's writer is done and all of it is on the disk."""
     file, began = None, 0.0
     while True:
-        done, row = bool(ring.head["done"]), int(ring.head["recorded"])
+        done, row = ring.done, int(ring.head["recorded"])
         rows, row, gone = ring.since(row, _MOST)
         ring.head["dropped"] += gone
         if len(rows):
@@ -145,6 +147,8 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
             time.sleep(_EVERY)
     if file is not None:
         file.close()
+    if not ring.head["done"]:
+        ring.remove()  # its owner was killed, and this was the last who needs it
 
 
 class Recorder:

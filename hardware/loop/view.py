@@ -67,7 +67,7 @@ def watch(ring: SlotRing, terminal: bool) -> None:
         print(_CLEAR, end="")
     done = False
     while not done:
-        done = bool(ring.head["done"])
+        done = ring.done
         time.sleep(0 if done else period)
         now, count = time.monotonic(), int(ring.head["rows"])
         rate, before, rows = (count - rows) / (now - before), now, count

@@ -23,7 +23,7 @@ def watch(ring: SlotRing, path: Path | None) -> None:
         rr.save(path)
     row, done = 0, False
     while not done:
-        done = bool(ring.head["done"])
+        done = ring.done
         rows, row, _ = ring.since(row)
         if len(rows):
             _log(rr, ring, rows)

@@ -15,6 +15,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -257,7 +258,15 @@ def options() -> argparse.ArgumentParser:
     add("--disconnect", type=float, help="s from the start")
     add("--restart", type=float, help="s from the start: switched off and on")
     add("--away", type=float, default=0.5, help="s that those last")
+    add("--attached", action="store_true", help="end with the input: with who started it")
     return parser
+
+
+def _end_with_input() -> None:
+    """Ends the process when nobody holds the other end of its input any more."""
+    while os.read(0, 1024):
+        pass
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def main() -> None:
@@ -270,6 +279,8 @@ def main() -> None:
     rig = Firmware(link, chosen)
     # A job in a shell's background ignores Ctrl-C, and so would all that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if chosen.attached:
+        threading.Thread(target=_end_with_input, daemon=True).start()
     try:
         print(json.dumps({"where": link.where, "electrodes": rig.electrodes}), flush=True)
         wake_in_time()

@@ -27,7 +27,9 @@ class VirtualRig:
             values = value if isinstance(value, list | tuple) else [value]
             words += [f"--{name}", *map(str, values)]
         command = [sys.executable, "-m", "tomojax.hardware.sources.virtual", *words]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        command.append("--attached")
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
         assert self._process.stdout is not None
         told = self._process.stdout.readline()
         if not told:

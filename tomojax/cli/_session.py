@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import contextmanager, ExitStack
@@ -82,7 +81,15 @@ class _Session:
                         process.wait()
                 if self.recorder is not None:
                     self.recorder.close()
-                    print(f"recording: {self.recorder.path}")
+                    if self.ring.head["rows"]:
+                        print(f"recording: {self.recorder.path}")
+        counted = self.ring.counted()
+        if not self.ring.head["rows"]:
+            seen = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
+            raise ValueError(
+                f"source: no slot was taken in {time.perf_counter() - began:.1f} s "
+                f"({seen or 'nothing came'}); is this the rig, and does it send?"
+            )
         self._tell(step is not None)
 
     def _tell(self, worked: bool) -> None:
@@ -120,6 +127,7 @@ def session(
 
     from tomojax import Sensor
     from tomojax.hardware import open_source, SlotRing
+    from tomojax.hardware.loop import own_folder
     from tomojax.hardware.loop.recorder import attributes, Recorder
     from tomojax.hardware.sources import OrderedSource, ReplaySource
     from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
@@ -137,10 +145,10 @@ def session(
         sensor = Sensor.grid(dtype=np.float32, divisions=(32, 32))
         sensor = sensor if rig is None else rig.sensor()
         if source == "virtual":
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             print("scenes for a virtual rig …", file=sys.stderr)
-            draw_eight(sensor, folder / "scene.npz")
-            rig_process = VirtualRig(folder / "scene.npz", link="udp")
+            with own_folder("tomojax-scene-") as folder:
+                draw_eight(sensor, folder / "scene.npz")
+                rig_process = VirtualRig(folder / "scene.npz", link="udp")
             source = stack.enter_context(rig_process).where
         slots = open_source(source, sensor.electrode_count, **given)
         if isinstance(slots, ReplaySource):

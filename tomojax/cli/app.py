@@ -9,6 +9,7 @@ from tomojax.cli._demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
 from tomojax.cli._recordings import info, reconstruct
+from tomojax.cli._repair import repair
 from tomojax.cli._rig import calibrate, check
 from tomojax.cli._track import track
 from tomojax.cli.compiled import keep_compiled
@@ -48,6 +49,7 @@ for command in (
     table1,
     reconstruct,
     info,
+    repair,
     check,
     calibrate,
     track,

@@ -19,6 +19,7 @@ from tomojax.recordings._recording import (
     SCHEMA as SCHEMA,
     VERSION as VERSION,
 )
+from tomojax.recordings._repair import repair_recording as repair_recording
 
 __all__ = [
     "ArrayRecording",
@@ -30,6 +31,7 @@ __all__ = [
     "Rate",
     "read_chunk",
     "Recording",
+    "repair_recording",
     "Rig",
     "SCHEMA",
     "VERSION",

@@ -44,8 +44,8 @@ class Hdf5Recording(Recording):
     array has its axes in MATLAB's order.
     """
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, path: Path, header: dict[str, Any] | None = None):
+        self.path, self._header = path, header or {}
         self._file = _open(path)
         self._growing = self._file.growing
         try:
@@ -62,6 +62,7 @@ class Hdf5Recording(Recording):
         named = [n for n in self._file.names if self._file.refused(n) is None]
         matlab = any("MATLAB_class" in self._file.attributes_of(n) for n in named)
         field = _variables(self._file) if matlab else _attributes(self._file)
+        field = self._told(field)
         _check_schema(field)
         v, ground = self._shape("v", 3, "iu"), self._shape("ground", 2, "iu")
         t0 = self._shape("t0", 2 if matlab else 1, "fiu")
@@ -119,6 +120,17 @@ class Hdf5Recording(Recording):
         check(self)
         self._believe()
 
+    def _told(self, field: Callable) -> Callable:
+        """What the header says, or should have said."""
+        known = {*_NUMBERS, "size", "notes", "units", "schema", "schema_version"}
+        unknown = sorted(self._header.keys() - known)
+        require(not unknown, "header", unknown, f"some of {sorted(known)}")
+
+        def told(name: str, *default: Any) -> Any:
+            return self._header[name] if name in self._header else field(name, *default)
+
+        return told
+
     def _believe(self) -> None:
         """Times of a clock that can be believed, and elsewhere by the scans' numbers."""
         rows = self.rows_after_gaps()
@@ -156,8 +168,21 @@ class Hdf5Recording(Recording):
         require(kind.kind in kinds, name, f"type {kind}", f"type of kind {kinds}")
         return shape
 
-    def read(self, start: int, stop: int) -> Scans:
-        stop = min(stop, self.scans)
+    @property
+    def code_type(self) -> np.dtype:
+        return self._file.dtype("v")
+
+    @property
+    def codes_to_volts(self) -> tuple[float, float]:
+        """`scale` and `offset`, V."""
+        return self._scale, self._offset
+
+    def times(self, start: int, stop: int) -> np.ndarray:
+        """The start of scans, s."""
+        return self._t0[start:stop]
+
+    def read_codes(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """Codes (n, S, M) and grounds (n, S) as they are in the file."""
         try:
             codes = self._file.read("v", start, stop, self._axes)
             ground = self._file.read("ground", start, stop, self._axes)
@@ -168,9 +193,14 @@ class Hdf5Recording(Recording):
                 f"{self.path}: v: scans {start} to {stop} cannot be read ({error}); copy"
                 " the file again, or cut it before them"
             ) from None
+        return codes, ground.astype(int)
+
+    def read(self, start: int, stop: int) -> Scans:
+        stop = min(stop, self.scans)
+        codes, ground = self.read_codes(start, stop)
         volts = np.multiply(codes, self._scale, dtype=np.float64)
         volts += self._offset
-        return Scans(volts.astype(np.float32), ground.astype(int), self._t0[start:stop])
+        return Scans(volts.astype(np.float32), ground, self._t0[start:stop])
 
     @cached_property  # asked for with every chunk
     def interval(self) -> float:  # pyright: ignore (a property of its base)

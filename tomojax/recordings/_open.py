@@ -10,7 +10,8 @@ from tomojax.recordings._recording import Recording
 def open_recording(path: Path | str, **options: Any) -> Recording:
     """The recording in a file: version 1 (HDF5), MATLAB v7.3, or TDMS.
 
-    **Arguments:** `options` are those of `TdmsRecording`, for .tdms files alone.
+    **Arguments:** `options` are those of `TdmsRecording` for .tdms files; for others
+    `header`: what attributes of the file should have said, by name.
     **Raises:** `ValueError`, one line with the file, the field, what came and what was
     expected, also for a file that cannot be opened.
 
@@ -36,7 +37,8 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         else:
             from tomojax.recordings._hdf5 import Hdf5Recording as Reader
 
-            require(not options, "options", sorted(options), "none but for .tdms files")
+            own = not options.keys() - {"header"}
+            require(own, "options", sorted(options), "header, but for .tdms files")
         recording = Reader(path, **options)
     except ModuleNotFoundError as error:
         extra = "tdms" if error.name == "nptdms" else "app"

@@ -1,0 +1,101 @@
+"""`tomojax repair`: what only a person may decide of a recording."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tomojax.cli.entry import Command, InputFile, OutputFile
+
+_NAMES = (
+    "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
+    "sheet_resistance", "electrode_diameter", "size", "notes", "units",
+)  # fmt: skip
+
+
+def _header(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
+    found: dict[str, Any] = {}
+    for value in values:
+        name, equals, text = value.partition("=")
+        if not equals or name not in _NAMES:
+            expected = ", ".join(f"{n}=…" for n in _NAMES)
+            raise click.BadParameter(f"got {value!r}, expected one of {expected}")
+        if name in ("notes", "units"):
+            found[name] = text
+            continue
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            raise click.BadParameter(f"{name}: got {text!r}, expected numbers") from None
+        found[name] = numbers if name == "size" else numbers[0]
+        if name != "size" and len(numbers) != 1:
+            raise click.BadParameter(f"{name}: got {text!r}, expected one number")
+    return found
+
+
+def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
+    if value is None:
+        return None
+    try:
+        first, last = (int(part) for part in value.split(":"))
+    except ValueError:
+        raise click.BadParameter(f"got {value!r}, expected FIRST:BEHIND") from None
+    return first, last
+
+
+@click.command(cls=Command)
+@click.argument("rec", type=InputFile())
+@click.option(
+    "-o", "--out", type=OutputFile("recording"), required=True, help="A new file."
+)
+@click.option(
+    "--set",
+    "header",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=_header,
+    help="What an attribute should have said, in SI units: f_switch=5000. Again for each.",
+)
+@click.option(
+    "--scans",
+    callback=_scans,
+    metavar="FIRST:BEHIND",
+    help="Keep these scans, the first and the one behind the last. [default: all]",
+)
+@click.option(
+    "--order",
+    type=InputFile(),
+    help="Channels and grounds are as this file of `tomojax check --write` says.",
+)
+def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -> None:
+    """Write recording REC as it should have been; REC stays as it is.
+
+    Clocks that fall, stand or begin anew are put right by every command that reads REC;
+    here the times become part of the file.
+    """
+    from tqdm import tqdm
+
+    from tomojax.files import read_toml
+    from tomojax.recordings import open_recording, repair_recording
+
+    order_of = {} if order is None else read_toml(order, "no order of channels")
+    unknown = sorted(order_of.keys() - {"channels", "grounds"})
+    if unknown:
+        raise ValueError(f"{order}: got {unknown[0]}, expected channels and grounds")
+    if rec.suffix.lower() == ".tdms":
+        raise ValueError(f"{rec}: got TDMS, expected a recording in HDF5")
+    with (
+        open_recording(rec, header=header) as recording,
+        tqdm(desc="repair", unit="scan", total=recording.scans, disable=None) as bar,
+    ):
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        given = order_of.get("channels"), order_of.get("grounds")
+        repair_recording(recording, out, scans, *given, progress)  # pyright: ignore
+        told = recording.mended
+    for sentence in told:
+        print(f"put right: {sentence}")
+    print(f"recording: {out}")
