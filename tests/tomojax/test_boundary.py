@@ -73,12 +73,12 @@ def virtual_itself(file, folder):
 
 
 def bomb(file, folder):
-    """A chunk of 10 kB that unpacks to 0.8 GB."""
+    """A chunk of 10 kB that unpacks to 1.3 GB."""
     v = file.create_dataset(
         "v", (SCANS, 2, 64), "i2", chunks=(SCANS, 2, 64), compression="gzip"
     )
     pack, block = zlib.compressobj(1), bytes(1 << 26)
-    parts = [pack.compress(block) for _ in range(12)]
+    parts = [pack.compress(block) for _ in range(20)]
     v.id.write_direct_chunk((0, 0, 0), b"".join([*parts, pack.flush()]))
 
 
