@@ -118,7 +118,7 @@ class OpenContainer:
     def _member(self, name: str) -> dict[str, Any]:
         told = self._members.get(name)
         why = "nothing" if told is None else told.get("refused")
-        if why:
+        if told is None or why:
             raise ValueError(f"{name}: got {why}, expected numbers in the file itself")
         return told
 
@@ -302,7 +302,7 @@ class _Readers:
         with other:
             self._process = subprocess.Popen(
                 command,
-                stdin=other,
+                stdin=other.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=environment,
