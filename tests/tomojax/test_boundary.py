@@ -231,6 +231,7 @@ def test_a_reader_that_dies_is_an_error(tmp_path):
     codes = recordings.noise(np.random.default_rng(0), 5)
     path = recordings.write(tmp_path / "a.h5", codes)
     with open_container(path) as opened:
+        assert opened.read("v", np.int64(1), np.int64(3)).shape == (2, 2, 64)
         opened.close()
         with pytest.raises(OSError, match="closed"):
             opened.read("v")

@@ -135,7 +135,7 @@ class OpenContainer:
             return self._piece(name, 0, 0, 0)
         count = shape[axis]
         stop = count if stop is None else min(stop, count)
-        start = min(start, stop)
+        start, stop = int(min(start, stop)), int(stop)  # NumPy's whole numbers too
         row = max(1, math.prod(shape) // max(1, count)) * item
         if row * (stop - start) > _WHOLE * memory() or row > 2 * _PIECE:
             size = f"{row * (stop - start)} bytes"

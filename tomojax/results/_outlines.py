@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from tomojax._require import require
-from tomojax.results._load import LoadedResults
+from tomojax.results.loading import LoadedResults
 
 # Rows that are read at once; the probability at an outline.
 _ROWS, _HALF = 256, 0.5

@@ -23,8 +23,8 @@ from tomojax.calibration import force, tare
 from tomojax.methods import AbstractMethod, Batch, frames_of, method as make_method, Rows
 from tomojax.recordings import Chunk, CHUNK_SLOTS, read_chunk, Recording
 from tomojax.results._chosen import Chosen
-from tomojax.results._load import attributes as attributes_of
 from tomojax.results._settings import chunk_scans, film_rows, Settings
+from tomojax.results.loading import attributes as attributes_of
 from tomojax.sensor import Calibration
 
 # Frames that λ is chosen from, and the seconds after which what is written is marked.
