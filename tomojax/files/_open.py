@@ -10,8 +10,9 @@ import sys
 import threading
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from operator import index
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 
@@ -134,8 +135,9 @@ class OpenContainer:
         if not shape:
             return self._piece(name, 0, 0, 0)
         count = shape[axis]
-        stop = count if stop is None else min(stop, count)
-        start, stop = int(min(start, stop)), int(stop)  # NumPy's whole numbers too
+        # NumPy's whole numbers as Python's: JSON has no others.
+        stop = count if stop is None else min(index(stop), count)
+        start = min(index(start), stop)
         row = max(1, math.prod(shape) // max(1, count)) * item
         if row * (stop - start) > _WHOLE * memory() or row > 2 * _PIECE:
             size = f"{row * (stop - start)} bytes"
