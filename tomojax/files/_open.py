@@ -124,7 +124,11 @@ class OpenContainer:
         return told
 
     def read(
-        self, name: str, start: int = 0, stop: int | None = None, axis: int = 0
+        self,
+        name: str,
+        start: SupportsIndex = 0,
+        stop: SupportsIndex | None = None,
+        axis: int = 0,
     ) -> Any:
         """A dataset, or a stretch along its first axis, or its last one (`axis` -1).
 
