@@ -73,12 +73,12 @@ def virtual_itself(file, folder):
 
 
 def bomb(file, folder):
-    """A chunk of 10 kB that unpacks to 0.8 GB."""
+    """A chunk of 10 kB that unpacks to 1.3 GB."""
     v = file.create_dataset(
         "v", (SCANS, 2, 64), "i2", chunks=(SCANS, 2, 64), compression="gzip"
     )
     pack, block = zlib.compressobj(1), bytes(1 << 26)
-    parts = [pack.compress(block) for _ in range(12)]
+    parts = [pack.compress(block) for _ in range(20)]
     v.id.write_direct_chunk((0, 0, 0), b"".join([*parts, pack.flush()]))
 
 
@@ -231,6 +231,7 @@ def test_a_reader_that_dies_is_an_error(tmp_path):
     codes = recordings.noise(np.random.default_rng(0), 5)
     path = recordings.write(tmp_path / "a.h5", codes)
     with open_container(path) as opened:
+        assert opened.read("v", np.int64(1), np.int64(3)).shape == (2, 2, 64)
         opened.close()
         with pytest.raises(OSError, match="closed"):
             opened.read("v")

@@ -10,8 +10,9 @@ import sys
 import threading
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from operator import index
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 
@@ -118,12 +119,16 @@ class OpenContainer:
     def _member(self, name: str) -> dict[str, Any]:
         told = self._members.get(name)
         why = "nothing" if told is None else told.get("refused")
-        if why:
+        if told is None or why:
             raise ValueError(f"{name}: got {why}, expected numbers in the file itself")
         return told
 
     def read(
-        self, name: str, start: int = 0, stop: int | None = None, axis: int = 0
+        self,
+        name: str,
+        start: SupportsIndex = 0,
+        stop: SupportsIndex | None = None,
+        axis: int = 0,
     ) -> Any:
         """A dataset, or a stretch along its first axis, or its last one (`axis` -1).
 
@@ -134,8 +139,9 @@ class OpenContainer:
         if not shape:
             return self._piece(name, 0, 0, 0)
         count = shape[axis]
-        stop = count if stop is None else min(stop, count)
-        start = min(start, stop)
+        # NumPy's whole numbers as Python's: JSON has no others.
+        stop = count if stop is None else min(index(stop), count)
+        start = min(index(start), stop)
         row = max(1, math.prod(shape) // max(1, count)) * item
         if row * (stop - start) > _WHOLE * memory() or row > 2 * _PIECE:
             size = f"{row * (stop - start)} bytes"
@@ -302,7 +308,7 @@ class _Readers:
         with other:
             self._process = subprocess.Popen(
                 command,
-                stdin=other,
+                stdin=other.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=environment,

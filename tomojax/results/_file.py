@@ -25,7 +25,7 @@ from tomojax._whole import held, reason
 from tomojax.files import open_container, read_npz
 from tomojax.kernels.flags import Flag
 from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
-from tomojax.results._load import places, SCHEMA, VERSION
+from tomojax.results.loading import places, SCHEMA, VERSION
 
 
 def fields(

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from tomojax._require import require
 from tomojax._whole import whole
-from tomojax.results._load import LoadedResults
+from tomojax.results.loading import LoadedResults
 
 # Rows that are read at once; the probability at an outline.
 _ROWS, _HALF = 256, 0.5

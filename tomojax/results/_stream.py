@@ -23,7 +23,6 @@ from tomojax.calibration import force
 from tomojax.methods import Batch, method as make_method, Rows
 from tomojax.recordings import Chunk, read_chunk, Recording
 from tomojax.results._chosen import Chosen
-from tomojax.results._load import attributes as attributes_of
 from tomojax.results._settings import (
     calibration_of,
     choose_lambda,
@@ -33,6 +32,7 @@ from tomojax.results._settings import (
     require_same,
     Settings,
 )
+from tomojax.results.loading import attributes as attributes_of
 
 # Seconds after which what is written is marked.
 _MARK_SECONDS = 2.0

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tomojax.kernels.flags import Flag
-from tomojax.results._load import LoadedResults
+from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
-from tomojax.results._load import LoadedResults
+from tomojax.results.loading import LoadedResults
 
 _ROWS = 1 << 20  # read at once
 

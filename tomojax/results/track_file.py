@@ -14,8 +14,8 @@ from tomojax._require import require
 from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output
-from tomojax.results._load import LoadedResults
 from tomojax.results._track import Touch, touches, track, Tracks
+from tomojax.results.loading import LoadedResults
 
 # Datasets that tracks replace or add, with their units.
 _UNITS = {name: field.unit for name, field in fields_of_rows().items()} | {
