@@ -90,12 +90,12 @@ class SlotRing:
         shared = Path("/dev/shm")
         place = folder or (shared if shared.is_dir() else tempfile.gettempdir())
         sweep(Path(place), "tomojax-*.ring")
-        own = None
-        while own is None:
+        while True:
             number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
             own = claim(Path(name))
-            if own is None and Path(name).exists():  # no locks here
+            if own is not None or Path(name).exists():  # there are no locks here
                 break
+            os.close(number)  # another session has swept it before it was claimed
         head = 64 + _HEAD.itemsize + 8 * electrodes
         size = head + length * _row(electrodes, contacts).itemsize
         with os.fdopen(number, "wb") as file:

@@ -78,6 +78,8 @@ def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -
     from tomojax.files import read_toml
     from tomojax.recordings import open_recording, repair_recording
 
+    if out.exists():
+        raise ValueError(f"{out}: is there; give another name")
     order_of = {} if order is None else read_toml(order, "no order of channels")
     unknown = sorted(order_of.keys() - {"channels", "grounds"})
     if unknown:
