@@ -18,8 +18,7 @@ import numpy as np
 from cobs import cobs
 
 import tomojax as tx
-from tomojax.hardware import run, SlotRing
-from tomojax.hardware import sources as frames
+from tomojax.hardware import run, SlotRing, sources as frames
 from tomojax.hardware.loop.recorder import attributes, write
 from tomojax.hardware.sources import Link, WireSource
 from tomojax.hardware.sources.serial import Frames

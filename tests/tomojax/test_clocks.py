@@ -1,4 +1,4 @@
-"""Recordings of rigs whose clocks fall, stand, jump and begin anew: all of them are read."""
+"""Recordings of rigs whose clocks fall, stand, jump and begin anew: all are read."""
 
 import numpy as np
 import pytest
