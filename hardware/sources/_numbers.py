@@ -1,8 +1,8 @@
 """Which slot comes next: by a rig's sequence numbers and its clock, neither believed alone.
 
-A slot whose number is far from the one that is due waits, and counts as late meanwhile. It
-is given out when its clock shows that it is new, or when those after it go on from it: then
-the rig's counter jumped.
+A slot whose number is far from the one that is due waits, and counts as late meanwhile.
+It is given out when its clock shows that it is new, or when those after it go on from it:
+then the rig's counter jumped.
 """
 
 from typing import NamedTuple
