@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from tomojax.cli._amounts import AMOUNT, COUNT, whole
 from tomojax.cli._session import session
 
 _FILE = click.Path(path_type=Path)
@@ -44,7 +45,7 @@ class Numbers(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> list[int]:
         try:
             parts = value.split(",") if isinstance(value, str) else value
-            return [int(part) for part in parts]
+            return [whole(part) for part in parts]
         except (TypeError, ValueError):
             self.fail(f"got {value!r}, expected whole numbers with commas", param, ctx)
 
@@ -68,19 +69,19 @@ def _shared(command: Any) -> Any:
             show_default=True,
         ),
         click.option("--rrd", type=_FILE, help="With --view rerun: a file, no viewer."),
-        click.option("--seconds", type=float, help="[default: until Ctrl-C]"),
+        click.option("--seconds", type=AMOUNT, help="[default: until Ctrl-C]"),
         click.option(
             "--file-seconds",
-            type=float,
+            type=AMOUNT,
             default=3600.0,
             show_default=True,
             help="A new file of the recording after so long.",
         ),
-        click.option("--baud", type=int, help="Of a serial line. [default: 4000000]"),
+        click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]"),
         click.option(
             "--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]"
         ),
-        click.option("--speed", type=float, help="Of a recording; 1 is its own."),
+        click.option("--speed", type=AMOUNT, help="Of a recording; 1 is its own."),
         click.option(
             "--like", type=_FILE, help="A recording of this rig: its sheet and electrodes."
         ),
@@ -165,9 +166,9 @@ def _calibrated(rec: Path, made: Path) -> None:
 )
 @click.option("--cheaper", help="A method that answers slots that are late.")
 @click.option(
-    "--budget", type=float, help="A slot that is older is late, s. [default: one slot]"
+    "--budget", type=AMOUNT, help="A slot that is older is late, s. [default: one slot]"
 )
-@click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
+@click.option("--contacts", type=COUNT, default=2, show_default=True, help="At most.")
 @click.option("--calibration", type=_FILE, help="A calibration file of this rig.")
 @click.option(
     "--adapt",
