@@ -22,6 +22,17 @@ _SILENCE, _NO_ANSWER = 0.25, 5.0
 _PATIENCE = 50
 
 
+# What a rig may say of itself: slots a second, V of a code at least, V of all at most.
+_RATES, _FINEST, _VOLTS = (1e-3, 1e8), 1e-12, 1e6
+
+
+def _possible(told: frames.Description) -> bool:
+    """Whether times and voltages of such a rig are numbers, in float32 too."""
+    volts = 32768 * abs(told.scale) + abs(told.offset)
+    known = _RATES[0] <= told.rate <= _RATES[1] and abs(told.scale) >= _FINEST
+    return known and volts <= _VOLTS
+
+
 class Link(ABC):
     """Whole messages there and back; `OSError` where it is cut."""
 
@@ -208,7 +219,7 @@ class WireSource(SlotSource):
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         numbers = told.rate, told.scale, told.offset
-        sound = all(map(math.isfinite, numbers)) and told.rate > 0 and told.scale != 0
+        sound = all(map(math.isfinite, numbers)) and _possible(told)
         require(
             sound, "rate, scale, offset", f"a rig with {numbers}", "a rate, and a scale"
         )

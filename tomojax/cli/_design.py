@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
+from tomojax.cli._amounts import NUMBER
 from tomojax.cli.entry import Command, InputFile, OutputFile, OutputFolder
 
 # Cells of the map of what a design tells, along a side.
@@ -17,13 +18,13 @@ _MAP = 32
 @click.command(cls=Command)
 @click.option(
     "--region",
-    type=float,
+    type=NUMBER,
     nargs=4,
     metavar="X0 Y0 X1 Y1",
     help="Where contacts may be, mm. [default: the sheet but half a pitch]",
 )
 @click.option(
-    "--place", "spots", type=float, nargs=2, multiple=True, help="A contact at X Y, mm."
+    "--place", "spots", type=NUMBER, nargs=2, multiple=True, help="A contact at X Y, mm."
 )
 @click.option("--slots", type=int, default=8, show_default=True)
 @click.option(
@@ -39,8 +40,8 @@ _MAP = 32
     "stays unknown, or the worst; rigs: what is seen on simulated ones. "
     "[default: place; of a table for points or linear rigs]",
 )
-@click.option("--noise", type=float, help="V rms. [default: as the method takes it]")
-@click.option("--lam", type=float, help="λ of an image. [default: the noise's]")
+@click.option("--noise", type=NUMBER, help="V rms. [default: as the method takes it]")
+@click.option("--lam", type=NUMBER, help="λ of an image. [default: the noise's]")
 @click.option("--contacts", type=int, default=64, show_default=True, help="In a region.")
 @click.option(
     "--like", type=InputFile(), help="A recording of the rig: its sheet, electrodes."

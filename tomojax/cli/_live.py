@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from tomojax.cli._amounts import AMOUNT, COUNT, whole_number
 from tomojax.cli._session import session
 from tomojax.cli.entry import Command, InputFile, OutputFile
 
@@ -43,7 +44,7 @@ class Numbers(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> list[int]:
         try:
             parts = value.split(",") if isinstance(value, str) else value
-            return [int(part) for part in parts]
+            return [whole_number(part) for part in parts]
         except (TypeError, ValueError):
             self.fail(f"got {value!r}, expected whole numbers with commas", param, ctx)
 
@@ -71,19 +72,19 @@ def _shared(command: Any) -> Any:
             type=OutputFile("view"),
             help="With --view rerun: a file, no viewer; replaces an earlier one.",
         ),
-        click.option("--seconds", type=float, help="[default: until Ctrl-C]"),
+        click.option("--seconds", type=AMOUNT, help="[default: until Ctrl-C]"),
         click.option(
             "--file-seconds",
-            type=float,
+            type=AMOUNT,
             default=3600.0,
             show_default=True,
             help="A new file of the recording after so long.",
         ),
-        click.option("--baud", type=int, help="Of a serial line. [default: 4000000]"),
+        click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]"),
         click.option(
             "--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]"
         ),
-        click.option("--speed", type=float, help="Of a recording; 1 is its own."),
+        click.option("--speed", type=AMOUNT, help="Of a recording; 1 is its own."),
         click.option(
             "--like",
             type=InputFile(),
@@ -176,9 +177,9 @@ def _calibrated(rec: Path, made: Path) -> None:
 )
 @click.option("--cheaper", help="A method that answers slots that are late.")
 @click.option(
-    "--budget", type=float, help="A slot that is older is late, s. [default: one slot]"
+    "--budget", type=AMOUNT, help="A slot that is older is late, s. [default: one slot]"
 )
-@click.option("--contacts", type=int, default=2, show_default=True, help="At most.")
+@click.option("--contacts", type=COUNT, default=2, show_default=True, help="At most.")
 @click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
 @click.option(
     "--adapt",

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
+from tomojax.cli._amounts import NUMBER
 from tomojax.cli.entry import Command, InputFile, interrupts, OutputFile, STOPPED, stopped
 
 
@@ -26,10 +27,7 @@ def _tdms(context: click.Context, parameter: Any, values: tuple[str, ...]) -> di
 def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     if value == "auto":
         return None
-    try:
-        return float(value)
-    except ValueError:
-        raise click.BadParameter(f"got {value!r}, expected auto or a number") from None
+    return NUMBER.convert(value, parameter, context)
 
 
 tdms_option = click.option(
@@ -69,7 +67,7 @@ tdms_option = click.option(
     "--contacts", type=int, default=4, show_default=True, help="At most, per row."
 )
 @click.option(
-    "--threshold", type=float, help="V: less is no contact. [default: the method's]"
+    "--threshold", type=NUMBER, help="V: less is no contact. [default: the method's]"
 )
 @click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
 @click.option(

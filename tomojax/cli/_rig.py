@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
+from tomojax.cli._amounts import AMOUNT, COUNT
 from tomojax.cli._recordings import tdms_option
 from tomojax.cli.entry import Command, InputFile, OutputFile
 
@@ -153,10 +154,14 @@ class _Corners(click.ParamType):
     help="Write the faults here; replaces an earlier report.",
 )
 @click.option("--like", type=InputFile(), help="A recording of this sensor.")
-@click.option("--quiet", type=float, default=4.0, show_default=True, help="Of a SOURCE, s.")
-@click.option("--rub", type=float, default=20.0, show_default=True, help="Of a SOURCE, s.")
-@click.option("--touch", type=float, default=3.0, show_default=True, help="Of a SOURCE, s.")
-@click.option("--baud", type=int, help="Of a serial line. [default: 4000000]")
+@click.option(
+    "--quiet", type=AMOUNT, default=4.0, show_default=True, help="Of a SOURCE, s."
+)
+@click.option("--rub", type=AMOUNT, default=20.0, show_default=True, help="Of a SOURCE, s.")
+@click.option(
+    "--touch", type=AMOUNT, default=3.0, show_default=True, help="Of a SOURCE, s."
+)
+@click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]")
 @click.option("--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]")
 @tdms_option
 def check(

@@ -1,6 +1,7 @@
 """`tomojax track`."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,12 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
         return None
     try:
         place, height = (float(part) for part in value.split(","))
+        if not all(0 <= part < math.inf for part in (place, height)):
+            raise ValueError
     except ValueError:
-        raise click.BadParameter(f"got {value!r}, expected auto or M,LN_G") from None
+        raise click.BadParameter(
+            f"got {value!r}, expected auto or M,LN_G, 0 or more"
+        ) from None
     return place, height
 
 

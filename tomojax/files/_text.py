@@ -72,7 +72,7 @@ def read_table(path: Path | str, what: str) -> Float[np.ndarray, "n columns"]:
         # An open file: of a path NumPy would unpack .gz by itself, of any size.
         with path.open(encoding="utf-8") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # an empty file
-            found = np.genfromtxt(file, delimiter=",", comments="#")
+            found = np.genfromtxt(file, delimiter=",", comments="#", ndmin=2)
     except Exception as error:  # whatever NumPy makes of it
         raise ValueError(f"{path}: {what}: {_line(error)}") from None
     return np.asarray(found, float)

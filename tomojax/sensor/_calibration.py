@@ -23,13 +23,19 @@ SCHEMA, VERSION = "tomojax-calibration", 1
 WAVES = {14: 4, 27: 6}
 
 
-# Of what nominal values leave: see `Calibration`.
-_PARTS = ("error", "own")
+# Fields that None stands in for; those above 0; and what a number of a rig may be.
+_UNKNOWN, _ABOVE = ("noise", "pressure"), ("gain", "noise", "error", "own", "pressure")
+_LEAST, _MOST = 1e-12, 1e9
 
 # Axes that the values of a field may have.
-_AXES = {"noise": (0,), "sheet": (1,), "error": (0,), "own": (0,), "electrodes": (0, 2)} | {
-    name: (0, 1) for name in ("offset", "gain", "ground")
-}
+_AXES = {
+    "noise": (0,),
+    "pressure": (1,),
+    "sheet": (1,),
+    "error": (0,),
+    "own": (0,),
+    "electrodes": (0, 2),
+} | {name: (0, 1) for name in ("offset", "gain", "ground")}
 
 
 @dataclass(frozen=True)
@@ -74,14 +80,8 @@ class Calibration:
     def __post_init__(self) -> None:
         for name, axes in _AXES.items():
             _require_numbers(name, getattr(self, name), axes)
-        require(np.all(np.asarray(self.gain) > 0), "gain", self.gain, "above 0")
-        for name in ("noise", *_PARTS):
-            value = getattr(self, name)
-            require(value is None or value > 0, name, value, "above 0")
-        _require_numbers("pressure", self.pressure, (1,))
-        law = np.asarray(self.pressure or (1, 1), float)
-        fine = law.shape == (2,) and bool((law > 0).all())
-        require(fine, "pressure", self.pressure, "c and k, above 0")
+        law = (1, 1) if self.pressure is None else self.pressure
+        require(np.shape(law) == (2,), "pressure", self.pressure, "c and k, above 0")
         waves = " or ".join(map(str, WAVES))
         require(len(self.sheet) in WAVES, "sheet", len(self.sheet), f"{waves} waves")
         shape = np.shape(self.electrodes)
@@ -174,15 +174,23 @@ class Calibration:
 
 
 def _require_numbers(name: str, value: Any, axes: tuple[int, ...]) -> None:
-    """**Raises:** `ValueError` for anything but None or finite numbers with such axes."""
-    if value is None:
+    """**Raises:** `ValueError` for anything but numbers with such axes.
+
+    None stands for what is not known, where that may be. No number of a rig comes near
+    the limits; beyond them float32 has infinities, and zeros that divide.
+    """
+    if value is None and name in _UNKNOWN:
         return
     try:
-        values = np.asarray(value, float)
+        kind, values = np.asarray(value).dtype.kind, np.asarray(value, float)
     except (TypeError, ValueError, OverflowError):  # texts, lists of any lengths
-        values = np.full(1, np.nan)
+        kind, values = "O", np.full(1, np.nan)
     shown = str(value)[:60] + ("…" if len(str(value)) > 60 else "")
-    require(np.isfinite(values).all(), name, shown, "numbers")
+    fine = np.isfinite(values).all() and (kind in "iuf" or not values.size)
+    require(fine, name, shown, "numbers")
+    require((np.abs(values) <= _MOST).all(), name, shown, f"up to {_MOST:g}")
+    if name in _ABOVE:
+        require((values >= _LEAST).all(), name, shown, f"above 0, {_LEAST:g} or more")
     fits = values.ndim in axes
     require(fits, name, f"shape {values.shape}", f"{' or '.join(map(str, axes))} axes")
 
