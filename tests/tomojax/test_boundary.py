@@ -302,7 +302,7 @@ def test_npz(tmp_path, capsys):
     path.write_bytes(b"")
     rec = recordings.write(tmp_path / "a.h5", recordings.noise(np.random.default_rng(0), 5))
     status, _, error = command(capsys, "calibrate", rec, path)
-    assert status == 2 and f"{path}: places: " in error and error.count("\n") == 1
+    assert status == 2 and f"{path}: " in error and error.count("\n") == 1
 
 
 def test_tables(tmp_path):

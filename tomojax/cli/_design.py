@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
-from tomojax.cli._amounts import NUMBER
-from tomojax.cli.entry import Command, InputFile, OutputFile, OutputFolder
+from tomojax.cli.entry import Command, InputFile, NUMBER, OutputFile, OutputFolder
 
 # Cells of the map of what a design tells, along a side.
 _MAP = 32

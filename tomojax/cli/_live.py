@@ -7,9 +7,8 @@ from typing import Any
 
 import click
 
-from tomojax.cli._amounts import AMOUNT, COUNT, whole_number
 from tomojax.cli._session import session
-from tomojax.cli.entry import Command, InputFile, OutputFile
+from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile, whole_number
 
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:

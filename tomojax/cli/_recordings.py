@@ -8,8 +8,15 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
-from tomojax.cli._amounts import NUMBER
-from tomojax.cli.entry import Command, InputFile, interrupts, OutputFile, STOPPED, stopped
+from tomojax.cli.entry import (
+    Command,
+    InputFile,
+    interrupts,
+    NUMBER,
+    OutputFile,
+    STOPPED,
+    stopped,
+)
 
 
 def _tdms(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:

@@ -9,9 +9,8 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
-from tomojax.cli._amounts import AMOUNT, COUNT
 from tomojax.cli._recordings import tdms_option
-from tomojax.cli.entry import Command, InputFile, OutputFile
+from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile
 
 
 @click.command(cls=Command)

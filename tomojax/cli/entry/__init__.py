@@ -4,6 +4,12 @@ Before a command works, each file that it will write is compared with each that 
 and with the others it writes. The room knows no command.
 """
 
+from tomojax.cli.entry._amounts import (
+    AMOUNT as AMOUNT,
+    COUNT as COUNT,
+    NUMBER as NUMBER,
+    whole_number as whole_number,
+)
 from tomojax.cli.entry._command import (
     Command as Command,
     failed_to_read as failed_to_read,
