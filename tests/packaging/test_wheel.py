@@ -1,5 +1,6 @@
 """The wheel holds every package, and the list in pyproject.toml is the tree."""
 
+import os
 import subprocess
 import sys
 import tomllib
@@ -32,8 +33,17 @@ def test_listed_packages_are_the_tree() -> None:
 def test_wheel_holds_every_file(tmp_path) -> None:
     # The build backend is in the test environment: no network, no isolation.
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
-    subprocess.run([*command, "-o", tmp_path, ROOT], check=True, capture_output=True)
+    epoch = os.environ | {"SOURCE_DATE_EPOCH": "1767225600"}
+    for folder in ("", "again"):
+        subprocess.run(
+            [*command, "-o", tmp_path / folder, ROOT],
+            check=True,
+            capture_output=True,
+            env=epoch,
+        )
     (wheel,) = tmp_path.glob("*.whl")
+    # Whoever builds it gets the same bytes.
+    assert (tmp_path / "again" / wheel.name).read_bytes() == wheel.read_bytes()
     held = set(zipfile.ZipFile(wheel).namelist())
     for folder, inside in (
         ("tomojax", "tomojax"),
