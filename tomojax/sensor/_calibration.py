@@ -161,7 +161,10 @@ class Calibration:
         names = {one.name for one in fields(cls)}
         for name in content:
             require(
-                name in names, f"{path}: {name}", "this field", ", ".join(sorted(names))
+                name in names,
+                f"{path}: {name!r:.60}",
+                "this field",
+                ", ".join(sorted(names)),
             )
         try:
             made = cls(**{name: _tuples(value) for name, value in content.items()})

@@ -36,7 +36,7 @@ def whole_number(value: Any) -> int:
 
 
 class Count(click.ParamType):
-    """A whole number, 1 or more."""
+    """A whole number, 1 or more; nothing that is counted comes near the limit."""
 
     name = "integer"
 
@@ -45,7 +45,7 @@ class Count(click.ParamType):
             found = whole_number(value)
         except ValueError:
             found = 0
-        if found < 1:
+        if not 1 <= found <= 10**9:
             self.fail(f"got {value!r}, expected a whole number, 1 or more", param, ctx)
         return found
 
