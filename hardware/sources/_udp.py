@@ -25,6 +25,9 @@ class UdpLink(Link):
         try:
             self._socket.bind((self._bind, 0))
             self._socket.connect(self._rig)
+            # While a rig on this machine is off its port is free, and may be drawn.
+            if self._socket.getsockname() == self._socket.getpeername():
+                raise OSError("the rig's own port was drawn")
         except OSError:
             self.close()
             raise

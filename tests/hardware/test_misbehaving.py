@@ -59,3 +59,20 @@ def test_a_rig_that_ignores_start_is_told():
         while rig.recv(100) == frames.pack_command(frames.START):
             asked += 1
     assert asked >= 5  # and then STOP
+
+
+def test_a_link_is_not_connected_to_itself(monkeypatch):
+    """A rig on this machine is off: its port is free, and the system may draw it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    bind = socket.socket.bind
+
+    class Drawn(socket.socket):
+        def bind(self, address):
+            bind(self, (address[0], port))
+
+    monkeypatch.setattr(socket, "socket", Drawn)
+    source = UdpSource("127.0.0.1", port, electrodes=rigs.M)
+    with pytest.raises(OSError, match="own port"):
+        source.start()
