@@ -1,11 +1,14 @@
 """The wheel holds every package, and the list in pyproject.toml is the tree."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
 import zipfile
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 
@@ -30,20 +33,34 @@ def test_listed_packages_are_the_tree() -> None:
     assert {"tomojax.kernels", "tomojax.hardware"} <= set(config["package-dir"])
 
 
-def test_wheel_holds_every_file(tmp_path) -> None:
+def built(out: Path, tree: Path) -> Path:
+    """The wheel of a checkout, at a time that is told."""
     # The build backend is in the test environment: no network, no isolation.
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
-    epoch = os.environ | {"SOURCE_DATE_EPOCH": "1767225600"}
-    for folder in ("", "again"):
-        subprocess.run(
-            [*command, "-o", tmp_path / folder, ROOT],
-            check=True,
-            capture_output=True,
-            env=epoch,
-        )
-    (wheel,) = tmp_path.glob("*.whl")
-    # Whoever builds it gets the same bytes.
-    assert (tmp_path / "again" / wheel.name).read_bytes() == wheel.read_bytes()
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", out, tree]
+    given = {**os.environ, "SOURCE_DATE_EPOCH": "1750000000"}
+    subprocess.run(command, check=True, capture_output=True, env=given)
+    (wheel,) = out.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    return built(tmp_path_factory.mktemp("wheel"), ROOT)
+
+
+def test_another_checkout_gives_the_same_bytes(wheel, tmp_path) -> None:
+    """In another folder, written at another time; modes of files are the umask's."""
+    tree = tmp_path / "copy"
+    tree.mkdir()
+    for name in ("tomojax", "kernels", "hardware"):
+        unbuilt = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, tree / name, ignore=unbuilt, copy_function=shutil.copy)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    assert built(tmp_path, tree).read_bytes() == wheel.read_bytes()
+
+
+def test_wheel_holds_every_file(wheel, tmp_path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     for folder, inside in (
         ("tomojax", "tomojax"),
