@@ -23,6 +23,7 @@ import numpy as np
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 
+import parser_files as files
 import parser_seeds as seeds
 import parser_targets as targets
 
@@ -61,6 +62,9 @@ TARGETS = {
         targets.config, _CLI, lambda: [b"\0" + seeds.TOML, b"\1contacts = 3\n"]
     ),
     "options": Target(targets.options, _CLI, seeds.options),
+    "kinds": Target(files.kinds, ("tomojax.cli.entry", "json"), files.kinds_seeds),
+    "npz": Target(files.npz, ("tomojax.files",), lambda: files.npz_seeds(seeds.arrays)),
+    "superblock": Target(files.superblock, ("tomojax.files",), files.superblock_seeds),
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 import tomojax as tx
 from tomojax.cli.app import app
 from tomojax.files import read_table
-from tomojax.hardware import sources
+from tomojax.hardware import open_source, sources
 
 
 @pytest.mark.parametrize("name", parsers.TARGETS)
@@ -80,6 +80,27 @@ def test_options_that_the_fuzzer_found(tmp_path, line):
 def test_numbers_of_other_commands(words):
     with pytest.raises(click.BadParameter, match="got .*nan"):
         app.commands[words[0]].make_context(*words[:1], words[1:])
+
+
+@pytest.mark.parametrize(
+    "where", ["r" * 300, "serial:/" + "r" * 300, "udp://h:" + "9" * 4000, "ni:" + "\udcd9" * 9000]
+)
+def test_names_that_the_fuzzer_found(where):
+    """Longer than files' names, numbers' digits, or a line."""
+    with pytest.raises(ValueError) as error:
+        open_source(where)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 5000
+
+
+def test_what_a_file_is_is_told_of_any_bytes(tmp_path):
+    """A zip of a version that there is not: it is no table of ours, and is not replaced."""
+    path = tmp_path / "table.npz"
+    np.savez(path, table=[1], idle=[1])
+    content = bytearray(path.read_bytes())
+    content[content.index(b"PK\1\2") + 6] = 255
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="something else, expected a new name"):
+        app.commands["design"].main(["--policy", str(path)], standalone_mode=False)
 
 
 @pytest.mark.parametrize("text, shape", [("1,2\n", (1, 2)), ("0.1", (1, 1))])

@@ -109,6 +109,38 @@ def test_interrupted_and_resumed(path, whole, tmp_path, last):
     assert sorted(tmp_path.iterdir()) == [out]
 
 
+def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
+    """And nothing is lost: with what was there the run goes on."""
+    out = tmp_path / "o.h5"
+
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rows(path, out, chunk=400, progress=stop)
+    partial = partial_path(out)
+    state = partial.with_name(partial.name + ".state")
+    content = state.read_bytes()
+    with np.load(state) as file:
+        kept = dict(file)
+    for name, value in (
+        ("chunk", None),
+        ("chunk", np.array(2.5)),
+        ("chunk", kept["chunk"] + 1),  # not marked as done: its rows would be missing
+        ("numbers", kept["numbers"][1:]),
+        ("whole", None),
+    ):
+        wrong = {k: v for k, v in (kept | {name: value}).items() if v is not None}
+        with state.open("wb") as file:
+            np.savez(file, **wrong)
+        said = f"o.h5.partial.state: {name}: got .*; begin anew with --overwrite$"
+        with pytest.raises(ValueError, match=said):
+            rows(path, out, chunk=400, resume=True)
+    state.write_bytes(content)
+    same(rows(path, out, chunk=400, resume=True), whole)
+
+
 @pytest.mark.parametrize(
     ("options", "told"),
     [

@@ -29,6 +29,11 @@ class Adapting:
         self.adapter = Adapter(sensor, calibration, points=points)
         self._before, self._solve, self.start = calibration, solve, 0
 
+    def remembered(self) -> dict[str, np.ndarray]:
+        """What `resume` takes, as it is by now."""
+        own = self._solve.remembered() if hasattr(self._solve, "resume") else {}
+        return {**own, **self.adapter.state()}
+
     def resume(self, kept: dict[str, np.ndarray]) -> None:
         """Goes on from the state after a chunk; from the beginning where there is none."""
         if hasattr(self._solve, "resume"):

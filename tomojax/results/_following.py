@@ -13,6 +13,7 @@ from tomojax._require import require
 from tomojax.kernels.flags import Flag
 from tomojax.methods import Rows
 from tomojax.recordings import Chunk, read_chunk, Recording
+from tomojax.results._file import ResultsFile
 from tomojax.results._settings import Settings
 from tomojax.sensor import Calibration
 from tomojax.step import make_step, Packed
@@ -44,6 +45,11 @@ class Following:
     def scale(self) -> float:
         return 1.0
 
+    def remembered(self) -> dict[str, np.ndarray]:
+        """What `resume` takes, as it is by now."""
+        numbers, whole = (np.asarray(a) for a in self.state)
+        return {"numbers": numbers, "whole": whole}
+
     def resume(self, kept: dict[str, np.ndarray]) -> None:
         """Goes on from the state after a chunk; from the beginning where there is none."""
         if kept:
@@ -62,8 +68,7 @@ class Following:
         flags = own | frames.flags.astype(np.uint32)
         rung = np.zeros(n, np.uint8)
         rows = Rows.of(out.contacts, residual=out.residual, flags=flags, rung=rung)
-        numbers, whole = (np.asarray(a) for a in self.state)
-        return rows, {"chunk": chunk + 1, "numbers": numbers, "whole": whole}
+        return rows, {"chunk": chunk + 1, **self.remembered()}
 
     def _lost(self, chunk: int, frames: Chunk) -> np.ndarray:
         """Slots lost before each, one at least where scans are missing."""
@@ -83,3 +88,25 @@ def require_alone(share: tuple[int, int]) -> None:
     """**Raises:** `ValueError` for several processes: a slot needs those before it."""
     alone = "one process: follow goes from slot to slot"
     require(share[1] == 1, "--processes", share[1], alone)
+
+
+def checked(file: ResultsFile, now: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `file` has kept, judged by what a run remembers at its beginning.
+
+    **Raises:** `ValueError` for a state that is none of such a run's.
+    """
+    kept = file.kept()
+    if not kept:
+        return kept
+    where, again = f"{file.partial}.state", "; begin anew with --overwrite"
+    for name, own in now.items():
+        found = kept.get(name)
+        told = "none" if found is None else f"{found.dtype} {found.shape}"
+        fits = found is not None and (found.dtype, found.shape) == (own.dtype, own.shape)
+        require(fits, f"{where}: {name}", told, f"{own.dtype} {own.shape}{again}")
+    chunk, done = kept.get("chunk", np.array(np.nan)), file.done()
+    # Chunks are marked before what is remembered after them is kept.
+    whole = chunk.shape == () and chunk.dtype.kind in "iu"
+    fits = whole and 1 <= chunk <= file.chunks and done[: int(chunk)].all()
+    require(fits, f"{where}: chunk", chunk, f"1 to {done.sum()}, as are done{again}")
+    return kept

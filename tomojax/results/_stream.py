@@ -159,7 +159,7 @@ def _reconstruct(
         if settings.adapt:
             solve = _adapting.Adapting(recording, calibration, model, solve)
         if follows or settings.adapt:
-            solve.resume(file.kept())
+            solve.resume(_following.checked(file, solve.remembered()))
         with closing(file.writer()) as writer:
             work = partial(_work, recording, settings, calibration, solve, file, writer)
             if follows or settings.adapt:
