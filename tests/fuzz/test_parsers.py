@@ -83,7 +83,8 @@ def test_numbers_of_other_commands(words):
 
 
 @pytest.mark.parametrize(
-    "where", ["r" * 300, "serial:/" + "r" * 300, "udp://h:" + "9" * 4000, "ni:" + "\udcd9" * 9000]
+    "where",
+    ["r" * 300, "serial:/" + "r" * 300, "udp://h:" + "9" * 4000, "ni:" + "\udcd9" * 9000],
 )
 def test_names_that_the_fuzzer_found(where):
     """Longer than files' names, numbers' digits, or a line."""
