@@ -1,10 +1,14 @@
 """Sources by their names."""
 
-from pathlib import Path
+import os
 from typing import Any
 
+from tomojax._require import require
 from tomojax.hardware.sources._source import SlotSource
 from tomojax.recordings import open_recording
+
+# Letters of a name: a path has no more.
+_LONGEST = 4096
 
 
 def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
@@ -15,12 +19,13 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
     recording; `rate`, `settle` and `convert` of `NiSource`.
     **Raises:** `ValueError` for other names and options.
     """
+    require(len(where) <= _LONGEST, "source", f"{len(where)} letters", "a name")
     try:
         if where.startswith("serial:"):
             from tomojax.hardware.sources.serial import SerialSource
 
             port = where.removeprefix("serial:")
-            if port.startswith("/") and not Path(port).exists():
+            if port.startswith("/") and not os.path.exists(port):
                 raise ValueError(f"source: {port}: no such port")
             return SerialSource(port, electrodes=electrodes, **options)
         if where.startswith("ni:"):
@@ -34,7 +39,7 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
             from tomojax.hardware.sources._udp import UdpSource
 
             host, colon, port = where.removeprefix("udp://").rpartition(":")
-            if not colon or not port.isdigit():
+            if not colon or not (port.isascii() and port.isdigit()):
                 raise ValueError(f"source: got {where!r}, expected udp://HOST:PORT")
             return UdpSource(host, int(port), electrodes=electrodes, **options)
         from tomojax.hardware.sources._replay import ReplaySource

@@ -105,3 +105,9 @@ def test_rigs_that_cannot_be(numbers):
 
     with pytest.raises(ValueError, match="^rate, scale, offset: got a rig with"):
         sources.WireSource(Says(), 4).start()
+
+
+@pytest.mark.parametrize("where", ["serial:/" + "x" * 300, "udp://h:²", "ni:" + "x" * 5000])
+def test_sources_that_the_fuzzer_found(where):
+    with pytest.raises(ValueError, match="^source: .{1,400}$"):
+        sources.open_source(where)
