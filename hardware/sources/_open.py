@@ -1,13 +1,14 @@
 """Sources by their names."""
 
-from pathlib import Path
+import os
 from typing import Any
 
 from tomojax._require import require
 from tomojax.hardware.sources._source import SlotSource
 from tomojax.recordings import open_recording
 
-_LONGEST = 4096  # letters of a name: as many as Linux takes for a path
+# Letters of a name: a path has no more.
+_LONGEST = 4096
 
 
 def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
@@ -18,33 +19,32 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
     recording; `rate`, `settle` and `convert` of `NiSource`.
     **Raises:** `ValueError` for other names and options.
     """
-    require(len(where) <= _LONGEST, "source", where, f"up to {_LONGEST} letters")
+    require(len(where) <= _LONGEST, "source", f"{len(where)} letters", "a name")
     try:
         if where.startswith("serial:"):
             from tomojax.hardware.sources.serial import SerialSource
 
             port = where.removeprefix("serial:")
-            if port.startswith("/") and not Path(port).exists():
+            if port.startswith("/") and not os.path.exists(port):
                 raise ValueError(f"source: {port}: no such port")
             return SerialSource(port, electrodes=electrodes, **options)
         if where.startswith("ni:"):
             from tomojax.hardware.sources.ni import NiSource
 
             inputs, comma, lines = where.removeprefix("ni:").partition(",")
-            require(comma, "source", repr(where), "ni:INPUTS,LINES")
+            if not comma:
+                raise ValueError(f"source: got {where!r}, expected ni:INPUTS,LINES")
             return NiSource(inputs, lines, electrodes=electrodes, **options)
         if where.startswith("udp://"):
             from tomojax.hardware.sources._udp import UdpSource
 
             host, colon, port = where.removeprefix("udp://").rpartition(":")
-            told = colon and port.isdecimal() and len(port) < 6
-            require(told, "source", repr(where), "udp://HOST:PORT")
+            if not colon or not (port.isascii() and port.isdigit()):
+                raise ValueError(f"source: got {where!r}, expected udp://HOST:PORT")
             return UdpSource(host, int(port), electrodes=electrodes, **options)
         from tomojax.hardware.sources._replay import ReplaySource
 
         return ReplaySource(open_recording(where), **options)
-    except OSError as error:  # a name that is too long for a file, or a folder of such
-        raise ValueError(f"source: {where}: {error.strerror or error}") from None
     except TypeError as error:
         reason = str(error).rpartition(" ")[2]
         raise ValueError(f"source: {where} has no option {reason}") from None

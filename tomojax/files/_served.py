@@ -60,7 +60,8 @@ class Hdf5:
             self.size = raw.size
             self._file = h5py.File(raw, "r")
         else:
-            self._file = h5py.File(path, "r")
+            # A reader that is about to end must not keep its owner from writing.
+            self._file = h5py.File(path, "r", locking=False)
         names = list(self._file)
         if len(names) > _NAMES:
             raise Refused(f"{len(names)} names in it")
