@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 # Of what came, letters that a line shows: an array's have many lines, a file's text any.
 _SHOWN = 200
 
@@ -17,6 +15,8 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:
     """**Raises:** `ValueError` for discs that overlap or leave the sheet."""
+    import numpy as np  # help and versions are told without
+
     xy, size, diameter = (
         np.asarray(a, np.float64) for a in (electrode_xy, size, electrode_diameter)
     )

@@ -254,7 +254,7 @@ def test_jsons(tmp_path):
         # The runtime type check of the tests is before ours where a type is wrong.
         (json.dumps(good | {"gain": [[1], [1, 2]]}), ".*gain"),
         (json.dumps(good | {"gain": "one"}), ".*gain"),
-        (json.dumps(good | {"offset": None, "extra": 1}), "extra: got this field"),
+        (json.dumps(good | {"offset": None, "extra": 1}), "'extra': got this field"),
         (json.dumps(good | {"made": "yesterday"}), "made: got 'yesterday'"),
         (json.dumps(good | {"deviation": {"gain": "x"}}), "deviation of gain: got x"),
     ):

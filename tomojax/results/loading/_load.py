@@ -107,10 +107,12 @@ class LoadedResults:
             raise ValueError(f"{self.path}: {text}") from None
         return values
 
-    def stretch(self, name: str, start: int, stop: int) -> np.ndarray:
+    def stretch(
+        self, name: str, start: int | np.integer, stop: int | np.integer
+    ) -> np.ndarray:
         """Rows `start` to `stop` of a dataset."""
         try:
-            return self._file.read(name, start, stop)
+            return self._file.read(name, int(start), int(stop))
         except (OSError, ValueError) as error:
             told = f"{name}: rows {start} to {stop} cannot be read ({error})"
             raise ValueError(f"{self.path}: {told}") from None
