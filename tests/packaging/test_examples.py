@@ -10,15 +10,19 @@ import jax
 import pytest
 
 import tomojax as tx
+import tomojax.events
+import tomojax.exports
 
 ROOT = Path(__file__).parents[2]
 ROOMS = [name for name in tx.__all__ if inspect.ismodule(getattr(tx, name))]
+# Rooms that are imported by their own names.
+BESIDE = [tomojax.events, tomojax.exports]
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def public() -> Iterator[tuple[str, Any]]:
     """Functions and classes by the names that users have them under."""
-    for room in (tx, *(getattr(tx, name) for name in ROOMS)):
+    for room in (tx, *(getattr(tx, name) for name in ROOMS), *BESIDE):
         for name in room.__all__:
             thing = getattr(room, name)
             if inspect.isclass(thing) or inspect.isroutine(inspect.unwrap(thing)):

@@ -25,3 +25,4 @@ from tomojax.cli.entry._paths import (
     OutputFile as OutputFile,
     OutputFolder as OutputFolder,
 )
+from tomojax.cli.entry._stretch import stretch_options as stretch_options

@@ -1,0 +1,25 @@
+"""A stretch of a file: rows between two times, told from the file's first row on."""
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax._require import require
+
+
+def stretch_of(
+    t: Float[np.ndarray, " n"], since: float | None, until: float | None
+) -> tuple[int, int]:
+    """The rows (first, one after the last) with since ≤ t − t[0] < until; `t` rises, s.
+
+    **Raises:** `ValueError` where there is none.
+    """
+    start, stop = 0, len(t)
+    length = float(t[-1] - t[0])
+    held = f"a stretch of the file, which holds 0 to {length:.6g} s"
+    if since is not None:
+        start = int(np.searchsorted(t - t[0], since, "left"))
+        require(0 <= since and start < stop, "from", f"{since:g} s", held)
+    if until is not None:
+        stop = int(np.searchsorted(t - t[0], until, "left"))
+        require(stop > start, "to", f"{until:g} s", f"more than from; {held}")
+    return start, stop

@@ -1,0 +1,10 @@
+"""When contacts begin and end: for files and for what is live, without JAX."""
+
+from tomojax.events._events import (
+    Event as Event,
+    EventFinder as EventFinder,
+    events_of_tracks as events_of_tracks,
+    find_events as find_events,
+)
+
+__all__ = ["Event", "EventFinder", "events_of_tracks", "find_events"]

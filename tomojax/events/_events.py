@@ -1,0 +1,230 @@
+"""Touch-down and lift-off: contacts of rows, numbered, from their first to their last."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from tomojax._require import require
+from tomojax.kernels.flags import NO_ANSWER
+
+# A contact shows itself in so many rows before it is told; noise alone rarely does twice.
+_CONFIRM = 2
+
+# Rows that a contact may be missing from and still be there; as `track` holds it.
+_HOLD_ROWS = 3
+
+# A contact is the one of the row before that is no farther, pitches; as of `track`.
+_REACH = 0.75
+
+
+class Event(NamedTuple):
+    """A contact begins, or has ended.
+
+    **Example:**
+
+    >>> from tomojax import events
+    >>> event = events.Event(0.25, "touch_down", 1, (0.03, 0.05), 1e-4)
+    >>> event.kind, event.contact
+    ('touch_down', 1)
+    """
+
+    t: float  # s: of the first row that shows the contact, or the last
+    kind: str  # "touch_down" or "lift_off"
+    contact: int  # its number, from 1
+    xy: tuple[float, float]  # m, in that row
+    conductance: float  # S, in that row
+    force: float = math.nan  # N, in that row, where forces are calibrated
+
+
+class _Seen:
+    """A contact that may still be there."""
+
+    __slots__ = ("first", "last", "number", "rows")
+
+    def __init__(self, event: Event):
+        self.first = self.last = event
+        self.number, self.rows = 0, 1
+
+
+class EventFinder:
+    """Numbers the contacts of rows that come one by one, and tells events.
+
+    A contact keeps its number while each row shows one within `reach` of its last place; it
+    may be missing for `hold` seconds. It gets a number once `confirm` rows show it.
+    A row without an answer (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`) ends nothing.
+
+    **Arguments:** `reach` m; `hold` s; `confirm` rows.
+    **Raises:** `ValueError` for a reach or a hold below 0.
+
+    **Example:**
+
+    >>> from tomojax import events
+    >>> finder = events.EventFinder(reach=0.015, hold=0.001)
+    >>> for k in range(3):
+    ...     numbers, found = finder.row(1e-4 * k, [(0.03, 0.05)], [1e-4])
+    >>> numbers
+    [1]
+    >>> found = finder.row(0.01, [], [])[1] + finder.finish()
+    >>> [(event.kind, round(event.t, 6)) for event in found]
+    [('lift_off', 0.0002)]
+    """
+
+    def __init__(self, reach: float, hold: float, confirm: int = _CONFIRM):
+        for name, value in (("reach", reach), ("hold", hold)):
+            fine = math.isfinite(value) and value >= 0
+            require(fine, name, value, "a number, 0 or more")
+        require(confirm >= 1, "confirm", confirm, "a number of rows, 1 or more")
+        self._reach, self._hold, self._confirm = reach, hold, confirm
+        self._there: list[_Seen] = []
+        self._numbered = 0
+
+    def row(
+        self,
+        t: float,
+        xy: Sequence[Any],
+        conductance: Sequence[float],
+        flags: int = 0,
+        force: Sequence[float] | None = None,
+    ) -> tuple[list[int], list[Event]]:
+        """One row: the number of each of its contacts (0: not yet), and what has happened.
+
+        **Arguments:** `t` s; `xy` m and `conductance` S of the row's contacts, no padding;
+        `flags` of the row; `force` N.
+        """
+        if flags & NO_ANSWER:
+            return [0] * len(xy), []
+        found: list[Event] = []
+        if self._there:
+            found += self._ended(t - self._hold)
+        if not len(xy):
+            return [], found
+        forces = [math.nan] * len(xy) if force is None else force
+        seen = [
+            Event(t, "", 0, (float(x), float(y)), float(g), float(f))
+            for (x, y), g, f in zip(xy, conductance, forces)
+        ]
+        numbers = [0] * len(seen)
+        for k, contact in self._pairs(seen):
+            contact.last = seen[k]
+            contact.rows += 1
+            numbers[k] = self._number(contact, found)
+        joined = {id(contact.last) for contact in self._there}
+        for k, event in enumerate(seen):
+            if id(event) not in joined:
+                new = _Seen(event)
+                self._there.append(new)
+                numbers[k] = self._number(new, found)
+        return numbers, found
+
+    def finish(self) -> list[Event]:
+        """Ends what is still there."""
+        return self._ended(math.inf)
+
+    def _number(self, contact: _Seen, found: list[Event]) -> int:
+        if not contact.number and contact.rows >= self._confirm:
+            self._numbered += 1
+            contact.number = self._numbered
+            told = {"kind": "touch_down", "contact": contact.number}
+            found.append(contact.first._replace(**told))
+        return contact.number
+
+    def _ended(self, before: float) -> list[Event]:
+        gone = [contact for contact in self._there if contact.last.t < before]
+        if gone:
+            self._there = [one for one in self._there if one.last.t >= before]
+        return [
+            one.last._replace(kind="lift_off", contact=one.number)
+            for one in gone
+            if one.number
+        ]
+
+    def _pairs(self, seen: list[Event]) -> Iterable[tuple[int, _Seen]]:
+        """Contacts of the row and those that they are, the nearest first."""
+        apart = sorted(
+            (math.dist(event.xy, contact.last.xy), k, j)
+            for k, event in enumerate(seen)
+            for j, contact in enumerate(self._there)
+        )
+        rows, theirs = set(), set()
+        for distance, k, j in apart:
+            if distance > self._reach:
+                break
+            if k not in rows and j not in theirs:
+                rows.add(k)
+                theirs.add(j)
+                yield k, self._there[j]
+
+
+def find_events(
+    t: Float[np.ndarray, " n"],
+    count: Integer[np.ndarray, " n"],
+    xy: Float[np.ndarray, "n C 2"],
+    conductance: Float[np.ndarray, "n C"],
+    flags: Integer[np.ndarray, " n"] | None = None,
+    force: Float[np.ndarray, "n C"] | None = None,
+    *,
+    pitch: float,
+) -> list[Event]:
+    """All events of rows, in order of time.
+
+    **Arguments:** `t` s; `count` of contacts; `xy` m; `conductance` S; `force` N; `pitch`
+    of the electrodes, m: a contact moves less than 0.75 of it from row to row. It may be
+    missing for three rows.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax import events
+    >>> t, count = 0.1 * np.arange(6), np.array([0, 1, 1, 1, 0, 0])
+    >>> xy = np.full((6, 1, 2), 0.05)
+    >>> found = events.find_events(t, count, xy, np.full((6, 1), 1e-4), pitch=0.02)
+    >>> [(event.kind, round(event.t, 3)) for event in found]
+    [('touch_down', 0.1), ('lift_off', 0.3)]
+    """
+    interval = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    finder = EventFinder(_REACH * pitch, (_HOLD_ROWS + 0.5) * interval)
+    bits = np.zeros(len(t), int) if flags is None else flags
+    found = []
+    for k in range(len(t)):
+        n = int(count[k])
+        here = None if force is None else force[k, :n].tolist()
+        told = float(t[k]), xy[k, :n].tolist(), conductance[k, :n].tolist()
+        found += finder.row(*told, int(bits[k]), here)[1]
+    return sorted(found + finder.finish(), key=lambda event: event.t)
+
+
+def events_of_tracks(
+    t: Float[np.ndarray, " n"],
+    track: Integer[np.ndarray, "n C"],
+    xy: Float[np.ndarray, "n C 2"],
+    conductance: Float[np.ndarray, "n C"],
+) -> list[Event]:
+    """Events of contacts that `track` has numbered: each number's first row and last.
+
+    **Arguments:** `t` s; `track` the numbers, 0 where there is none; `xy` m; `conductance`
+    S.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax import events
+    >>> t, track = 0.1 * np.arange(4), np.array([[0], [7], [7], [0]])
+    >>> found = events.events_of_tracks(t, track, np.full((4, 1, 2), 0.05), track * 1e-4)
+    >>> [(event.kind, event.contact, round(event.t, 3)) for event in found]
+    [('touch_down', 7, 0.1), ('lift_off', 7, 0.2)]
+    """
+    row, column = np.nonzero(track)
+    numbers = track[row, column]
+    first = np.unique(numbers, return_index=True)[1]
+    last = len(numbers) - 1 - np.unique(numbers[::-1], return_index=True)[1]
+    found = []
+    for kind, index in (("touch_down", first), ("lift_off", last)):
+        for k in index:
+            r, c = row[k], column[k]
+            x, y = xy[r, c].tolist()
+            told = int(numbers[k]), (x, y), float(conductance[r, c])
+            found.append(Event(float(t[r]), kind, *told))
+    return sorted(found, key=lambda event: event.t)
