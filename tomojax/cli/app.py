@@ -11,9 +11,9 @@ from tomojax.cli._live import live, record
 from tomojax.cli._recordings import info, reconstruct
 from tomojax.cli._repair import repair
 from tomojax.cli._rig import calibrate, check
-from tomojax.cli._track import track
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.entry import listening, STOPPED, stopped
+from tomojax.cli.results import track
 from tomojax.cli.studies import frontier, stability, table1
 
 

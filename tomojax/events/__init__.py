@@ -1,4 +1,7 @@
-"""When contacts begin and end: for files and for what is live, without JAX."""
+"""When contacts begin and end, in files and live.
+
+The room imports no JAX: processes beside the loop use it.
+"""
 
 from tomojax.events._events import (
     Event as Event,

@@ -1,0 +1,6 @@
+"""Commands on results: what becomes of a file that `reconstruct` has written.
+
+Each module is one command.
+"""
+
+from tomojax.cli.results._track import track as track
