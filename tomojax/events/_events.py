@@ -32,11 +32,12 @@ class Event(NamedTuple):
     """
 
     t: float  # s: of the first row that shows the contact, or the last
-    kind: str  # "touch_down" or "lift_off"
-    contact: int  # its number, from 1
+    kind: str  # "touch_down", "lift_off"; or "mark", which somebody has set
+    contact: int  # its number, from 1; 0 of a mark
     xy: tuple[float, float]  # m, in that row
     conductance: float  # S, in that row
     force: float = math.nan  # N, in that row, where forces are calibrated
+    text: str = ""  # of a mark
 
 
 class _Seen:
@@ -80,6 +81,34 @@ class EventFinder:
         self._reach, self._hold, self._confirm = reach, hold, confirm
         self._there: list[_Seen] = []
         self._numbered = 0
+
+    @classmethod
+    def of_rows(cls, pitch: float, interval: float) -> "EventFinder":
+        """For electrodes at `pitch`, m, and a row each `interval`, s.
+
+        A contact moves less than 0.75 of a pitch from row to row, and may be missing for
+        three rows.
+        """
+        return cls(_REACH * pitch, (_HOLD_ROWS + 0.5) * interval)
+
+    def rows(
+        self,
+        t: Float[np.ndarray, " n"],
+        count: Integer[np.ndarray, " n"],
+        xy: Float[np.ndarray, "n C 2"],
+        conductance: Float[np.ndarray, "n C"],
+        flags: Integer[np.ndarray, " n"] | None = None,
+        force: Float[np.ndarray, "n C"] | None = None,
+    ) -> list[Event]:
+        """A stretch of rows, NaN-padded as results have them."""
+        bits = np.zeros(len(t), int) if flags is None else flags
+        found = []
+        for k in range(len(t)):
+            n = int(count[k])
+            here = None if force is None else force[k, :n].tolist()
+            told = float(t[k]), xy[k, :n].tolist(), conductance[k, :n].tolist()
+            found += self.row(*told, int(bits[k]), here)[1]
+        return found
 
     def row(
         self,
@@ -185,15 +214,9 @@ def find_events(
     [('touch_down', 0.1), ('lift_off', 0.3)]
     """
     interval = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    finder = EventFinder(_REACH * pitch, (_HOLD_ROWS + 0.5) * interval)
-    bits = np.zeros(len(t), int) if flags is None else flags
-    found = []
-    for k in range(len(t)):
-        n = int(count[k])
-        here = None if force is None else force[k, :n].tolist()
-        told = float(t[k]), xy[k, :n].tolist(), conductance[k, :n].tolist()
-        found += finder.row(*told, int(bits[k]), here)[1]
-    return sorted(found + finder.finish(), key=lambda event: event.t)
+    finder = EventFinder.of_rows(pitch, interval)
+    found = finder.rows(t, count, xy, conductance, flags, force) + finder.finish()
+    return sorted(found, key=lambda event: event.t)
 
 
 def events_of_tracks(

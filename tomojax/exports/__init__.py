@@ -3,4 +3,14 @@
 Each module writes one kind of file. A kind's library is an extra.
 """
 
-__all__: list[str] = []
+from tomojax.exports._export import (
+    beside as beside,
+    check_kind as check_kind,
+    ending as ending,
+    export as export,
+    Kind as Kind,
+    KINDS as KINDS,
+)
+from tomojax.exports._source import Source as Source
+
+__all__ = ["export", "Kind", "KINDS", "Source"]

@@ -21,8 +21,10 @@ from tomojax.cli.entry._interrupts import (
     STOPPED as STOPPED,
 )
 from tomojax.cli.entry._paths import (
+    check_paths as check_paths,
     InputFile as InputFile,
     OutputFile as OutputFile,
     OutputFolder as OutputFolder,
+    Written as Written,
 )
 from tomojax.cli.entry._stretch import stretch_options as stretch_options

@@ -54,6 +54,15 @@ def _is_calibration(path: Path) -> bool:
 
 # Kind: what a file of it is called, and whether a file is one.
 KINDS: dict[str, tuple[str, Callable[[Path], bool]]] = {
+    "csv": ("a table of export", lambda path: b"t_s," in _head(path)[:20]),
+    "film": (
+        "a film",
+        lambda path: _head(path)[:4] == b"GIF8" or _head(path)[4:8] == b"ftyp",
+    ),
+    "mcap": ("an MCAP file", lambda path: _head(path).startswith(b"\x89MCAP0")),
+    "netcdf": ("a NetCDF file", lambda path: _head(path).startswith(b"\x89HDF")),
+    "parquet": ("a Parquet file", lambda path: _head(path).startswith(b"PAR1")),
+    "svg": ("an SVG picture", lambda path: b"<svg" in _head(path)),
     "calibration": ("a calibration", _is_calibration),
     "order": ("an order of check", lambda path: b"channels = [" in _head(path)),
     "outlines": ("outlines", _is_outlines),

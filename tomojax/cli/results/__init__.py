@@ -3,4 +3,5 @@
 Each module is one command.
 """
 
+from tomojax.cli.results._export import export as export
 from tomojax.cli.results._track import track as track

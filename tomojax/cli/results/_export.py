@@ -1,0 +1,168 @@
+"""`tomojax export`."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tomojax._require import require
+from tomojax.cli.entry import (
+    check_paths,
+    Command,
+    COUNT,
+    InputFile,
+    interrupts,
+    NUMBER,
+    STOPPED,
+    Written,
+)
+
+
+def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
+    """A kind, or the time where the stretch ends: no kind is a number."""
+    from tomojax.exports import KINDS
+
+    found: dict[str, Any] = {"kind": None, "until": None}
+    for value in values:
+        name = "kind" if value in KINDS else "until"
+        try:
+            known = value if name == "kind" else NUMBER.convert(value, parameter, context)
+        except click.BadParameter:
+            expected = f"{', '.join(KINDS)}, or a time in s"
+            raise click.BadParameter(f"got {value!r}, expected {expected}") from None
+        if found[name] is not None:
+            raise click.BadParameter(f"got {value!r} after {found[name]!r}, expected one")
+        found[name] = known
+    return found
+
+
+@click.command(cls=Command)
+@click.argument("results", type=InputFile(), nargs=-1, required=True)
+@click.option(
+    "--to",
+    multiple=True,
+    callback=_to,
+    metavar="KIND|S",
+    help="The kind: csv, parquet, netcdf, mcap, svg, lerobot or film. A number is where "
+    "the stretch ends, s after the first row. [default: by the ending of -o; the end]",
+)
+@click.option(
+    "--from", "since", type=NUMBER, help="Rows from this time on, s after the first row."
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="A file, or a folder for several RESULTS. [default: beside RESULTS]",
+)
+@click.option(
+    "--rate",
+    type=COUNT,
+    help="Frames a second of lerobot, pictures a second of a film. [default: 50]",
+)
+@click.option("--task", default="touch", help="Of lerobot: what is done, in words.")
+@click.option("--slow", type=NUMBER, help="Of a film: so many times slower.")
+@click.option("--film", type=click.Path(path_type=Path), help="As --to film -o FILM.")
+@click.option("--overwrite", is_flag=True, help="Replace files that are there.")
+def export(results: tuple[Path, ...], to: dict, **options: Any) -> None:
+    """Write RESULTS of `reconstruct` or `track` for other tools.
+
+    csv and parquet have a row for each row of RESULTS, and a file of events beside them:
+    when contacts begin and end. netcdf is for xarray, mcap for ROS 2 and Foxglove, svg for
+    papers, film to look at (.mp4 with ffmpeg, else .gif). lerobot is a folder with an
+    episode for each of RESULTS; of the others each of RESULTS gets a file.
+    """
+    from tomojax.exports import check_kind, export, KINDS
+
+    out, kind = options["out"], to["kind"]
+    if options["film"]:
+        require(kind in (None, "film") and out is None, "--film", "--to or -o too", "one")
+        out, kind = options["film"], "film"
+    if kind is None:
+        ending = "" if out is None else out.suffix
+        kind = next((n for n, k in KINDS.items() if ending and ending in k.endings), None)
+        require(kind, "--to", "none", f"a kind: {', '.join(KINDS)}")
+    check_kind(kind)
+    together = kind == "lerobot"
+    work = {r: _place(r, out, kind, len(results) > 1 and not together) for r in results}
+    if together:
+        work = {results: work[results[0]]}
+    _check(results, list(work.values()), kind, options["overwrite"])
+    given = {n: options[n] for n in ("since", "rate", "task", "slow")}
+    wrong = 0
+    with interrupts() as interrupted:
+        for number, (one, place) in enumerate(work.items()):
+            try:
+                with _progress(place, interrupted) as progress:
+                    export(one, place, kind, until=to["until"], **given, progress=progress)
+            except KeyboardInterrupt:
+                print(
+                    f"\ntomojax: stopped; {number} of {len(work)} written", file=sys.stderr
+                )
+                raise SystemExit(STOPPED) from None
+            except (OSError, ValueError) as error:
+                if len(work) == 1:
+                    raise
+                print(f"tomojax: {' '.join(str(error).splitlines())}", file=sys.stderr)
+                wrong += 1
+                continue
+            print(place)
+    if wrong:
+        print(f"tomojax: {len(work) - wrong} of {len(work)} written", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _place(results: Path, out: Path | None, kind: str, many: bool) -> Path:
+    """Where the export of one results file goes."""
+    from tomojax.exports import ending
+
+    suffix = ending(kind)
+    stem = results.name.removesuffix(".h5")
+    name = f"{stem}{suffix}" if suffix else f"{stem}.{kind}"
+    if out is None:
+        return results.with_name(name)
+    return out / name if suffix and (many or out.is_dir()) else out
+
+
+def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None:
+    """**Raises:** `ValueError` before any work."""
+    from tomojax.exports import beside, KINDS
+
+    endings = KINDS[kind].endings
+    for place in places:
+        named = not endings or place.suffix in endings
+        require(
+            named,
+            f"--out: {place}",
+            repr(place.suffix),
+            f"a name with {' or '.join(endings)}",
+        )
+    written = [
+        Written(path, "--out", kind, kind != "film" and len(places) > 1, ())
+        for place in places
+        for path in (place, *beside(place, kind))
+    ]
+    if len(places) > 1:
+        places[0].parent.mkdir(exist_ok=True)
+    for one in written:
+        there = one.path.exists() and not overwrite
+        require(not there, f"{one.path}", "a file", "a new name, or --overwrite")
+    check_paths(list(results), written, overwrite)
+
+
+@contextmanager
+def _progress(place: Path, interrupted: Any) -> Iterator[Any]:
+    from tqdm import tqdm
+
+    with tqdm(desc=place.name, unit="row", disable=None, unit_scale=True) as bar:
+
+        def told(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+
+        yield told

@@ -1,0 +1,96 @@
+"""Rows as a flat table: a column for each number, with its unit in the name."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tomojax.events import Event
+from tomojax.exports._source import Progress, Source, WORDS
+from tomojax.kernels.flags import Flag
+
+# Fields that a flat table has no columns for.
+IMAGES = ("image", "residual_by_electrode", "touch", "image_deviation")
+
+# Units as they stand in a column's name.
+_UNITS = {"m^2": "m2", "1": ""}
+
+# Of fields with several numbers for each contact.
+_PARTS = {
+    "contact_xy": ("x", "y"),
+    "contact_covariance": ("covariance_xx", "covariance_yy", "covariance_xy"),
+}
+
+
+class Column(NamedTuple):
+    """A column of the table: where in a field's rows it is."""
+
+    name: str
+    unit: str
+    words: str
+    field: str
+    at: tuple[int, ...]
+
+    def of(self, block: dict[str, np.ndarray]) -> np.ndarray:
+        """Its values in a block of rows."""
+        return block[self.field][(slice(None), *self.at)]
+
+
+def columns(source: Source) -> list[Column]:
+    """The columns of results: t_s, contact_count, flags, contact1_x_m, ….
+
+    Fields of the whole row come first, then those of each contact.
+    """
+    whole, each = [], []
+    for name in source.names:
+        if name in IMAGES:
+            continue
+        unit = source.unit(name)
+        tail = _UNITS.get(unit, unit)
+        shape = source.shape(name)
+        if not shape:
+            label = "_".join(filter(None, (name, tail)))
+            whole.append(Column(label, unit, WORDS[name], name, ()))
+            continue
+        parts = _PARTS.get(name, (name.removeprefix("contact_"),))
+        for c in range(source.contacts):
+            for k, part in enumerate(parts):
+                label = "_".join(filter(None, (f"contact{c + 1}", part, tail)))
+                at = (c, k) if len(shape) > 1 else (c,)
+                each.append(Column(label, unit, WORDS[name], name, at))
+    return whole + sorted(each, key=lambda column: column.at[0])
+
+
+def tables(source: Source, progress: Progress) -> Iterator[dict[str, np.ndarray]]:
+    """All columns, and the flags' names, a block of rows at a time."""
+    told = columns(source)
+    fields = list(dict.fromkeys(column.field for column in told))
+    for block in source.blocks(fields, progress):
+        found = {column.name: column.of(block) for column in told}
+        yield found | {"flag_names": flag_names(block["flags"])}
+
+
+def flag_names(flags: np.ndarray) -> np.ndarray:
+    """Names with a bar between, for each row; few combinations occur."""
+    values, which = np.unique(flags, return_inverse=True)
+    names = ["|".join(str(f.name) for f in Flag if int(v) & f.value) for v in values]
+    return np.array(names, object)[which]
+
+
+def event_columns(events: list[Event]) -> dict[str, Any]:
+    """Events in order: touch-down, lift-off and marks."""
+
+    def numbers(name: str) -> np.ndarray:
+        return np.array([getattr(event, name) for event in events], np.float32)
+
+    xy = np.array([event.xy for event in events], np.float32).reshape(-1, 2)
+    return {
+        "t_s": np.array([event.t for event in events], float),
+        "event": np.array([event.kind for event in events], object),
+        "contact": np.array([event.contact for event in events], np.int64),
+        "x_m": xy[:, 0],
+        "y_m": xy[:, 1],
+        "conductance_S": numbers("conductance"),
+        "force_N": numbers("force"),
+        "text": np.array([event.text for event in events], object),
+    }

@@ -1,0 +1,144 @@
+"""`export`: which kind is written by what, and what it needs."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from tomojax._require import require
+from tomojax.exports._source import Progress, Source
+
+
+class Kind(NamedTuple):
+    """A format: the ending of its files, the module that writes it, what that needs.
+
+    **Example:**
+
+    >>> from tomojax.exports import KINDS
+    >>> KINDS["parquet"].endings, KINDS["parquet"].extra
+    (('.parquet',), 'parquet')
+    """
+
+    endings: tuple[str, ...]  # of files, the usual one first; none of a folder
+    module: str
+    library: str = ""  # that is imported
+    extra: str = ""  # of tomojax, which brings it
+
+
+KINDS = {
+    "csv": Kind((".csv",), "_csv"),
+    "parquet": Kind((".parquet",), "_parquet", "pyarrow", "parquet"),
+    "netcdf": Kind((".nc",), "_netcdf", "h5netcdf", "netcdf"),
+    "mcap": Kind((".mcap",), "_mcap", "mcap_ros2", "mcap"),
+    "svg": Kind((".svg",), "_svg"),
+    "film": Kind((".mp4", ".gif"), "_film"),
+    "lerobot": Kind((), "_lerobot", "pyarrow", "parquet"),
+}
+
+
+def ending(kind: str) -> str:
+    """Of a file of a kind; "" for a folder. Films are GIFs where there is no ffmpeg."""
+    if kind == "film":
+        return ".mp4" if shutil.which("ffmpeg") else ".gif"
+    return KINDS[kind].endings[0] if KINDS[kind].endings else ""
+
+
+def beside(out: Path, kind: str) -> list[Path]:
+    """Files that are written beside `out`."""
+    events = out.with_name(f"{out.stem}.events{out.suffix}")
+    return [events] if kind in ("csv", "parquet") else []
+
+
+def check_kind(kind: str) -> Kind:
+    """**Raises:** `ValueError` for an unknown kind, or one whose library is missing."""
+    require(kind in KINDS, "kind", repr(kind), ", ".join(KINDS))
+    found = KINDS[kind]
+    if found.library and find_spec(found.library) is None:
+        mend = f"pip install 'tomojax[{found.extra}]' brings it"
+        raise ValueError(f"{found.library} is not installed; {mend}")
+    return found
+
+
+def export(
+    results: Path | str | Sequence[Path | str],
+    out: Path | str,
+    kind: str,
+    since: float | None = None,
+    until: float | None = None,
+    *,
+    rate: int | None = None,
+    task: str = "touch",
+    slow: float | None = None,
+    progress: Progress = lambda done, total: None,
+) -> None:
+    """Writes results in another format; whole or not at all.
+
+    **Arguments:** `results` one file, or for `kind` "lerobot" as many as there are
+    episodes; `kind` of `KINDS`; `since` and `until` s after the first row of a file;
+    `rate`, frames a second of "lerobot" and pictures of "film"; `task` of "lerobot", what
+    is done in words; `slow` of "film", how many times slower than it was.
+    **Raises:** `ValueError` for what is no results file, no kind, or an empty stretch.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> from tomojax.exports import export
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    >>> volts = np.tile(tx.voltages(sensor, touch, [0, 15]), (20, 1, 1))
+    >>> volts += np.random.default_rng(0).normal(0, 1e-3, volts.shape)
+    >>> rig = tx.recordings.Rig.of(sensor)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
+    >>> settings = tx.results.Settings(method="points", images=False, contacts=1)
+    >>> out = tx.reconstruct_recording(recording, "touch.h5", settings)
+    >>> export("touch.h5", "touch.csv", "csv")
+    >>> with open("touch.csv") as file:
+    ...     print(file.readline()[:28])
+    t_s,contact_count,residual_V
+    """
+    found, out = check_kind(kind), Path(out)
+    each = [results] if isinstance(results, str | Path) else list(results)
+    require(len(each) > 0, "results", "none", "a results file")
+    if kind == "lerobot":
+        _export_dataset(
+            [Path(one) for one in each], out, since, until, rate, task, progress
+        )
+        return
+    require(len(each) == 1, "results", f"{len(each)} files", f"one, of kind {kind!r}")
+    write: Callable = import_module(f"tomojax.exports.{found.module}").write
+    more = {"rate": rate, "slow": slow} if kind == "film" else {}
+    with Source(Path(each[0]), since, until) as source:
+        write(source, out, progress, **more)
+
+
+def _export_dataset(
+    each: list[Path],
+    out: Path,
+    since: float | None,
+    until: float | None,
+    rate: int | None,
+    task: str,
+    progress: Progress,
+) -> None:
+    from tomojax.exports._lerobot import Dataset, frames_per_second
+
+    require(not out.exists(), f"{out}", "a file or folder that is there", "a new name")
+    part = out.with_name(f".{out.name}.partial")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        part.mkdir()
+        dataset = None
+        for path in each:
+            with Source(path, since, until) as source:
+                if dataset is None:
+                    rate = rate or frames_per_second(source)
+                    dataset = Dataset(part, rate, task)
+                dataset.add(source, progress)
+        assert dataset is not None
+        dataset.finish()
+        part.rename(out)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)

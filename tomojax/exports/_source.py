@@ -1,0 +1,176 @@
+"""A stretch of a results file, as writers of other formats read it: in blocks of rows."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax._stretch import stretch_of
+from tomojax.events import Event, EventFinder, events_of_tracks
+from tomojax.results.loading import LoadedResults
+
+# Numbers that are read at once: a block of images of 32 × 32 is of 4096 rows.
+_BLOCK = 1 << 22
+
+Progress = Callable[[int, int], None]
+
+# Of each field what it is, in words; their units are in the file.
+WORDS = {
+    "t": "time",
+    "contact_count": "contacts of the row",
+    "contact_xy": "place of a contact",
+    "contact_x": "place of a contact along x",
+    "contact_y": "place of a contact along y",
+    "contact_radius": "radius of a contact",
+    "contact_angle": "direction of a long contact, from x",
+    "contact_current": "current through a contact",
+    "contact_conductance": "conductance of a contact",
+    "contact_conductance_error": "standard deviation of the logarithm of the conductance",
+    "contact_force": "force of a contact",
+    "contact_track": "number of a contact, 0 where there is none",
+    "contact_covariance": "covariance of a place: xx, yy, xy",
+    "residual": "root mean square of what the model leaves unexplained",
+    "flags": "bits of tomojax.Flag",
+    "rung": "model that answered",
+    "image": "image of the contact",
+    "residual_by_electrode": "what the model leaves unexplained, by electrode",
+    "touch": "probability that a pixel touches",
+    "image_deviation": "standard deviation of the image",
+}
+
+
+class Source:
+    """Rows of a results file between two times; a context that closes it.
+
+    **Arguments:** `since` and `until` s after the file's first row.
+    **Raises:** `ValueError` for a file that holds no results, or no row between them.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.exports import Source
+    >>> try:
+    ...     Source(Path("none.h5"))
+    ... except ValueError as error:
+    ...     print(error)
+    none.h5: not a results file: file: got none, or a folder, expected a file
+    """
+
+    def __init__(
+        self, path: Path, since: float | None = None, until: float | None = None
+    ) -> None:
+        self.path = path
+        self._file = LoadedResults(path)
+        try:
+            for name in ("contact_count", "contact_xy", "contact_conductance", "flags"):
+                require(name in self._file.names, name, "none", "this dataset")
+            self.start, self.stop = stretch_of(self._file.read("t"), since, until)
+        except ValueError as error:
+            self._file.close()
+            text = str(error).removeprefix(f"{path}: ")
+            raise ValueError(f"{path}: {text}") from None
+        self.rows, self.contacts = self.stop - self.start, self._file.contacts
+        self.names = [name for name in WORDS if name in self._file.names]
+        self.attributes = self._file.attributes
+        self.size = self._file.size()
+        self.electrode_xy = self._file.electrode_xy()
+
+    @property
+    def pitch(self) -> float:
+        """Of the electrodes, m; as `Sensor.mean_pitch`."""
+        return float(np.sqrt(np.prod(self.size) / len(self.electrode_xy)))
+
+    def unit(self, name: str) -> str:
+        """Of a field; "1" for numbers without."""
+        return str(self._file.unit(name).get("unit", "1"))
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Of one row of a field."""
+        return self._file.stretch(name, self.start, self.start + 1).shape[1:]
+
+    def kind(self, name: str) -> np.dtype:
+        """The type of a field's numbers."""
+        return self._file.stretch(name, self.start, self.start + 1).dtype
+
+    def pixels(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Centres of an image's pixels along x and y, m."""
+        x, y = (
+            (np.arange(n) + 0.5) * side / n for n, side in zip(self.shape(name), self.size)
+        )
+        return x, y
+
+    def blocks(
+        self, names: list[str], progress: Progress = lambda done, total: None
+    ) -> Iterator[dict[str, np.ndarray]]:
+        """Fields by name, a stretch of rows at a time."""
+        width = sum(int(np.prod(self.shape(name))) for name in names)
+        each = max(1, _BLOCK // max(1, width))
+        for at in range(self.start, self.stop, each):
+            end = min(at + each, self.stop)
+            found = {name: self._file.stretch(name, at, end) for name in names}
+            if "contact_count" in found:
+                most = int(found["contact_count"].max(initial=0))
+                fits = most <= self.contacts
+                expected = f"0 to {self.contacts}, as contact_xy has places"
+                require(fits, f"{self.path}: contact_count", most, expected)
+            yield found
+            progress(end - self.start, self.rows)
+
+    def events(self) -> list[Event]:
+        """Touch-down and lift-off, by the file's tracks where it has them; and marks."""
+        found = self._tracked() if "contact_track" in self.names else self._found()
+        nowhere = (float("nan"), float("nan"))
+        first, last = (float(self._file.stretch("t", at, at + 1)[0]) for at in self._ends())
+        for t, text in self.marks():
+            if first <= t <= last:
+                found.append(Event(t, "mark", 0, nowhere, float("nan"), text=text))
+        return sorted(found, key=lambda event: event.t)
+
+    def marks(self) -> list[tuple[float, str]]:
+        """Moments that somebody marked while the recording was made: s, and words."""
+        try:
+            told = json.loads(self.attributes.get("marks", "[]"))
+            return [(float(t), str(text)) for t, text in told]
+        except (TypeError, ValueError, RecursionError):
+            got = str(self.attributes.get("marks"))
+            raise ValueError(
+                f"{self.path}: marks: got {got[:40]}, expected times and texts"
+            ) from None
+
+    def _ends(self) -> tuple[int, int]:
+        return self.start, self.stop - 1
+
+    def _found(self) -> list[Event]:
+        names = ["t", "contact_count", "contact_xy", "contact_conductance", "flags"]
+        names += [n for n in ("contact_force",) if n in self.names]
+        t = self._file.stretch("t", self.start, self.stop)
+        interval = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+        finder = EventFinder.of_rows(self.pitch, interval)
+        found: list[Event] = []
+        for block in self.blocks(names):
+            found += finder.rows(*block.values())
+        return found + finder.finish()
+
+    def _tracked(self) -> list[Event]:
+        names = ["t", "contact_track", "contact_xy", "contact_conductance"]
+        first: dict[int, Event] = {}
+        last: dict[int, Event] = {}
+        for block in self.blocks(names):
+            for event in events_of_tracks(*block.values()):
+                if event.kind == "touch_down":
+                    first.setdefault(event.contact, event)
+                else:
+                    last[event.contact] = event
+        return [*first.values(), *last.values()]
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> "Source":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
