@@ -86,4 +86,54 @@ def netcdf(path: Path) -> dict[str, np.ndarray]:
         }
 
 
-READERS = {"csv": csv, "parquet": parquet, "netcdf": netcdf}
+def mcap(path: Path) -> dict[str, np.ndarray]:
+    """By `mcap`; and by `rosbags`, whose messages are to say the same."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        each = [(c.topic, m) for _, c, _, m in reader.iter_decoded_messages()]
+    found, other = _of_messages(each), _of_messages(_by_rosbags(path))
+    assert found.keys() == other.keys()
+    for name, values in found.items():
+        np.testing.assert_array_equal(values, other[name])
+    return found
+
+
+def _by_rosbags(path: Path) -> list:
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path]) as reader:
+        return [
+            (connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        ]
+
+
+def _of_messages(each: list) -> dict[str, np.ndarray]:
+    states = [m for topic, m in each if topic == "/tomojax/state"]
+    images = [m for topic, m in each if topic == "/tomojax/image"]
+    most = 4
+    found: dict[str, np.ndarray] = {
+        "t": np.array([m.device_time for m in states]),
+        "contact_count": np.array([len(m.contacts) for m in states]),
+        "flags": np.array([m.flags for m in states]),
+        "residual": np.array([m.residual for m in states], np.float32),
+    }
+    for name in ("x", "y", "radius", "angle", "current", "conductance"):
+        values = np.full((len(states), most), np.nan, np.float32)
+        for k, m in enumerate(states):
+            values[k, : len(m.contacts)] = [getattr(c, name) for c in m.contacts]
+        found[f"contact_{name}"] = values
+    if images:
+        found["image"] = np.stack(
+            [
+                np.frombuffer(bytes(m.data), "<f4").reshape(m.height, m.width)[::-1].T
+                for m in images
+            ]
+        )
+    return found
+
+
+READERS = {"csv": csv, "parquet": parquet, "netcdf": netcdf, "mcap": mcap}

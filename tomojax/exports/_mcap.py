@@ -1,0 +1,176 @@
+"""MCAP with ROS 2's messages: for rosbag2's tools, Foxglove and learners. No ROS needed."""
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._whole import whole
+from tomojax.events import Event, EventFinder
+from tomojax.exports._attributes import plain
+from tomojax.exports._messages import definition
+from tomojax.exports._source import Progress, Source
+
+_FRAME = "tomojax_sheet"
+
+# Of a point: name, offset, type (6: uint32, 7: float32).
+_POINT = (
+    ("x", 0, 7),
+    ("y", 4, 7),
+    ("z", 8, 7),
+    ("number", 12, 6),
+    ("conductance", 16, 7),
+    ("force", 20, 7),
+)
+_PACKED = struct.Struct("<fffIff")
+_NUMBERS = ("radius", "angle", "current", "conductance", "force")
+
+TOPICS = {
+    "state": "tomojax_msgs/msg/State",
+    "contacts": "sensor_msgs/msg/PointCloud2",
+    "wrench": "geometry_msgs/msg/WrenchStamped",
+    "image": "sensor_msgs/msg/Image",
+    "events": "tomojax_msgs/msg/Event",
+}
+
+
+def write(source: Source, out: Path, progress: Progress) -> None:
+    """Writes one file; see MESSAGES.md."""
+    from mcap_ros2.writer import Writer
+
+    with whole(out) as part, part.open("wb") as file:
+        writer = Writer(file)
+        texts = {name: str(value) for name, value in plain(source.attributes).items()}
+        writer.add_metadata("tomojax", texts)
+        schemas = {
+            topic: writer.register_msgdef(kind, definition(kind))
+            for topic, kind in TOPICS.items()
+            if (topic != "image" or "image" in source.names)
+            and (topic != "wrench" or "contact_force" in source.names)
+        }
+
+        def put(topic: str, t: float, message: dict[str, Any]) -> None:
+            stamp = _nanoseconds(t)
+            head = {"stamp": dict(zip(("sec", "nanosec"), divmod(stamp, 10**9)))}
+            head |= {"frame_id": _FRAME}
+            told = {"header": head, **message}
+            name = f"/tomojax/{topic}"
+            writer.write_message(name, schemas[topic], told, max(0, stamp))
+
+        for t, row in _rows(source, progress):
+            put("state", t, {"device_time": t, **row["state"]})
+            put("contacts", t, _cloud(row["state"]["contacts"]))
+            if "wrench" in schemas:
+                put("wrench", t, _wrench(row["state"]["contacts"]))
+            if "image" in schemas:
+                put("image", t, _image(row["image"]))
+        for event in source.events():
+            put("events", event.t, _event(event))
+        writer.finish()
+
+
+def _nanoseconds(t: float) -> int:
+    return round(t * 1e9)
+
+
+def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Each row's time, its state, and its image."""
+    finder = None
+    for block in source.blocks(source.names, progress):
+        t = block["t"].tolist()
+        if finder is None and "contact_track" not in block:
+            interval = (t[-1] - t[0]) / max(1, len(t) - 1)
+            finder = EventFinder.of_rows(source.pitch, interval)
+        each = {name: _listed(block, f"contact_{name}") for name in _NUMBERS}
+        xy, covariance = block["contact_xy"].tolist(), _listed(block, "contact_covariance")
+        flags, count = block["flags"].tolist(), block["contact_count"].tolist()
+        residual = _listed(block, "residual")
+        for k in range(len(t)):
+            n = count[k]
+            if finder is None:
+                numbers = block["contact_track"][k, :n].tolist()
+            else:
+                g = each["conductance"][k][:n]
+                numbers = finder.row(t[k], xy[k][:n], g, flags[k])[0]
+            contacts = [
+                {
+                    "number": numbers[c],
+                    "x": xy[k][c][0],
+                    "y": xy[k][c][1],
+                    **{m: v[k][c] if v else math.nan for m, v in each.items()},
+                    "covariance": covariance[k][c] if covariance else [math.nan] * 3,
+                }
+                for c in range(n)
+            ]
+            state = {
+                "flags": flags[k],
+                "residual": residual[k] if residual else math.nan,
+                "contacts": contacts,
+            }
+            image = block["image"][k] if "image" in block else None
+            yield t[k], {"state": state, "image": image}
+
+
+def _listed(block: dict[str, np.ndarray], name: str) -> list:
+    return block[name].tolist() if name in block else []
+
+
+def _cloud(contacts: list[dict]) -> dict[str, Any]:
+    names = ("x", "y", "number", "conductance", "force")
+    data = b"".join(
+        _PACKED.pack(x, y, 0.0, number, g, force)
+        for x, y, number, g, force in ([c[n] for n in names] for c in contacts)
+    )
+    return {
+        "height": 1,
+        "width": len(contacts),
+        "fields": [
+            {"name": name, "offset": at, "datatype": kind, "count": 1}
+            for name, at, kind in _POINT
+        ],
+        "is_bigendian": False,
+        "point_step": _PACKED.size,
+        "row_step": len(data),
+        "data": data,
+        "is_dense": True,
+    }
+
+
+def _wrench(contacts: list[dict]) -> dict[str, Any]:
+    """Contacts press along −z: r × F of each has x and y alone."""
+    known = [c for c in contacts if c["force"] == c["force"]]
+    torque = {
+        "x": -sum(c["y"] * c["force"] for c in known),
+        "y": sum(c["x"] * c["force"] for c in known),
+        "z": 0.0,
+    }
+    force = {"x": 0.0, "y": 0.0, "z": -sum(c["force"] for c in known)}
+    return {"wrench": {"force": force, "torque": torque}}
+
+
+def _image(image: np.ndarray) -> dict[str, Any]:
+    shown = np.ascontiguousarray(image.T[::-1], "<f4")
+    return {
+        "height": shown.shape[0],
+        "width": shown.shape[1],
+        "encoding": "32FC1",
+        "is_bigendian": 0,
+        "step": shown.strides[0],
+        "data": shown.tobytes(),
+    }
+
+
+def _event(event: Event) -> dict[str, Any]:
+    return {
+        "device_time": event.t,
+        "event": event.kind,
+        "contact": event.contact,
+        "x": event.xy[0],
+        "y": event.xy[1],
+        "conductance": event.conductance,
+        "force": event.force,
+        "text": event.text,
+    }
