@@ -25,9 +25,9 @@ from tomojax.cli.entry import Command, OutputFolder
 )
 def demo(out: Path) -> None:
     """Reconstruct a small recording that comes with the package; pictures and a clip."""
-    import h5py
     from tqdm import tqdm
 
+    from tomojax.exports import export
     from tomojax.recordings import open_recording
     from tomojax.results import plots, reconstruct_recording, report, Settings
 
@@ -43,11 +43,15 @@ def demo(out: Path) -> None:
     print(report.text(report.summary(results), results))
     with whole(out / "contacts.png") as part:
         plots.timeline(results).savefig(part, dpi=110)
-    with h5py.File(results) as file:
-        frames = file["t"].shape[0]  # pyright: ignore
-    with tqdm(total=frames, desc="clip", disable=None, file=sys.stderr) as bar:
-        with whole(out / "contacts.gif") as part:
-            plots.clip(results, part, progress=bar.update)
+    with tqdm(desc="clip", disable=None, file=sys.stderr) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        # Two seconds as eight, in as many pictures as a clip on a page needs.
+        clip = out / "contacts.gif"
+        export(results, clip, "film", rate=12, slow=4.0, progress=progress)
     from tomojax.cli import _demo_shapes
 
     with as_file(files("tomojax") / "demo_shapes.npz") as path:

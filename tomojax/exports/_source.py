@@ -102,6 +102,14 @@ class Source:
         )
         return x, y
 
+    def times(self) -> np.ndarray:
+        """Of all rows, s."""
+        return self._file.stretch("t", self.start, self.stop)
+
+    def row(self, name: str, k: int) -> Any:
+        """A field of the `k`th row."""
+        return self._file.stretch(name, self.start + k, self.start + k + 1)[0]
+
     def blocks(
         self, names: list[str], progress: Progress = lambda done, total: None
     ) -> Iterator[dict[str, np.ndarray]]:
@@ -123,7 +131,7 @@ class Source:
         """Touch-down and lift-off, by the file's tracks where it has them; and marks."""
         found = self._tracked() if "contact_track" in self.names else self._found()
         nowhere = (float("nan"), float("nan"))
-        first, last = (float(self._file.stretch("t", at, at + 1)[0]) for at in self._ends())
+        first, last = (float(self.row("t", k)) for k in (0, self.rows - 1))
         for t, text in self.marks():
             if first <= t <= last:
                 found.append(Event(t, "mark", 0, nowhere, float("nan"), text=text))
@@ -140,13 +148,10 @@ class Source:
                 f"{self.path}: marks: got {got[:40]}, expected times and texts"
             ) from None
 
-    def _ends(self) -> tuple[int, int]:
-        return self.start, self.stop - 1
-
     def _found(self) -> list[Event]:
         names = ["t", "contact_count", "contact_xy", "contact_conductance", "flags"]
         names += [n for n in ("contact_force",) if n in self.names]
-        t = self._file.stretch("t", self.start, self.stop)
+        t = self.times()
         interval = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
         finder = EventFinder.of_rows(self.pitch, interval)
         found: list[Event] = []

@@ -3,10 +3,8 @@
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
 # (h5py does not say whether a name is a group or a dataset)
 
-from collections.abc import Callable
 from pathlib import Path
 
-import h5py
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -97,57 +95,7 @@ def _strongest(file: LoadedResults) -> int:
     return int(current.argmax())
 
 
-def clip(
-    path: Path,
-    out: Path,
-    most: int = 100,
-    progress: Callable[[int], object] = lambda n: None,
-) -> None:
-    """Writes the images as a film (GIF), with contacts and their directions drawn in."""
-    from PIL import Image
-
-    with h5py.File(path, "r") as file:
-        step = max(1, -(-len(file["t"]) // most))
-        names = ("t", "image", "contact_xy", "contact_radius", "contact_angle")
-        t, image, xy, radius, angle = (file[name][::step] for name in names)
-        width, height = 1e3 * file.attrs["size"]
-        unit = file["image"].attrs["unit"]
-    figure = Figure(figsize=(4.8, 4.2), dpi=80, layout="constrained")
-    axes = figure.subplots()
-    shown = axes.imshow(
-        image[0].T,
-        origin="lower",
-        extent=(0, width, 0, height),
-        vmin=0,
-        vmax=np.nanpercentile(image.max((1, 2)), 90),
-        cmap="magma",
-    )
-    figure.colorbar(shown, ax=axes, label=unit)
-    axes.set(xlabel="x, mm", ylabel="y, mm")
-    marks = axes.plot([], [], "c+", ms=10, mew=1.5)[0]
-    lines = [axes.plot([], [], "c", lw=1)[0] for _ in range(xy.shape[1])]
-    title = axes.set_title(f"{t[0]:.3f} s")
-    # The frame of the axes lies half on the image and is drawn after it.
-    moving = [shown, marks, *lines, *axes.spines.values(), title]
-    canvas, still = _still(figure, moving)
-    frames = []
-    for k in range(len(t)):
-        shown.set_data(image[k].T)
-        marks.set_data(*(1e3 * xy[k].T))
-        for line, place, r, a in zip(lines, 1e3 * xy[k], 1e3 * radius[k], angle[k]):
-            along = np.outer([-r, r], [np.cos(a), np.sin(a)])  # nothing where NaN
-            line.set_data(*(place + along).T)
-        title.set_text(f"{t[k]:.3f} s")
-        canvas.restore_region(still)
-        for artist in moving:
-            axes.draw_artist(artist)
-        frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
-        progress(step)
-    first, *rest = frames
-    first.save(out, save_all=True, append_images=rest, duration=1000 // 12, loop=0)
-
-
-def _still(figure: Figure, moving: list):
+def still(figure: Figure, moving: list):
     """Draws all but the artists `moving`; returns the canvas and its pixels.
 
     Matplotlib lays a figure out anew for each drawing, in 0.4 s: here it does so once.

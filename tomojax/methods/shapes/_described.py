@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import read_regions
+from tomojax.kernels.images import no_contacts, read_regions
 from tomojax.methods._contract import Estimate
 from tomojax.methods.shapes._model import FittedShape, ShapeModel
 
@@ -49,7 +49,13 @@ def described(
     contacts = contacts._replace(conductance=shares[0], current=shares[1])
     some = jnp.minimum(contacts.count, count)
     contacts = jax.tree.map(lambda a: a[:count] if a.ndim else a, contacts)
-    contacts = contacts._replace(count=jnp.where(fitted.seen, some, 0).astype(jnp.uint8))
+    told = jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
+    # What is not seen has no place.
+    contacts = jax.tree.map(
+        lambda a, none: jnp.where(fitted.seen, a, none),
+        contacts._replace(count=told),
+        no_contacts(count, contacts.xy.dtype),
+    )
     faint = fitted.seen & (fitted.highest < _FAINT * model.errors.noise)
     squares = fitted.conductance.max() * model.sheet_resistance
     metal = squares * (_RIM * model.pitch) ** 2 > 1

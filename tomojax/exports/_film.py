@@ -1,0 +1,174 @@
+"""A film of results: the sheet with what touches it, and how much, as it happened."""
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax._whole import whole
+from tomojax.exports._overview import Overview, overview, rings
+from tomojax.exports._source import Progress, Source
+from tomojax.kernels.flags import Flag
+
+# Pictures a second: of films by default, and what a GIF can have at most.
+_RATE, _GIF = 50, 50
+
+# Seconds of the past that a trail shows; of the film, so that slow ones have theirs.
+_TRAIL = 0.3
+
+# Pictures that the scale of the image's colours is taken from.
+_SAMPLED = 200
+
+
+def write(
+    source: Source,
+    out: Path,
+    progress: Progress,
+    rate: int | None = None,
+    slow: float | None = None,
+) -> None:
+    """Draws `rate` pictures a second of the film; `slow`: so many times slower than it was.
+
+    **Raises:** `ValueError` for an MP4 without ffmpeg, or a GIF of more than 50 a second.
+    """
+    rate, slow = rate or _RATE, slow or 1.0
+    require(slow > 0, "slow", slow, "a number above 0")
+    gif = out.suffix.lower() == ".gif"
+    ffmpeg = shutil.which("ffmpeg")
+    mend = "a .gif, or ffmpeg installed"
+    require(gif or ffmpeg, f"{out}", "no ffmpeg on this machine", mend)
+    fits = not gif or rate <= _GIF
+    require(fits, "rate", rate, f"{_GIF} pictures a second at most in a GIF")
+    t = source.times()
+    length = float(t[-1] - t[0])
+    due = t[0] + np.arange(int(length * rate * slow + 1e-6) + 1) / (rate * slow)
+    rows = np.maximum(np.searchsorted(t, due + 1e-9, "right") - 1, 0)
+    picture = _Picture(source, overview(source), rows, int(_TRAIL * rate))
+    with whole(out) as part:
+        keep = _gif if gif else _mp4
+        with keep(part, rate, picture.shape, len(rows)) as put:
+            for number, row in enumerate(rows.tolist()):
+                put(picture.draw(number, row))
+                progress(number + 1, len(rows))
+
+
+@contextmanager
+def _mp4(path: Path, rate: int, shape: tuple[int, int], count: int) -> Iterator[Any]:
+    """Pictures into ffmpeg, by the codec that it has for MP4."""
+    height, width = shape
+    command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
+    command += ["-s", f"{width}x{height}", "-r", str(rate), "-i", "-", "-an"]
+    command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as process:
+        assert process.stdin is not None and process.stderr is not None
+        try:
+            yield lambda pixels: process.stdin.write(pixels.tobytes())
+            process.stdin.close()
+            said = process.stderr.read().decode(errors="replace")
+        except BrokenPipeError:
+            said = process.stderr.read().decode(errors="replace") or "it ended early"
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode or said:
+        raise OSError(f"ffmpeg: {' '.join(said.split())[-200:]}")
+
+
+@contextmanager
+def _gif(path: Path, rate: int, shape: tuple[int, int], count: int) -> Iterator[Any]:
+    """Pictures as a GIF; all have the colours of the first ones."""
+    from PIL import Image
+
+    frames: list[Any] = []
+
+    def put(pixels: np.ndarray) -> None:
+        frame = Image.fromarray(pixels[..., :3])
+        palette = frames[0] if frames else None
+        if palette is None:
+            frames.append(frame.quantize(255))
+        else:
+            frames.append(frame.quantize(palette=palette, dither=Image.Dither.NONE))
+
+    yield put
+    first, *rest = frames
+    first.save(path, save_all=True, append_images=rest, duration=round(1000 / rate), loop=0)
+
+
+class _Picture:
+    """One figure, drawn once; of each picture only what moves is drawn."""
+
+    def __init__(self, source: Source, whole: Overview, rows: np.ndarray, trail: int):
+        from matplotlib.figure import Figure
+
+        from tomojax.results.plots import still
+
+        self._source, self._trail = source, trail
+        names = ("t", "contact_count", "contact_xy", "contact_radius", "flags", "image")
+        self._names = [name for name in names if name in source.names]
+        width, height = 1e3 * source.size
+        self._past: list[np.ndarray] = []
+        figure = Figure(figsize=(6.4, 7.2), dpi=100, layout="constrained")
+        sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
+        self._shown = None
+        if "image" in source.names:
+            some = rows[:: max(1, len(rows) // _SAMPLED)].tolist()
+            tops = [float(np.nanmax(source.row("image", k), initial=0)) for k in some]
+            top = float(np.percentile(tops, 95)) or 1.0
+            self._shown = sheet.imshow(
+                source.row("image", int(rows[0])).T,
+                origin="lower",
+                extent=(0, width, 0, height),
+                vmin=0,
+                vmax=top,
+                cmap="magma",
+            )
+            unit = source.unit("image").replace("^2", "²")
+            figure.colorbar(self._shown, ax=sheet, label=f"image, {unit}")
+        else:
+            sheet.set_facecolor("black")
+        (electrodes,) = sheet.plot(*(1e3 * source.electrode_xy.T), ".", color="0.5", ms=2)
+        sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal")
+        sheet.set(xlabel="x, mm", ylabel="y, mm")
+        (self._dots,) = sheet.plot([], [], ".", color="c", ms=2, alpha=0.6)
+        (self._rings,) = sheet.plot([], [], color="c", lw=1.2)
+        self._title = sheet.set_title("", fontsize=10, loc="left", family="monospace")
+        line.plot(whole.t, whole.high, lw=0.8)
+        line.fill_between(whole.t, whole.low, whole.high, alpha=0.5, lw=0)
+        for t in whole.doubted:
+            line.axvspan(t, t + whole.step, color="C3", alpha=0.25, lw=0)
+        line.set(xlabel="s  (red: rows in doubt)", ylabel=whole.words)
+        line.set(xlim=(whole.t[0], max(whole.t[-1], whole.t[0] + 1e-9)), ylim=(0, None))
+        self._now = line.axvline(whole.t[0], color="k", lw=1)
+        moving = self._shown, electrodes, self._dots, self._rings
+        self._moving = [artist for artist in moving if artist is not None]
+        self._moving += [*sheet.spines.values(), self._title, self._now]
+        self._canvas, self._still = still(figure, self._moving)
+        self.shape = np.asarray(self._canvas.buffer_rgba()).shape[:2]
+
+    def draw(self, number: int, row: int) -> np.ndarray:
+        """The pixels of a picture (height, width, 4)."""
+        source = self._source
+        told = {name: source.row(name, row) for name in self._names}
+        count = int(told["contact_count"])
+        xy = 1e3 * told["contact_xy"][:count]
+        radius = 1e3 * told.get("contact_radius", np.full(count, np.nan))[:count]
+        self._past = [*self._past[-self._trail :], xy]
+        if self._shown is not None:
+            self._shown.set_data(told["image"].T)
+        self._dots.set_data(*np.concatenate(self._past).T)
+        self._rings.set_data(*rings(xy, radius).T)
+        flags = Flag(int(told["flags"]))
+        level = flags.level.name.lower().replace("_", " ") if flags.level else ""
+        what = "no contact" if not count else f"{count} contact{'s'[: count > 1]}"
+        self._title.set_text(f"{told['t']:8.3f} s  {what}  {level}")
+        self._now.set_xdata([told["t"]] * 2)
+        self._canvas.restore_region(self._still)
+        for artist in self._moving:
+            artist.axes.draw_artist(artist)
+        return np.asarray(self._canvas.buffer_rgba())

@@ -1,0 +1,61 @@
+"""What a picture of a whole file shows: how much touches, over time; and outlines."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from tomojax.exports._source import Source
+from tomojax.kernels.flags import DOUBT
+
+# Columns of a picture: more bins would fall on the same pixel.
+_BINS = 1000
+
+# Corners of a ring that looks round; a contact without a radius has one of this, mm.
+_CORNERS, _RADIUS = 25, 3.0
+
+
+class Overview(NamedTuple):
+    """In bins of time, the lowest and highest sum over contacts."""
+
+    t: Float[np.ndarray, " b"]  # s
+    low: Float[np.ndarray, " b"]
+    high: Float[np.ndarray, " b"]
+    doubted: Float[np.ndarray, " d"]  # s: bins with rows in doubt
+    step: float  # s
+    words: str
+
+
+def overview(source: Source) -> Overview:
+    """Of forces where they are calibrated, else of conductances."""
+    forces = "contact_force" in source.names
+    name, unit = ("contact_force", 1.0) if forces else ("contact_conductance", 1e6)
+    t = source.times()
+    begin, length = float(t[0]), max(float(t[-1] - t[0]), 1e-9)
+    bins = min(_BINS, len(t))
+    low, high = np.full(bins, np.inf), np.full(bins, -np.inf)
+    doubt = np.zeros(bins, bool)
+    for block in source.blocks(["t", name, "flags"]):
+        at = np.minimum(((block["t"] - begin) / length * bins).astype(int), bins - 1)
+        total = unit * np.nansum(block[name].astype(float), 1)
+        np.minimum.at(low, at, total)
+        np.maximum.at(high, at, total)
+        doubt[at[block["flags"] & int(DOUBT) > 0]] = True
+    step = length / bins
+    centres = begin + step * (np.arange(bins) + 0.5)
+    there = np.isfinite(low)
+    words = "force, N" if forces else "conductance, µS"
+    starts = begin + step * np.flatnonzero(doubt)
+    return Overview(centres[there], low[there], high[there], starts, step, words)
+
+
+def rings(
+    xy: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "m 2"]:
+    """Circles as one line with breaks; mm."""
+    turn = np.linspace(0, 2 * np.pi, _CORNERS)
+    circle = np.stack([np.cos(turn), np.sin(turn)], 1)
+    wide = np.where(np.isfinite(radius), radius, _RADIUS)
+    each = xy[:, None] + wide[:, None, None] * circle
+    broken = np.concatenate([each, np.full((len(xy), 1, 2), np.nan)], 1)
+    return broken.reshape(-1, 2)

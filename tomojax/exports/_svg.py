@@ -1,0 +1,68 @@
+"""SVG: the paths of contacts on the sheet, and how much touched, as a figure of a paper."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tomojax._whole import whole
+from tomojax.exports._overview import overview
+from tomojax.exports._source import Progress, Source
+from tomojax.results import outlines_of
+
+# Points of a path that a picture shows.
+_POINTS = 20_000
+
+
+def write(source: Source, out: Path, progress: Progress) -> None:
+    """Draws one picture; contacts from touch-down to lift-off have one colour each."""
+    from matplotlib.figure import Figure
+
+    told = overview(source)
+    width, height = 1e3 * source.size
+    figure = Figure(figsize=(6.0, 7.0), layout="constrained")
+    sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
+    sheet.plot(*(1e3 * source.electrode_xy.T), ".", color="0.8", ms=3, zorder=0)
+    tracked = "contact_track" in source.names
+    step = max(1, -(-source.rows // _POINTS))
+    names = ["contact_xy", *(("contact_track",) if tracked else ())]
+    kept, at = {name: [] for name in names}, 0
+    for block in source.blocks(names, progress):
+        size = len(block["contact_xy"])
+        for name in names:
+            kept[name].append(block[name][-at % step :: step])
+        at += size
+    xy = 1e3 * np.concatenate(kept["contact_xy"])
+    if tracked:
+        track = np.concatenate(kept["contact_track"])
+        for number in np.unique(track[track > 0]):
+            sheet.plot(*xy[track == number].T, lw=1, color=f"C{number % 10}")
+    else:
+        for c in range(xy.shape[1]):
+            sheet.plot(*xy[:, c].T, ".", ms=2, color=f"C{c}", label=f"{c + 1}")
+        if xy.shape[1] > 1 and np.isfinite(xy[:, 1]).any():
+            sheet.legend(title="by strength", fontsize=8, markerscale=3)
+    words = "paths of contacts"
+    if "touch" in source.names:
+        k = _most(source)
+        words += f"; outlines at {float(source.row('t', k)):.3f} s"
+        for one in outlines_of(source.row("touch", k), source.size):
+            for ring in one.rings:
+                sheet.plot(*(1e3 * ring.T), color="k", lw=1)
+    sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal")
+    sheet.set(xlabel="x, mm", ylabel="y, mm", title=words)
+    line.plot(told.t, told.high, lw=0.8)
+    line.fill_between(told.t, told.low, told.high, alpha=0.5, lw=0)
+    for t in told.doubted:
+        line.axvspan(t, t + told.step, color="C3", alpha=0.25, lw=0)
+    line.set(xlabel="s  (red: rows in doubt)", ylabel=told.words, ylim=(0, None))
+    with whole(out) as part:
+        figure.savefig(part, metadata={"Date": None})
+
+
+def _most(source: Source) -> int:
+    """The row with the largest conductance in all."""
+    totals = [
+        np.nansum(block["contact_conductance"].astype(float), 1)
+        for block in source.blocks(["contact_conductance"])
+    ]
+    return int(np.concatenate(totals).argmax())
