@@ -1,4 +1,4 @@
-"""Opens a container of datasets, HDF5 or TDMS, in a process with limits."""
+"""Opens a container of datasets, HDF5, MCAP or TDMS, in a process with limits."""
 
 import atexit
 import json
@@ -24,7 +24,7 @@ _PIECE, _WHOLE = 1 << 25, 0.25
 _PACKED, _FEW = 200, 1 << 24
 
 # A reader that does not answer ends itself; nobody waits longer, s.
-_WAIT = 60.0
+_WAIT = 120.0
 
 
 class OpenContainer:
@@ -68,9 +68,10 @@ class OpenContainer:
                 raise ModuleNotFoundError(told["error"], name=told["missing"])
             # `OSError` is HDF5's; others are of what this package has looked at itself.
             raise (OSError if told["kind"] == "OSError" else ValueError)(told["error"])
-        from tomojax.files import _served, _served_tdms
+        from tomojax.files import _served, _served_mcap, _served_tdms
 
         kinds = {"hdf5": _served.Hdf5, "tdms": _served_tdms.Tdms}
+        kinds |= {"mcap": _served_mcap.Mcap}
         try:
             self._served = kinds[asked["kind"]](asked["path"], asked["options"])
         except (OSError, ValueError, ModuleNotFoundError):
@@ -227,7 +228,7 @@ class OpenContainer:
 
 
 def open_container(
-    path: Path | str, kind: Literal["hdf5", "tdms"] = "hdf5"
+    path: Path | str, kind: Literal["hdf5", "mcap", "tdms"] = "hdf5"
 ) -> OpenContainer:
     """Opens a file of datasets in a process of its own, with limits.
 

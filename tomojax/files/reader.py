@@ -15,13 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.files import _served, _served_tdms
+from tomojax.files import _served, _served_mcap, _served_tdms
 
 # Memory of a fork, bytes. Seconds for one request, of its work, and with what it waits.
 # A file on a disk far away may take long to come, a damaged one loops without a pause.
 _MEMORY, _WORK, _WAIT = 1 << 30, 5.0, 30.0
 
-_KINDS = {"hdf5": _served.Hdf5, "tdms": _served_tdms.Tdms}
+# Of MCAP all messages are read at once: as much more time for each so many bytes.
+_EACH, _LONGEST = 1 << 24, 10
+
+_KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.Tdms}
 
 
 def main() -> None:
@@ -51,7 +54,8 @@ def serve(connection: Connection, asked: dict[str, Any]) -> None:
     """Answers requests on one file until the other side has gone."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _limit_time()
+    whole = asked["kind"] == "mcap"
+    _limit_time(1 + whole * min(_LONGEST, os.path.getsize(asked["path"]) // _EACH))
     try:
         opened = _KINDS[asked["kind"]](asked["path"], asked["options"])
         _open_nothing_else()
@@ -81,7 +85,7 @@ def serve(connection: Connection, asked: dict[str, Any]) -> None:
 def _limit_time(part: int = 1) -> None:
     """Beyond it the system ends the process, whatever loop that is in."""
     signal.setitimer(signal.ITIMER_PROF, part * _WORK)
-    signal.setitimer(signal.ITIMER_REAL, part * _WAIT)
+    signal.setitimer(signal.ITIMER_REAL, min(part, 1) * (_WAIT + part * _WORK))
 
 
 def _open_nothing_else() -> None:

@@ -20,9 +20,11 @@ from tomojax.recordings._recording import (
     VERSION as VERSION,
 )
 from tomojax.recordings._repair import repair_recording as repair_recording
+from tomojax.recordings._stretch import between as between
 
 __all__ = [
     "ArrayRecording",
+    "between",
     "Chunk",
     "CHUNK_SLOTS",
     "Faults",

@@ -177,6 +177,9 @@ class Hdf5Recording(Recording):
         """`scale` and `offset`, V."""
         return self._scale, self._offset
 
+    def start_times(self) -> np.ndarray:
+        return self._t0
+
     def times(self, start: int, stop: int) -> np.ndarray:
         """The start of scans, s."""
         return self._t0[start:stop]

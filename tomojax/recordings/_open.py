@@ -8,10 +8,13 @@ from tomojax.recordings._recording import Recording
 
 
 def open_recording(path: Path | str, **options: Any) -> Recording:
-    """The recording in a file: version 1 (HDF5), MATLAB v7.3, or TDMS.
+    """The recording in a file: version 1 (HDF5), MATLAB v7.3, TDMS, CSV, .npz or MCAP.
+
+    CSV, .npz and MCAP are described by a file of the same name that ends in .toml, with the
+    names of recording version 1's attributes, and `rows`, `columns`, `pitch`, `slots`.
 
     **Arguments:** `options` are those of `TdmsRecording` for .tdms files; for others
-    `header`: what attributes of the file should have said, by name.
+    `header`: what the file should have said, by name.
     **Raises:** `ValueError`, one line with the file, the field, what came and what was
     expected, also for a file that cannot be opened.
 
@@ -32,16 +35,9 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         with path.open("rb"):  # for the system's own words, e.g. no permission
             pass
         require(path.stat().st_size > 0, "file", "0 bytes", "a recording")
-        if path.suffix.lower() == ".tdms":
-            from tomojax.recordings._tdms import TdmsRecording as Reader
-        else:
-            from tomojax.recordings._hdf5 import Hdf5Recording as Reader
-
-            own = not options.keys() - {"header"}
-            require(own, "options", sorted(options), "header, but for .tdms files")
-        recording = Reader(path, **options)
+        recording = _opened(path, path.suffix.lower(), options)
     except ModuleNotFoundError as error:
-        extra = "tdms" if error.name == "nptdms" else "app"
+        extra = {"nptdms": "tdms", "mcap": "mcap"}.get(str(error.name), "app")
         raise ValueError(
             f"{path}: {error.name} is not installed; "
             f"pip install 'tomojax[{extra}]' brings it"
@@ -52,3 +48,21 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return recording
+
+
+def _opened(path: Path, suffix: str, options: dict[str, Any]) -> Recording:
+    if suffix == ".tdms":
+        from tomojax.recordings._tdms import TdmsRecording
+
+        return TdmsRecording(path, **options)
+    own = not options.keys() - {"header"}
+    require(own, "options", sorted(options), "header, but for .tdms files")
+    header = options.get("header") or {}
+    if suffix in (".csv", ".txt", ".tsv", ".npz", ".mcap"):
+        from tomojax.recordings import formats
+
+        opens = {".npz": formats.open_npz, ".mcap": formats.open_mcap}
+        return opens.get(suffix, formats.open_csv)(path, header)
+    from tomojax.recordings._hdf5 import Hdf5Recording
+
+    return Hdf5Recording(path, header)

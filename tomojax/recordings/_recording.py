@@ -25,6 +25,9 @@ _FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
 # sheet of 64 electrodes of a 32nd of a pitch has so many; `source` takes 2.5 GB for it.
 _MOST_CELLS = 1 << 16
 
+# Scans that are read at once for their times, where those are not kept.
+_SOME = 1 << 12
+
 # The paper's rig, for forms that do not say.
 PAPER = {
     "f_switch": 10e3,
@@ -144,10 +147,16 @@ class Recording(ABC):
     gaps: np.ndarray
     mended: tuple[str, ...] = ()  # what the reader put right, in sentences
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
+    stretch: tuple[int, int] | None = None  # of a longer one: its first scan, and the end
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
         """Scans `start` to `stop`."""
+
+    def start_times(self) -> np.ndarray:
+        """Of all scans, s."""
+        each = range(0, self.scans, _SOME)
+        return np.concatenate([self.read(k, k + _SOME).t0 for k in each])
 
     def close(self) -> None:  # noqa: B027 (arrays have nothing to close)
         """Nothing is read after this."""
@@ -207,6 +216,9 @@ class ArrayRecording(Recording):
 
     def read(self, start: int, stop: int) -> Scans:
         return Scans(*(a[start:stop] for a in self._scans))
+
+    def start_times(self) -> np.ndarray:
+        return self._scans.t0
 
     def digest(self) -> str:
         """SHA-256 of the arrays."""

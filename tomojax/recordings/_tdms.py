@@ -102,8 +102,11 @@ class TdmsRecording(Recording):
         fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
         ground = np.where(fine, ground, -1)  # no electrode's number: told as a fault
         shape = (stop - start, self.slots)
-        t0 = np.arange(start, stop) * self.slots / self.rig.f_switch
+        t0 = self.start_times()[start:stop]
         return Scans(volts.reshape(*shape, -1), ground.reshape(shape).astype(int), t0)
+
+    def start_times(self) -> np.ndarray:
+        return np.arange(self.scans) * self.slots / self.rig.f_switch
 
     def _named(self, channels: str) -> str:
         return channels.replace("{}", str(len(self._channels)))

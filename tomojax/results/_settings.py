@@ -162,6 +162,7 @@ def configuration(recording: Recording, settings: Settings, size: int) -> dict:
         "grid": settings.pixels,
         "chunk": size,
         "scans": recording.scans,
+        **({"stretch": list(recording.stretch)} if recording.stretch else {}),
         "recording_sha256": recording.digest(),
         "versions": environment(),
     }

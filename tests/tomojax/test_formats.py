@@ -1,0 +1,185 @@
+"""The same recording in the formats of other tools."""
+
+import numpy as np
+import pytest
+from recordings import (
+    SIDECAR,
+    slot_times,
+    touched,
+    volts,
+    write,
+    write_csv,
+    write_matlab,
+    write_mcap,
+    write_npz,
+    write_tdms,
+)
+
+import tomojax as tx
+
+GROUNDS = [0, 63]
+CODES, PLACE = touched(scans=12)
+
+
+def _volts_npz(path, v, grounds):
+    np.savez(path, v=volts(v), ground=np.broadcast_to(grounds, v.shape[:2]))
+    path.with_suffix(".toml").write_text(SIDECAR)
+    return path
+
+
+def _codes_csv(path, v, grounds):
+    head = ",".join(["number", "ground", *(f"e{e}" for e in range(64))])
+    rows = np.concatenate(
+        [np.arange(24)[:, None], np.tile(grounds, 12)[:, None], v.reshape(24, 64)], 1
+    )
+    np.savetxt(path, rows, "%d", ",", header=head, comments="")
+    path.with_suffix(".toml").write_text(f"{SIDECAR}slots = 2\nscale = {5 / 32768!r}\n")
+    return path
+
+
+def _excel(path, v, grounds):
+    made = write_csv(path, v, grounds, ";", ",")
+    made.write_bytes(b"\xef\xbb\xbf" + made.read_bytes().replace(b"\n", b"\r\n"))
+    return made
+
+
+FORMS = {
+    "mat": ("a.mat", write_matlab),
+    "tdms": ("a.tdms", write_tdms),
+    "csv": ("a.csv", write_csv),
+    "csv of codes": ("a.csv", _codes_csv),
+    "csv of a spreadsheet": ("a.csv", _excel),
+    "npz": ("a.npz", write_npz),
+    "npz of volts": ("a.npz", _volts_npz),
+    "mcap": ("a.mcap", write_mcap),
+}
+
+
+def rows_of(path, folder) -> dict[str, np.ndarray]:
+    import h5py
+
+    out = folder / "out.h5"
+    settings = tx.results.Settings(method="points", images=False, contacts=2)
+    with tx.open_recording(path) as recording:
+        tx.reconstruct_recording(recording, out, settings, overwrite=True)
+    with h5py.File(out) as file:
+        return {name: data[()] for name, data in file.items()}  # pyright: ignore
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> dict[str, np.ndarray]:
+    folder = tmp_path_factory.mktemp("truth")
+    return rows_of(write(folder / "a.h5", CODES, GROUNDS), folder)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_results_are_identical(form, truth, tmp_path) -> None:
+    name, make = FORMS[form]
+    found = rows_of(make(tmp_path / name, CODES, np.array(GROUNDS)), tmp_path)
+    assert truth["contact_count"].sum() == 4
+    for field, values in truth.items():
+        np.testing.assert_array_equal(found[field], values, field)
+
+
+def test_lost_slots_are_gaps_or_faults(tmp_path) -> None:
+    # Of scans 2 and 3 all, of scan 5 the first slot.
+    lost = (4, 5, 6, 7, 10)
+    path = write_mcap(tmp_path / "a.mcap", CODES, np.array(GROUNDS), lost)
+    with tx.open_recording(path) as recording:
+        assert recording.gaps.tolist() == [[2, 2]] and recording.scans == 10
+        read = recording.read(0, 10)
+        assert read.grounds[3].tolist() == [-1, 63]
+        assert np.isnan(read.voltages[3, 0]).all()
+        times = slot_times(CODES)[::2][[0, 1, 4, 5, 6, 7, 8, 9, 10, 11]]
+        np.testing.assert_allclose(read.t0, times, atol=1e-9)
+
+
+def test_what_is_assumed_is_said(tmp_path) -> None:
+    path = write_csv(tmp_path / "a.csv", CODES, GROUNDS)
+    path.with_suffix(".toml").unlink()
+    with tx.open_recording(path) as recording:
+        said = " ".join(recording.mended)
+        assert recording.slots == 2 and recording.rig.sheet_resistance == 10e3
+        assert recording.rig.f_switch == pytest.approx(10e3)  # by the times
+    assert "the period of the grounds" in said and "8 × 8" in said
+    with tx.open_recording(path, header={"sheet_resistance": "2e3"}) as recording:
+        assert recording.rig.sheet_resistance == 2000
+
+
+def test_cells_without_a_number_are_flagged(tmp_path) -> None:
+    path = write_csv(tmp_path / "a.csv", CODES, GROUNDS)
+    lines = path.read_text().splitlines()
+    cells = lines[3].split(",")
+    cells[5], cells[7] = "", "open"
+    lines[3] = ",".join(cells)
+    path.write_text("\n".join(lines))
+    with tx.open_recording(path) as recording:
+        chunk = tx.recordings.read_chunk(recording, 0, 12)
+    assert np.argwhere(~np.isfinite(chunk.voltages)).tolist() == [[1, 0, 3], [1, 0, 5]]
+    assert tx.Flag.BAD_VOLTAGES in tx.Flag(int(chunk.flags[1]))
+
+
+def _small(text: str):
+    def make(folder):
+        path = folder / "a.csv"
+        path.write_text(text)
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "make, says",
+    [
+        (_small("1,2,3\n"), "a first line that names them"),
+        (_small("t,v0,v1\n0,1,2\n"), "one named ground"),
+        (_small("ground,v0,v1\n"), "no slots"),
+        (_small("ground,v0,v1\n0,1,2\n1,2\n"), "columns"),
+        (_small("ground,v0,v1\n0,1,2\n1,2,3\n"), "slots"),
+        (_small("# nothing\n"), "no line of names"),
+    ],
+)
+def test_mistakes_are_one_line(make, says, tmp_path) -> None:
+    path = make(tmp_path)
+    with pytest.raises(ValueError, match=says) as error:
+        tx.open_recording(path)
+    assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
+
+
+def test_a_wrong_key_beside_is_named(tmp_path) -> None:
+    path = write_csv(tmp_path / "a.csv", CODES, GROUNDS)
+    path.with_suffix(".toml").write_text(SIDECAR.replace("drive_", "drvie_"))
+    with pytest.raises(ValueError, match="drvie_voltage"):
+        tx.open_recording(path)
+
+
+def test_damaged_mcap_is_one_line(tmp_path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", CODES, np.array(GROUNDS))
+    whole = path.read_bytes()
+    for at in range(0, len(whole), len(whole) // 7):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        try:
+            tx.open_recording(path).close()
+        except ValueError as error:
+            assert "\n" not in str(error)
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match="cannot be read as MCAP"):
+        tx.open_recording(path)
+
+
+def test_a_stretch_is_a_recording(tmp_path) -> None:
+    gaps = np.array([[3, 5], [9, 2]])  # before rows 3 and 4
+    t0 = np.arange(12) * 2e-4 + 1e-3 * (np.arange(12) >= 3) + 4e-4 * (np.arange(12) >= 4)
+    path = write(tmp_path / "a.h5", CODES, GROUNDS, gaps=gaps, t0=5 + t0)
+    with tx.open_recording(path) as recording:
+        part = tx.recordings.between(recording, 0.00155, 0.0028)
+        assert part.stretch == (3, 7) and part.scans == 4
+        assert part.gaps.tolist() == [[1, 2]]
+        assert part.read(0, 99).t0.tolist() == recording.read(3, 7).t0.tolist()
+        with pytest.raises(ValueError, match="holds 0 to 0.0036"):
+            tx.recordings.between(recording, 1.0, None)
+        settings = tx.results.Settings(method="points", images=False)
+        tx.reconstruct_recording(part, tmp_path / "out.h5", settings)
+        other = tx.recordings.between(recording, 0.0018, 0.003)
+        with pytest.raises(ValueError, match="stretch"):
+            tx.reconstruct_recording(other, tmp_path / "out.h5", settings, resume=True)

@@ -1,0 +1,67 @@
+"""A stretch of a recording, which is one itself."""
+
+import numpy as np
+
+from tomojax._stretch import stretch_of
+from tomojax.recordings._recording import Recording, Scans
+
+
+class Stretch(Recording):
+    """Scans of another recording between two times; see `between`."""
+
+    def __init__(self, whole: Recording, start: int, stop: int):
+        self._whole, self._start = whole, start
+        self.path, self.rig = whole.path, whole.rig
+        self.slots, self.electrodes = whole.slots, whole.electrodes
+        self.scans, self.stretch = stop - start, (start, stop)
+        self.mended = whole.mended
+        self.retimed = whole.retimed[start:stop]
+        rows = whole.rows_after_gaps()
+        lost = whole.gaps[:, 1]
+        # Scans lost before the first one are none of the stretch's.
+        inside = (rows > start) & (rows <= stop)
+        before = np.cumsum(lost[inside]) - lost[inside]
+        self.gaps = np.stack([rows[inside] - start + before, lost[inside]], 1).astype(int)
+
+    def read(self, start: int, stop: int) -> Scans:
+        stop = min(stop, self.scans)
+        return self._whole.read(self._start + start, self._start + stop)
+
+    def start_times(self) -> np.ndarray:
+        return self._whole.start_times()[self._start : self._start + self.scans]
+
+    @property
+    def interval(self) -> float:
+        return self._whole.interval
+
+    def digest(self) -> str:
+        """Of the whole file."""
+        return self._whole.digest()
+
+    def close(self) -> None:
+        self._whole.close()
+
+
+def between(recording: Recording, since: float | None, until: float | None) -> Recording:
+    """The scans that start in a stretch of time; the recording itself without one.
+
+    **Arguments:** `since` and `until` s after the first scan; None: its start, its end.
+    **Raises:** `ValueError` where no scan starts between them.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> import tomojax as tx
+    >>> path = Path(tx.__file__).with_name("demo.h5")  # comes with the package
+    >>> with tx.open_recording(path) as recording:
+    ...     part = tx.recordings.between(recording, 0.2, 0.6)
+    ...     print(recording.scans, part.scans, part.read(0, 1).t0)
+    200 40 [0.2]
+    """
+    if since is None and until is None:
+        return recording
+    try:
+        start, stop = stretch_of(recording.start_times(), since, until)
+    except ValueError as error:
+        raise ValueError(f"{recording.path}: {error}") from None
+    return Stretch(recording, start, stop)

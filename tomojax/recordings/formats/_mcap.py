@@ -1,0 +1,33 @@
+"""Recordings as MCAP: a message `tomojax_msgs/msg/Slot` each slot, as ROS 2 records."""
+
+from pathlib import Path
+from typing import Any
+
+from tomojax.files import open_container
+from tomojax.recordings.formats._described import KEYS, sidecar
+from tomojax.recordings.formats._memory import MemoryRecording
+
+
+def open_mcap(path: Path, told: dict[str, Any]) -> MemoryRecording:
+    """The recording in an MCAP file.
+
+    The message has the device's time, s, the slot's number, its ground, and the volts of
+    all electrodes. What the rig is, is told by the file's metadata record "tomojax" (of
+    each key a value in JSON), or by a file .toml beside.
+    **Raises:** `ValueError` for a file without such messages.
+    """
+    try:
+        file = open_container(path, "mcap")
+    except (OSError, ValueError) as error:
+        raise ValueError(f"file: cannot be read as MCAP ({error})") from None
+    with file:
+        own = {n: v for n, v in file.attributes.items() if n in KEYS}
+        time, number, ground, volts = (
+            file.read_whole(name) for name in ("time", "number", "ground", "volts")
+        )
+    told = {**own, **sidecar(path), **told}
+    told.pop("scale", None)  # what is told are volts
+    fine = bool((number < 2**62).all())
+    if not fine:
+        raise ValueError("number: got 2^62 or more, expected numbers of slots")
+    return MemoryRecording(path, told, volts, ground, time, number.astype("i8"))

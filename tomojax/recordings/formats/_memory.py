@@ -1,0 +1,141 @@
+"""A recording that is read whole: slots one after another, cut into scans."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Integer, Shaped
+
+from tomojax._require import require
+from tomojax.recordings._clock import mended_gaps, mended_times
+from tomojax.recordings._recording import check, Recording, Scans
+from tomojax.recordings.formats._described import check_keys, rig_of, scaled
+
+# Longest scan whose grounds are looked for in a file that does not say.
+_LONGEST = 4096
+
+_MOST_SLOTS = 1 << 16
+
+
+class MemoryRecording(Recording):
+    """Slots of a file that has been read, with what was told of the rig.
+
+    **Arguments:** `values` volts, or codes where `told` has a `scale`; `ground` of each
+    slot; `t` of each slot, s, or None; `number` of each slot, lost ones count.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        told: dict[str, Any],
+        values: Shaped[np.ndarray, "n M"],
+        ground: Shaped[np.ndarray, " n"],
+        t: Float[np.ndarray, " n"] | None = None,
+        number: Integer[np.ndarray, " n"] | None = None,
+        gaps: np.ndarray | None = None,
+    ):
+        check_keys(told, "description")
+        self.path = path
+        require(len(values) > 0, "v", "no slots", "at least one")
+        codes = values.dtype if values.dtype.kind in "iu" and "scale" in told else None
+        volts = values
+        if "scale" in told:
+            scale, offset = scaled(told)
+            volts = np.multiply(values, scale, dtype=np.float64)
+            volts += offset
+        volts = volts.astype(np.float32)
+        fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
+        ground = np.where(fine, ground, -1).astype(int)  # -1: told as a fault
+        self.slots, said = _slots(told, ground, number)
+        self.mended += said
+        self.electrodes = values.shape[1]
+        f_switch = None if "f_switch" in told else _rate(t)
+        self.rig, said = rig_of(told, self.electrodes, codes, f_switch)
+        self.mended += said
+        self._cut(volts, ground, t, number)
+        if gaps is not None and gaps.size:
+            self.gaps = np.asarray(gaps, float).reshape(-1, 2).astype(int)
+        self.gaps, said = mended_gaps(self.gaps, self.scans)
+        self.mended += said
+        check(self)
+
+    def _cut(self, volts, ground, t, number) -> None:
+        """Slots into scans; a slot that is not there has no voltages and no ground."""
+        s, n = self.slots, len(volts)
+        self.gaps = np.zeros((0, 2), int)
+        if number is None:
+            whole, rest = divmod(n, s)
+            if rest:
+                self.mended += (f"the last {rest} slots make no whole scan: left out",)
+            place = np.arange(whole * s)
+            numbers = np.arange(whole)
+        else:
+            number = number - number[0]
+            rising = bool((np.diff(number) > 0).all())
+            require(rising, "number", "numbers that do not rise", "a slot's, each higher")
+            scan = number // s
+            there = np.unique(scan)
+            place = np.searchsorted(there, scan) * s + number % s
+            steps = np.diff(there)
+            lost = np.flatnonzero(steps > 1)
+            self.gaps = np.stack([there[lost] + 1, steps[lost] - 1], 1).astype(int)
+            whole, numbers = len(there), there
+        require(whole > 0, "v", f"{n} slots", f"{s}, a scan")
+        kept = slice(len(place))
+        v = np.full((whole * s, self.electrodes), np.nan, np.float32)
+        v[place], g = volts[kept], np.full(whole * s, -1)
+        g[place] = ground[kept]
+        self.scans = whole
+        usual = s / self.rig.f_switch
+        times = numbers * s / self.rig.f_switch
+        if t is not None:
+            slot = np.full(whole * s, np.nan)
+            slot[place] = t[kept] - (place % s) / self.rig.f_switch
+            # A scan whose first slot is lost begins as its others tell.
+            each = slot.reshape(whole, s)
+            times = each[np.arange(whole), np.isfinite(each).argmax(1)]
+        times, self.retimed, said = mended_times(times, numbers, usual)
+        self.mended += said
+        self._scans = Scans(v.reshape(whole, s, -1), g.reshape(whole, s), times)
+
+    def read(self, start: int, stop: int) -> Scans:
+        return Scans(*(a[start:stop] for a in self._scans))
+
+    def start_times(self) -> np.ndarray:
+        return self._scans.t0
+
+    @property
+    def interval(self) -> float:
+        if self.scans < 2:
+            return self.slots / self.rig.f_switch
+        return float(np.median(np.diff(self._scans.t0)))
+
+
+def _rate(t: np.ndarray | None) -> float | None:
+    """Slots a second by their times."""
+    if t is None or len(t) < 2:
+        return None
+    step = float(np.nanmedian(np.diff(t)))
+    return 1 / step if step > 0 else None
+
+
+def _slots(
+    told: dict, ground: np.ndarray, number: np.ndarray | None
+) -> tuple[int, tuple[str, ...]]:
+    """Slots of a scan, as told, or by the period of the grounds."""
+    if "slots" in told:
+        value = told["slots"]
+        try:
+            slots = float(np.asarray(value, float).reshape(()))
+        except (TypeError, ValueError):
+            slots = 0.0
+        whole = 1 <= slots <= _MOST_SLOTS and slots == int(slots)
+        require(whole, "slots", repr(value), f"a whole number up to {_MOST_SLOTS}")
+        return int(slots), ()
+    n = len(ground)
+    if number is None or number[-1] - number[0] == n - 1:
+        for period in range(1, min(_LONGEST, n // 2) + 1):
+            if ground[period] == ground[0] and (ground[period:] == ground[:-period]).all():
+                return period, (f"a scan is {period} slots, the period of the grounds",)
+    expected = "the slots of a scan: their grounds have no period"
+    raise ValueError(f"slots: got none, expected {expected}")
