@@ -5,7 +5,7 @@ from typing import Any
 
 from tomojax._require import require
 from tomojax.hardware.sources._source import SlotSource
-from tomojax.recordings import open_recording
+from tomojax.recordings import between, open_recording
 
 # Letters of a name: a path has no more.
 _LONGEST = 4096
@@ -15,8 +15,8 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
     """What `where` names: serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES or a recording.
 
     **Arguments:** `options` are those of the source: `baud`; `bind`, the address of this
-    machine to listen at (by default reached from this machine alone); `speed`, of a
-    recording; `rate`, `settle` and `convert` of `NiSource`.
+    machine to listen at (by default reached from this machine alone); `speed`, `since` and
+    `until` of a recording; `rate`, `settle` and `convert` of `NiSource`.
     **Raises:** `ValueError` for other names and options.
     """
     require(len(where) <= _LONGEST, "source", f"{len(where)} letters", "a name")
@@ -44,7 +44,8 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
             return UdpSource(host, int(port), electrodes=electrodes, **options)
         from tomojax.hardware.sources._replay import ReplaySource
 
-        return ReplaySource(open_recording(where), **options)
+        stretch = (options.pop(name, None) for name in ("since", "until"))
+        return ReplaySource(between(open_recording(where), *stretch), **options)
     except TypeError as error:
         reason = str(error).rpartition(" ")[2]
         raise ValueError(f"source: {where} has no option {reason}") from None

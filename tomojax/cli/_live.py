@@ -8,7 +8,15 @@ from typing import Any
 import click
 
 from tomojax.cli._session import session
-from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile, whole_number
+from tomojax.cli.entry import (
+    AMOUNT,
+    Command,
+    COUNT,
+    InputFile,
+    OutputFile,
+    stretch_options,
+    whole_number,
+)
 
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
@@ -102,7 +110,7 @@ def _shared(command: Any) -> Any:
         ),
     ):
         command = option(command)
-    return click.argument("source")(command)
+    return click.argument("source")(stretch_options(command))
 
 
 @click.command(cls=Command)

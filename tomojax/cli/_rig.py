@@ -9,8 +9,15 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
-from tomojax.cli._recordings import tdms_option
-from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile
+from tomojax.cli.entry import (
+    AMOUNT,
+    Command,
+    COUNT,
+    InputFile,
+    OutputFile,
+    stretch_options,
+)
+from tomojax.cli.recordings import layout_option, opened
 
 
 @click.command(cls=Command)
@@ -23,7 +30,7 @@ from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile
     help="[default: REC.calibration.json]",
 )
 @click.option(
-    "--from", "before", type=InputFile(), help="An older calibration to begin with."
+    "--older", "before", type=InputFile(), help="An older calibration to begin with."
 )
 @click.option(
     "--frames", type=int, default=1000, show_default=True, help="At most, of ten slots."
@@ -40,7 +47,8 @@ from tomojax.cli.entry import AMOUNT, Command, COUNT, InputFile, OutputFile
     type=OutputFile("report"),
     help="Write the printed figures here; replaces an earlier report.",
 )
-@tdms_option
+@layout_option
+@stretch_options
 def calibrate(
     rec: Path,
     places: Path | None,
@@ -50,7 +58,9 @@ def calibrate(
     overwrite: bool,
     picture: Path | None,
     json_path: Path | None,
-    tdms: dict,
+    layout: dict,
+    since: float | None,
+    until: float | None,
 ) -> None:
     """Calibrate the rig from REC: rub the whole sheet with one finger or a blunt pen.
 
@@ -60,7 +70,6 @@ def calibrate(
     in an .npz file, or a .csv file. `tomojax reconstruct --calibration` uses the result.
     """
     from tomojax import calibration as room
-    from tomojax.recordings import open_recording
     from tomojax.sensor import Calibration
 
     if out.exists() and not overwrite:
@@ -73,7 +82,7 @@ def calibrate(
             end = "" if text else "\r"
             print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
 
-    with open_recording(rec, **tdms) as recording:
+    with opened(rec, layout, since, until) as recording:
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
         older = Calibration.load(before, recording.electrodes) if before else None
@@ -162,7 +171,8 @@ class _Corners(click.ParamType):
 )
 @click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]")
 @click.option("--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]")
-@tdms_option
+@layout_option
+@stretch_options
 def check(
     source: str,
     corners: Any,
@@ -176,7 +186,9 @@ def check(
     touch: float,
     baud: int | None,
     bind: str | None,
-    tdms: dict,
+    layout: dict,
+    since: float | None,
+    until: float | None,
 ) -> int:
     """Check a new rig: wires, grounds, drive, noise, gains, places and the sheet.
 
@@ -193,7 +205,6 @@ def check(
     Exit status: 0 no fault, 1 faults, 2 nothing could be said.
     """
     from tomojax import bringup
-    from tomojax.recordings import open_recording
 
     path = Path(source)
     if source.startswith(_SOURCES) and not path.is_file():
@@ -207,7 +218,7 @@ def check(
             end = "" if text else "\r"
             print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
 
-    with open_recording(path, **tdms) as recording:
+    with opened(path, layout, since, until) as recording:
         if like is not None:
             _same_sensor(path, recording, like)
         try:

@@ -133,7 +133,7 @@ def session(
     from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
     from tomojax.recordings import open_recording, Rig
 
-    names = "baud", "bind", "speed"
+    names = "baud", "bind", "speed", "since", "until"
     given = {n: options[n] for n in names if options[n] is not None}
     if out is not None and out.exists():
         raise ValueError(f"{out}: is there; give another name")

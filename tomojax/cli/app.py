@@ -8,11 +8,10 @@ import click
 from tomojax.cli._demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
-from tomojax.cli._recordings import info, reconstruct
-from tomojax.cli._repair import repair
 from tomojax.cli._rig import calibrate, check
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.entry import listening, STOPPED, stopped
+from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track
 from tomojax.cli.studies import frontier, stability, table1
 

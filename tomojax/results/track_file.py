@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from tomojax._require import require
+from tomojax._stretch import stretch_of
 from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output
@@ -33,9 +34,14 @@ _LEFT_OUT = (
 
 
 def track_results(
-    path: Path, out: Path, overwrite: bool = False, **options: Any
+    path: Path,
+    out: Path,
+    overwrite: bool = False,
+    since: float | None = None,
+    until: float | None = None,
+    **options: Any,
 ) -> tuple[Tracks, list[Touch]]:
-    """`track` of a results file, written to another; and its touches.
+    """`track` of a results file, or of a stretch of it, written to another; its touches.
 
     **Raises:** `ValueError` naming the file and what is wrong with it.
     """
@@ -49,38 +55,46 @@ def track_results(
         need = "results of points or auto, with contact_covariance"
         method = file.attributes.get("method", "unknown method")
         require(told, f"{path}", method, need)
-        rows, t = _rows(file), file.read("t")
         try:
+            t = file.read("t")
+            part = slice(*stretch_of(t, since, until))
+            t, rows = t[part], _rows(file, part)
             # As `Sensor.mean_pitch`, m.
             pitch = float(np.sqrt(np.prod(size) / electrodes))
             found = track(rows, drive, sheet, pitch=pitch, **options)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
         try:
-            with whole(out) as part:
-                _write(part, file, found, options)
+            with whole(out) as building:
+                _write(building, file, part, found, options)
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
             text = reason(error).removeprefix(f"{out}: ")
             raise ValueError(f"{out}: cannot be written: {text}") from None
     return found, touches(found, t)
 
 
-def _write(out: Path, file: LoadedResults, found: Tracks, options: dict) -> None:
+def _write(
+    out: Path, file: LoadedResults, part: slice, found: Tracks, options: dict
+) -> None:
     with h5py.File(out, "w") as new:
         new.attrs.update(file.attributes | {"tracked": json.dumps(options)})
         for name in file.names:
             if name not in Tracks._fields and name not in _LEFT_OUT:
-                new[name] = file.read(name)
+                values = file.read(name)
+                by_row = name == "t" or name in fields_of_rows()
+                new[name] = values[part] if by_row else values
                 new[name].attrs.update(file.unit(name))
         for name, values in found._asdict().items():
             new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
 
 
-def _rows(file: LoadedResults) -> Rows:
-    some = {f: file.read(f) for f in Rows._fields if f not in _LEFT_OUT and f in file.names}
+def _rows(file: LoadedResults, part: slice) -> Rows:
+    names = [f for f in Rows._fields if f not in _LEFT_OUT and f in file.names]
+    some = {f: file.read(f)[part] for f in names}
     for name in ("contact_count", "contact_xy", "contact_conductance", "contact_current"):
         require(name in some, f"{file.path}: {name}", "none", "this dataset")
-    none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(file.rows, np.uint8)}
+    n = len(some["contact_count"])
+    none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(n, np.uint8)}
     return Rows(**(none | some))  # pyright: ignore
 
 
@@ -109,6 +123,7 @@ def picture(path: Path, out: Path) -> Any:
         raw_g = raw.read("contact_conductance")
     with h5py.File(out) as file:  # which this process has written
         xy, g = file["contact_xy"][()], file["contact_conductance"][()]
+        later = file["t"][()]
         spread, names = file["contact_covariance"][()], file["contact_track"][()]
         width, height = 1e3 * file.attrs["size"]
     figure = Figure(figsize=(14, 8), layout="constrained")
@@ -122,7 +137,7 @@ def picture(path: Path, out: Path) -> Any:
         ("x, mm", "y, mm", "conductance, µS"),
     ):
         axes.plot(t[::step], old[::step], ".", ms=2, color="0.7")
-        axes.plot(t[::step], new[::step], lw=1)
+        axes.plot(later[::step], new[::step], lw=1)
         axes.set_ylabel(label)
     left[2].set(xlabel="s (dots: row by row; lines: followed)", yscale="log")
     sheet = figure.add_subplot(grid[:, 2])

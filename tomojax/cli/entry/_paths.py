@@ -17,7 +17,7 @@ _READ = "tomojax.read"
 _BESIDE = (".partial", ".partial.new", ".partial.done", ".partial.lock")
 _BESIDE += (".partial.state", ".partial.state.new")
 
-Beside = Callable[[dict[str, Any]], Path]
+Beside = Callable[[dict[str, Any]], Path | None]
 
 
 class InputFile(click.Path):
@@ -43,6 +43,7 @@ class OutputFile(click.Path):
     `kind` of `KINDS`, whose files alone are replaced; "results" and "recording" have rules
     of their own. `beside`: its name by default, from the other values. `also`: suffixes of
     companions that may be written beside it. `makes`: the command makes its folder.
+    `unless`, by the other values: the command checks what is given.
     """
 
     def __init__(
@@ -51,9 +52,11 @@ class OutputFile(click.Path):
         beside: Beside | None = None,
         also: tuple[str, ...] = (),
         makes: bool = False,
+        unless: Callable[[dict[str, Any]], bool] = lambda given: False,
     ):
         super().__init__(path_type=Path)
         self.kind, self.beside, self.also, self.makes = kind, beside, also, makes
+        self.unless = unless
 
 
 class OutputFolder(click.Path):
@@ -96,6 +99,8 @@ def paths_written(context: click.Context) -> list[Written]:
         if not isinstance(kind, OutputFile | OutputFolder) or name is None:
             continue
         value = context.params.get(name)
+        if isinstance(kind, OutputFile) and kind.unless(context.params):
+            continue
         if value is None and isinstance(kind, OutputFile) and kind.beside:
             value = context.params[name] = kind.beside(context.params)
         if value is not None:

@@ -16,6 +16,7 @@ from tomojax.cli.entry import (
     InputFile,
     interrupts,
     NUMBER,
+    OutputFile,
     STOPPED,
     Written,
 )
@@ -55,7 +56,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputFile("", unless=lambda given: True),  # checked once the kind is known
     help="A file, or a folder for several RESULTS. [default: beside RESULTS]",
 )
 @click.option(
@@ -65,7 +66,11 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
 )
 @click.option("--task", default="touch", help="Of lerobot: what is done, in words.")
 @click.option("--slow", type=NUMBER, help="Of a film: so many times slower.")
-@click.option("--film", type=click.Path(path_type=Path), help="As --to film -o FILM.")
+@click.option(
+    "--film",
+    type=OutputFile("", unless=lambda given: True),
+    help="As --to film -o FILM.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 def export(results: tuple[Path, ...], to: dict, **options: Any) -> None:
     """Write RESULTS of `reconstruct` or `track` for other tools.

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from tomojax._whole import whole, write_text
-from tomojax.cli.entry import Command, InputFile, OutputFile
+from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
 
 
 def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
@@ -59,6 +59,7 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     type=OutputFile("report"),
     help="Write the contacts here; replaces an earlier report.",
 )
+@stretch_options
 def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS (of `reconstruct --method points` or auto) over time.
 
@@ -68,7 +69,7 @@ def track(results: Path, out: Path, **options: Any) -> None:
     from tomojax._environment import environment
     from tomojax.results import track_file as work
 
-    names = ("overwrite", "smooth", "hold", "least", "drift")
+    names = ("overwrite", "smooth", "hold", "least", "drift", "since", "until")
     _, found = work.track_results(results, out, **{name: options[name] for name in names})
     print(work.text(found))
     print(f"tracks: {out}")

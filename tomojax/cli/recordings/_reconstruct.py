@@ -1,4 +1,4 @@
-"""Commands on recordings: `tomojax reconstruct` and `tomojax info`."""
+"""`tomojax reconstruct`."""
 
 import json
 import sys
@@ -16,19 +16,12 @@ from tomojax.cli.entry import (
     OutputFile,
     STOPPED,
     stopped,
+    stretch_options,
 )
+from tomojax.cli.recordings._opened import layout_option, opened
 
-
-def _tdms(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
-    names = ("group", "channels", "ground", "slots", "rail")
-    options = {}
-    for value in values:
-        name, equals, text = value.partition("=")
-        if not equals or name not in names:
-            expected = ", ".join(f"{n}=…" for n in names)
-            raise click.BadParameter(f"got {value!r}, expected one of {expected}")
-        options[name] = text
-    return options
+# Where results of several recordings go.
+_FOLDER = Path("tomojax-results")
 
 
 def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
@@ -37,23 +30,17 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     return NUMBER.convert(value, parameter, context)
 
 
-tdms_option = click.option(
-    "--tdms",
-    multiple=True,
-    metavar="NAME=TEXT",
-    callback=_tdms,
-    help="How a .tdms file is laid out: group=scan, channels=ai{}, ground=ground, "
-    "slots=10, rail=5. Again for each.",
-)
-
-
 @click.command(cls=Command)
-@click.argument("rec", type=InputFile())
+@click.argument("rec", type=InputFile(empty=True), nargs=-1, required=True)
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("results", lambda given: _results_of(given["rec"])),
-    help="Results file. [default: REC.results.h5]",
+    type=OutputFile(
+        "results",
+        lambda given: _results_of(given["rec"]),
+        unless=lambda given: _several(given["rec"]),
+    ),
+    help="Results file; of several a folder. [default: REC.results.h5; tomojax-results]",
 )
 @click.option(
     "--rate",
@@ -116,26 +103,32 @@ tdms_option = click.option(
 @click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
 @click.option("--processes", type=int, help="How many share it.")
 @click.option("--process", type=int, help="Which of them this is, from 0.")
-@tdms_option
-def reconstruct(rec: Path, out: Path, **options: Any) -> None:
+@layout_option
+@stretch_options
+def reconstruct(rec: tuple[Path, ...], out: Path | None, **options: Any) -> None:
     """Contacts and images of every scan or slot of the recording REC.
+
+    Of several, or of a folder, each gets its results in the folder OUT, and all a line in
+    OUT/table.csv; one that cannot be read is a line on standard error, and exit status 2.
 
     Ctrl-C, a crash or a full disk leave OUT.partial: --resume goes on with it, to the same
     file. On several machines that share a folder, run one command on each, with the same
     --coordinator and --processes; one that was killed is started again with --resume.
     """
-    from tomojax._environment import environment
-    from tomojax.cli.compiled import compiling
-    from tomojax.recordings import open_recording
-    from tomojax.results import (
-        check_outlines,
-        default_method,
-        distributed,
-        reconstruct_recording,
-        report,
-        Settings,
-        write_outlines,
-    )
+    settings = _settings(options)
+    if _several(rec):
+        _all(rec, out or _FOLDER, settings, options)
+        return
+    assert out is not None
+    _one(rec[0], out, settings, options)
+
+
+def _several(rec: tuple[Path, ...]) -> bool:
+    return len(rec) > 1 or rec[0].is_dir()
+
+
+def _settings(options: dict[str, Any]) -> Any:
+    from tomojax.results import check_outlines, default_method, Settings
 
     given = [options[n] for n in ("coordinator", "processes", "process")]
     follows = options["method"] == "follow"
@@ -143,27 +136,31 @@ def reconstruct(rec: Path, out: Path, **options: Any) -> None:
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
     if options["adapt"] and any(value is not None for value in given):
         raise ValueError("--coordinator: --adapt goes in order; use one process")
-    share = distributed.join(*given, out=out, resume=options["resume"])
     images = options["images"]
     rate = options["rate"] or ("slot" if follows else "scan")
+    names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
+    files = ("calibration", "policy")
     settings = Settings(
         method=options["method"] or default_method(rate),
         rate=rate,
         images=rate == "scan" if images is None else images,
-        lam=options["lam"],
-        grid=options["grid"],
-        contacts=options["contacts"],
-        threshold=options["threshold"],
-        chunk=options["chunk"],
-        calibration=str(options["calibration"]) if options["calibration"] else None,
-        policy=str(options["policy"]) if options["policy"] else None,
-        tare=options["tare"],
-        adapt=options["adapt"],
+        **{name: options[name] for name in names},
+        **{name: str(options[name]) if options[name] else None for name in files},
     )
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
+    return settings
+
+
+def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
+    from tomojax._environment import environment
+    from tomojax.cli.compiled import compiling
+    from tomojax.results import distributed, reconstruct_recording, report, write_outlines
+
+    given = [options[n] for n in ("coordinator", "processes", "process")]
+    share = distributed.join(*given, out=out, resume=options["resume"])
     with (
-        open_recording(rec, **options["tdms"]) as recording,
+        opened(rec, options["layout"], options["since"], options["until"]) as recording,
         _bar(share) as bar,
         interrupts() as interrupted,
         compiling(bar.set_postfix_str) as compiled,
@@ -215,68 +212,60 @@ def reconstruct(rec: Path, out: Path, **options: Any) -> None:
         print(f"picture: {options['picture']}")
 
 
-def _results_of(rec: Path) -> Path:
-    return rec.with_name(rec.stem + ".results.h5")
+def _all(
+    given: tuple[Path, ...], out: Path, settings: Any, options: dict[str, Any]
+) -> None:
+    """Each with the same settings: programs are compiled for the first of each rig."""
+    from tomojax.cli.recordings import _many
+    from tomojax.results import reconstruct_recording
+
+    for name in ("picture", "outlines", "coordinator", "processes", "process"):
+        if options[name] is not None:
+            raise ValueError(f"--{name}: got several recordings, expected one")
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out: {out}: got a file, expected a folder for several")
+    if not out.absolute().parent.is_dir():
+        raise ValueError(f"{out}: no such folder; make it, or give another")
+    recordings = _many.found_in(given)
+    with interrupts() as interrupted:
+
+        def work(rec: Path, place: Path, say: Any) -> None:
+            def progress(done: int, total: int) -> None:
+                say(f"{done} of {total} chunks")
+                if interrupted.is_set():
+                    raise KeyboardInterrupt
+
+            since, until = options["since"], options["until"]
+            with opened(rec, options["layout"], since, until) as recording:
+                reconstruct_recording(
+                    recording,
+                    place,
+                    settings,
+                    resume=options["resume"],
+                    overwrite=options["overwrite"],
+                    progress=progress,
+                )
+            if interrupted.is_set():
+                raise KeyboardInterrupt
+
+        fresh = not (options["resume"] or options["overwrite"])
+        try:
+            rows, wrong = _many.reconstruct_all(recordings, out, work, fresh)
+        except _many.Stopped as error:
+            print(f"\n{error}", file=sys.stderr)
+            raise SystemExit(STOPPED) from None
+    print(_many.text(rows, wrong, out))
+    if options["json_path"]:
+        _many.write_json(rows, options["json_path"])
+    if wrong:
+        raise SystemExit(2)
+
+
+def _results_of(rec: tuple[Path, ...]) -> Path | None:
+    return None if _several(rec) else rec[0].with_name(rec[0].stem + ".results.h5")
 
 
 def _bar(share: tuple[int, int]):
     from tqdm import tqdm
 
     return tqdm(desc="reconstruct", unit="chunk", disable=None, position=share[0])
-
-
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
-@click.option(
-    "--calibration",
-    type=InputFile(),
-    help="Say how old this is, and whether REC still fits it.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report"),
-    help="Write the rows and a summary here; replaces an earlier one.",
-)
-@tdms_option
-def info(rec: Path, calibration: Path | None, json_path: Path | None, tdms: dict) -> None:
-    """What the recording REC holds, and its faults."""
-    from tomojax.bringup.signs import find_signs
-    from tomojax.recordings import info, open_recording
-
-    known = None
-    with open_recording(rec, **tdms) as recording:
-        if calibration is not None:
-            from tomojax.sensor import Calibration  # imports JAX: REC alone needs none
-
-            known = Calibration.load(calibration, recording.electrodes)
-        summary = info.summary(recording)
-        with _bar((0, 1)) as bar:
-            bar.set_description("info")
-
-            def progress(done: int, total: int) -> None:
-                bar.total = total
-                bar.update(done - bar.n)
-
-            rows = info.faults(recording, progress)
-        signs = find_signs(recording)
-        rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
-        fit = None
-        if known is not None:
-            from tomojax.calibration import still_fits
-
-            try:
-                fit = still_fits(recording, known)
-            except ValueError as error:
-                raise ValueError(f"{calibration}: {error}") from None
-    print(info.text(rec, summary, rows))
-    if fit is not None:
-        from tomojax.calibration import fit_text
-
-        print(fit_text(fit))
-        summary["calibration"] = {"file": str(calibration), **fit}
-    if json_path:
-        from tomojax._environment import environment
-
-        report = {"rows": rows, "summary": summary, "environment": environment()}
-        write_text(json_path, json.dumps(report, indent=1) + "\n")

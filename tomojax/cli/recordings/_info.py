@@ -1,0 +1,76 @@
+"""`tomojax info`."""
+
+import json
+from pathlib import Path
+
+import click
+
+from tomojax._whole import write_text
+from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
+from tomojax.cli.recordings._opened import layout_option, opened
+
+
+@click.command(cls=Command)
+@click.argument("rec", type=InputFile())
+@click.option(
+    "--calibration",
+    type=InputFile(),
+    help="Say how old this is, and whether REC still fits it.",
+)
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("report"),
+    help="Write the rows and a summary here; replaces an earlier one.",
+)
+@layout_option
+@stretch_options
+def info(
+    rec: Path,
+    calibration: Path | None,
+    json_path: Path | None,
+    layout: dict,
+    since: float | None,
+    until: float | None,
+) -> None:
+    """What the recording REC holds, and its faults."""
+    from tqdm import tqdm
+
+    from tomojax.bringup.signs import find_signs
+    from tomojax.recordings import info
+
+    known = None
+    with opened(rec, layout, since, until) as recording:
+        if calibration is not None:
+            from tomojax.sensor import Calibration  # imports JAX: REC alone needs none
+
+            known = Calibration.load(calibration, recording.electrodes)
+        summary = info.summary(recording)
+        with tqdm(desc="info", unit="chunk", disable=None) as bar:
+
+            def progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done - bar.n)
+
+            rows = info.faults(recording, progress)
+        signs = find_signs(recording)
+        rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
+        fit = None
+        if known is not None:
+            from tomojax.calibration import still_fits
+
+            try:
+                fit = still_fits(recording, known)
+            except ValueError as error:
+                raise ValueError(f"{calibration}: {error}") from None
+    print(info.text(rec, summary, rows))
+    if fit is not None:
+        from tomojax.calibration import fit_text
+
+        print(fit_text(fit))
+        summary["calibration"] = {"file": str(calibration), **fit}
+    if json_path:
+        from tomojax._environment import environment
+
+        report = {"rows": rows, "summary": summary, "environment": environment()}
+        write_text(json_path, json.dumps(report, indent=1) + "\n")

@@ -1,0 +1,187 @@
+"""Several recordings at once: results of each, and a table of all."""
+
+import csv
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tomojax._require import require
+from tomojax._whole import whole, write_text
+
+# What recordings are called.
+_ENDINGS = (".h5", ".hdf5", ".mat", ".tdms", ".csv", ".tsv", ".npz", ".mcap")
+
+# What lies beside them and is none.
+_OURS = (".results.h5", ".track.h5", ".adapted.h5", ".truth.npz", ".events.csv")
+
+_COLUMNS = {
+    "file": "",
+    "status": "",
+    "scans": "",
+    "seconds": "s",
+    "rows": "",
+    "rows_with_contact": "",
+    "rows_doubted": "",
+    "rows_without_answer": "",
+    "touches": "",
+    "residual_median": "V",
+    "took": "s",
+    "results": "",
+}
+
+
+class Recordings(click.Path):
+    """A recording, or a folder of them."""
+
+    def __init__(self) -> None:
+        super().__init__(exists=False, path_type=Path)
+
+
+def found_in(given: tuple[Path, ...]) -> list[Path]:
+    """The recordings that were named, and those in folders that were."""
+    found: list[Path] = []
+    for path in given:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(
+            one
+            for one in path.iterdir()
+            if one.suffix.lower() in _ENDINGS and not one.name.endswith(_OURS)
+        )
+        require(inside, f"{path}", "a folder without recordings", ", ".join(_ENDINGS))
+        found += inside
+    return list(dict.fromkeys(found))
+
+
+def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
+    """Where the results of each recording go.
+
+    **Raises:** `ValueError` for two recordings whose results would have one name.
+    """
+    places: dict[Path, Path] = {}
+    taken: dict[Path, Path] = {}
+    for one in recordings:
+        place = out / f"{one.stem}.results.h5"
+        if place in taken:
+            place = out / f"{one.name}.results.h5"
+        other = f"{place}, as {taken.get(place)} has"
+        require(place not in taken, f"{one}", other, "recordings of other names")
+        taken[place] = places[one] = place
+    return places
+
+
+def reconstruct_all(
+    recordings: list[Path],
+    out: Path,
+    work: Callable[[Path, Path, Callable[[str], None]], None],
+    fresh: bool,
+) -> tuple[list[dict[str, Any]], int]:
+    """Works on each; an error is a line, and the next one's turn.
+
+    `work` makes the results of a recording; `fresh`: none may be there yet. Returns rows
+    of the table, which is written after each file, and how many went wrong.
+    """
+    places = places_of(recordings, out)
+    there = [place for place in places.values() if place.exists() or _begun(place)]
+    if fresh and there:
+        mend = "--resume to go on, --overwrite, or another folder"
+        raise ValueError(f"{out}: got results of {len(there)} already, expected {mend}")
+    out.mkdir(exist_ok=True)
+    rows, wrong = [], 0
+    for number, (rec, place) in enumerate(places.items(), 1):
+        began = time.monotonic()
+        row: dict[str, Any] = dict.fromkeys(_COLUMNS, "") | {"file": str(rec)}
+        try:
+            if not rec.is_file():
+                raise ValueError(f"{rec}: no such file")
+            told = f"{number} of {len(places)}: {rec.name}"
+            work(rec, place, lambda text, told=told: _say(f"{told} {text}"))
+            row |= {"status": "done", "results": str(place)} | _counted(place)
+        except KeyboardInterrupt:
+            done = number - 1 - wrong
+            raise Stopped(
+                f"tomojax: stopped after {done} of {len(places)}; --resume goes on in {out}"
+            ) from None
+        except (OSError, ValueError) as error:
+            wrong += 1
+            row["status"] = " ".join(str(error).splitlines())
+            print(f"tomojax: {row['status']}", file=sys.stderr)
+        row["took"] = f"{time.monotonic() - began:.2f}"
+        rows.append(row)
+        write_table(rows, out / "table.csv")
+    return rows, wrong
+
+
+class Stopped(Exception):
+    """Ctrl-C, and what is to be said of it."""
+
+
+def _begun(place: Path) -> bool:
+    return place.with_name(place.name + ".partial").exists()
+
+
+def _say(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def _counted(place: Path) -> dict[str, Any]:
+    """Figures of one results file."""
+    from tomojax.exports import Source
+    from tomojax.results import report
+
+    told = report.summary(place)
+    by_count = told["rows_by_contacts"]
+    with Source(place) as source:
+        events = source.events()
+    return {
+        "scans": json.loads(source.attributes["configuration"])["scans"],
+        "seconds": f"{told['duration_s']:.6g}",
+        "rows": told["rows_in_all"],
+        "rows_with_contact": sum(n for k, n in by_count.items() if k != "0"),
+        "rows_doubted": told["rows_doubted"],
+        "rows_without_answer": told["rows_without_answer"],
+        "touches": sum(event.kind == "touch_down" for event in events),
+        "residual_median": f"{told['residual_median_V']:.4g}",
+    }
+
+
+def write_table(rows: list[dict[str, Any]], path: Path) -> None:
+    """Writes the table as CSV, units in the names."""
+    names = [f"{n}_{unit}" if unit else n for n, unit in _COLUMNS.items()]
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        to = csv.writer(file, lineterminator="\n")
+        to.writerow(names)
+        to.writerows([row[n] for n in _COLUMNS] for row in rows)
+
+
+def text(rows: list[dict[str, Any]], wrong: int, out: Path) -> str:
+    """For people."""
+    head = f"{'touches':>7s} {'rows':>8s} {'doubted':>8s} {'s':>8s}  file"
+    lines = [
+        f"{row['touches']!s:>7s} {row['rows']!s:>8s} {row['rows_doubted']!s:>8s} "
+        f"{row['seconds']!s:>8s}  {Path(row['file']).name}"
+        + ("" if row["status"] == "done" else "  NOT DONE")
+        for row in rows
+    ]
+    done = f"{len(rows) - wrong} of {len(rows)} done; table: {out / 'table.csv'}"
+    return "\n".join([head, *lines, done])
+
+
+def write_json(rows: list[dict[str, Any]], path: Path) -> None:
+    """Writes the table as the reports of other commands are."""
+    from tomojax._environment import environment
+
+    done = sum(row["status"] == "done" for row in rows)
+    told = {
+        "rows": rows,
+        "summary": {"recordings": len(rows), "done": done},
+        "environment": environment(),
+    }
+    write_text(path, json.dumps(told, indent=1) + "\n")

@@ -1,0 +1,52 @@
+"""How commands open a recording: its layout, and a stretch of it."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def _layout(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
+    found = {}
+    for value in values:
+        name, equals, text = value.partition("=")
+        if not equals or not name:
+            raise click.BadParameter(f"got {value!r}, expected NAME=TEXT")
+        found[name] = text
+    return found
+
+
+layout_option = click.option(
+    "--layout",
+    "--tdms",
+    multiple=True,
+    metavar="NAME=TEXT",
+    callback=_layout,
+    help="How a file is laid out. Of .tdms: group=scan, channels=ai{}, ground=ground, "
+    "slots=10, rail=5. Of others what they should have said: f_switch=5000, pitch=0.01. "
+    "Again for each.",
+)
+
+
+def opened(
+    rec: Path, layout: dict, since: float | None = None, until: float | None = None
+) -> Any:
+    """Opens a recording, or a stretch of it; a context that closes it.
+
+    **Raises:** `ValueError`, one line.
+    """
+    from tomojax.recordings import between, open_recording
+
+    if rec.suffix.lower() == ".tdms":
+        names = ("group", "channels", "ground", "slots", "rail")
+        unknown = sorted(layout.keys() - set(names))
+        if unknown:
+            raise ValueError(f"--layout: got {unknown}, expected some of {list(names)}")
+        whole = open_recording(rec, **layout)
+    else:
+        whole = open_recording(rec, header=layout)
+    try:
+        return between(whole, since, until)
+    except ValueError:
+        whole.close()
+        raise
