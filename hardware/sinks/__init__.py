@@ -2,3 +2,13 @@
 
 Each sink is a process of its own that reads the ring: the loop waits for none.
 """
+
+from tomojax.hardware.sinks._rows import (
+    Counted as Counted,
+    follow as follow,
+    Force as Force,
+    LiveContact as LiveContact,
+    LiveRow as LiveRow,
+    Sink as Sink,
+)
+from tomojax.hardware.sinks._where import check as check, parse as parse, Where as Where

@@ -1,5 +1,7 @@
 """Commands on rigs: `tomojax record` and `tomojax live`."""
 
+import json
+import math
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -151,7 +153,7 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
     with session(source, out, options, grounds) as (opened, asked):
         opened.source.set_grounds(asked)
         if calibrate:
-            opened.beside("calibrating", str(out))
+            opened.beside("loop.calibrating", str(out))
         opened.run(None)
     if calibrate:
         _calibrated(out, made)
@@ -206,6 +208,19 @@ def _calibrated(rec: Path, made: Path) -> None:
     help="Record here as well.",
 )
 @click.option(
+    "--send",
+    multiple=True,
+    metavar="KIND:WHERE",
+    help="Send contacts, touch-down and lift-off: udp://HOST:PORT, jsonl:FILE (- is "
+    "standard output), osc://HOST:PORT, lsl:NAME, foxglove:PORT. With ?rate=100 so many "
+    "rows a second at most. May be repeated.",
+)
+@click.option(
+    "--radius",
+    type=AMOUNT,
+    help="Of what presses, m: then --send has forces, where --calibration has presses.",
+)
+@click.option(
     "--real-time",
     is_flag=True,
     help="One core, one function, no garbage collection, SCHED_FIFO.",
@@ -217,10 +232,14 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     """
     from tomojax import Calibration, make_step
     from tomojax.hardware import real_time
+    from tomojax.hardware.sinks import check
     from tomojax.step import load_policy
 
+    for name in options["send"]:
+        check(name)
     path = options["calibration"]
     calibration = None if path is None else Calibration.load(path)
+    law = _law(calibration, options["radius"])
 
     def compiled(sensor: Any) -> Any:
         if calibration is not None:
@@ -247,7 +266,21 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
         opened, step = stack.enter_context(session(source, out, options, compiled))
         if options["adapt"]:
             log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
-            opened.beside("adapter", str(path or ""), log)
+            opened.beside("loop.adapter", str(path or ""), log)
         if options["shapes"]:
-            opened.beside("drawing", str(path or ""))
+            opened.beside("loop.drawing", str(path or ""))
+        for name in options["send"]:
+            opened.beside("sinks.run", name, json.dumps(law))
         opened.run(step, options["budget"], images=not options["shapes"])
+
+
+def _law(calibration: Any, radius: float | None) -> tuple[float, ...] | None:
+    """What makes forces of conductances: c, k and the contact's area, m²."""
+    if radius is None:
+        return None
+    law = None if calibration is None else calibration.pressure
+    if law is None:
+        raise ValueError(
+            "--radius: got no law of pressure, expected --calibration with one"
+        )
+    return *law, math.pi * radius**2

@@ -33,7 +33,7 @@ class _Session:
 
     def beside(self, module: str, *words: str) -> None:
         """Starts a process beside the loop that is told of the ring and the rig."""
-        name = f"tomojax.hardware.loop.{module}"
+        name = f"tomojax.hardware.{module}"
         command = [sys.executable, "-m", name, str(self.ring.path), self._told, *words]
         # It has the cores that the loop leaves; its threads would not wait idly.
         flags = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
@@ -77,8 +77,9 @@ class _Session:
             finally:
                 self.ring.head["done"][...] = 1
                 for process in [view, *self._beside]:
-                    if process is not None:
-                        process.wait()
+                    if process is not None and process.wait() < 0:
+                        told = " ".join(process.args[2:3] + process.args[5:6])
+                        print(f"{told}: was ended from outside", file=sys.stderr)
                 if self.recorder is not None:
                     self.recorder.close()
                     if self.ring.head["rows"]:

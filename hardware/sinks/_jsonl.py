@@ -1,0 +1,77 @@
+"""JSON lines: one for each row and each event, into a file or to standard output."""
+
+import json
+import math
+import sys
+import time
+from typing import Any
+
+from tomojax.events import Event
+from tomojax.hardware.sinks._rows import LiveRow
+from tomojax.hardware.sinks._where import Where
+
+# Between flushes, s: a file is read while it grows.
+_EVERY = 0.1
+
+
+class JsonSink:
+    """Keys have units: {"t_s", "slot", "flags", "contacts": [{"number", "x_m", …}]}, and
+    {"t_s", "event", "contact", "x_m", "y_m", "conductance_S", "force_N"}.
+
+    A number that is not known is null.
+    """
+
+    def __init__(self, where: Where):
+        self._own = where.path != "-"
+        self._file = open(where.path, "x", encoding="utf-8") if self._own else sys.stdout
+        self._due = 0.0
+
+    def put(self, row: LiveRow) -> None:
+        self._write(row_as_json(row))
+
+    def event(self, event: Event, row: LiveRow | None) -> None:
+        self._write(event_as_json(event))
+
+    def _write(self, told: dict[str, Any]) -> None:
+        self._file.write(json.dumps(told, separators=(",", ":")) + "\n")
+        now = time.monotonic()
+        if now > self._due:
+            self._due = now + _EVERY
+            self._file.flush()
+
+    def close(self) -> None:
+        self._file.flush()
+        if self._own:
+            self._file.close()
+
+
+def row_as_json(row: LiveRow) -> dict[str, Any]:
+    """A row by keys with units."""
+    contacts = [
+        {
+            "number": one.number,
+            "x_m": _known(one.x),
+            "y_m": _known(one.y),
+            "conductance_S": _known(one.conductance),
+            "force_N": _known(one.force),
+        }
+        for one in row.contacts
+    ]
+    return {"t_s": row.t, "slot": row.slot, "flags": row.flags, "contacts": contacts}
+
+
+def event_as_json(event: Event) -> dict[str, Any]:
+    """An event by keys with units."""
+    return {
+        "t_s": event.t,
+        "event": event.kind,
+        "contact": event.contact,
+        "x_m": _known(event.xy[0]),
+        "y_m": _known(event.xy[1]),
+        "conductance_S": _known(event.conductance),
+        "force_N": _known(event.force),
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,48 @@
+"""OSC over UDP, for sound and light."""
+
+from contextlib import suppress
+from typing import Any
+
+from tomojax.events import Event
+from tomojax.hardware.sinks._rows import LiveRow
+from tomojax.hardware.sinks._where import Where
+
+
+class OscSink:
+    """A bundle for each row: /tomojax/count, and of each contact /tomojax/contact with its
+    number, x, y (m), conductance (S), force (N); /tomojax/touch_down and /tomojax/lift_off
+    with the same. Force is NaN where it is not known.
+    """
+
+    def __init__(self, where: Where):
+        from pythonosc.udp_client import UDPClient
+
+        self._client = UDPClient(*where.address, allow_broadcast=True)
+
+    def put(self, row: LiveRow) -> None:
+        from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+
+        bundle = OscBundleBuilder(IMMEDIATELY)  # pyright: ignore (the library's own value)
+        bundle.add_content(_message("count", [len(row.contacts)]))
+        for one in row.contacts:
+            bundle.add_content(_message("contact", list(one)))
+        with suppress(OSError):
+            self._client.send(bundle.build())
+
+    def event(self, event: Event, row: LiveRow | None) -> None:
+        told = [event.contact, *event.xy, event.conductance, event.force]
+        with suppress(OSError):
+            self._client.send(_message(event.kind, told))
+
+    def close(self) -> None:
+        pass
+
+
+def _message(name: str, values: list[Any]) -> Any:
+    from pythonosc.osc_message_builder import OscMessageBuilder
+
+    made = OscMessageBuilder(f"/tomojax/{name}")
+    for value in values:
+        kind = made.ARG_TYPE_INT if isinstance(value, int) else made.ARG_TYPE_FLOAT
+        made.add_arg(value, kind)
+    return made.build()

@@ -1,0 +1,133 @@
+"""Rows of a ring as sinks take them: contacts with numbers and forces, and events."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from tomojax.events import Event, EventFinder
+from tomojax.hardware.loop import SlotRing
+
+# Between looks at the ring, s; rows that are read at once.
+_EVERY, _MOST = 0.002, 1 << 10
+
+
+class LiveContact(NamedTuple):
+    """One contact of a row."""
+
+    number: int  # 0 until a second row has shown it
+    x: float  # m
+    y: float  # m
+    conductance: float  # S
+    force: float  # N; NaN where it is not known
+
+
+class LiveRow(NamedTuple):
+    """What the loop said of one slot."""
+
+    slot: int  # its number; lost ones count
+    t: float  # s, of the rig's clock
+    flags: int  # bits of `Flag`
+    contacts: list[LiveContact]  # strongest first
+
+
+@runtime_checkable
+class Sink(Protocol):
+    """Where rows go. It may be slow: rows that come meanwhile are lost to it alone.
+
+    A sink of your own has these three methods; `follow` drives it.
+    """
+
+    def put(self, row: LiveRow) -> None:
+        """Takes a row."""
+        ...
+
+    def event(self, event: Event, row: LiveRow | None) -> None:
+        """Takes a touch-down or a lift-off; the row that told it, None at the end."""
+        ...
+
+    def close(self) -> None:
+        """Ends it; all that was put is out."""
+        ...
+
+
+class Force(NamedTuple):
+    """F of a conductance: by the power law g/A = c·pᵏ, on a contact of known radius.
+
+    The step does not tell a contact's radius: who presses with a tip of one radius does.
+    """
+
+    c: float  # S/m² at Pa
+    k: float
+    area: float  # m²
+
+    def __call__(self, conductance: float) -> float:
+        density = max(conductance, 0.0) / self.area
+        return self.area * (density / self.c) ** (1 / self.k)
+
+
+class Counted(NamedTuple):
+    """Rows that a sink was given, that it was too slow for, and that its rate left out."""
+
+    sent: int
+    lost: int
+    thinned: int
+
+
+def follow(
+    ring: SlotRing,
+    sink: Sink,
+    told: dict[str, Any],
+    rate: float = math.inf,
+    force: Callable[[float], float] = lambda conductance: math.nan,
+) -> Counted:
+    """Gives a sink what the loop says, until the ring is done.
+
+    **Arguments:** `told`: attributes of the rig, as a recording has them; `rate`: rows a
+    second at most (events are all told); `force` N of a conductance, S.
+    """
+    size, m = np.asarray(told["size"], float), len(told["electrode_xy"])
+    pitch = math.sqrt(float(np.prod(size)) / m)
+    finder = EventFinder.of_rows(pitch, 1 / float(told["f_switch"]))
+    at, done = int(ring.head["rows"]), False
+    sent = lost = thinned = 0
+    due = -math.inf
+    while not done:
+        done = ring.done
+        while True:
+            rows, at, gone = ring.since(at, _MOST)
+            lost += gone
+            for one in rows[np.isfinite(rows["latency"])]:
+                row, events = _row(one, finder, force)
+                for event in events:
+                    sink.event(event, row)
+                if row.t >= due:
+                    # In step with the rate, unless rows are slower than that.
+                    due = max(due + 1 / rate, row.t)
+                    sink.put(row)
+                    sent += 1
+                else:
+                    thinned += 1
+            if len(rows) < _MOST:
+                break
+        time.sleep(0 if done else _EVERY)
+    for event in finder.finish():
+        sink.event(event, None)
+    sink.close()
+    return Counted(sent, lost, thinned)
+
+
+def _row(
+    one: Any, finder: EventFinder, force: Callable[[float], float]
+) -> tuple[LiveRow, list[Event]]:
+    n, t, flags = int(one["count"]), float(one["time"]), int(one["flags"])
+    xy, g = one["xy"][:n].tolist(), one["conductance"][:n].tolist()
+    forces = [force(each) for each in g]
+    numbers, events = finder.row(t, xy, g, flags, forces)
+    contacts = [
+        LiveContact(number, x, y, each, f)
+        for number, (x, y), each, f in zip(numbers, xy, g, forces)
+    ]
+    return LiveRow(int(one["number"]), t, flags, contacts), events

@@ -1,0 +1,97 @@
+"""Names of sinks: KIND:WHERE?OPTION=VALUE."""
+
+import math
+import socket
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import parse_qsl
+
+from tomojax._require import require
+
+# Kind: the library that it needs, the extra that brings it, rows a second at most.
+_KINDS: dict[str, tuple[str, str, float]] = {
+    "udp": ("", "", math.inf),
+    "jsonl": ("", "", math.inf),
+    "osc": ("pythonosc", "osc", 100.0),
+    "foxglove": ("foxglove", "foxglove", 60.0),
+    "lsl": ("pylsl", "lsl", math.inf),
+}
+
+# Letters of a name.
+_LONGEST = 4096
+
+
+class Where(NamedTuple):
+    """A sink's name, taken apart."""
+
+    kind: str
+    path: str  # of a file, or a name; HOST:PORT
+    rate: float  # rows a second at most
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """HOST and PORT."""
+        host, _, port = self.path.rpartition(":")
+        return host or "127.0.0.1", int(port)
+
+
+def parse(name: str) -> Where:
+    """Takes a sink's name apart.
+
+    **Raises:** `ValueError` for an unknown kind, an address that is none, an option that
+    there is not.
+    """
+    require(len(name) <= _LONGEST, "send", f"{len(name)} letters", "a name")
+    kind, colon, rest = name.partition(":")
+    known = ", ".join(f"{one}:…" for one in _KINDS)
+    require(colon and kind in _KINDS, "send", repr(name), f"one of {known}")
+    path, _, query = rest.partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    unknown = sorted(options.keys() - {"rate"})
+    require(not unknown, f"send: {name}", unknown, "the option rate, or none")
+    try:
+        rate = float(options.get("rate", _KINDS[kind][2]))
+    except ValueError:
+        rate = math.nan
+    require(rate > 0, f"send: {name}: rate", options.get("rate"), "rows a second")
+    path = path.removeprefix("//")
+    found = Where(kind, path, rate)
+    if kind in ("udp", "osc", "foxglove"):
+        port = path.rpartition(":")[2]
+        number = int(port) if port.isascii() and port.isdigit() else 0
+        expected = "PORT" if kind == "foxglove" else "HOST:PORT"
+        whole = kind == "foxglove" or ":" in path
+        require(whole and 0 < number < 65536, f"send: {name}", path, expected)
+    else:
+        require(path, f"send: {name}", "nothing", "a file, or a name, behind the colon")
+    return found
+
+
+def check(name: str) -> Where:
+    """What `parse` makes of a name, where the sink could be opened now.
+
+    **Raises:** `ValueError` for a missing library, a file that is there, a port in use.
+    """
+    where = parse(name)
+    library, extra, _ = _KINDS[where.kind]
+    if library and find_spec(library) is None:
+        mend = f"pip install 'tomojax[{extra}]' brings it"
+        raise ValueError(f"{library} is not installed; {mend}")
+    if where.kind == "jsonl" and where.path != "-":
+        path = Path(where.path)
+        require(not path.exists(), f"{path}", "a file", "a new name")
+        require(path.absolute().parent.is_dir(), f"{path}", "no such folder", "one")
+    if where.kind in ("udp", "osc"):
+        try:
+            socket.getaddrinfo(*where.address, type=socket.SOCK_DGRAM)
+        except OSError as error:
+            raise ValueError(f"send: {name}: {error.strerror or error}") from None
+    if where.kind == "foxglove":
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", where.address[1]))
+            except OSError as error:
+                raise ValueError(f"send: {name}: {error.strerror}") from None
+    return where
