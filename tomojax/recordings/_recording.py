@@ -144,6 +144,7 @@ class Recording(ABC):
     gaps: np.ndarray
     mended: tuple[str, ...] = ()  # what the reader put right, in sentences
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
+    marks: tuple[tuple[float, str], ...] = ()  # moments that somebody marked: s, text
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
