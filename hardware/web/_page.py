@@ -41,6 +41,7 @@ def document(
     `span`: of the time line, s; `strength`: its label, with the unit; `rate`: samples of
     the spectrum a second.
     """
+    from bokeh.document import Document
     from bokeh.embed.util import standalone_docs_json_and_render_items
     from bokeh.models import ColumnDataSource
 
@@ -53,7 +54,10 @@ def document(
         **_lines(sources, span, strength),
         **_electrodes(sources, len(electrode_xy), rate),
     }
-    docs, (item,) = standalone_docs_json_and_render_items(list(figures.values()))
+    whole = Document()
+    for one in figures.values():
+        whole.add_root(one)
+    docs, (item,) = standalone_docs_json_and_render_items(whole)
     told = item.to_json()
     told["roots"] = {figure.id: name for name, figure in figures.items()}
     return {"docs": docs, "items": [told]}
@@ -63,7 +67,7 @@ def _figure(name: str, **given: Any) -> Any:
     from bokeh.plotting import figure
 
     made = figure(
-        name=name,
+        name=f"{name}-figure",
         sizing_mode="stretch_both",
         output_backend="canvas",
         toolbar_location=None,

@@ -3,7 +3,6 @@
 import argparse
 import json
 import os
-import signal
 import sys
 import time
 from collections import deque
@@ -17,7 +16,6 @@ from tomojax.hardware.loop._real_time import beside
 from tomojax.hardware.web._data import contact_columns, flag_lines, pixels
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
-from tomojax.kernels.flags import Flag
 
 # The time line, s, and one of its parts; slots of a spectrum; pictures of a trail.
 _SPAN, _PART, _SPECTRUM, _TRAIL = 30.0, 0.1, 4096, 40

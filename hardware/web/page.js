@@ -24,7 +24,7 @@ function put(sources) {
 
 // A millimetre is as long up as across.
 function square() {
-  const sheet = model("sheet"), x = sheet.x_range, y = sheet.y_range;
+  const sheet = model("sheet-figure"), x = sheet.x_range, y = sheet.y_range;
   if (!square.ends) { square.ends = [x.start, x.end, y.start, y.end]; }
   const [x0, x1, y0, y1] = square.ends;
   const wide = sheet.inner_width, high = sheet.inner_height;
@@ -152,7 +152,7 @@ async function main() {
   at("whole").addEventListener("click", () => model("times").setv({ start: page.span[0], end: page.span[1] }));
   if (!live) {
     for (const name of ["count", "strength", "flags"]) {
-      model(name).on_event("tap", (event) => { chosen = event.x; });
+      model(name + "-figure").on_event("tap", (event) => { chosen = event.x; });
     }
   }
   at("marking").addEventListener("submit", mark);

@@ -162,7 +162,7 @@ class Hdf5Recording(Recording):
         self.scans, self._t0 = last, self._t0[:last]
 
     def _load_marks(self) -> None:
-        """Moments that somebody marked. They are no measurement: the rest is read anyway."""
+        """Moments that somebody marked. Where they are damaged, the rest is read anyway."""
         file, names = self._file, ("marks_t", "marks")
         if not all(name in file.names for name in names):
             return
