@@ -25,7 +25,12 @@ class Browser:
 
         self._folder = tempfile.TemporaryDirectory(prefix="tomojax-browser-")
         profile = Path(self._folder.name)
-        words = [str(found()), "--headless=new", "--remote-debugging-port=0", "--no-first-run"]
+        words = [
+            str(found()),
+            "--headless=new",
+            "--remote-debugging-port=0",
+            "--no-first-run",
+        ]
         words += [f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"]
         words += ["--disable-gpu", "--disable-dev-shm-usage"]
         if hasattr(os, "getuid") and os.getuid() == 0:
@@ -65,7 +70,12 @@ class Browser:
                 self.said.append(told["params"])
 
     def resize(self, width: int, height: int) -> None:
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        metrics = {
+            "width": width,
+            "height": height,
+            "deviceScaleFactor": 1,
+            "mobile": False,
+        }
         self.ask("Emulation.setDeviceMetricsOverride", **metrics)
 
     def go(self, url: str) -> None:

@@ -78,3 +78,36 @@ def flag_lines(flags: int) -> list[tuple[str, str, int]]:
     """Flags by name, what each means, and how much it takes from a row."""
     some = [flag for flag in Flag if flag.value & flags]
     return [(str(f.name), _MEANING.get(str(f.name), ""), int(f.level)) for f in some]
+
+
+def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, list]]:
+    """Marks (s, text) with their texts to the side where there is room."""
+    right = [t > since + 0.7 * (until - since) for t, _ in marks]
+    columns = {
+        "t": [t for t, _ in marks],
+        "text": [f"{text} " if r else f" {text}" for r, (_, text) in zip(right, marks)],
+        "name": ["marks"] * len(marks),
+        "align": ["right" if r else "left" for r in right],
+    }
+    return {"marks": columns}
+
+
+def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:
+    """The electrode that the page asks for; the first where it asks for none there is."""
+    try:
+        number = int(asked.get("electrode", "0"))
+    except ValueError:
+        return 0
+    return number if 0 <= number < electrodes else 0
+
+
+def spectrum(volts: np.ndarray, rate: float, most: int = 512) -> dict[str, list]:
+    """Amplitudes over frequencies: in each part of them the highest, V."""
+    window = np.hanning(len(volts))
+    found = 2 * np.abs(np.fft.rfft((volts - volts.mean()) * window)) / window.sum()
+    f = np.fft.rfftfreq(len(volts), 1 / rate)
+    each = max(1, -(-len(f) // most))
+    length = len(f) // each * each
+    highest = found[:length].reshape(-1, each).max(1)
+    middle = f[:length].reshape(-1, each).mean(1)
+    return {"f": middle.tolist(), "volts": np.maximum(highest, 1e-9).tolist()}

@@ -16,7 +16,7 @@ SOURCES = {
     "trails": ("x", "y", "age"),
     "line": ("t", "count", "low", "high"),
     "doubts": ("t", "name", "colour"),
-    "marks": ("t", "text"),
+    "marks": ("t", "text", "name", "align"),
     "now": ("t",),
     "volts": ("electrode", "volts"),
     "residuals": ("electrode", "residual"),
@@ -33,13 +33,11 @@ def document(
     image_label: str,
     span: tuple[float, float],
     strength: str,
-    rate: float,
 ) -> dict[str, Any]:
     """What the page embeds: Bokeh's document and where each figure goes.
 
     `size` and `electrode_xy`: m; `image_shape`: pixels along x and y, or no image;
-    `span`: of the time line, s; `strength`: its label, with the unit; `rate`: samples of
-    the spectrum a second.
+    `span`: of the time line, s; `strength`: its label, with the unit.
     """
     from bokeh.document import Document
     from bokeh.embed.util import standalone_docs_json_and_render_items
@@ -52,7 +50,7 @@ def document(
     figures = {
         "sheet": _sheet(sources, size, electrode_xy, image_shape, image_label),
         **_lines(sources, span, strength),
-        **_electrodes(sources, len(electrode_xy), rate),
+        **_electrodes(sources, len(electrode_xy)),
     }
     whole = Document()
     for one in figures.values():
@@ -154,8 +152,8 @@ def _lines(sources, span, strength) -> dict[str, Any]:
         color="colour",
     )  # fmt: skip
     flags.text(
-        "t", 0, "text", source=sources["marks"], text_color="#276749", x_offset=4,
-        y_offset=-4, text_font_size="11px",
+        "t", "name", "text", source=sources["marks"], text_color="#276749",
+        text_align="align", text_baseline="middle", text_font_size="11px",
     )  # fmt: skip
     for figure in (count, amount, flags):
         figure.min_border_left = 200
@@ -164,7 +162,7 @@ def _lines(sources, span, strength) -> dict[str, Any]:
     return {"count": count, "strength": amount, "flags": flags}
 
 
-def _electrodes(sources, electrodes: int, rate: float) -> dict[str, Any]:
+def _electrodes(sources, electrodes: int) -> dict[str, Any]:
     from bokeh.models import Range1d
 
     ends = Range1d(-1, electrodes)
@@ -178,7 +176,6 @@ def _electrodes(sources, electrodes: int, rate: float) -> dict[str, Any]:
     residuals.title.text = "residual by electrode"
     spectrum = _figure(
         "spectrum",
-        x_range=Range1d(0, rate / 2),
         y_axis_type="log",
         x_axis_label="frequency, Hz",
         y_axis_label="amplitude, V",

@@ -8,7 +8,6 @@ too, and so can every other user of it.
 import asyncio
 import json
 import secrets
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -205,8 +204,7 @@ _JSON = "application/json"
 
 
 def quiet() -> None:
-    """Keeps what strangers send out of the terminal; the loop's Ctrl-C is the loop's."""
+    """Keeps what strangers send out of the terminal."""
     import logging
 
     logging.getLogger("tornado").setLevel(logging.CRITICAL)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from collections import deque
@@ -13,7 +14,14 @@ import numpy as np
 
 from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.loop._real_time import beside
-from tomojax.hardware.web._data import contact_columns, flag_lines, pixels
+from tomojax.hardware.web._data import (
+    chosen_electrode,
+    contact_columns,
+    flag_lines,
+    mark_columns,
+    pixels,
+    spectrum,
+)
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
 
@@ -134,10 +142,12 @@ class LivePage:
         sources = said["sources"]
         sources["line"] = {"t": t, "count": count, "low": scaled[0], "high": scaled[1]}
         sources["doubts"] = flag_rows(t, flags)
-        marks = [(when, text) for when, text in self._marks if when >= t[0]]
-        sources["marks"] = {"t": [m[0] for m in marks], "text": [m[1] for m in marks]}
-        said["names"] = sorted(set(sources["doubts"]["name"])) or ["no flags"]
-        said["times"] = [t[-1] - _SPAN, t[-1]]
+        since = t[-1] - _SPAN
+        marks = [(when, text) for when, text in self._marks if when >= since]
+        sources |= mark_columns(marks, since, t[-1])
+        names = sorted(set(sources["doubts"]["name"]))
+        said["names"] = [*names, "marks"] if marks else names or ["no flags"]
+        said["times"] = [since, t[-1]]
         volts = self._scale * self._last["codes"].astype(float) + self._offset
         sources["volts"] = {"electrode": list(range(len(volts))), "volts": volts.tolist()}
         ring, end = self._ring, int(self._ring.head["rows"])
@@ -151,27 +161,6 @@ class LivePage:
         )
 
 
-def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:
-    """The electrode that the page asks for; the first where it asks for none there is."""
-    try:
-        number = int(asked.get("electrode", "0"))
-    except ValueError:
-        return 0
-    return number if 0 <= number < electrodes else 0
-
-
-def spectrum(volts: np.ndarray, rate: float, most: int = 512) -> dict[str, list]:
-    """Amplitudes over frequencies: in each part of them the highest, V."""
-    window = np.hanning(len(volts))
-    found = 2 * np.abs(np.fft.rfft((volts - volts.mean()) * window)) / window.sum()
-    f = np.fft.rfftfreq(len(volts), 1 / rate)
-    each = max(1, -(-len(f) // most))
-    length = len(f) // each * each
-    highest = found[:length].reshape(-1, each).max(1)
-    middle = f[:length].reshape(-1, each).mean(1)
-    return {"f": middle.tolist(), "volts": np.maximum(highest, 1e-9).tolist()}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ring", type=Path)
@@ -179,6 +168,7 @@ def main() -> None:
     parser.add_argument("--recorded", action="store_true")
     given = parser.parse_args()
     quiet()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
     beside()
     if hasattr(os, "nice"):
         os.nice(5)
@@ -186,7 +176,7 @@ def main() -> None:
     shape = ring.head["image"].shape
     made = document(
         told["size"], told["electrode_xy"], shape, "image, shares of its highest",
-        (-_SPAN, 0.0), "conductance, µS", float(told["f_switch"]),
+        (-_SPAN, 0.0), "conductance, µS",
     )  # fmt: skip
     made |= {
         "live": True, "marks": given.recorded, "electrodes": ring.electrodes,

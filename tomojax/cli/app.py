@@ -13,7 +13,7 @@ from tomojax.cli._repair import repair
 from tomojax.cli._rig import calibrate, check
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.entry import listening, STOPPED, stopped
-from tomojax.cli.results import track
+from tomojax.cli.results import track, view
 from tomojax.cli.studies import frontier, stability, table1
 
 
@@ -53,6 +53,7 @@ for command in (
     check,
     calibrate,
     track,
+    view,
     record,
     live,
     design,

@@ -4,3 +4,4 @@ Each module is one command.
 """
 
 from tomojax.cli.results._track import track as track
+from tomojax.cli.results._view import view as view
