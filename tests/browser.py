@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,9 @@ class Browser:
             assert time.monotonic() < end, "Chromium does not start"
             time.sleep(0.05)
         port, path = told.read_text().splitlines()[:2]
-        self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None)
+        connected = connect(f"ws://127.0.0.1:{port}{path}", max_size=None)
+        self._stack = ExitStack()
+        self._socket = self._stack.enter_context(connected)
         self._number, self._session, self.said = 0, None, []
         targets = self.ask("Target.getTargets")["targetInfos"]
         page = next(t["targetId"] for t in targets if t["type"] == "page")
@@ -108,13 +111,13 @@ class Browser:
         return self
 
     def __exit__(self, *_: Any) -> None:
-        self._socket.close()
+        self._stack.close()
         self.process.terminate()
         self.process.wait(20)
         self._folder.cleanup()
 
 
-def address(lines: Any, seconds: float = 120.0) -> str:
+def address(lines: Any) -> str:
     """The page's address out of a command's lines."""
     for line in lines:
         if match := re.search(r"page: (http://\S+)", line):
