@@ -119,7 +119,9 @@ class Browser:
 
 def address(lines: Any) -> str:
     """The page's address out of a command's lines."""
+    said = []
     for line in lines:
+        said.append(line)
         if match := re.search(r"page: (http://\S+)", line):
             return match[1]
-    raise AssertionError("no address of a page")
+    raise AssertionError(f"no address of a page: {said[-5:]}")
