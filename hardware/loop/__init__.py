@@ -6,5 +6,5 @@ either works.
 
 from tomojax.hardware.loop._leftovers import own_folder as own_folder
 from tomojax.hardware.loop._live import run as run
-from tomojax.hardware.loop._real_time import real_time as real_time
+from tomojax.hardware.loop._real_time import beside as beside, real_time as real_time
 from tomojax.hardware.loop._ring import SlotRing as SlotRing

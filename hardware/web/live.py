@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop import SlotRing
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop import beside, SlotRing
 from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,

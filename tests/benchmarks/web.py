@@ -163,8 +163,9 @@ def hour_file(path: Path, rows: int, rate: float = 10e3, contacts: int = 2) -> N
             made["contact_xy"][start:stop] = 0.08 + np.stack(eights, -1)
             strength = 1e-5 * (2 + np.sin(t / 60))[:, None] * np.ones(contacts)
             made["contact_conductance"][start:stop] = strength
-            made["contact_covariance"][start:stop] = [1e-6, 2e-6, 5e-7]
-            made["residual"][start:stop] = 1e-3
+            spread = np.tile(np.float32([1e-6, 2e-6, 5e-7]), (stop - start, contacts, 1))
+            made["contact_covariance"][start:stop] = spread
+            made["residual"][start:stop] = np.full(stop - start, 1e-3, "f4")
             made["flags"][start:stop] = np.where(t % 1000 < 1e-3, 16384, 0)
 
 
