@@ -12,7 +12,7 @@ from tomojax.results.loading import LoadedResults
 
 # Parts of the whole file that are kept; places that are looked at before the first
 # picture, and rows at each; rows that are read exactly; and in one piece.
-_PARTS, _PLACES, _FEW, _EXACT, _PIECE = 16384, 768, 8, 200_000, 1 << 19
+_PARTS, _PLACES, _FEW, _EXACT, _PIECE = 16384, 256, 8, 200_000, 1 << 19
 
 
 class Parts(NamedTuple):
