@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._require import require
 from tomojax.cli.results._timeline import Timeline
 from tomojax.hardware.web import (
     chosen_electrode,
@@ -21,7 +22,7 @@ from tomojax.hardware.web import (
     pixels,
     spectrum,
 )
-from tomojax.recordings import open_recording
+from tomojax.recordings import open_recording, Recording
 from tomojax.results.loading import LoadedResults
 
 # Parts of a time line, and of one that flags are drawn at; rows of a trail; scans of a
@@ -32,7 +33,8 @@ _MOST, _MOST_FLAGS, _TRAIL, _SPECTRUM = 1000, 400, 2000, 2048
 class ShownResults:
     """Answers the page's questions about the results in a file.
 
-    `recording`: their recording, or None, where it is not at hand.
+    `recording`: their recording, or None, where it is not at hand; `required`: whether one
+    that cannot be opened is an error.
     """
 
     def __init__(
@@ -41,12 +43,15 @@ class ShownResults:
         since: float | None,
         until: float | None,
         recording: Path | None,
+        required: bool = False,
     ):
         self._line = Timeline(path, since, until)
         self._file = LoadedResults(path)
         self.marks = _marks(self._file.attributes.get("marks"))
         self._recording, self._heard = None, "recording: none at hand; --recording REC"
-        if recording is not None:
+        if recording is not None and required:
+            self._use(open_recording(recording))
+        elif recording is not None:
             self._heard = f"{recording.name}: is being opened"
             # An hour's times take a while to be read.
             Thread(target=self._open, args=(recording,), daemon=True).start()
@@ -54,10 +59,15 @@ class ShownResults:
 
     def _open(self, path: Path) -> None:
         try:
-            self._recording = open_recording(path)
-            self._heard = path.name
+            self._use(open_recording(path))
         except ValueError as error:
             self._heard = str(error)
+
+    def _use(self, recording: Recording) -> None:
+        count = len(self._file.electrode_xy())
+        found = f"{recording.electrodes} electrodes"
+        require(recording.electrodes == count, f"{recording.path}", found, f"{count}")
+        self._heard, self._recording = recording.path.name, recording
 
     def document(self) -> dict[str, Any]:
         """The page, before any data."""

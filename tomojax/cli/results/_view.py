@@ -40,11 +40,12 @@ def view(
     from tomojax.hardware.web import Pages, quiet, serve
     from tomojax.results.loading import attributes
 
-    if rec is None:
+    asked = rec is not None
+    if not asked:
         told = str(attributes(results).get("recording", ""))
         beside = results.with_name(Path(told).name or "none")
         rec = beside if beside.is_file() and told == beside.name else None
-    shown = ShownResults(results, since, until, rec)
+    shown = ShownResults(results, since, until, rec, asked)
     quiet()
     end = math.inf if seconds is None else time.monotonic() + seconds
 
