@@ -1,4 +1,7 @@
 """The figures of the page, made once by Bokeh: data come later, by the names given here."""
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
+# pyright: reportOptionalMemberAccess=false
+# (Bokeh's properties take more than their types say)
 
 from typing import Any
 
@@ -73,7 +76,7 @@ def _figure(name: str, **given: Any) -> Any:
         **{"tools": ""} | given,
     )
     made.xgrid.grid_line_color = made.ygrid.grid_line_color = "#e2e5ea"
-    made.title.text_font_style = "normal"  # pyright: ignore
+    made.title.text_font_style = "normal"
     for axis in made.axis:
         axis.axis_label_text_font_style = "normal"
     return made
@@ -134,12 +137,12 @@ def _lines(sources, span, strength) -> dict[str, Any]:
     given = {"x_range": times, "tools": tools, "active_scroll": "xwheel_zoom"}
     count = _figure("count", y_axis_label="contacts", **given)
     count.step("t", "count", source=sources["line"], mode="after", color=_BLUE)
-    count.y_range.start = 0  # pyright: ignore
-    count.yaxis.ticker.desired_num_ticks = 3  # pyright: ignore
+    count.y_range.start = 0
+    count.yaxis.ticker.desired_num_ticks = 3
     amount = _figure("strength", y_axis_label=strength, **given)
     amount.varea("t", "low", "high", source=sources["line"], color=_BLUE, alpha=0.35)
     amount.line("t", "high", source=sources["line"], color=_BLUE)
-    amount.yaxis.ticker.desired_num_ticks = 4  # pyright: ignore
+    amount.yaxis.ticker.desired_num_ticks = 4
     names = [str(flag.name) for flag in Flag]
     flags = _figure(
         "flags",

@@ -2,7 +2,7 @@
 // question is asked only after the last answer is drawn: whoever is slow gets fewer.
 "use strict";
 const at = (id) => document.getElementById(id);
-const LEAST = 60, SLOW = 250; // ms between pictures; between lines and spectra
+const LEAST = 70, SLOW = 400; // ms between pictures; between lines and spectra
 let doc, live = true, chosen = null, wanted = null, drawn = 0, lost = 0, slow_due = 0;
 let busy = false, last_names = "";
 
@@ -58,6 +58,9 @@ function flagged(flags) {
 function show(said) {
   put(said.sources);
   square();
+  if (!live) {
+    for (const id of ["volts", "spectrum", "choose"]) { at(id).classList.toggle("gone", !said.sources.volts); }
+  }
   tell([...said.told, ["page", `${rate()} pictures/s`]]);
   flagged(said.flags);
   if (said.names && said.names.join() !== last_names) {

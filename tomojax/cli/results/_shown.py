@@ -204,7 +204,7 @@ class ShownResults:
         return {
             "line": {
                 "t": t,
-                "count": parts.count.tolist(),
+                "count": parts.contacts.tolist(),
                 "low": numbers(scale * parts.low.astype(float)),
                 "high": numbers(scale * parts.high.astype(float)),
             },

@@ -19,7 +19,7 @@ class Parts(NamedTuple):
     """Stretches of rows: the time of their first, s, and what is in each."""
 
     t: np.ndarray
-    count: np.ndarray  # the most contacts
+    contacts: np.ndarray  # the most
     low: np.ndarray  # of the sum over the contacts, in the unit of what is summed
     high: np.ndarray
     flags: np.ndarray  # all that any of its rows has
@@ -56,10 +56,9 @@ class Timeline:
             steps = np.arange(count + 1) * (self.last - self.first) // count
             self._edges = self.first + steps
             self._thin(file)
-            self.span = tuple(
-                float(file.stretch("t", row, row + 1)[0])
-                for row in (self.first, self.last - 1)
-            )
+            ends = self.first, self.last - 1
+            begin, end = (float(file.stretch("t", r, r + 1)[0]) for r in ends)
+            self.span = begin, end
         self._left, self.failed = count, ""
         Thread(target=self._refine, daemon=True).start()
 
