@@ -24,7 +24,10 @@ class Browser:
     def __init__(self, size: tuple[int, int] = (1400, 1000)):
         from websockets.sync.client import connect
 
-        self._folder = tempfile.TemporaryDirectory(prefix="tomojax-browser-")
+        # Chromium's children may still write there as it ends.
+        self._folder = tempfile.TemporaryDirectory(
+            prefix="tomojax-browser-", ignore_cleanup_errors=True
+        )
         profile = Path(self._folder.name)
         words = [
             str(found()),
