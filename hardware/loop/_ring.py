@@ -20,6 +20,9 @@ from tomojax.hardware.sources import Counters
 # bytes of what is said beside the slots.
 SIDE, LONGEST, SAID = 32, 20_000, 2048
 
+# Marks that wait for the recorder, and bytes of their text (UTF-8).
+MARKS, MARK = 64, 80
+
 # What a source counts, and slots that were recorded but not worked on: newer ones waited.
 _NAMES = (*Counters().as_dict(), "skipped")
 
@@ -34,6 +37,10 @@ _HEAD = np.dtype(
         ("latency", "i8", LONGEST),
         ("image", "f4", (SIDE, SIDE)),
         ("said", f"S{SAID}"),  # lines of UTF-8 for those who watch
+        ("marks", "i8"),  # moments that somebody has marked, so far
+        ("marked", "i8"),  # of them in a file that is flushed
+        ("mark_t", "f8", MARKS),  # of the rig's clock, s
+        ("mark_text", f"S{MARK}", MARKS),
     ]
 )
 
@@ -54,6 +61,12 @@ def _row(electrodes: int, contacts: int) -> np.dtype:
             ("codes", "<i2", (electrodes,)),
         ]
     )
+
+
+def mark_bytes(text: str) -> bytes:
+    """A mark's text as a file keeps it: one line, letters whole."""
+    line = "".join(c if c.isprintable() else " " for c in text).strip()
+    return line.encode(errors="replace")[:MARK].decode(errors="ignore").encode()
 
 
 class SlotRing:
@@ -157,6 +170,28 @@ class SlotRing:
     def said(self) -> str:
         """Reads what was put there last."""
         return bytes(self.head["said"][()]).decode(errors="ignore")
+
+    def mark(self, text: str) -> float:
+        """Marks the newest slot's moment for the recorder; gives its time, s.
+
+        One process marks. A text that is too long is cut.
+        **Raises:** `ValueError` before the first slot, or where the recorder is late.
+        """
+        rows, marks = int(self.head["rows"]), int(self.head["marks"])
+        require(rows, "mark", "no slot yet", "a moment of the recording")
+        waiting = marks - int(self.head["marked"])
+        require(waiting < MARKS, "mark", f"{waiting} that wait", "a recorder in time")
+        t = float(self.rows["time"][(rows - 1) % self.length])
+        self.head["mark_t"][marks % MARKS] = t
+        self.head["mark_text"][marks % MARKS] = mark_bytes(text)
+        self.head["marks"][...] = marks + 1
+        return t
+
+    def unrecorded_marks(self) -> list[tuple[float, bytes]]:
+        """Marks that no file has yet, the oldest first."""
+        numbers = range(int(self.head["marked"]), int(self.head["marks"]))
+        t, text = self.head["mark_t"], self.head["mark_text"]
+        return [(float(t[k % MARKS]), bytes(text[k % MARKS])) for k in numbers]
 
     def remove(self) -> None:
         """Takes the file away; those who have it open keep it until they end."""

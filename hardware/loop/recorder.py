@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from tomojax.hardware.loop._real_time import beside
-from tomojax.hardware.loop._ring import SlotRing
+from tomojax.hardware.loop._ring import MARK, SlotRing
 from tomojax.recordings import Rig, SCHEMA, VERSION
 
 # Between flushes, and until a recorder that died is started again, s.
@@ -86,6 +86,9 @@ class File:
         t0 = make("t0", (0,), "f8", maxshape=(None,), chunks=(_CHUNK,), fillvalue=np.nan)
         self._gaps = make("gaps", (0, 2), "i8", maxshape=(None, 2), chunks=(256, 2))
         self._fields = {"codes": v, "ground": ground, "time": t0}
+        some = {"shape": (0,), "maxshape": (None,), "chunks": (64,)}
+        self._marks = make("marks", dtype=f"S{MARK}", **some)
+        self._marks_t = make("marks_t", dtype="f8", **some)
         self._file.swmr_mode = True
 
     def append(self, rows: np.ndarray, lost: np.ndarray) -> None:
@@ -103,6 +106,12 @@ class File:
         if not self.rows:
             self._new.rename(self.path)
         self.rows += n
+
+    def mark(self, marks: list[tuple[float, bytes]]) -> None:
+        """Moments (s of the rig's clock) with their texts; on the disk afterwards."""
+        # Readers take as many as there are times.
+        self._grow(self._marks, np.array([text for _, text in marks], f"S{MARK}"))
+        self._grow(self._marks_t, np.array([t for t, _ in marks], float))
 
     @staticmethod
     def _grow(dataset: h5py.Dataset, new: np.ndarray) -> None:
@@ -141,6 +150,10 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
             file.append(rows, np.diff(numbers, prepend=ring.head["number"] - 1) - 1)
             ring.head["number"][...] = numbers[-1] + 1
         ring.head["recorded"][...] = row
+        marks = ring.unrecorded_marks()
+        if marks and file is not None:
+            file.mark(marks)
+            ring.head["marked"] += len(marks)
         if len(rows) < _MOST:
             if done:
                 break

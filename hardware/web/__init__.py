@@ -1,4 +1,18 @@
 """A page in the browser. It shows what is live, or results, and nobody else may see it.
 
-A process beside the loop serves it on this machine alone.
+A process beside the loop serves it on this machine alone. The room draws what it is told:
+it knows neither files nor methods.
 """
+
+from tomojax.hardware.web._data import (
+    chosen_electrode as chosen_electrode,
+    contact_columns as contact_columns,
+    ellipse_columns as ellipse_columns,
+    flag_lines as flag_lines,
+    mark_columns as mark_columns,
+    numbers as numbers,
+    pixels as pixels,
+    spectrum as spectrum,
+)
+from tomojax.hardware.web._page import document as document, flag_rows as flag_rows
+from tomojax.hardware.web._server import Pages as Pages, quiet as quiet, serve as serve

@@ -5,7 +5,6 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.interpolate import CubicSpline
 
 from tomojax.kernels.algebra import matmul
 
@@ -60,6 +59,8 @@ def _finer(
 ) -> tuple[Float[np.ndarray, "fine nodes"], Float[np.ndarray, "fine 3"]]:
     """From the pixels around a peak to places that are closer together, by cubic splines;
     and those places beside the peak, in pixels, with a 1."""
+    from scipy.interpolate import CubicSpline  # half a second, which most commands save
+
     sides = [CubicSpline(k, np.eye(len(k)))(r * _AT) for r in reach
              for k in [np.arange(-r, r + 1)]]  # fmt: skip
     x, y = np.meshgrid(*(r * _AT for r in reach), indexing="ij")

@@ -72,7 +72,7 @@ def _shared(command: Any) -> Any:
         ),
         click.option(
             "--view",
-            type=click.Choice(["terminal", "rerun", "none"]),
+            type=click.Choice(["terminal", "web", "rerun", "none"]),
             default="terminal",
             show_default=True,
         ),

@@ -30,6 +30,9 @@ class _Session:
         self._told, self._beside = json.dumps(told), []
         self._seconds = options["seconds"]
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
+        if options["view"] == "web":
+            recorded = ["--recorded"] if recorder is not None else []
+            self._view += [self._told, *recorded]
 
     def beside(self, module: str, *words: str) -> None:
         """Starts a process beside the loop that is told of the ring and the rig."""
@@ -108,6 +111,11 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
     """The view's command, if any."""
     if view == "none":
         return []
+    if view == "web":
+        if find_spec("bokeh") is None:
+            mend = "pip install 'tomojax[web]' brings it"
+            raise ValueError(f"bokeh is not installed; {mend}")
+        return [sys.executable, "-m", "tomojax.hardware.web.live", ring]
     module = "view" if view == "terminal" else "view_rerun"
     if view == "rerun" and find_spec("rerun") is None:
         mend = "pip install 'tomojax[rerun]' brings it"

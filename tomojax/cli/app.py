@@ -12,7 +12,7 @@ from tomojax.cli._rig import calibrate, check
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.recordings import info, reconstruct, repair
-from tomojax.cli.results import export, track
+from tomojax.cli.results import export, track, view
 from tomojax.cli.studies import frontier, stability, table1
 
 
@@ -53,6 +53,7 @@ for command in (
     calibrate,
     track,
     export,
+    view,
     record,
     live,
     design,

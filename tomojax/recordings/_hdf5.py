@@ -115,6 +115,7 @@ class Hdf5Recording(Recording):
             **numbers,
         )
         self._load_times()
+        self._load_marks()
         self.gaps, said = mended_gaps(self.gaps, self.scans)
         self.mended += said
         check(self)
@@ -159,6 +160,27 @@ class Hdf5Recording(Recording):
             before = np.cumsum(self.gaps[:, 1]) - self.gaps[:, 1]
             self.gaps = self.gaps[self.gaps[:, 0] - before < last]
         self.scans, self._t0 = last, self._t0[:last]
+
+    def _load_marks(self) -> None:
+        """Moments that somebody marked. Where they are damaged, the rest is read anyway."""
+        file, names = self._file, ("marks_t", "marks")
+        if not all(name in file.names for name in names):
+            return
+        try:
+            self._shape("marks_t", 1, "f")
+            self._shape("marks", 1, "S")
+            some = file.read_whole("marks_t"), file.read_whole("marks")
+        except (OSError, ValueError) as error:
+            self.mended = (
+                *self.mended,
+                f"the marks cannot be read and are left out ({error})",
+            )
+            return
+        self.marks = tuple(
+            (float(t), _printable(bytes(text).decode(errors="replace")))
+            for t, text in zip(*some)
+            if np.isfinite(t)
+        )
 
     def _shape(self, name: str, axes: int, kinds: str) -> tuple[int, ...]:
         here = sorted(self._file.names)[:20]
@@ -220,6 +242,11 @@ class Hdf5Recording(Recording):
 _LONGEST = 1 << 16
 
 _NO_GAPS = np.zeros((0, 2), int)
+
+
+def _printable(text: str) -> str:
+    """Without what would steer a terminal."""
+    return "".join(c if c.isprintable() else "�" for c in text)
 
 
 def _open(path: Path) -> OpenContainer:

@@ -148,6 +148,7 @@ class Recording(ABC):
     mended: tuple[str, ...] = ()  # what the reader put right, in sentences
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
     stretch: tuple[int, int] | None = None  # of a longer one: its first scan, and the end
+    marks: tuple[tuple[float, str], ...] = ()  # moments that somebody marked: s, text
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:

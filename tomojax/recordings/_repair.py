@@ -68,6 +68,7 @@ def repair_recording(
         ground = file.create_dataset("ground", shape, "u1" if m < 255 else "u2", **packed)
         t0 = file.create_dataset("t0", total, "f8")
         file["gaps"] = _gaps(recording, first, last)
+        _mark(file, recording, first, last)
         each = max(1, CHUNK_SLOTS // recording.slots)
         for start in range(first, last, each):
             stop = min(start + each, last)
@@ -103,6 +104,17 @@ def _describe(file: h5py.File, recording: Hdf5Recording) -> None:
         notes="\n".join(filter(None, (rig.notes, said))),
     )
     file["electrode_xy"] = np.asarray(rig.electrode_xy, float)
+
+
+def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> None:
+    """Keeps the marks of those scans; all of them where all scans are kept."""
+    t = recording.times(first, last)
+    low = -np.inf if first == 0 else t[0]
+    high = np.inf if last == recording.scans else t[-1] + recording.interval
+    kept = [(moment, text) for moment, text in recording.marks if low <= moment < high]
+    if kept:
+        file["marks_t"] = np.array([moment for moment, _ in kept], float)
+        file["marks"] = np.array([text.encode() for _, text in kept], "S")
 
 
 def _gaps(recording: Hdf5Recording, first: int, last: int) -> np.ndarray:

@@ -15,6 +15,7 @@ class Stretch(Recording):
         self.slots, self.electrodes = whole.slots, whole.electrodes
         self.scans, self.stretch = stop - start, (start, stop)
         self.mended = whole.mended
+        self.marks = whole.marks
         self.retimed = whole.retimed[start:stop]
         rows = whole.rows_after_gaps()
         lost = whole.gaps[:, 1]

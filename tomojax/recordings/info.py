@@ -31,6 +31,7 @@ def summary(recording: Recording) -> dict:
         "electrode_diameter_m": rig.electrode_diameter,
         "notes": rig.notes,
         "mended": list(recording.mended),
+        "marks_s": [[t, text] for t, text in recording.marks],
     }
 
 
@@ -96,6 +97,7 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
             f"  {found['scans_lost']} scans lost; numbers below count those present"
         )
     lines += [f"  put right: {sentence}" for sentence in found["mended"]]
+    lines += [f"  mark at {t:.6g} s: {said}".rstrip(": ") for t, said in found["marks_s"]]
     if not rows:
         lines.append("  no faults")
     for row in rows:

@@ -214,6 +214,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
             "recording": recording.path.name,
             "recording_sha256": config["recording_sha256"],
             "versions": json.dumps(config["versions"]),
+            **({"marks": json.dumps(recording.marks)} if recording.marks else {}),
             "configuration": json.dumps(config, sort_keys=True),
         },
         _file.adapted_fields(recording.electrodes) if settings.adapt else None,

@@ -1,0 +1,113 @@
+"""What the page's figures take: columns of JSON, without NaN."""
+
+from typing import Any
+
+import numpy as np
+
+from tomojax.kernels.flags import Flag
+
+_MEANING = {
+    "NO_CONTACT": "no voltage above the threshold",
+    "BAD_VOLTAGES": "voltages that are no numbers",
+    "NO_DIRECTION": "a contact as wide as long",
+    "WHOLE_SHEET": "every electrode is in contact",
+    "BAD_LAMBDA": "no usable λ",
+    "BAD_GROUNDS": "grounds out of range or repeated",
+    "SOLVE_FAILED": "no finite answer",
+    "DEAD_CHANNEL": "a channel reads 0 while others change",
+    "STUCK_CHANNEL": "a channel repeats a value while others change",
+    "SATURATED": "voltages at the converter's rail",
+    "UNKNOWN_GROUND": "the grounded line is no electrode of the sensor",
+    "GAP": "scans are lost just before",
+    "ALL_ZERO": "every channel reads 0",
+    "STUCK_SCAN": "every voltage repeats the scan beside it",
+    "HIGH_RESIDUAL": "the model leaves too much unexplained",
+    "NO_DATA": "too few good channels for an answer",
+    "MODEL_LIMITED": "voltages err more than nominal values let them",
+    "HURRIED": "a cheaper method answered in time",
+    "CONTACTS_UNEXPLAINED": "the image shows more than the contacts",
+    "PLACE_UNCERTAIN": "a place is no better known than to half a pitch",
+    "CONDUCTANCE_UNCERTAIN": "the conductance is hardly told",
+    "CLOCK_MENDED": "the time is not the rig's clock's",
+    "GROUND_NOT_LOWEST": "another electrode is lower than the grounded one",
+    "AGAINST_DRIVE": "voltages are against the drive",
+}
+
+
+def numbers(values: Any) -> list[float | None]:
+    """A list of finite numbers; None, which the page leaves out, for others."""
+    some = np.asarray(values, float).ravel()
+    return [v if ok else None for v, ok in zip(some.tolist(), np.isfinite(some).tolist())]
+
+
+def pixels(image: np.ndarray) -> dict[str, Any]:
+    """An image (nx, ny) row by row upwards, to three digits, and its highest."""
+    shown = np.nan_to_num(np.asarray(image, float), posinf=0.0, neginf=0.0).T
+    high = max(float(shown.max(initial=0)), 1e-30)
+    return {"pixels": np.round(shown.ravel() / high, 3).tolist(), "high": 1.0, "top": high}
+
+
+def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, list]:
+    """Places in mm, each with its number and its conductance."""
+    xy, g = 1e3 * np.asarray(xy, float).reshape(-1, 2), np.asarray(conductance, float)
+    known = np.isfinite(xy).all(1)
+    numbers = np.arange(1, len(xy) + 1) if names is None else np.asarray(names)
+    labels = [
+        f"{n}: {1e6 * s:.3g} µS" if np.isfinite(s) else f"{n}"
+        for n, s in zip(numbers[known].tolist(), g[known])
+    ]
+    return {"x": xy[known, 0].tolist(), "y": xy[known, 1].tolist(), "label": labels}
+
+
+def ellipse_columns(xy: Any, covariance: Any) -> dict[str, list]:
+    """Ellipses of two standard deviations of places, mm."""
+    found: dict[str, list] = {name: [] for name in ("x", "y", "w", "h", "angle")}
+    for (x, y), (xx, yy, both) in zip(np.asarray(xy, float), np.asarray(covariance, float)):
+        if not np.isfinite([x, y, xx, yy, both]).all():
+            continue
+        values, turned = np.linalg.eigh([[xx, both], [both, yy]])
+        h, w = 4e3 * np.sqrt(np.maximum(values, 0))
+        angle = np.arctan2(turned[1, 1], turned[0, 1])
+        row = 1e3 * x, 1e3 * y, float(w), float(h), float(angle)
+        for name, value in zip(found, row):
+            found[name].append(value)
+    return found
+
+
+def flag_lines(flags: int) -> list[tuple[str, str, int]]:
+    """Flags by name, what each means, and how much it takes from a row."""
+    some = [flag for flag in Flag if flag.value & flags]
+    return [(str(f.name), _MEANING.get(str(f.name), ""), int(f.level)) for f in some]
+
+
+def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, list]]:
+    """Marks (s, text) with their texts to the side where there is room."""
+    right = [t > since + 0.7 * (until - since) for t, _ in marks]
+    columns = {
+        "t": [t for t, _ in marks],
+        "text": [f"{text} " if r else f" {text}" for r, (_, text) in zip(right, marks)],
+        "name": ["marks"] * len(marks),
+        "align": ["right" if r else "left" for r in right],
+    }
+    return {"marks": columns}
+
+
+def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:
+    """The electrode that the page asks for; the first where it asks for none there is."""
+    try:
+        number = int(asked.get("electrode", "0"))
+    except ValueError:
+        return 0
+    return number if 0 <= number < electrodes else 0
+
+
+def spectrum(volts: np.ndarray, rate: float, most: int = 512) -> dict[str, list]:
+    """Amplitudes over frequencies: in each part of them the highest, V."""
+    window = np.hanning(len(volts))
+    found = 2 * np.abs(np.fft.rfft((volts - volts.mean()) * window)) / window.sum()
+    f = np.fft.rfftfreq(len(volts), 1 / rate)
+    each = max(1, -(-len(f) // most))
+    length = len(f) // each * each
+    highest = found[:length].reshape(-1, each).max(1)
+    middle = f[:length].reshape(-1, each).mean(1)
+    return {"f": middle.tolist(), "volts": np.maximum(highest, 1e-9).tolist()}

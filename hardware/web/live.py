@@ -1,0 +1,191 @@
+"""The page of what is live: a process of its own that reads the ring."""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tomojax.hardware.loop import beside, SlotRing
+from tomojax.hardware.web._data import (
+    chosen_electrode,
+    contact_columns,
+    flag_lines,
+    mark_columns,
+    pixels,
+    spectrum,
+)
+from tomojax.hardware.web._page import document, flag_rows
+from tomojax.hardware.web._server import Pages, quiet, serve
+
+# The time line, s, and one of its parts; slots of a spectrum; pictures of a trail.
+_SPAN, _PART, _SPECTRUM, _TRAIL = 30.0, 0.1, 4096, 40
+
+
+class LivePage:
+    """Keeps the last seconds of a ring in few numbers, and says them.
+
+    `look` is called ten times a second or so, also where nobody asks.
+    """
+
+    def __init__(self, ring: SlotRing, told: dict[str, Any], recorded: bool):
+        self._ring, self._recorded, self._row = ring, recorded, int(ring.head["rows"])
+        self._scale, self._offset = float(told["scale"]), float(told["offset"])
+        self._rate = float(told["f_switch"])
+        self._parts: deque[tuple] = deque(maxlen=int(_SPAN / _PART))
+        self._trail: deque[tuple[float, float]] = deque(maxlen=_TRAIL)
+        self._marks: deque[tuple[float, str]] = deque(maxlen=50)
+        self._seen, self._slots = deque(maxlen=20), 0
+        self._last: Any = None
+
+    def mark(self, text: str) -> float:
+        """Marks the newest slot's moment; gives its time, s."""
+        t = self._ring.mark(text)
+        self._marks.append((t, text[:80] or "marked"))
+        return t
+
+    def look(self) -> None:
+        """Takes in what is new: one part of the time line."""
+        rows, self._row, gone = self._ring.since(self._row)
+        self._slots += len(rows) + gone
+        self._seen.append((time.monotonic(), self._slots))
+        if not len(rows):
+            return
+        worked = rows[np.isfinite(rows["latency"])]
+        shown = worked if len(worked) else rows
+        self._last = shown[-1].copy()
+        there = np.arange(self._ring.contacts) < shown["count"][:, None]
+        total = np.where(there, shown["conductance"], 0).sum(1)
+        flags = np.bitwise_or.reduce(rows["flags"])
+        t, count = float(shown["time"][-1]), int(shown["count"].max())
+        if self._parts and t < self._parts[-1][0]:  # the rig's clock begins anew
+            self._parts.clear()
+        self._parts.append((t, count, float(total.min()), float(total.max()), int(flags)))
+        self._trail.extend(self._last["xy"][: self._last["count"]].tolist())
+
+    def answer(self, asked: dict[str, str]) -> dict[str, Any]:
+        """What the page shows: the picture each time, `lines` and spectra where asked."""
+        ring, last = self._ring, self._last
+        if last is None:
+            told = [("state", "no slot yet"), *self._counted()]
+            return {"sources": {}, "told": told, "flags": [], "title": "waiting for slots"}
+        trail = np.array(list(self._trail)).reshape(-1, 2)
+        ages = np.linspace(0.1, 0.8, len(trail)).tolist()
+        count = int(last["count"])
+        sources = {
+            "image": pixels(ring.head["image"]),
+            "contacts": contact_columns(last["xy"][:count], last["conductance"][:count]),
+            "trails": {
+                "x": (1e3 * trail[:, 0]).tolist(),
+                "y": (1e3 * trail[:, 1]).tolist(),
+                "age": ages,
+            },
+        }
+        said: dict[str, Any] = {
+            "sources": sources,
+            "told": [*self._said(last), *self._counted()],
+            "flags": flag_lines(int(last["flags"])),
+            "title": "live",
+        }
+        if "lines" in asked:
+            self._add_lines(said, asked)
+        return said
+
+    def _said(self, last: Any) -> list[tuple[str, str]]:
+        ring = self._ring
+        p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
+        newest = float(ring.rows["time"][(int(ring.head["rows"]) - 1) % ring.length])
+        (since, first), (now, slots) = self._seen[0], self._seen[-1]
+        rate = (slots - first) / max(now - since, 1e-9)
+        age = 1e3 * (newest - float(last["time"]))
+        delay = "not worked on" if np.isnan(p50) else f"{p50:.0f}, {p99:.0f}, {p999:.0f} µs"
+        return [
+            ("rig's clock", f"{float(last['time']):.3f} s, ground {int(last['ground'])}"),
+            ("slots", f"{rate:.0f}/s"),
+            ("last byte to ground command, 50, 99, 99.9 %", delay),
+            ("picture's age", f"{age:.0f} ms behind the newest slot"),
+        ]
+
+    def _counted(self) -> list[tuple[str, str]]:
+        ring = self._ring
+        counted = {name: n for name, n in ring.counted().items() if n}
+        slots = counted.pop("slots", 0)
+        rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
+        head = {
+            n: int(ring.head[n]) for n in ("rows", "recorded", "dropped", "marks", "marked")
+        }
+        recorded = "not recorded"
+        if self._recorded:
+            recorded = (
+                f"{head['recorded']} slots, {head['rows'] - head['recorded']} to come"
+            )
+            recorded += f", {head['dropped']} NOT" if head["dropped"] else ""
+            waiting = head["marks"] - head["marked"]
+            recorded += f"; {head['marked']} marks" + (
+                f", {waiting} to come" if waiting else ""
+            )
+        said = [("also", line) for line in ring.said().splitlines()]
+        return [("counted", f"{slots} slots, {rest}"), ("recorder", recorded), *said]
+
+    def _add_lines(self, said: dict[str, Any], asked: dict[str, str]) -> None:
+        t, count, low, high, flags = (list(c) for c in zip(*self._parts))
+        scaled = [
+            [1e6 * v if np.isfinite(v) else None for v in some] for some in (low, high)
+        ]
+        sources = said["sources"]
+        sources["line"] = {"t": t, "count": count, "low": scaled[0], "high": scaled[1]}
+        sources["doubts"] = flag_rows(t, flags)
+        since = t[-1] - _SPAN
+        marks = [(when, text) for when, text in self._marks if when >= since]
+        sources |= mark_columns(marks, since, t[-1])
+        names = sorted(set(sources["doubts"]["name"]))
+        said["names"] = [*names, "marks"] if marks else names or ["no flags"]
+        said["times"] = [since, t[-1]]
+        volts = self._scale * self._last["codes"].astype(float) + self._offset
+        sources["volts"] = {"electrode": list(range(len(volts))), "volts": volts.tolist()}
+        ring, end = self._ring, int(self._ring.head["rows"])
+        first = max(0, end - _SPECTRUM)
+        if end - first < 64:
+            return
+        codes = ring.rows["codes"][np.arange(first, end) % ring.length]
+        electrode = chosen_electrode(asked, ring.electrodes)
+        sources["spectrum"] = spectrum(
+            self._scale * codes[:, electrode].astype(float), self._rate
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("ring", type=Path)
+    parser.add_argument("told")
+    parser.add_argument("--recorded", action="store_true")
+    given = parser.parse_args()
+    quiet()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
+    beside()
+    if hasattr(os, "nice"):
+        os.nice(5)
+    ring, told = SlotRing(given.ring, writable=given.recorded), json.loads(given.told)
+    shape = ring.head["image"].shape
+    made = document(
+        told["size"], told["electrode_xy"], shape, "image, shares of its highest",
+        (-_SPAN, 0.0), "conductance, µS",
+    )  # fmt: skip
+    made |= {
+        "live": True, "marks": given.recorded, "electrodes": ring.electrodes,
+        "residuals": False, "span": [0, 1],
+    }  # fmt: skip
+    page = LivePage(ring, told, given.recorded)
+    pages = Pages(made, page.answer, page.mark if given.recorded else None)
+    tell = lambda url: print(f"page: {url}", file=sys.stderr, flush=True)  # noqa: E731
+    serve(pages, tell, until=lambda: ring.done, meanwhile=page.look)
+
+
+if __name__ == "__main__":
+    main()

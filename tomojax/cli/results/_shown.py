@@ -1,0 +1,238 @@
+"""What the page of a results file shows: a row, and the time line around it."""
+
+import json
+import math
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.cli.results._timeline import Timeline
+from tomojax.hardware.web import (
+    chosen_electrode,
+    contact_columns,
+    document,
+    ellipse_columns,
+    flag_lines,
+    flag_rows,
+    mark_columns,
+    numbers,
+    pixels,
+    spectrum,
+)
+from tomojax.recordings import open_recording, Recording
+from tomojax.results.loading import LoadedResults
+
+# Parts of a time line, and of one that flags are drawn at; rows of a trail; scans of a
+# spectrum.
+_MOST, _MOST_FLAGS, _TRAIL, _SPECTRUM = 1000, 400, 2000, 2048
+
+
+class ShownResults:
+    """Answers the page's questions about the results in a file.
+
+    `recording`: their recording, or None, where it is not at hand; `required`: whether one
+    that cannot be opened is an error.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        since: float | None,
+        until: float | None,
+        recording: Path | None,
+        required: bool = False,
+    ):
+        self._line = Timeline(path, since, until)
+        self._file = LoadedResults(path)
+        self.marks = _marks(self._file.attributes.get("marks"))
+        self._recording, self._heard = None, "recording: none at hand; --recording REC"
+        if recording is not None and required:
+            self._use(open_recording(recording))
+        elif recording is not None:
+            self._heard = f"{recording.name}: is being opened"
+            # An hour's times take a while to be read.
+            Thread(target=self._open, args=(recording,), daemon=True).start()
+        self._last: Any = None
+
+    def _open(self, path: Path) -> None:
+        try:
+            self._use(open_recording(path))
+        except ValueError as error:
+            self._heard = str(error)
+
+    def _use(self, recording: Recording) -> None:
+        count = len(self._file.electrode_xy())
+        found = f"{recording.electrodes} electrodes"
+        require(recording.electrodes == count, f"{recording.path}", found, f"{count}")
+        self._heard, self._recording = recording.path.name, recording
+
+    def document(self) -> dict[str, Any]:
+        """The page, before any data."""
+        file = self._file
+        xy = file.electrode_xy()
+        shape, label = None, ""
+        if "image" in file.names:
+            shape = file.stretch("image", 0, 1).shape[1:]
+            label = f"image, {file.unit('image').get('unit', '')}"
+        forces = self._line.name == "contact_force"
+        made = document(
+            file.size(), xy, shape, label, self._line.span,
+            "force, N" if forces else "conductance, µS",
+        )  # fmt: skip
+        return made | {
+            "live": False,
+            "marks": False,
+            "electrodes": len(xy),
+            "residuals": "residual_by_electrode" in file.names,
+            "span": list(self._line.span),
+        }
+
+    def answer(self, asked: dict[str, str]) -> dict[str, Any]:
+        """The row at the time `t`, and the time line from `from` to `to`."""
+        file, line = self._file, self._line
+        begin, end = line.span
+        row = line.strongest
+        if "t" in asked:
+            row = line.row(file, _time(asked["t"], begin, end))
+        since = _time(asked.get("from"), begin, end, begin)
+        until = _time(asked.get("to"), begin, end, end)
+        until = until if until > since else end
+        sources, told, t = self._row(row)
+        sources |= self._volts(row, t, asked, told)
+        sources |= self._time_line(since, until)
+        read = f"{100 * line.read:.0f} % of the rows are in the line"
+        if line.failed:
+            read += f"; then: {line.failed}"
+        return {
+            "sources": sources,
+            "told": told,
+            "flags": flag_lines(int(file.stretch("flags", row, row + 1)[0])),
+            "names": sources.pop("names"),
+            "title": f"{file.path.name}, {file.rows} rows",
+            "thinned": "" if line.read == 1 else read,
+            "t": t,
+        }
+
+    def _row(self, row: int) -> tuple[dict[str, Any], list[tuple[str, str]], float]:
+        file, names = self._file, self._file.names
+        one = {n: file.stretch(n, row, row + 1)[0] for n in names if n in _OF_A_ROW}
+        count, t = int(one["contact_count"]), float(file.stretch("t", row, row + 1)[0])
+        xy, g = one["contact_xy"][:count], one["contact_conductance"][:count]
+        tracks = one.get("contact_track")
+        called = None if tracks is None else tracks[:count]
+        sources: dict[str, Any] = {"contacts": contact_columns(xy, g, called)}
+        if "contact_covariance" in one:
+            spread = one["contact_covariance"][:count]
+            sources["ellipses"] = ellipse_columns(xy, spread)
+        first = max(self._line.first, row - _TRAIL)
+        step = max(1, (row + 1 - first) // 100)
+        trail = file.stretch("contact_xy", first, row + 1)[::step]
+        ages = np.repeat(np.linspace(0.05, 0.6, len(trail)), trail.shape[1])
+        places = 1e3 * trail.reshape(-1, 2).astype(float)
+        known = np.isfinite(places).all(1)
+        x, y = places[known].T.tolist()
+        sources["trails"] = {"x": x, "y": y, "age": ages[known].tolist()}
+        if "image" in names:
+            found = pixels(one["image"])
+            high = found["high"] = found.pop("top")
+            found["pixels"] = [value * high for value in found["pixels"]]
+            sources["image"] = found
+        if "residual_by_electrode" in names:
+            each = numbers(1e3 * one["residual_by_electrode"].astype(float))
+            sources["residuals"] = {"electrode": list(range(len(each))), "residual": each}
+        sources["now"] = {"t": [t]}
+        told = [
+            ("time", f"{t:.6g} s, row {row}"),
+            ("contacts", f"{count}"),
+            ("method", str(file.attributes.get("method", "unknown"))),
+        ]
+        if "residual" in one and np.isfinite(one["residual"]):
+            told.append(("residual", f"{1e3 * float(one['residual']):.3g} mV rms"))
+        if "contact_force" in one:
+            forces = one["contact_force"][:count]
+            told.append(("force", ", ".join(f"{f:.3g} N" for f in forces) or "–"))
+        return sources, told, t
+
+    def _volts(
+        self, row: int, t: float, asked: dict[str, str], told: list[tuple[str, str]]
+    ) -> dict[str, Any]:
+        """The row's voltages out of the recording, and a spectrum of those around it."""
+        recording = self._recording
+        if recording is None:
+            told.append(("voltages", self._heard))
+            return {}
+        slotwise = self._file.attributes.get("rate") == "slot"
+        scan, slot = divmod(row, recording.slots) if slotwise else (row, 0)
+        if scan >= recording.scans:
+            told.append(("voltages", f"{self._heard} ends before this row"))
+            return {}
+        first = max(0, min(scan - _SPECTRUM // 2, recording.scans - _SPECTRUM))
+        try:
+            some = recording.read(first, min(first + _SPECTRUM, recording.scans))
+        except ValueError as error:
+            told.append(("voltages", str(error)))
+            return {}
+        if abs(float(some.t0[scan - first]) - t) > recording.interval:
+            told.append(
+                ("voltages", f"{self._heard} is another recording: its times differ")
+            )
+            return {}
+        volts = numbers(some.voltages[scan - first, slot])
+        ground = int(some.grounds[scan - first, slot])
+        told.append(("voltages", f"{self._heard}, ground {ground}"))
+        electrode = chosen_electrode(asked, recording.electrodes)
+        series = np.nan_to_num(some.voltages[:, slot, electrode].astype(float))
+        found: dict[str, Any] = {
+            "volts": {"electrode": list(range(len(volts))), "volts": volts}
+        }
+        if len(series) >= 16:
+            found["spectrum"] = spectrum(series, 1 / recording.interval)
+        return found
+
+    def _time_line(self, since: float, until: float) -> dict[str, Any]:
+        line, scale = self._line, 1.0 if self._line.name == "contact_force" else 1e6
+        parts = line.parts(self._file, since, until, _MOST)
+        t = parts.t.tolist()
+        each = max(1, -(-len(t) // _MOST_FLAGS))
+        at = np.arange(0, len(t), each)
+        doubts = flag_rows(parts.t[at], np.bitwise_or.reduceat(parts.flags, at))
+        marks = [one for one in self.marks if since <= one[0] <= until]
+        names = sorted(set(doubts["name"]))
+        return {
+            "line": {
+                "t": t,
+                "count": parts.contacts.tolist(),
+                "low": numbers(scale * parts.low.astype(float)),
+                "high": numbers(scale * parts.high.astype(float)),
+            },
+            "doubts": doubts,
+            **mark_columns(marks, since, until),
+            "names": [*names, "marks"] if marks else names or ["no flags"],
+        }
+
+
+_OF_A_ROW = (
+    "contact_count", "contact_xy", "contact_conductance", "contact_covariance",
+    "contact_force", "contact_track", "residual", "residual_by_electrode", "image",
+)  # fmt: skip
+
+
+def _time(text: str | None, low: float, high: float, default: float = 0.0) -> float:
+    """A time that the page asks for, inside the file."""
+    try:
+        number = default if text is None else float(text)
+    except ValueError:
+        number = default
+    return min(max(number, low), high) if math.isfinite(number) else low
+
+
+def _marks(told: Any) -> list[tuple[float, str]]:
+    """Marks out of a file's attribute; none where it says something else."""
+    try:
+        some = [(float(t), str(text)[:80]) for t, text in json.loads(told)]
+    except (TypeError, ValueError, RecursionError):
+        return []
+    return [(t, text or "marked") for t, text in some if math.isfinite(t)][:1000]

@@ -1,0 +1,146 @@
+"""Results over time in few numbers, of files of any length: at first thinly, then whole."""
+
+import time
+from pathlib import Path
+from threading import Thread
+from typing import NamedTuple
+
+import numpy as np
+
+from tomojax._require import require
+from tomojax.results.loading import LoadedResults
+
+# Parts of the whole file that are kept; places that are looked at before the first
+# picture, and rows at each; rows that are read exactly; and in one piece.
+_PARTS, _PLACES, _FEW, _EXACT, _PIECE = 16384, 256, 8, 200_000, 1 << 19
+
+
+class Parts(NamedTuple):
+    """Stretches of rows: the time of their first, s, and what is in each."""
+
+    t: np.ndarray
+    contacts: np.ndarray  # the most
+    low: np.ndarray  # of the sum over the contacts, in the unit of what is summed
+    high: np.ndarray
+    flags: np.ndarray  # all that any of its rows has
+
+
+class Timeline:
+    """Rows `first` to `last` of a results file; a thread of its own reads all of them.
+
+    `name`: the dataset whose values are summed over the contacts.
+    """
+
+    def __init__(self, path: Path, since: float | None, until: float | None):
+        self.path = path
+        with LoadedResults(path) as file:
+            names = file.names
+            for needed in ("contact_count", "contact_conductance", "flags"):
+                require(needed in names, f"{path}: {needed}", "none", "this dataset")
+            forces = "contact_force" in names
+            self.name = "contact_force" if forces else "contact_conductance"
+            self._begin = float(file.stretch("t", 0, 1)[0])
+            end = float(file.stretch("t", file.rows - 1, file.rows)[0])
+            self._places = np.linspace(0, file.rows - 1, _PLACES).astype(int)
+            self._at = np.array([file.stretch("t", r, r + 1)[0] for r in self._places])
+            held = f"a stretch of the file, which holds 0 to {end - self._begin:.6g} s"
+            self.first, self.last = 0, file.rows
+            if since is not None:
+                self.first = self._edge(file, self._begin + since)
+                inside = since >= 0 and self.first < file.rows
+                require(inside, "from", f"{since:g} s", held)
+            if until is not None:
+                self.last = self._edge(file, self._begin + until)
+                require(self.last > self.first, "to", f"{until:g} s", held)
+            count = min(_PARTS, self.last - self.first)
+            steps = np.arange(count + 1) * (self.last - self.first) // count
+            self._edges = self.first + steps
+            self._thin(file)
+            ends = self.first, self.last - 1
+            begin, end = (float(file.stretch("t", r, r + 1)[0]) for r in ends)
+            self.span = begin, end
+        self._left, self.failed = count, ""
+        Thread(target=self._refine, daemon=True).start()
+
+    @property
+    def read(self) -> float:
+        """How much of the file is in the parts, 0 to 1."""
+        return 1 - self._left / max(1, len(self._parts.t))
+
+    def _edge(self, file: LoadedResults, t: float) -> int:
+        """The first row that is not before `t`."""
+        k = int(np.searchsorted(self._at, t))
+        if k == 0:
+            return 0
+        low = int(self._places[k - 1])
+        high = int(self._places[k]) + 1 if k < len(self._places) else file.rows
+        return low + int(np.searchsorted(file.stretch("t", low, high), t, "left"))
+
+    def row(self, file: LoadedResults, t: float) -> int:
+        """The last row that is not after `t`."""
+        after = self._edge(file, np.nextafter(t, np.inf)) - 1
+        return int(np.clip(after, self.first, self.last - 1))
+
+    def _taken(
+        self, file: LoadedResults, start: int, stop: int, edges: np.ndarray
+    ) -> Parts:
+        """Parts from each of `edges` (rows, the first is `start`) to the next."""
+        t, count, each, flags = (
+            file.stretch(name, start, stop)
+            for name in ("t", "contact_count", self.name, "flags")
+        )
+        there = np.arange(each.shape[1]) < count[:, None]
+        total = np.where(there & np.isfinite(each), each, 0).sum(1)
+        at = edges - start
+        return Parts(
+            t[at],
+            np.maximum.reduceat(count, at),
+            np.minimum.reduceat(total, at),
+            np.maximum.reduceat(total, at),
+            np.bitwise_or.reduceat(flags.astype(np.uint32), at),
+        )
+
+    def _thin(self, file: LoadedResults) -> None:
+        """Some rows here and there stand for all the parts around them."""
+        count = len(self._edges) - 1
+        starts = np.unique(np.linspace(0, count - 1, min(count, _PLACES)).astype(int))
+        some = []
+        for k in starts:
+            row = int(self._edges[k])
+            stop = min(row + _FEW, self.last)
+            some.append(self._taken(file, row, stop, np.array([row])))
+        looked = Parts(*(np.concatenate(c) for c in zip(*some)))
+        nearest = np.searchsorted(starts, np.arange(count), "right") - 1
+        self.strongest = int(self._edges[starts[int(np.argmax(looked.high))]])
+        self._parts = Parts(*(column[nearest].copy() for column in looked))
+        self._parts.t[:] = np.interp(np.arange(count), starts, looked.t)
+
+    def _refine(self) -> None:
+        """Reads the rest, a piece at a time; in memory are the parts alone."""
+        try:
+            with LoadedResults(self.path) as file:
+                each = max(1, _PIECE * len(self._parts.t) // (self.last - self.first))
+                for k in range(0, len(self._parts.t), each):
+                    edges = self._edges[k : k + each + 1]
+                    start, stop = int(edges[0]), int(edges[-1])
+                    found = self._taken(file, start, stop, edges[:-1])
+                    for mine, new in zip(self._parts, found):
+                        mine[k : k + len(new)] = new
+                    self._left -= len(edges) - 1
+                    time.sleep(0.002)  # the page has a word in between
+        except (OSError, ValueError) as error:
+            self.failed = str(error)
+
+    def parts(self, file: LoadedResults, since: float, until: float, most: int) -> Parts:
+        """Up to `most` parts between two times."""
+        start, stop = self.row(file, since), self.row(file, until) + 1
+        if stop - start <= _EXACT:
+            count = min(most, stop - start)
+            edges = start + np.arange(count) * (stop - start) // count
+            return self._taken(file, start, stop, edges)
+        first, last = np.searchsorted(self._edges, (start, stop - 1), "right") - 1
+        count = min(most, last + 1 - first)
+        at = np.arange(count) * (last + 1 - first) // count
+        t, *rest = (column[first : last + 1] for column in self._parts)
+        ways = np.maximum, np.minimum, np.maximum, np.bitwise_or
+        return Parts(t[at], *(way.reduceat(column, at) for way, column in zip(ways, rest)))

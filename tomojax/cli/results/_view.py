@@ -1,0 +1,59 @@
+"""`tomojax view`."""
+
+import math
+import time
+import webbrowser
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+from tomojax.cli.entry import AMOUNT, Command, InputFile, interrupts, stretch_options
+
+
+@click.command(cls=Command)
+@click.argument("results", type=InputFile())
+@click.option(
+    "--recording",
+    "rec",
+    type=InputFile(),
+    help="Show voltages of this recording. [default: the results' own, beside them]",
+)
+@stretch_options
+@click.option("--open", "opened", is_flag=True, help="Open the page in the browser.")
+@click.option("--seconds", type=AMOUNT, help="[default: until Ctrl-C]")
+def view(
+    results: Path,
+    rec: Path | None,
+    since: float | None,
+    until: float | None,
+    opened: bool,
+    seconds: float | None,
+) -> None:
+    """Show RESULTS in a page of the browser, on this machine alone.
+
+    The printed address has a secret: whoever has it sees the page while this runs.
+    """
+    if find_spec("bokeh") is None:
+        raise ValueError("bokeh is not installed; pip install 'tomojax[web]' brings it")
+    from tomojax.cli.results._shown import ShownResults
+    from tomojax.hardware.web import Pages, quiet, serve
+    from tomojax.results.loading import attributes
+
+    asked = rec is not None
+    if not asked:
+        told = str(attributes(results).get("recording", ""))
+        beside = results.with_name(Path(told).name or "none")
+        rec = beside if beside.is_file() and told == beside.name else None
+    shown = ShownResults(results, since, until, rec, asked)
+    quiet()
+    end = math.inf if seconds is None else time.monotonic() + seconds
+
+    def tell(url: str) -> None:
+        print(f"page: {url}", flush=True)
+        if opened:
+            webbrowser.open(url)
+
+    with interrupts(own_end=True) as stop:
+        over = lambda: stop.is_set() or time.monotonic() > end  # noqa: E731
+        serve(Pages(shown.document(), shown.answer), tell, until=over)
