@@ -1,4 +1,4 @@
-"""The firmware in C: its vectors, beside Python's frames, and an example board on a line."""
+"""The firmware in C: its vectors, beside Python's frames, an example board on a line."""
 
 import os
 import subprocess
@@ -126,8 +126,10 @@ def test_example_board_is_recorded(board, tmp_path):
     for ground, codes, _ in first + found:
         np.testing.assert_array_equal(codes, 100 * ground + np.arange(64) - 9000)
     assert source.counters.bad == source.counters.late == source.counters.jumps == 0
-    assert told[-1].number + 1 == source.counters.slots + source.counters.lost == (
-        len(told) + sum(got.lost for got in told)
+    assert (
+        told[-1].number + 1
+        == source.counters.slots + source.counters.lost
+        == (len(told) + sum(got.lost for got in told))
     )
     after = {5: 63, 63: 7, 7: 5}
     pairs = [(a[0], b[0]) for a, b in zip(found, found[1:]) if not b[2].lost and a[0]]
