@@ -53,6 +53,8 @@ def abandoned(path: Path) -> bool:
 
 def sweep(folder: Path, pattern: str) -> None:
     """Removes what nobody owns any more, of one's own."""
+    if fcntl is None:
+        return
     for path in folder.glob(pattern):
         with suppress(OSError):
             if path.stat().st_uid != os.getuid() or not abandoned(path):

@@ -39,7 +39,7 @@ def real_time(priority: int = 50):
             first = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, first, os.sched_param(priority))
             done.append("SCHED_FIFO")
-        except PermissionError:
+        except (PermissionError, AttributeError):  # not allowed, or not this system's
             fifo = None
     try:
         yield done
@@ -67,7 +67,9 @@ def _quietest(cores: set[int]) -> int:
     return min(cores, key=lambda core: (often[core], -core))
 
 
-def beside() -> None:
-    """For a process that such a one has started: any core."""
+def beside(nice: int = 0) -> None:
+    """For a process that such a one has started: any core, and `nice` behind others."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(nice)

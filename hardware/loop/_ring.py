@@ -7,6 +7,7 @@ slots and is told how many: whoever is late loses, and nobody else is kept waiti
 import os
 import tempfile
 import weakref
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -195,4 +196,5 @@ class SlotRing:
 
     def remove(self) -> None:
         """Takes the file away; those who have it open keep it until they end."""
-        self.path.unlink(missing_ok=True)
+        with suppress(PermissionError):  # Windows keeps a file that is open
+            self.path.unlink(missing_ok=True)

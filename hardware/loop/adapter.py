@@ -7,7 +7,6 @@ second. What was followed is logged beside the recording, once a minute.
 
 import argparse
 import json
-import os
 import signal
 import sys
 import time
@@ -95,8 +94,7 @@ def main() -> None:
         parser.add_argument(name)
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
-    os.nice(_NICE)
+    beside(_NICE)
     out = Path(given.out) if given.out else None
     ring = SlotRing(given.ring)
     try:

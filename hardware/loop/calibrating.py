@@ -124,8 +124,7 @@ def main() -> None:
         parser.add_argument(name)
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop's
-    beside()
-    os.nice(_NICE)
+    beside(_NICE)
     watch(SlotRing(given.ring), json.loads(given.told), Path(given.path))
     # A calibration that is still at work is for nothing now.
     os._exit(0)

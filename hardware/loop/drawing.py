@@ -5,7 +5,6 @@ The loop waits for nothing. An image is of the latest slot of each of a few grou
 
 import argparse
 import json
-import os
 import signal
 import sys
 import time
@@ -65,8 +64,7 @@ def main() -> None:
         parser.add_argument(name)
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
-    os.nice(_NICE)
+    beside(_NICE)
     try:
         count = draw(SlotRing(given.ring), json.loads(given.told), given.calibration)
     except (OSError, ValueError) as error:

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,7 @@ class File:
         # It gets its name with its first rows: no file of that name is without.
         self.path, self._new = path, path.with_name(path.name + ".new")
         self.rows = self._lost = 0
+        self._named = False
         # What is measured is its owner's alone.
         os.close(os.open(self._new, os.O_CREAT | os.O_WRONLY, 0o600))
         self._file = h5py.File(self._new, "w", libver="latest")
@@ -103,8 +105,11 @@ class File:
         shapes = {"codes": (n, 1, -1), "ground": (n, 1), "time": (n,)}
         for name, dataset in self._fields.items():
             self._grow(dataset, rows[name].reshape(shapes[name]))
-        if not self.rows:
-            self._new.rename(self.path)
+        if not self._named:
+            # Windows renames no open file: there it is PATH.new until its end.
+            with suppress(PermissionError):
+                self._new.rename(self.path)
+                self._named = True
         self.rows += n
 
     def mark(self, marks: list[tuple[float, bytes]]) -> None:
@@ -122,6 +127,9 @@ class File:
 
     def close(self) -> None:
         self._file.close()
+        if self.rows and not self._named:
+            self._new.rename(self.path)
+            self._named = True
 
 
 def free_path(path: Path) -> Path:

@@ -74,9 +74,10 @@ def _sound(message: bytes) -> bool:
 
 def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
     """A rig's message, or None for what is none, for a rig of so many `electrodes`."""
-    if len(message) == slot_size(electrodes):
-        kind, ground, zero, sequence, time = _HEAD.unpack_from(message)
-        fits = kind == SLOT and ground < electrodes and not zero
+    # By its kind: of ten electrodes a slot is as long as a description.
+    if message[:1] == bytes((SLOT,)) and len(message) == slot_size(electrodes):
+        _, ground, zero, sequence, time = _HEAD.unpack_from(message)
+        fits = ground < electrodes and not zero
         if not (fits and _sound(message)):
             return None
         codes = np.frombuffer(message, "<i2", electrodes, _HEAD.size)
@@ -102,8 +103,8 @@ def unpack_command(message: bytes, electrodes: int) -> tuple[int, tuple[int, ...
 
 
 def check_grounds(grounds: Sequence[int], electrodes: int) -> tuple[int, ...]:
-    """As a tuple. **Raises:** `ValueError` unless 1 to M electrode numbers."""
-    wanted = tuple(int(g) for g in grounds)
-    fits = 1 <= len(wanted) <= electrodes and all(0 <= g < electrodes for g in wanted)
-    require(fits, "grounds", wanted, f"1 to {electrodes} of 0 to {electrodes - 1}")
+    """As a tuple. **Raises:** `ValueError` unless 1 to M electrode numbers, at most 255."""
+    wanted, most = tuple(int(g) for g in grounds), min(electrodes, 255)  # a byte counts
+    fits = 1 <= len(wanted) <= most and all(0 <= g < electrodes for g in wanted)
+    require(fits, "grounds", wanted, f"1 to {most} of 0 to {electrodes - 1}")
     return wanted

@@ -2,6 +2,7 @@
 
 import os
 import select
+import sys
 import time
 
 from tomojax.hardware.sources._frames import slot_size
@@ -52,7 +53,8 @@ class SerialLink(Link):
         self._line = serial.Serial(self._port, self._baud, timeout=0, write_timeout=0.1)
         self._frames = Frames(self._longest)
         self._poll = None
-        if hasattr(select, "poll"):
+        # Of a line, macOS' poll tells nothing.
+        if hasattr(select, "poll") and sys.platform != "darwin":
             self._poll = select.poll()
             self._poll.register(self._line.fileno(), select.POLLIN)
         self.send(b"")  # an end: whatever half a message the rig has from before

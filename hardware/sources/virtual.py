@@ -41,6 +41,8 @@ class Pty:
     """The rig's end of a pseudo-terminal; the other has a name that stays."""
 
     def __init__(self, name: Path):
+        if not hasattr(os, "openpty"):
+            raise SystemExit("--link pty: this system has no pseudo-terminals; take udp")
         import tty
 
         from cobs import cobs

@@ -1,6 +1,7 @@
 """Starts virtual rigs, and makes scenes for them."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -45,7 +46,10 @@ class VirtualRig:
 
     def stop(self) -> None:
         if self._process.poll() is None:
-            self._process.send_signal(2)
+            if os.name == "nt":  # no Ctrl-C for a process alone: what it sent is not told
+                self._process.terminate()
+            else:
+                self._process.send_signal(2)
         told, _ = self._process.communicate(timeout=10)
         if told:
             self.slots = json.loads(told.splitlines()[-1])["slots"]

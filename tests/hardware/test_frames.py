@@ -148,3 +148,26 @@ def test_memory_is_not_taken_by_what_has_no_end():
 def test_grounds_that_there_are_not(wrong):
     with pytest.raises(ValueError, match="grounds"):
         frames.check_grounds(wrong, 64)
+
+
+def test_description_as_long_as_a_slot():
+    """Of ten electrodes: each is told by its kind."""
+    told = frames.Description(10, 1, 2, 1e4, 1e-4, 0.0)
+    assert frames.unpack(frames.pack_description(told), 10) == told
+    slot = frames.unpack(frames.pack_slot(9, 5, 6, np.arange(10, dtype="i2")), 10)
+    assert isinstance(slot, frames.Slot) and slot.ground == 9
+
+
+def test_more_grounds_than_a_byte_counts():
+    """Of 256 electrodes: refused by name, where the packer failed on the byte."""
+    assert len(frames.check_grounds(range(255), 256)) == 255
+    with pytest.raises(ValueError, match="grounds: got .*1 to 255"):
+        frames.check_grounds(range(256), 256)
+
+
+def test_nothing_between_two_zeros():
+    """Is no message, and not counted; what cannot be decoded is."""
+    sound = frames.pack_command(frames.START)
+    line = Frames(frames.slot_size(64))
+    assert line(b"\0\0" + cobs.encode(sound) + b"\0\0\0") == [sound]
+    assert line(b"\1\0\5\1\0") == [b"", b""]

@@ -146,6 +146,8 @@ def session(
     given = {n: options[n] for n in names if options[n] is not None}
     if out is not None and out.exists():
         raise ValueError(f"{out}: is there; give another name")
+    # What is not installed is told before anything is compiled.
+    _viewer(options["view"], options["rrd"], "")
     with ExitStack() as stack:
         rig = None
         if options["like"]:

@@ -282,8 +282,9 @@ class _Readers:
         self._owner = 0
 
     def connect(self, asked: dict[str, Any]) -> Connection | None:
-        """A connection to a new fork; None where the system cannot fork."""
-        if not hasattr(os, "fork") or not sys.executable:
+        """A connection to a new fork; None where the system has no such thing."""
+        # Others have no such sockets (macOS), no limit of memory, or no fork (Windows).
+        if sys.platform != "linux" or not hasattr(os, "fork") or not sys.executable:
             return None
         ours, theirs = Pipe()
         with self._lock:

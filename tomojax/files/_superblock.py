@@ -98,8 +98,9 @@ class Growing(io.RawIOBase):
             some = self._start[self._at : self._at + len(view)]
             view[: len(some)] = some
             done = len(some)
+        self._file.seek(self._at + done)
         while done < len(view):
-            count = os.preadv(self._file.fileno(), [view[done:]], self._at + done)
+            count = self._file.readinto(view[done:])
             if not count:
                 raise OSError("the file ends before its data")
             done += count

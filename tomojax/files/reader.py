@@ -7,7 +7,6 @@ time for each request, and can open nothing else once the file is open.
 
 import json
 import os
-import resource
 import signal
 import socket
 from multiprocessing.connection import Connection
@@ -52,6 +51,8 @@ def main() -> None:
 
 def serve(connection: Connection, asked: dict[str, Any]) -> None:
     """Answers requests on one file until the other side has gone."""
+    import resource  # Windows has none, nor this process
+
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     whole = asked["kind"] == "mcap"
@@ -90,6 +91,8 @@ def _limit_time(part: int = 1) -> None:
 
 def _open_nothing_else() -> None:
     """From here on no file, socket or library can be opened: a number is free for none."""
+    import resource
+
     free = os.dup(0)
     os.close(free)
     resource.setrlimit(resource.RLIMIT_NOFILE, (free, free))

@@ -14,6 +14,7 @@ import contextlib
 import json
 import os
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -191,8 +192,9 @@ class RowWriter:
 
     def __init__(self, partial: Path, done: Path):
         self._place = places(partial)
-        self._data = os.open(partial, os.O_WRONLY)
-        self._marks = os.open(done, os.O_WRONLY)
+        # Without buffers; bytes as they are, where Windows' `os.open` changes line ends.
+        self._data = open(partial, "r+b", buffering=0)
+        self._marks = open(done, "r+b", buffering=0)
         self._unmarked: list[int] = []
 
     def write(
@@ -218,15 +220,15 @@ class RowWriter:
 
     def mark(self) -> None:
         """What is written so far is done."""
-        os.fsync(self._data)
+        os.fsync(self._data.fileno())
         for chunk in self._unmarked:
-            os.pwrite(self._marks, b"\x01", chunk)
-        os.fsync(self._marks)
+            _write_some(self._marks, b"\x01", chunk)
+        os.fsync(self._marks.fileno())
         self._unmarked.clear()
 
     def close(self) -> None:
-        os.close(self._data)
-        os.close(self._marks)
+        self._data.close()
+        self._marks.close()
 
 
 def is_results(path: Path) -> bool:
@@ -276,11 +278,18 @@ def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -
     h5py.h5d.create(file.id, name.encode(), kind_id, space, plist)
 
 
-def _write_all(file: int, values: np.ndarray, offset: int) -> None:
+def _write_all(file: FileIO, values: np.ndarray, offset: int) -> None:
     left = memoryview(values).cast("B")
     while left:
-        count = os.pwrite(file, left[: 1 << 26], offset)
+        count = _write_some(file, left[: 1 << 26], offset)
         left, offset = left[count:], offset + count
+
+
+def _write_some(file: FileIO, values: memoryview | bytes, offset: int) -> int:
+    if hasattr(os, "pwrite"):
+        return os.pwrite(file.fileno(), values, offset)
+    file.seek(offset)  # Windows: one writer has this file
+    return file.write(values)
 
 
 def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:

@@ -8,7 +8,6 @@ process's memory is the job's own, and what a crash takes with it is one job.
 
 import json
 import os
-import resource
 import sys
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,8 @@ def peak_mb() -> float:
     """The process's own peak: on Linux getrusage may carry the parent's over."""
     status = Path("/proc/self/status")
     if not status.exists():
+        import resource  # not on Windows
+
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
