@@ -37,11 +37,11 @@ class FoxgloveSink:
             port=where.address[1],
             context=self._context,
         )
-        made = {"context": self._context}
-        self._scene = channels.SceneUpdateChannel("/tomojax/contacts", **made)
-        self._image = channels.RawImageChannel("/tomojax/image", **made)
+        own = self._context
+        self._scene = channels.SceneUpdateChannel("/tomojax/contacts", context=own)
+        self._image = channels.RawImageChannel("/tomojax/image", context=own)
         self._state, self._events = (
-            foxglove.Channel(f"/tomojax/{name}", message_encoding="json", **made)
+            foxglove.Channel(f"/tomojax/{name}", message_encoding="json", context=own)
             for name in ("state", "events")
         )
 

@@ -24,7 +24,7 @@ class LslSink:
             names |= {f"contact{k + 1}_{n}": unit for n, unit in _OF_CONTACT.items()}
         self._contacts = contacts
         info = pylsl.StreamInfo(
-            where.path, "Tactile", len(names), pylsl.IRREGULAR_RATE, "double64"
+            where.path, "Tactile", len(names), pylsl.IRREGULAR_RATE, pylsl.cf_double64
         )
         channels: Any = info.desc().append_child("channels")
         for name, unit in names.items():
@@ -34,7 +34,7 @@ class LslSink:
         self._rows = pylsl.StreamOutlet(info)
         self._events = pylsl.StreamOutlet(
             pylsl.StreamInfo(
-                f"{where.path}-events", "Markers", 1, pylsl.IRREGULAR_RATE, "string"
+                f"{where.path}-events", "Markers", 1, pylsl.IRREGULAR_RATE, pylsl.cf_string
             )
         )
 

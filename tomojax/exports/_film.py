@@ -51,28 +51,29 @@ def write(
     picture = _Picture(source, overview(source), rows, int(_TRAIL * rate))
     with whole(out) as part:
         keep = _gif if gif else _mp4
-        with keep(part, rate, picture.shape, len(rows)) as put:
+        with keep(part, rate, picture.shape) as put:
             for number, row in enumerate(rows.tolist()):
                 put(picture.draw(number, row))
                 progress(number + 1, len(rows))
 
 
 @contextmanager
-def _mp4(path: Path, rate: int, shape: tuple[int, int], count: int) -> Iterator[Any]:
+def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
     """Pictures into ffmpeg, by the codec that it has for MP4."""
     height, width = shape
     command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
     command += ["-s", f"{width}x{height}", "-r", str(rate), "-i", "-", "-an"]
     command += ["-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
-    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes) as process:
-        assert process.stdin is not None and process.stderr is not None
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stderr=pipe) as process:
+        to, back = process.stdin, process.stderr
+        assert to is not None and back is not None
         try:
-            yield lambda pixels: process.stdin.write(pixels.tobytes())
-            process.stdin.close()
-            said = process.stderr.read().decode(errors="replace")
+            yield lambda pixels: to.write(pixels.tobytes())
+            to.close()
+            said = back.read().decode(errors="replace")
         except BrokenPipeError:
-            said = process.stderr.read().decode(errors="replace") or "it ended early"
+            said = back.read().decode(errors="replace") or "it ended early"
         except BaseException:
             process.kill()
             raise
@@ -81,7 +82,7 @@ def _mp4(path: Path, rate: int, shape: tuple[int, int], count: int) -> Iterator[
 
 
 @contextmanager
-def _gif(path: Path, rate: int, shape: tuple[int, int], count: int) -> Iterator[Any]:
+def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
     """Pictures as a GIF; all have the colours of the first ones."""
     from PIL import Image
 

@@ -4,7 +4,7 @@ import csv
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ class Recordings(click.Path):
         super().__init__(exists=False, path_type=Path)
 
 
-def found_in(given: tuple[Path, ...]) -> list[Path]:
+def found_in(given: Sequence[Path]) -> list[Path]:
     """The recordings that were named, and those in folders that were."""
     found: list[Path] = []
     for path in given:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option("--process", type=int, help="Which of them this is, from 0.")
 @layout_option
 @stretch_options
-def reconstruct(rec: tuple[Path, ...], out: Path | None, **options: Any) -> None:
+def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     """Contacts and images of every scan or slot of the recording REC.
 
     Of several, or of a folder, each gets its results in the folder OUT, and all a line in
@@ -123,29 +124,30 @@ def reconstruct(rec: tuple[Path, ...], out: Path | None, **options: Any) -> None
     _one(rec[0], out, settings, options)
 
 
-def _several(rec: tuple[Path, ...]) -> bool:
+def _several(rec: Sequence[Path]) -> bool:
     return len(rec) > 1 or rec[0].is_dir()
 
 
 def _settings(options: dict[str, Any]) -> Any:
     from tomojax.results import check_outlines, default_method, Settings
 
-    given = [options[n] for n in ("coordinator", "processes", "process")]
+    shared = [options[n] for n in ("coordinator", "processes", "process")]
     follows = options["method"] == "follow"
-    if follows and any(value is not None for value in given):
+    if follows and any(value is not None for value in shared):
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
-    if options["adapt"] and any(value is not None for value in given):
+    if options["adapt"] and any(value is not None for value in shared):
         raise ValueError("--coordinator: --adapt goes in order; use one process")
     images = options["images"]
     rate = options["rate"] or ("slot" if follows else "scan")
     names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
+    given = {name: options[name] for name in names}
     files = ("calibration", "policy")
+    given |= {name: str(options[name]) if options[name] else None for name in files}
     settings = Settings(
         method=options["method"] or default_method(rate),
         rate=rate,
         images=rate == "scan" if images is None else images,
-        **{name: options[name] for name in names},
-        **{name: str(options[name]) if options[name] else None for name in files},
+        **given,
     )
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
@@ -212,9 +214,7 @@ def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
         print(f"picture: {options['picture']}")
 
 
-def _all(
-    given: tuple[Path, ...], out: Path, settings: Any, options: dict[str, Any]
-) -> None:
+def _all(given: Sequence[Path], out: Path, settings: Any, options: dict[str, Any]) -> None:
     """Each with the same settings: programs are compiled for the first of each rig."""
     from tomojax.cli.recordings import _many
     from tomojax.results import reconstruct_recording
@@ -261,7 +261,7 @@ def _all(
         raise SystemExit(2)
 
 
-def _results_of(rec: tuple[Path, ...]) -> Path | None:
+def _results_of(rec: Sequence[Path]) -> Path | None:
     return None if _several(rec) else rec[0].with_name(rec[0].stem + ".results.h5")
 
 

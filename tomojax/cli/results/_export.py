@@ -1,7 +1,7 @@
 """`tomojax export`."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     help="As --to film -o FILM.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
-def export(results: tuple[Path, ...], to: dict, **options: Any) -> None:
+def export(results: Sequence[Path], to: dict, **options: Any) -> None:
     """Write RESULTS of `reconstruct` or `track` for other tools.
 
     csv and parquet have a row for each row of RESULTS, and a file of events beside them:
@@ -82,7 +82,8 @@ def export(results: tuple[Path, ...], to: dict, **options: Any) -> None:
     """
     from tomojax.exports import check_kind, export, KINDS
 
-    out, kind = options["out"], to["kind"]
+    out: Path | None = options["out"]
+    kind: Any = to["kind"]
     if options["film"]:
         require(kind in (None, "film") and out is None, "--film", "--to or -o too", "one")
         out, kind = options["film"], "film"
@@ -94,7 +95,7 @@ def export(results: tuple[Path, ...], to: dict, **options: Any) -> None:
     together = kind == "lerobot"
     work = {r: _place(r, out, kind, len(results) > 1 and not together) for r in results}
     if together:
-        work = {results: work[results[0]]}
+        work = {tuple(results): work[results[0]]}
     _check(results, list(work.values()), kind, options["overwrite"])
     given = {n: options[n] for n in ("since", "rate", "task", "slow")}
     wrong = 0
