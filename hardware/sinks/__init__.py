@@ -11,4 +11,9 @@ from tomojax.hardware.sinks._rows import (
     LiveRow as LiveRow,
     Sink as Sink,
 )
-from tomojax.hardware.sinks._where import check as check, parse as parse, Where as Where
+from tomojax.hardware.sinks._where import (
+    check as check,
+    check_all as check_all,
+    parse as parse,
+    Where as Where,
+)

@@ -1,10 +1,14 @@
 """Lab Streaming Layer: contacts as numbers, events as markers, on the network's clock."""
 
+import time
 from typing import Any
 
 from tomojax.events import Event
 from tomojax.hardware.sinks._rows import LiveRow
 from tomojax.hardware.sinks._where import Where
+
+# Seconds that samples are on their way at most.
+_UNDER_WAY = 1.0
 
 _OF_CONTACT = {"number": "1", "x": "m", "y": "m", "conductance": "S", "force": "N"}
 
@@ -50,4 +54,7 @@ class LslSink:
         self._events.push_sample([f"{event.kind} {event.contact} {x:.6g} {y:.6g}"])
 
     def close(self) -> None:
+        # What is under way is lost with the outlet, and nothing tells when it is there.
+        if self._rows.have_consumers() or self._events.have_consumers():
+            time.sleep(_UNDER_WAY)
         del self._rows, self._events

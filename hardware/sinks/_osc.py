@@ -19,15 +19,20 @@ class OscSink:
 
         self._client = UDPClient(*where.address, allow_broadcast=True)
 
-    def put(self, row: LiveRow) -> None:
+    def put(self, row: LiveRow) -> bool:
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 
         bundle = OscBundleBuilder(IMMEDIATELY)  # pyright: ignore (the library's own value)
         bundle.add_content(_message("count", [len(row.contacts)]))
         for one in row.contacts:
             bundle.add_content(_message("contact", list(one)))
-        with suppress(OSError):
+        try:
             self._client.send(bundle.build())
+        except ConnectionError:  # nobody listens
+            return True
+        except OSError:
+            return False
+        return True
 
     def event(self, event: Event, row: LiveRow | None) -> None:
         told = [event.contact, *event.xy, event.conductance, event.force]

@@ -40,8 +40,8 @@ class Sink(Protocol):
     A sink of your own has these three methods; `follow` drives it.
     """
 
-    def put(self, row: LiveRow) -> None:
-        """Takes a row."""
+    def put(self, row: LiveRow) -> bool | None:
+        """Takes a row; False where it did not go out."""
         ...
 
     def event(self, event: Event, row: LiveRow | None) -> None:
@@ -69,10 +69,10 @@ class Force(NamedTuple):
 
 
 class Counted(NamedTuple):
-    """Rows that a sink was given, that it was too slow for, and that its rate left out."""
+    """Rows that went out, that the sink lost, and that its rate left out."""
 
     sent: int
-    lost: int
+    lost: int  # it was too slow for them, or they did not go out
     thinned: int
 
 
@@ -83,15 +83,16 @@ def follow(
     rate: float = math.inf,
     force: Callable[[float], float] = lambda conductance: math.nan,
 ) -> Counted:
-    """Gives a sink what the loop says, until the ring is done.
+    """Gives a sink what the loop says and has said, until the ring is done.
 
+    **Raises:** `OSError` where the sink cannot go on; it tells how many rows went out.
     **Arguments:** `told`: attributes of the rig, as a recording has them; `rate`: rows a
     second at most (events are all told); `force` N of a conductance, S.
     """
     size, m = np.asarray(told["size"], float), len(told["electrode_xy"])
     pitch = math.sqrt(float(np.prod(size)) / m)
     finder = EventFinder.of_rows(pitch, 1 / float(told["f_switch"]))
-    at, done = int(ring.head["rows"]), False
+    at, done = 0, False
     sent = lost = thinned = 0
     due = -math.inf
     while not done:
@@ -106,8 +107,8 @@ def follow(
                 if row.t >= due:
                     # In step with the rate, unless rows are slower than that.
                     due = max(due + 1 / rate, row.t)
-                    sink.put(row)
-                    sent += 1
+                    gone_out = sink.put(row) is not False
+                    sent, lost = sent + gone_out, lost + (not gone_out)
                 else:
                     thinned += 1
             if len(rows) < _MOST:

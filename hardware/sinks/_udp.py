@@ -27,8 +27,8 @@ class UdpSink:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._sequence = 0
 
-    def put(self, row: LiveRow) -> None:
-        self._send("row", row.slot, row.t, row.flags, row.contacts)
+    def put(self, row: LiveRow) -> bool:
+        return self._send("row", row.slot, row.t, row.flags, row.contacts)
 
     def event(self, event: Event, row: LiveRow | None) -> None:
         one = LiveContact(event.contact, *event.xy, event.conductance, event.force)
@@ -37,13 +37,17 @@ class UdpSink:
 
     def _send(
         self, kind: str, slot: int, t: float, flags: int, contacts: list[LiveContact]
-    ) -> None:
+    ) -> bool:
         number = self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         told = MAGIC, VERSION, KINDS[kind], number, slot, t, flags, len(contacts)
         data = HEAD.pack(*told) + b"".join(CONTACT.pack(*one) for one in contacts)
-        # A full buffer, or nobody there: the sequence number tells of it.
-        with suppress(OSError):
+        try:
             self._socket.sendto(data, self._to)
+        except ConnectionError:  # nobody listens, which is no fault of ours
+            return True
+        except OSError:  # a full buffer, no network: the number tells who listens
+            return False
+        return True
 
     def close(self) -> None:
         self._socket.close()

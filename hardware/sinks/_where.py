@@ -2,6 +2,7 @@
 
 import math
 import socket
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -33,7 +34,7 @@ class Where(NamedTuple):
     def address(self) -> tuple[str, int]:
         """HOST and PORT."""
         host, _, port = self.path.rpartition(":")
-        return host or "127.0.0.1", int(port)
+        return host.strip("[]") or "127.0.0.1", int(port)
 
 
 def parse(name: str) -> Where:
@@ -95,3 +96,27 @@ def check(name: str) -> Where:
             except OSError as error:
                 raise ValueError(f"send: {name}: {error.strerror}") from None
     return where
+
+
+def check_all(names: Sequence[str], written: Path | None = None) -> list[Where]:
+    """`check` of each; `written`: a file that something else will write.
+
+    **Raises:** `ValueError` also where two would write one file, or have one port.
+    """
+    found = [check(name) for name in names]
+    taken: dict[object, str] = {}
+    if written is not None:
+        taken[written.absolute()] = "the recording"
+    for name, where in zip(names, found):
+        place: object = None
+        if where.kind == "jsonl":
+            place = where.path if where.path == "-" else Path(where.path).absolute()
+        elif where.kind == "foxglove":
+            place = where.address
+        elif where.kind == "lsl":
+            place = where.path, "lsl"
+        if place is not None:
+            other = f"what {taken.get(place)} has already"
+            require(place not in taken, f"send: {name}", other, "another")
+            taken[place] = name
+    return found

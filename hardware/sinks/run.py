@@ -61,7 +61,9 @@ def main() -> None:
         sink = open_sink(where, ring)
         counted = follow(ring, sink, json.loads(given.told), where.rate, force)
     except (OSError, ValueError) as error:
-        sys.exit(f"tomojax: {given.name}: {error}; nothing more goes there")
+        told = f"tomojax: {given.name}: {error}; nothing more goes there"
+        print(told, file=sys.stderr, flush=True)
+        os._exit(1)  # Python's own end would write once more to a reader that is gone
     lost = f", {counted.lost} lost: it was too slow" if counted.lost else ""
     thin = f", {counted.thinned} left out by rate" if counted.thinned else ""
     print(f"{given.name}: {counted.sent} rows{thin}{lost}", file=sys.stderr, flush=True)

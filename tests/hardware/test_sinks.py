@@ -17,7 +17,7 @@ import tomojax.hardware
 from tomojax.events import Event
 from tomojax.hardware import SlotRing
 from tomojax.hardware.loop.recorder import attributes
-from tomojax.hardware.sinks import check, follow, LiveRow, parse
+from tomojax.hardware.sinks import check, check_all, follow, LiveRow, parse
 from tomojax.recordings import Rig
 
 SLOTS = 60
@@ -353,3 +353,35 @@ def test_a_file_is_not_replaced_and_a_port_in_use_is_told(tmp_path) -> None:
         with pytest.raises(ValueError, match="foxglove"):
             check(f"foxglove:{taken.getsockname()[1]}")
     assert parse("udp://127.0.0.1:9000?rate=50").rate == 50
+
+
+def test_two_sinks_do_not_meet(tmp_path) -> None:
+    one = f"jsonl:{tmp_path / 'a.jsonl'}"
+    for names in ([one, one + "?rate=5"], ["foxglove:45999"] * 2, ["lsl:a", "lsl:a"]):
+        with pytest.raises(ValueError, match="has already"):
+            check_all(names)
+    with pytest.raises(ValueError, match="the recording has already"):
+        check_all([one], tmp_path / "a.jsonl")
+    assert parse("udp://[::1]:9000").address == ("::1", 9000)
+
+
+def test_what_did_not_go_out_is_lost(ring, told) -> None:
+    sink = Kept()
+    sink.put = lambda row: row.slot % 2 == 0  # type: ignore
+    threading.Thread(target=fill, args=(ring,)).start()
+    counted = follow(ring, sink, told)
+    assert counted == (SLOTS // 2, SLOTS // 2, 0)
+
+
+def test_a_reader_that_is_gone_ends_the_sink_in_a_line(ring, told) -> None:
+    words = [str(ring.path), json.dumps(told), "jsonl:-"]
+    command = [sys.executable, "-m", "tomojax.hardware.sinks.run", *words]
+    pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(command, text=True, **pipe)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    fill(ring, pause=0.05)
+    said = process.stderr.read()
+    process.stderr.close()
+    process.wait(60)
+    assert "nothing more goes there" in said and said.count("\n") == 1

@@ -162,9 +162,58 @@ def test_damaged_mcap_is_one_line(tmp_path) -> None:
             tx.open_recording(path).close()
         except ValueError as error:
             assert "\n" not in str(error)
-    path.write_bytes(whole[: len(whole) // 2])
+    path.write_bytes(whole[:300])
     with pytest.raises(ValueError, match="cannot be read as MCAP"):
         tx.open_recording(path)
+
+
+def test_what_comes_before_a_cut_is_read(tmp_path, monkeypatch) -> None:
+    from mcap_ros2 import writer
+
+    real = writer.Writer
+    # Chunks of a few slots: of one that is cut nothing can be read.
+    monkeypatch.setattr(writer, "Writer", lambda file: real(file, chunk_size=1000))
+    path = write_mcap(tmp_path / "a.mcap", CODES, np.array(GROUNDS))
+    path.write_bytes(path.read_bytes()[:-3500])
+    with tx.open_recording(path) as recording:
+        assert "cut off or damaged" in recording.mended[0]
+        assert 2 < recording.scans < 12 and recording.rig.f_switch == 10e3
+        np.testing.assert_array_equal(recording.read(0, 2).voltages, volts(CODES)[:2])
+
+
+def test_a_blank_cell_leaves_the_rails(tmp_path) -> None:
+    path = _codes_csv(tmp_path / "a.csv", CODES, np.array(GROUNDS))
+    lines = path.read_text().splitlines()
+    cells = lines[3].split(",")
+    cells[5] = ""
+    cells[6] = "32767"
+    lines[3] = ",".join(cells)
+    path.write_text("\n".join(lines))
+    with tx.open_recording(path) as recording:
+        assert recording.rig.rails == pytest.approx((-5, 5), abs=1e-3)
+        chunk = tx.recordings.read_chunk(recording, 0, 12)
+    flags = tx.Flag(int(chunk.flags[1]))
+    assert tx.Flag.SATURATED in flags and tx.Flag.BAD_VOLTAGES in flags
+
+
+def test_rails_can_be_told_of_any_converter(tmp_path) -> None:
+    path = _codes_csv(tmp_path / "a.csv", CODES, np.array(GROUNDS))
+    beside = path.with_suffix(".toml")
+    beside.write_text(beside.read_text() + "rails = [-2.5, 2.5]\n")
+    with tx.open_recording(path) as recording:
+        assert recording.rig.rails == pytest.approx((-2.5, 2.5), abs=1e-3)
+        assert recording.rig.resolution == pytest.approx(5 / 32768)
+
+
+def test_another_rig_beside_is_not_gone_on_with(tmp_path) -> None:
+    path = write_csv(tmp_path / "a.csv", CODES, GROUNDS)
+    rows_of(path, tmp_path)
+    beside = path.with_suffix(".toml")
+    beside.write_text(beside.read_text().replace("10e3\n", "5e3\n", 1))
+    settings = tx.results.Settings(method="points", images=False, contacts=2)
+    with tx.open_recording(path) as recording:
+        with pytest.raises(ValueError, match="rig"):
+            tx.reconstruct_recording(recording, tmp_path / "out.h5", settings, resume=True)
 
 
 def test_a_stretch_is_a_recording(tmp_path) -> None:

@@ -27,7 +27,9 @@ def folder(tmp_path_factory) -> Path:
         write(made / f"r{k}.h5", touched(scans=12, seed=k)[0], [0, 63])
     write_csv(made / "s.csv", touched(scans=12)[0], [0, 63])
     (made / "cut.h5").write_bytes((made / "r0.h5").read_bytes()[:3000])
-    (made / "notes.md").write_text("nothing")
+    (made / "notes.txt").write_text("nothing")
+    (made / "table.csv").write_text("file,status\n")
+    np.savez(made / "r0.truth.npz", xy=np.zeros((3, 2)))
     return made
 
 

@@ -232,11 +232,14 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     """
     from tomojax import Calibration, make_step
     from tomojax.hardware import real_time
-    from tomojax.hardware.sinks import check
+    from tomojax.hardware.sinks import check_all
     from tomojax.step import load_policy
 
-    for name in options["send"]:
-        check(name)
+    sinks = check_all(options["send"], out)
+    # What is read line by line has no pictures of a terminal in between.
+    lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)
+    if lines and options["view"] != "none":
+        raise ValueError("--send jsonl:-: got a view as well, expected --view none")
     path = options["calibration"]
     calibration = None if path is None else Calibration.load(path)
     law = _law(calibration, options["radius"])
@@ -271,6 +274,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             opened.beside("loop.drawing", str(path or ""))
         for name in options["send"]:
             opened.beside("sinks.run", name, json.dumps(law))
+        opened.words = sys.stderr if lines else sys.stdout
         opened.run(step, options["budget"], images=not options["shapes"])
 
 

@@ -14,6 +14,9 @@ from typing import Any
 
 from tomojax.cli.entry import interrupts
 
+# Seconds that a process beside the loop has to end: `shape` may be compiling.
+_PATIENCE = 60.0
+
 
 class _Session:
     """A source and a ring, with the processes beside them."""
@@ -28,6 +31,7 @@ class _Session:
     ):
         self.source, self.ring, self.recorder = source, ring, recorder
         self._told, self._beside = json.dumps(told), []
+        self.words = sys.stdout  # where what is said at the end goes
         self._seconds = options["seconds"]
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
         if options["view"] == "web":
@@ -79,14 +83,12 @@ class _Session:
                 )
             finally:
                 self.ring.head["done"][...] = 1
-                for process in [view, *self._beside]:
-                    if process is not None and process.wait() < 0:
-                        told = " ".join(process.args[2:3] + process.args[5:6])
-                        print(f"{told}: was ended from outside", file=sys.stderr)
-                if self.recorder is not None:
-                    self.recorder.close()
-                    if self.ring.head["rows"]:
-                        print(f"recording: {self.recorder.path}")
+                try:
+                    self._close()
+                finally:
+                    for process in [view, *self._beside]:
+                        if process is not None:
+                            _wait(process)
         counted = self.ring.counted()
         if not self.ring.head["rows"]:
             seen = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
@@ -96,15 +98,35 @@ class _Session:
             )
         self._tell(step is not None)
 
+    def _close(self) -> None:
+        """What is measured first: nobody beside the loop keeps it from the disk."""
+        if self.recorder is not None:
+            self.recorder.close()
+            if self.ring.head["rows"]:
+                print(f"recording: {self.recorder.path}", file=self.words)
+
     def _tell(self, worked: bool) -> None:
         counted = {name: n for name, n in self.ring.counted().items() if n}
-        print(", ".join(f"{n} {name}" for name, n in counted.items()) or "no slots")
+        told = ", ".join(f"{n} {name}" for name, n in counted.items())
+        print(told or "no slots", file=self.words)
         if worked:
             parts = self.ring.latency(0.5, 0.99, 0.999, 0.9999)
             told = (f"{1e6 * q:.0f}" for q in parts)
-            print(
-                f"last byte to ground command, 50, 99, 99.9, 99.99 %: {', '.join(told)} µs"
-            )
+            words = "last byte to ground command, 50, 99, 99.9, 99.99 %"
+            print(f"{words}: {', '.join(told)} µs", file=self.words)
+
+
+def _wait(process: subprocess.Popen) -> None:
+    """Until it has ended; one that hangs, as on a reader that stands still, is ended."""
+    words: Any = process.args
+    name = " ".join([*words[2:3], *words[5:6]])[:80]
+    try:
+        if process.wait(_PATIENCE) < 0:
+            print(f"{name}: was ended from outside", file=sys.stderr)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        print(f"{name}: did not end, and was ended", file=sys.stderr)
 
 
 def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:

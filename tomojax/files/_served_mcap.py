@@ -25,21 +25,23 @@ class Mcap:
     """A file's slots, as `Hdf5` has datasets; its metadata "tomojax" as attributes."""
 
     def __init__(self, path: str, options: dict[str, Any]):
-        from mcap.reader import make_reader
+        from mcap.reader import make_reader, NonSeekingReader
 
         self._columns: dict[str, np.ndarray] = {}
         self.attributes: dict[str, Any] = {}
+        data: list[bytes] = []
         with open(path, "rb") as file:
             # Messages come in order of time. Checksums tell of damage.
-            reader = make_reader(file, validate_crcs=True)
-            for metadata in reader.iter_metadata():
-                if metadata.name == "tomojax":
-                    self.attributes = _attributes(metadata.metadata)
-            data, told = [], ""
-            for schema, channel, message in reader.iter_messages():
-                if schema is not None and schema.name == _SCHEMA:
-                    told = told or f"{schema.encoding} {channel.message_encoding}"
-                    data.append(message.data)
+            try:
+                told = self._read(make_reader(file, validate_crcs=True), data)
+            except Exception:
+                # Cut off, or damaged: what comes before that is read, as a stream.
+                data.clear()
+                for take in (self._describe, self._read):
+                    file.seek(0)
+                    reader = NonSeekingReader(file, validate_crcs=True)
+                    told = take(reader, data, False)
+                self.attributes["cut"] = encode(True)
         if not data:
             raise Refused(f"no message {_SCHEMA}")
         if told != "ros2msg cdr":
@@ -49,6 +51,32 @@ class Mcap:
             name: {"shape": list(a.shape), "dtype": a.dtype.str, "stored": a.nbytes}
             for name, a in self._columns.items()
         }
+
+    def _read(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
+        """Collects the slots; returns how they are encoded."""
+        told = ""
+        try:
+            for schema, channel, message in reader.iter_messages(log_time_order=whole):
+                if schema is not None and schema.name == _SCHEMA:
+                    told = told or f"{schema.encoding} {channel.message_encoding}"
+                    data.append(message.data)
+            if whole:
+                self._describe(reader, data)
+        except Exception:
+            if whole or not data:
+                raise
+        return told
+
+    def _describe(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
+        """Takes what the file says of the rig."""
+        try:
+            for metadata in reader.iter_metadata():
+                if metadata.name == "tomojax":
+                    self.attributes = _attributes(metadata.metadata)
+        except Exception:
+            if whole:
+                raise
+        return ""
 
     def about(self) -> dict[str, Any]:
         """All that is known before a row is read."""

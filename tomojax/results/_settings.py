@@ -164,6 +164,7 @@ def configuration(recording: Recording, settings: Settings, size: int) -> dict:
         "scans": recording.scans,
         **({"stretch": list(recording.stretch)} if recording.stretch else {}),
         "recording_sha256": recording.digest(),
+        "rig_sha256": _digest_of_rig(recording),
         "versions": environment(),
     }
 
@@ -197,6 +198,16 @@ def choose_lambda(
             some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
             return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
     return method.choose_lambda([])
+
+
+def _digest_of_rig(recording: Recording) -> str:
+    """What makes voltages of the file's numbers may be told beside the file."""
+    first = recording.read(0, 1)
+    told = [recording.slots, recording.gaps.tolist()]
+    told += [np.asarray(value).tolist() for value in vars(recording.rig).values()]
+    digest = hashlib.sha256(json.dumps(told).encode())
+    digest.update(np.ascontiguousarray(first.voltages).tobytes())
+    return digest.hexdigest()
 
 
 def _digest(name: str, path: str) -> str:

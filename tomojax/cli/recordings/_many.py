@@ -4,6 +4,7 @@ import csv
 import json
 import sys
 import time
+import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,14 @@ from tomojax._require import require
 from tomojax._whole import whole, write_text
 
 # What recordings are called.
-_ENDINGS = (".h5", ".hdf5", ".mat", ".tdms", ".csv", ".tsv", ".npz", ".mcap")
+_TABLES = (".csv", ".tsv", ".txt")
+_ENDINGS = (".h5", ".hdf5", ".mat", ".tdms", ".npz", ".mcap", *_TABLES)
 
 # What lies beside them and is none.
-_OURS = (".results.h5", ".track.h5", ".adapted.h5", ".truth.npz", ".events.csv")
+_OURS = (".results.h5", ".track.h5", ".adapted.h5")
+
+# A table names the column of grounds in its first lines; exports and our own table do not.
+_HEAD = 1 << 14
 
 _COLUMNS = {
     "file": "",
@@ -49,14 +54,27 @@ def found_in(given: Sequence[Path]) -> list[Path]:
         if not path.is_dir():
             found.append(path)
             continue
-        inside = sorted(
-            one
-            for one in path.iterdir()
-            if one.suffix.lower() in _ENDINGS and not one.name.endswith(_OURS)
-        )
+        inside = sorted(one for one in path.iterdir() if _is_recording(one))
         require(inside, f"{path}", "a folder without recordings", ", ".join(_ENDINGS))
         found += inside
     return list(dict.fromkeys(found))
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a file of a folder is meant: a broken one is, another tool's table is not."""
+    ending = path.suffix.lower()
+    if ending not in _ENDINGS or path.name.endswith(_OURS) or not path.is_file():
+        return False
+    if ending in _TABLES:
+        with path.open("rb") as file:
+            return b"ground" in file.read(_HEAD).lower()
+    if ending == ".npz":
+        try:
+            with zipfile.ZipFile(path) as pack:
+                return {"v.npy", "ground.npy"} <= set(pack.namelist())
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return True  # it says itself what is wrong
+    return True
 
 
 def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:

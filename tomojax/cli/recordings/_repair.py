@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import Command, InputFile, OutputFile
+from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
 
 _NAMES = (
     "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
@@ -67,7 +67,16 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     type=InputFile(),
     help="Channels and grounds are as this file of `tomojax check --write` says.",
 )
-def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -> None:
+@stretch_options
+def repair(
+    rec: Path,
+    out: Path,
+    header: dict,
+    scans: Any,
+    order: Path | None,
+    since: float | None,
+    until: float | None,
+) -> None:
     """Write recording REC as it should have been; REC stays as it is.
 
     Clocks that fall, stand or begin anew are put right by every command that reads REC;
@@ -76,7 +85,7 @@ def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -
     from tqdm import tqdm
 
     from tomojax.files import read_toml
-    from tomojax.recordings import open_recording, repair_recording
+    from tomojax.recordings import between, open_recording, repair_recording
 
     if out.exists():
         raise ValueError(f"{out}: is there; give another name")
@@ -86,6 +95,8 @@ def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -
         raise ValueError(f"{order}: got {unknown[0]}, expected channels and grounds")
     if rec.suffix.lower() == ".tdms":
         raise ValueError(f"{rec}: got TDMS, expected a recording in HDF5")
+    if scans is not None and (since is not None or until is not None):
+        raise ValueError("--scans: got --from or --to as well, expected one of them")
     with (
         open_recording(rec, header=header) as recording,
         tqdm(desc="repair", unit="scan", total=recording.scans, disable=None) as bar,
@@ -95,6 +106,7 @@ def repair(rec: Path, out: Path, header: dict, scans: Any, order: Path | None) -
             bar.total = total
             bar.update(done - bar.n)
 
+        scans = scans or between(recording, since, until).stretch
         given = order_of.get("channels"), order_of.get("grounds")
         repair_recording(recording, out, scans, *given, progress)  # pyright: ignore
         told = recording.mended

@@ -12,7 +12,7 @@ from tomojax.recordings.formats._described import sidecar
 from tomojax.recordings.formats._memory import MemoryRecording
 
 # Largest file, bytes: an hour at 10 kHz is better kept in HDF5.
-_MOST = 1 << 30
+_MOST = 1 << 29
 
 # Names of columns that are no voltages, and what they are.
 _OTHERS = {"t": "t", "t_s": "t", "time": "t", "time_s": "t"}
@@ -45,16 +45,21 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
     column = {name: values[:, known.index(name)] for name in set(known) - {""}}
     v = values[:, electrodes]
     told = {**sidecar(path), **told}
-    if "scale" in told and np.isfinite(v).all() and (v == np.round(v)).all():
-        low, high = v.min(initial=0), v.max(initial=0)
-        kind = np.int16 if -(2**15) <= low and high < 2**15 else np.int32
-        v = v.astype(kind) if abs(v).max(initial=0) < 2**31 else v
+    codes = None
+    if "scale" in told:
+        # Of a converter of another width only `rails` tell where it saturates.
+        some = v[np.isfinite(v)]
+        whole = bool((some == np.round(some)).all())
+        small = bool((some >= -(2**15)).all() and (some < 2**15).all())
+        codes = np.dtype(np.int16) if whole and small else None
     number = column.get("number")
     if number is not None:
         whole = np.isfinite(number).all() and (abs(number) < 2**53).all()
         require(whole, "number", "what is no whole number", "numbers of slots")
         number = number.astype(np.int64)
-    return MemoryRecording(path, told, v, column["ground"], column.get("t"), number)
+    return MemoryRecording(
+        path, told, v, column["ground"], column.get("t"), number, None, codes
+    )
 
 
 def _head(file: TextIO) -> tuple[list[str], str]:

@@ -66,7 +66,10 @@ def rig_of(
             said.append(f"{name} {value:g}")
     size, xy = _places(told, electrodes, said)
     text = f"the file does not say, the paper's is taken: {', '.join(said)}"
+    sentences = (text,) if said else ()
     rails, resolution = _range(told, codes)
+    if not np.isfinite(rails).all():
+        sentences += ("rails are not told: what saturates below the drive is not seen",)
     rig = Rig(
         **{name: number(told, name) for name in PAPER},
         size=size,
@@ -75,7 +78,7 @@ def rig_of(
         resolution=resolution,
         notes=str(told.get("notes", "")),
     )
-    return rig, (text,) if said else ()
+    return rig, sentences
 
 
 def number(told: dict[str, Any], name: str) -> float:
@@ -122,14 +125,16 @@ def _places(
 
 def _range(told: dict, codes: np.dtype | None) -> tuple[tuple[float, float], float]:
     """The lowest and highest voltage that can be read, and one code's, V."""
-    if codes is not None:
+    resolution = number(told, "resolution") if "resolution" in told else 0.0
+    if "scale" in told:
+        resolution = abs(scaled(told)[0])
+    if "rails" not in told:
+        if codes is None:
+            return (-np.inf, np.inf), resolution
         limits = np.iinfo(codes)
         scale, offset = scaled(told)
         low, high = sorted(scale * float(c) + offset for c in (limits.min, limits.max))
-        return (low, high), abs(scale)
-    resolution = number(told, "resolution") if "resolution" in told else 0.0
-    if "rails" not in told:
-        return (-np.inf, np.inf), resolution
+        return (low, high), resolution
     rails = np.sort(numbers(told, "rails"))
     require(rails.shape == (2,), "rails", rails.tolist(), "two voltages")
     near = _ROUNDED * (rails[1] - rails[0]) / 2

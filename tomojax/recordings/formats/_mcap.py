@@ -21,6 +21,7 @@ def open_mcap(path: Path, told: dict[str, Any]) -> MemoryRecording:
     except (OSError, ValueError) as error:
         raise ValueError(f"file: cannot be read as MCAP ({error})") from None
     with file:
+        cut = "cut" in file.attributes
         own = {n: v for n, v in file.attributes.items() if n in KEYS}
         time, number, ground, volts = (
             file.read_whole(name) for name in ("time", "number", "ground", "volts")
@@ -30,4 +31,8 @@ def open_mcap(path: Path, told: dict[str, Any]) -> MemoryRecording:
     fine = bool((number < 2**62).all())
     if not fine:
         raise ValueError("number: got 2^62 or more, expected numbers of slots")
-    return MemoryRecording(path, told, volts, ground, time, number.astype("i8"))
+    made = MemoryRecording(path, told, volts, ground, time, number.astype("i8"))
+    if cut:
+        said = f"the file is cut off or damaged: its first {len(volts)} slots are read"
+        made.mended = (said, *made.mended)
+    return made

@@ -21,7 +21,8 @@ class MemoryRecording(Recording):
     """Slots of a file that has been read, with what was told of the rig.
 
     **Arguments:** `values` volts, or codes where `told` has a `scale`; `ground` of each
-    slot; `t` of each slot, s, or None; `number` of each slot, lost ones count.
+    slot; `t` of each slot, s, or None; `number` of each slot, lost ones count; `codes`: the
+    type of codes that come as other numbers, NaN among them.
     """
 
     def __init__(
@@ -33,11 +34,13 @@ class MemoryRecording(Recording):
         t: Float[np.ndarray, " n"] | None = None,
         number: Integer[np.ndarray, " n"] | None = None,
         gaps: np.ndarray | None = None,
+        codes: np.dtype | None = None,
     ):
         check_keys(told, "description")
         self.path = path
         require(len(values) > 0, "v", "no slots", "at least one")
-        codes = values.dtype if values.dtype.kind in "iu" and "scale" in told else None
+        if codes is None and values.dtype.kind in "iu" and "scale" in told:
+            codes = values.dtype
         volts = values
         if "scale" in told:
             scale, offset = scaled(told)
