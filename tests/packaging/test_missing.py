@@ -28,13 +28,24 @@ ROWS = [
     ("cobs", "serial", "record serial:/dev/null -o {out}"),
     ("nidaqmx", "ni", "record ni:Dev1/ai0:63,Dev1/port0/line0:5 -o {out}"),
     ("rerun", "rerun", "live {h5} --view rerun"),
+    ("bokeh", "web", "live {h5} --view web"),
+    ("bokeh", "web", "view {h5}"),
+    ("pyarrow", "parquet", "export {h5} --to parquet -o {out}"),
+    ("h5netcdf", "netcdf", "export {h5} --to netcdf -o {out}"),
+    ("mcap_ros2", "mcap", "export {h5} --to mcap -o {out}"),
+    ("mcap", "mcap", "info {mcap}"),
+    ("foxglove", "foxglove", "live {h5} --send foxglove:45999"),
+    ("pylsl", "lsl", "live {h5} --send lsl:a"),
+    ("pythonosc", "osc", "live {h5} --send osc://127.0.0.1:45999"),
 ]
 
 
 @pytest.mark.parametrize("module, extra, words", ROWS)
 def test_missing_package_is_one_line(module, extra, words, tmp_path):
     (tmp_path / "some.tdms").write_bytes(b"TDSm" + bytes(100))
-    names = {"h5": DEMO, "tdms": tmp_path / "some.tdms", "out": tmp_path / "out.h5"}
+    (tmp_path / "some.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    names = {"mcap": tmp_path / "some.mcap"}
+    names |= {"h5": DEMO, "tdms": tmp_path / "some.tdms", "out": tmp_path / "out.h5"}
     run = subprocess.run(
         [sys.executable, "-c", "from tomojax.cli import main; main()"]
         + [word.format(**names) for word in words.split()],

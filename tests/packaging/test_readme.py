@@ -19,7 +19,9 @@ def test_names_and_arguments(block):
     calls = [node for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Call)]
     named = [(call, ast.unparse(call.func)) for call in calls]
     ours = [(call, name[3:]) for call, name in named if re.fullmatch(r"tx[.\w]+", name)]
-    assert ours
+    if not ours:  # a class of the reader's own: it can be defined
+        assert "from tomojax" in block
+        exec(block, {"__name__": "readme"})
     for call, name in ours:
         signature = inspect.signature(operator.attrgetter(name)(tx))
         signature.bind(*call.args, **{k.arg: k.value for k in call.keywords})
