@@ -72,7 +72,8 @@ def _loader(load: Callable[[], Any]) -> int:
 def read(kind: str, path: str, folder: Path) -> int:
     """Reads a file of that kind as its command does."""
     out = str(folder / "out.h5")
-    if kind in ("recording", "swmr", "matlab", "demo"):
+    forms = ("recording_csv", "recording_npz", "recording_mcap")
+    if kind in ("recording", "swmr", "matlab", "demo", *forms):
         return _command("info", path)
     if kind == "tdms":
         return _command("info", path, "--tdms", "slots=2")
@@ -81,6 +82,11 @@ def read(kind: str, path: str, folder: Path) -> int:
     if kind == "resumed":
         words = "--no-images", "--method", "linear", "--grid", "8", "--resume"
         return _command("reconstruct", str(folder / "seed.h5"), "-o", path, *words)
+    if kind == "sidecar":
+        beside = folder / "beside.csv"
+        beside.write_bytes((folder / "seed.csv").read_bytes())
+        beside.with_suffix(".toml").write_bytes(Path(path).read_bytes())
+        return _command("info", str(beside))
     if kind == "config":
         return _command("live", "--config", path)
     import tomojax as tx

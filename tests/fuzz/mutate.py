@@ -254,10 +254,10 @@ def mutations(kind: str, canary: Path) -> Callable[[bytes, Rng], bytes]:
     """The mutation of a format."""
     if kind in ("recording", "matlab", "results", "resumed"):
         return lambda c, r: hdf5(c, r, canary) if r.random() < 0.5 else bytes_of(c, r)
-    if kind in ("policy", "places_npz", "scene"):
+    if kind in ("policy", "places_npz", "scene", "recording_npz"):
         return npz
     if kind == "calibration":
         return jsons
-    if kind in ("places_csv", "config"):
+    if kind in ("places_csv", "config", "recording_csv", "sidecar"):
         return text
     return bytes_of

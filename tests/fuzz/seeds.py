@@ -176,6 +176,27 @@ def _config(folder: Path) -> Path:
     return path
 
 
+def _recording_csv(folder: Path) -> Path:
+    path = recordings.write_csv(folder / "seed.csv", _codes()[:20], [0, 63])
+    path.with_suffix(".toml").unlink()  # the paper's rig
+    return path
+
+
+def _sidecar(folder: Path) -> Path:
+    _recording_csv(folder)
+    path = folder / "sidecar.toml"
+    path.write_text(f"{recordings.SIDECAR}slots = 2\nscale = 2.5\nrails = [ -5.0, 5.0 ]\n")
+    return path
+
+
+def _recording_npz(folder: Path) -> Path:
+    return recordings.write_npz(folder / "seed.npz", _codes(), [0, 63])
+
+
+def _recording_mcap(folder: Path) -> Path:
+    return recordings.write_mcap(folder / "seed.mcap", _codes(), [0, 63])
+
+
 _MAKE: dict[str, Callable[[Path], Path]] = {
     "recording": _recording,
     "swmr": _swmr,
@@ -188,4 +209,8 @@ _MAKE: dict[str, Callable[[Path], Path]] = {
     "places_npz": _places_npz,
     "places_csv": _places_csv,
     "config": _config,
+    "recording_csv": _recording_csv,
+    "recording_npz": _recording_npz,
+    "recording_mcap": _recording_mcap,
+    "sidecar": _sidecar,
 }

@@ -5,7 +5,9 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "kind", ["recording", "swmr", "matlab", "tdms", "results", "calibration", "places_npz"]
+    "kind",
+    ["recording", "swmr", "matlab", "tdms", "results", "calibration", "places_npz"]
+    + ["recording_csv", "recording_npz", "recording_mcap", "sidecar"],
 )
 def test_damaged_files_end_in_a_line(tmp_path, kind):
     if kind == "tdms":

@@ -84,18 +84,22 @@ def rig_of(
 def number(told: dict[str, Any], name: str) -> float:
     """One number of what was told, which may be text."""
     try:
-        return float(np.asarray(told[name], float).reshape(()))
+        found = float(np.asarray(told[name], float).reshape(()))
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {told[name]!r}, expected one number") from None
+    require(np.isfinite(found), name, found, "a number")
+    return found
 
 
 def numbers(told: dict[str, Any], name: str) -> np.ndarray:
     """An array of what was told; a text has commas."""
     value = told[name]
     try:
-        return np.asarray(value.split(",") if isinstance(value, str) else value, float)
+        found = np.asarray(value.split(",") if isinstance(value, str) else value, float)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {value!r}, expected numbers") from None
+    require(bool(np.isfinite(found).all()), name, "NaN or infinite", "numbers")
+    return found
 
 
 def _places(

@@ -1,0 +1,111 @@
+"""What an installation costs: of `tomojax`, of `[app]`, and of each extra beside it.
+
+    python tests/benchmarks/install.py [--only app web …] [--out FOLDER]
+
+Each in a new virtual environment: seconds that pip takes, megabytes on the disk, packages,
+and seconds of `import tomojax` and, where there is a command line, of `tomojax --help`
+(the second call: the first one compiles Python's files). pip's cache is as it is: what is
+in it need not be fetched. Writes install.json and install.png.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(ROOT), str(HERE.parent)]
+
+# Extras of those who work on the package itself.
+_OURS = ("test", "dev", "peers")
+
+
+def size(folder: Path) -> float:
+    """Of all files, MB."""
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    return sum(path.stat().st_size for path in files) / 1e6
+
+
+def seconds(command: list) -> float:
+    """Of the second call."""
+    for _ in range(2):
+        began = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True, cwd="/")
+    return time.perf_counter() - began
+
+
+def installed(extras: list[str], wheel: Path) -> dict:
+    """One environment with these extras."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+        bare = size(folder)
+        python = folder / "bin/python"
+        what = f"{wheel}[{','.join(extras)}]" if extras else str(wheel)
+        began = time.perf_counter()
+        subprocess.run([python, "-m", "pip", "install", "-q", what], check=True)
+        took = time.perf_counter() - began
+        listed = subprocess.run(
+            [python, "-m", "pip", "list", "--format", "json"],
+            check=True,
+            capture_output=True,
+        )
+        row = {
+            "extras": extras,
+            "install_s": round(took, 1),
+            "size_MB": round(size(folder) - bare, 1),
+            "packages": len(json.loads(listed.stdout)) - 2,  # pip and setuptools
+            "import_s": round(seconds([python, "-c", "import tomojax"]), 2),
+        }
+        if "app" in extras:
+            row["help_s"] = round(seconds([folder / "bin/tomojax", "--help"]), 2)
+        return row
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = ["+".join(row["extras"]) or "tomojax" for row in rows]
+    left.barh(names, [row["size_MB"] for row in rows])
+    right.barh(names, [row["install_s"] for row in rows])
+    left.set(xlabel="on the disk, MB")
+    right.set(xlabel="to install, s")
+    left.invert_yaxis()
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*")
+    parser.add_argument("--out", type=Path, default=ROOT / "notebooks/results")
+    given = parser.parse_args()
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = [n for n in told["optional-dependencies"] if n not in (*_OURS, "app")]
+    sets = [[], ["app"], *(["app", name] for name in names), ["app", *names]]
+    if given.only is not None:
+        sets = [s for s in sets if s and s[-1] in given.only]
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", name]
+        subprocess.run([*command, str(ROOT)], check=True)
+        (wheel,) = Path(name).glob("*.whl")
+        for extras in sets:
+            rows.append(installed(extras, wheel))
+            print(json.dumps(rows[-1]), flush=True)
+    from benchmarks.physics import environment
+
+    path = given.out / "install.json"
+    content = {"environment": environment(), "rows": rows}
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    draw(rows, path.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    main()
