@@ -10,9 +10,8 @@ import numpy as np
 
 from tomojax._whole import whole
 from tomojax.events import Event, EventFinder
-from tomojax.exports._attributes import plain
 from tomojax.exports._messages import definition
-from tomojax.exports._source import Progress, Source
+from tomojax.exports._source import plain, Progress, Source
 
 _FRAME = "tomojax_sheet"
 

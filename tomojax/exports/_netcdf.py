@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.exports._attributes import plain
 from tomojax.exports._columns import event_columns
-from tomojax.exports._source import Progress, Source, WORDS
+from tomojax.exports._source import plain, Progress, Source, WORDS
 from tomojax.kernels.flags import Flag
 
 # Dimensions of a field's row: of each contact, of images, of electrodes.

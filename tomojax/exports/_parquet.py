@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.exports._attributes import plain
 from tomojax.exports._columns import columns, event_columns, flag_names, IMAGES
-from tomojax.exports._source import Progress, Source, WORDS
+from tomojax.exports._source import plain, Progress, Source, WORDS
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
