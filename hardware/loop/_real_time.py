@@ -5,8 +5,6 @@ import os
 from contextlib import contextmanager
 from pathlib import Path
 
-import jax
-
 # One function of the whole step, where a step is else some hundred tasks: see `Step`.
 _FLAGS = (
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
@@ -22,6 +20,8 @@ def real_time(priority: int = 50):
     one core, without tasks of other threads, each step compiled into one function, no
     garbage collection, and SCHED_FIFO of that `priority` where the system lets it.
     """
+    import jax  # processes beside the loop start without
+
     before = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = " ".join((before, *_FLAGS)).strip()
     jax.config.update("jax_cpu_enable_async_dispatch", False)

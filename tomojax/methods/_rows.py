@@ -6,7 +6,8 @@ from typing import Annotated, Any, get_args, get_type_hints, NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from tomojax.kernels.images import Contacts
+# A row's flags are judged by these: they are offered beside `Rows`.
+from tomojax.kernels.flags import DOUBT as DOUBT, NO_ANSWER as NO_ANSWER
 
 
 class Column(NamedTuple):
@@ -69,8 +70,8 @@ class Rows(NamedTuple):
     image_deviation: Annotated[Float[_Number, "n tx ty"] | None, Column("<f4", "")] = None
 
     @classmethod
-    def of(cls, contacts: Contacts, **others: Any) -> "Rows":
-        """Rows of `contacts`, of one frame or n, and the fields beside them."""
+    def of(cls, contacts: Any, **others: Any) -> "Rows":
+        """Rows of `Contacts`, of one frame or n, and the fields beside them."""
         named = {f"contact_{name}": value for name, value in contacts._asdict().items()}
         return cls(**named, **others)
 

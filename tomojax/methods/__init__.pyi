@@ -1,0 +1,53 @@
+# What the room offers, imported when it is first used.
+from ._batch import (
+    Batch as Batch,
+    check_limits as check_limits,
+    frames_of as frames_of,
+)
+from ._contract import (
+    AbstractMethod as AbstractMethod,
+    Estimate as Estimate,
+    Frame as Frame,
+    judge as judge,
+    rms as rms,
+    Rung as Rung,
+)
+from ._errors import noise_of as noise_of
+from ._linear import Linear as Linear
+from ._names import method as method, METHODS as METHODS
+from ._pixels import pixel_divisions as pixel_divisions
+from ._rows import (
+    DOUBT as DOUBT,
+    empty_rows as empty_rows,
+    fields_of_rows as fields_of_rows,
+    NO_ANSWER as NO_ANSWER,
+    Rows as Rows,
+)
+from ._source import Source as Source
+from .points import (
+    fitting_of as fitting_of,
+    Points as Points,
+    sheet_of as sheet_of,
+    UNIT as UNIT,
+)
+from .shapes import ImageShape as ImageShape, ShapeModel as ShapeModel
+
+# The rest serves other rooms.
+__all__ = [
+    "AbstractMethod",
+    "Batch",
+    "DOUBT",
+    "empty_rows",
+    "Estimate",
+    "fields_of_rows",
+    "Frame",
+    "ImageShape",
+    "Linear",
+    "method",
+    "METHODS",
+    "NO_ANSWER",
+    "Points",
+    "Rows",
+    "Rung",
+    "Source",
+]

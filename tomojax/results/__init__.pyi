@@ -1,0 +1,29 @@
+# What the room offers, imported when it is first used.
+from ._chosen import Chosen as Chosen
+from ._file import partial_path as partial_path
+from ._outlines import (
+    check_outlines as check_outlines,
+    Outline as Outline,
+    outlines_of as outlines_of,
+    write_outlines as write_outlines,
+)
+from ._settings import default_method as default_method, Settings as Settings
+from ._stream import reconstruct_recording as reconstruct_recording
+from ._track import (
+    Touch as Touch,
+    touches as touches,
+    track as track,
+    Tracks as Tracks,
+)
+
+# The rest serves other rooms.
+__all__ = [
+    "Outline",
+    "outlines_of",
+    "reconstruct_recording",
+    "Settings",
+    "Touch",
+    "touches",
+    "track",
+    "Tracks",
+]
