@@ -73,6 +73,7 @@ def draw(rows: list[dict], path: Path) -> None:
     figure = Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     names = ["+".join(row["extras"]) or "tomojax" for row in rows]
+    names = [name if name.count("+") < 2 else "all" for name in names]
     left.barh(names, [row["size_MB"] for row in rows])
     right.barh(names, [row["install_s"] for row in rows])
     left.set(xlabel="on the disk, MB")
