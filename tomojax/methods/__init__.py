@@ -10,7 +10,8 @@ waits for no JAX.
 
 import lazy_loader as _lazy
 
-# pyright: reportUnsupportedDunderAll=false (the names are in the stub)
+# The names are in the stub.
+# pyright: reportUnsupportedDunderAll=false
 __getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 
 # The rest serves other rooms.
