@@ -5,7 +5,7 @@ import sys
 
 import click
 
-from tomojax.cli._demo import demo
+from tomojax.cli.demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
 from tomojax.cli._rig import calibrate, check

@@ -1,0 +1,7 @@
+"""`tomojax demo`: recordings that come with the package, found again beside their truth.
+
+`_scenes` names the recordings, `_make` simulates them anew, `_pictures` draws them. The
+room is an example of the library's use; no other room imports it but the command's table.
+"""
+
+from tomojax.cli.demo._command import demo as demo

@@ -1,0 +1,102 @@
+"""The command `tomojax demo`."""
+
+import sys
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import click
+
+from tomojax._whole import whole
+from tomojax.cli.demo._scenes import SCENES
+from tomojax.cli.entry import Command, OutputFolder
+
+
+@click.command(cls=Command)
+@click.argument("scene", type=click.Choice(list(SCENES)), default="fingers")
+@click.option("--list", "listed", is_flag=True, help="Print the scenes and end.")
+@click.option(
+    "--out",
+    type=OutputFolder("results.h5", "demo.png", "demo.gif", "contacts.png"),
+    default=Path("tomojax-demo"),
+    show_default=True,
+    help="Folder for the pictures and the results.",
+)
+def demo(scene: str, listed: bool, out: Path) -> None:
+    """Reconstruct a recording that comes with the package, beside its truth.
+
+    SCENE is fingers (the default), letters, spanner or palm. The command prints the
+    contacts and leaves a picture, a film and the results in a folder.
+    """
+    if listed:
+        for name, told in SCENES.items():
+            print(f"{name:8s} {told.words} (tomojax demo {name})")
+        return
+    _demo(scene, out)
+
+
+def _demo(name: str, out: Path) -> None:
+    from tqdm import tqdm
+
+    from tomojax.cli.demo import _pictures
+    from tomojax.recordings import open_recording
+    from tomojax.results import plots, reconstruct_recording, report, Settings
+
+    scene, results = SCENES[name], out / "results.h5"
+    out.mkdir(parents=True, exist_ok=True)
+    with as_file(files("tomojax") / scene.file) as path, open_recording(path) as recording:
+        print(
+            f"{recording.scans} scans of {recording.slots} slots, {recording.electrodes} "
+            f"electrodes, {recording.scans * recording.interval:.3g} s: {scene.words}"
+        )
+        settings = Settings(method=scene.method, grid=32)
+        reconstruct_recording(recording, results, settings, overwrite=True)
+        touched, xy = _truth(path)
+        told = _pictures.Told(recording, touched, results)
+    with whole(out / "demo.png") as part:
+        _pictures.still(told, scene.words, part)
+    print(f"picture: {out / 'demo.png'}")
+    print(report.text(report.summary(results), results))
+    print(_judged(told, xy))
+    with tqdm(desc="film", disable=None, file=sys.stderr) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        with whole(out / "demo.gif") as part:
+            _pictures.film(told, part, scene.slow, progress)
+    print(f"film: {out / 'demo.gif'}")
+    with whole(out / "contacts.png") as part:
+        plots.timeline(results).savefig(part, dpi=110)
+    print(f"picture: {out / 'contacts.png'}")
+
+
+def _truth(path: Path):
+    """What touched (scans, P, P), and the fingers' middles (scans, K, 2), m."""
+    import h5py
+
+    with h5py.File(path) as file:
+        return file["truth_touched"][:], file["truth_xy"][:]  # pyright: ignore
+
+
+def _judged(told, xy) -> str:
+    """Says how near the truth the results are: fingers by place, the rest by overlap."""
+    import numpy as np
+
+    there = np.isfinite(xy).all(-1)
+    if there.any():
+        rows = there.any(1)
+        right = told.count == there.sum(1)
+        far = np.linalg.norm(xy[:, :, None] - told.xy[:, None], axis=-1)
+        error = np.where(np.isfinite(far), far, np.inf).min(-1)[there & right[:, None]]
+        return (
+            f"truth: the count is right in {100 * right[rows].mean():.1f} % of the rows with "
+            f"a touch; places are {1e3 * np.median(error):.2f} mm off in the median"
+        )
+    side = told.truth.shape[1] // told.found.shape[1]
+    blocks = told.truth.reshape(len(told.truth), told.found.shape[1], side, -1, side)
+    truth, found = blocks.mean((2, 4)) > 0.5, told.found > 0.5
+    both, either = (truth & found).sum((1, 2)), (truth | found).sum((1, 2))
+    rows = truth.any((1, 2))
+    overlap = np.median(both[rows] / either[rows])
+    return f"truth: found and true area share {100 * overlap:.0f} % in the median row"
