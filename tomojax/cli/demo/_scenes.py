@@ -17,9 +17,7 @@ class DemoScene(NamedTuple):
 
 
 SCENES = {
-    "fingers": DemoScene(
-        "one finger draws an eight, another taps", "demo.h5", "auto", 4.0
-    ),
+    "fingers": DemoScene("one finger draws an eight, another taps", "demo.h5", "auto", 4.0),
     "letters": DemoScene(
         "the letters T, A, C, T are pressed on, one by one", "demo_letters.h5", "shape", 8.0
     ),
