@@ -1,4 +1,4 @@
-"""The site: `sphinx-build -W notebooks OUT`, from the pages, the notebooks and docstrings."""
+"""The site, from pages, notebooks and docstrings: `sphinx-build -W notebooks site`."""
 
 import sys
 from importlib.metadata import version as installed

@@ -21,7 +21,7 @@ FOLDERS = ("tomojax", "kernels", "hardware", "notebooks")
 PAGES = ("README.md", "CONTRIBUTING.md")
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 _FENCE = re.compile(r"^(`{3,}|:{3,}).*?^\1$", re.M | re.S)
-_END = re.compile(r"(?<=[.!?:;])\s+(?=[A-Z\[\"“(*`]|code)")
+_END = re.compile(r"(?<=[.!?:;])\s+(?=[A-Z\[\"“(*`]|code|tomojax)")
 
 
 class Sentence(NamedTuple):

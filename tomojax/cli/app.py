@@ -5,11 +5,11 @@ import sys
 
 import click
 
-from tomojax.cli.demo import demo
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
 from tomojax.cli._rig import calibrate, check
 from tomojax.cli.compiled import keep_compiled
+from tomojax.cli.demo import demo
 from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track, view

@@ -34,7 +34,8 @@ _KEPT = 128
 class Batch:
     """A method at one λ, applied to frames; remembers what it prepared.
 
-    **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
+    **Arguments:** `method` of `tomojax.method`; `lam` λ (the
+    method's own choice by default); `contacts` C; `images` False
     leaves them out; `threshold`: volts that no channel exceeds without a contact (the
     method's own by default); `film`: frames in a row that follow each other so closely
     that all but the first may begin where that ends (1: none do), of a method that `films`;
@@ -49,7 +50,7 @@ class Batch:
     >>> method = tx.method(sensor, "source", grid=16)
     >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
     >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
-    >>> batch = tx.Batch(method, method.choose_lambda([]), contacts=2)
+    >>> batch = tx.Batch(method, contacts=2)
     >>> rows = batch(volts[None], np.array([[0, 15]]))  # one frame of two slots
     >>> print(rows.contact_count, np.round(1e3 * rows.contact_xy[0, 0]))  # mm
     [1] [30. 50.]
@@ -58,13 +59,14 @@ class Batch:
     def __init__(
         self,
         method: AbstractMethod,
-        lam: float,
+        lam: float | None = None,
         contacts: int = 4,
         images: bool = True,
         threshold: float | None = None,
         devices: list[Any] | None = None,
         film: int = 1,
     ):
+        lam = method.choose_lambda([]) if lam is None else lam
         threshold = float(method.threshold) if threshold is None else threshold
         check_limits(lam, contacts, threshold)
         self.method, self.lam = method, float(lam)

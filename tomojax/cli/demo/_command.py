@@ -90,8 +90,8 @@ def _judged(told, xy) -> str:
         far = np.linalg.norm(xy[:, :, None] - told.xy[:, None], axis=-1)
         error = np.where(np.isfinite(far), far, np.inf).min(-1)[there & right[:, None]]
         return (
-            f"truth: the count is right in {100 * right[rows].mean():.1f} % of the rows with "
-            f"a touch; places are {1e3 * np.median(error):.2f} mm off in the median"
+            f"truth: the count is right in {100 * right[rows].mean():.1f} % of rows with a "
+            f"touch; places are {1e3 * np.median(error):.2f} mm off in the median"
         )
     side = told.truth.shape[1] // told.found.shape[1]
     blocks = told.truth.reshape(len(told.truth), told.found.shape[1], side, -1, side)

@@ -1,4 +1,4 @@
-"""The scenes of `tomojax demo`: their names, files, and the method that each is shown by."""
+"""The scenes of `tomojax demo`: names, files, and the method that shows each."""
 
 from typing import NamedTuple
 
