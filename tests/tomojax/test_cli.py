@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -15,18 +16,31 @@ from PIL import Image
 from tomojax.cli import app
 
 
-def test_demo_prints_and_draws(tmp_path) -> None:
+def test_demo_finds_both_fingers(tmp_path) -> None:
     result = CliRunner().invoke(app.app, ["demo", "--out", str(tmp_path / "pictures")])
     assert result.exit_code == 0, result.output
     assert "64 electrodes" in result.output and "contacts  rows" in result.output
-    for name in ("contacts.png", "contacts.gif", "shapes.png", "results.h5"):
+    for name in ("demo.png", "demo.gif", "contacts.png", "results.h5"):
         assert (tmp_path / "pictures" / name).stat().st_size > 10_000
-    with Image.open(tmp_path / "pictures" / "contacts.gif") as film:
-        assert film.n_frames > 90 and film.size == (640, 720)
-    # One finger and, while it taps, another: never a third.
-    with h5py.File(tmp_path / "pictures" / "results.h5") as file:
-        assert np.bincount(file["contact_count"][:]).tolist()[1] > 100
-        assert file["contact_count"][:].max() == 2
+    with Image.open(tmp_path / "pictures" / "demo.gif") as film:
+        assert film.n_frames > 90
+    told = re.search(r"right in ([\d.]+) % of rows .* ([\d.]+) mm off", result.output)
+    assert told and float(told[1]) >= 98 and float(told[2]) < 0.5
+
+
+def test_demo_of_a_shape_shares_its_area(tmp_path) -> None:
+    result = CliRunner().invoke(app.app, ["demo", "palm", "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    told = re.search(r"share (\d+) %", result.output)
+    assert told and int(told[1]) >= 70
+
+
+def test_demo_lists_its_scenes(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    listed = CliRunner().invoke(app.app, ["demo", "--list"])
+    for name in ("fingers", "letters", "spanner", "palm"):
+        assert f"tomojax demo {name}" in listed.output
+    assert not list(tmp_path.iterdir())
 
 
 def line_of(monkeypatch, capsys, *arguments) -> str:
