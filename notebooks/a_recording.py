@@ -12,8 +12,8 @@
 # %% [markdown]
 # # A recording, from file to plots
 #
-# What `tomojax reconstruct` does, from Python: a file is opened, its rows are written to a
-# results file chunk by chunk, and what is plotted is read from there. The recording is the
+# This notebook does in Python what `tomojax reconstruct` does. It opens a recording, writes
+# its rows to a results file chunk by chunk, and plots from that file. The recording is the
 # demo's, forty times over; a recording of hours is no different.
 
 # %%

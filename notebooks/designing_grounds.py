@@ -12,9 +12,9 @@
 # %% [markdown]
 # # Designing ground conditions
 #
-# Which eight of 64 electrodes are to be grounded? What a slot tells of a contact adds up
-# over slots, so that the question has a relaxed form, weights instead of a set, whose
-# best value no set can beat. The same in one command: `tomojax design --out .`
+# Which eight of 64 electrodes are to be grounded? The information of slots adds up. So the
+# question has a relaxed form, with weights instead of a set, and no set can beat its best
+# value. `tomojax design --out .` does the same in one command.
 
 # %%
 import jax
@@ -31,7 +31,8 @@ xy = 1e3 * np.asarray(sensor.electrode_xy)
 # %% [markdown]
 # ## A set for all of the sheet
 #
-# How well `points` can tell a contact's place (Cramér and Rao), the mean over 48 contacts.
+# The figure is the error of a contact's place that Cramér and Rao allow to `points`, in the
+# mean over 48 contacts.
 
 # %%
 places = tx.design.design_places(sensor, count=48)
@@ -49,7 +50,7 @@ for row in tx.design.patterns_beside(sensor, objective, explored):
 # %% [markdown]
 # ## A set for each place
 #
-# What knows where the contact is, as *Around* does after two slots, does better with a
+# A scan that knows where the contact is, like *Around* after two slots, does better with a
 # table by place. `tx.step.save_policy` writes it; `tomojax live --policy` and
 # `tx.make_step`
 # look it up. (Without `criterion` a table for `points` is for the error on simulated rigs,
@@ -93,8 +94,8 @@ plt.show()
 # %% [markdown]
 # ## Through a simulation, with λ
 #
-# The images of Eq. 3, of contacts on rigs that are not as the sensor says; λ and the length
-# over which an image is smooth by gradients through the solve.
+# The images are those of Eq. 3, for contacts on rigs that differ from the sensor's nominal
+# values. Gradients through the solve find λ and the length over which an image is smooth.
 
 # %%
 scenes = tx.design.simulate_scenes(
@@ -111,8 +112,8 @@ print(f"error {float(tuned.value):.3f} after {tuned.solves} solves")
 # %% [markdown]
 # ## Places for electrodes
 #
-# The same as gradients through the sheet's Green's function: nine electrodes moved to where
-# the image's resolution is best at the worst place.
+# Gradients through the sheet's Green's function move nine electrodes to where the image's
+# resolution is best at the worst place.
 
 # %%
 nine = tx.Sensor.grid(3, 3, pitch=0.04, margin=0.02, divisions=(24, 24))

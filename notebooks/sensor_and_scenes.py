@@ -12,7 +12,7 @@
 # %% [markdown]
 # # A sensor, its table of resistances, and recorded scenes
 #
-# What the library's physics is and how close it comes to a rig that it was not made from.
+# This notebook shows the library's physics, and how close it comes to a rig of another model.
 
 # %%
 import json
@@ -32,10 +32,10 @@ table = tx.sensor.resistances(sensor)
 print({name: part.shape for name, part in table._asdict().items()})
 
 # %% [markdown]
-# Potential over the sheet when one ampere enters at electrode 27 (mean of all electrodes
-# as zero), and what one element in contact through 0 Ω and 200 kΩ does to electrode 27
-# with corner 0 grounded: an imposed potential saturates, a current source does not.
-# Colours start at 0: over the grounded electrode itself J(0) falls to about −0.3, which no
+# The first picture is the potential over the sheet when one ampere enters at electrode 27; the
+# mean of all electrodes is zero. The others show one element in contact through 0 Ω and
+# 200 kΩ, and its effect on electrode 27 with corner 0 grounded. An imposed potential
+# saturates, a current source does not. Colours start at 0: over the grounded electrode itself J(0) falls to about −0.3, which no
 # contact on its metal would do (see `jacobian`).
 
 # %%
@@ -48,7 +48,7 @@ for axis, rho in zip(axes[1:], (0.0, 2e5)):
 # %% [markdown]
 # ## Recorded scenes
 #
-# True shapes of a recording through `voltages`, against the recorded volts, all 64 ground
+# `voltages` of a recording's true shapes stand beside the recorded volts, for all 64 ground
 # conditions. The rig's sheet is uneven, its electrodes are misplaced and its channels
 # noisy; the model has nominal values. The last column has metal discs that float
 # (`electrode_shunt=1`) and the one sheet resistance that fits all scenes best.

@@ -36,7 +36,7 @@ from tomojax.studies.table1 import plots, report, run
 # %% [markdown]
 # ## Table I, Fig. 3 (images) and Fig. 4 (weighted score)
 #
-# The same as `tomojax table1`. *V line* and *Edge* change places with the paper's: its text
+# `tomojax table1` does the same. *V line* and *Edge* change places with the paper's: its text
 # does not say where its lines lie relative to the contact.
 
 # %%
@@ -55,8 +55,8 @@ for draw in (plots.table, plots.images, plots.dependence):
 # %% [markdown]
 # ## Fig. 7: single, double and areal contact under four patterns
 #
-# Each pattern is a selection of the recorded 64 slots. First with the λ of Table I, which
-# makes images as wide as the paper's, then with the library's own choice.
+# Each pattern is a selection of the recorded 64 slots. The first images have the λ of Table I,
+# which makes them as wide as the paper's. The second have the library's own choice.
 
 # %%
 folder = Path.cwd()
@@ -109,8 +109,8 @@ else:
 # ## Fig. 8: an object dropped, *All* against *CoP line*
 #
 # The same drop at 10 000 slots/s: 64 slots a scan, and two exploratory slots with eight of
-# the line. What is drawn is the sum of each scan's image; the truth is the
-# contact's conductance in every slot. A bounce shorter than a scan is blurred over the scan
+# the line. The curves are the sum of each scan's image; the truth is the contact's
+# conductance in every slot. A bounce shorter than a scan is blurred over the scan
 # by *All* and followed by *CoP line*.
 
 

@@ -12,7 +12,7 @@
 # %% [markdown]
 # # Which method for my scene
 #
-# From a committed run of `tomojax frontier`; run it on your own machine, with
+# The rows come from a committed run of `tomojax frontier`. Run it on your own machine, with
 # `--like REC` for your own sheet and electrodes, and put its `frontier.json` here.
 #
 # Voltages are a resistor network's with a rig's errors, which no method is told. A scene's
@@ -35,9 +35,9 @@ for name, value in found["environment"].items():
 # %% [markdown]
 # ## Speed against accuracy
 #
-# To the left is quicker, down is nearer. The line is the front: of ours, none is both. What
-# a lab would write without this package is drawn hollow, and full where it is ahead of all
-# of ours of the same dtype, output (image or contacts) and batch.
+# To the left is quicker, down is nearer. No method of ours is both quicker and nearer than the
+# line, the front. Peers, which a lab would write without this package, are drawn hollow. A
+# peer is full where it is ahead of all of ours of the same dtype, output and batch.
 
 # %%
 display(report.chart(rows))
@@ -45,8 +45,8 @@ display(report.chart(rows))
 # %% [markdown]
 # ## The quickest for an accuracy
 #
-# Of each kind of scene the quickest row whose median place error is no more than so much.
-# Nothing larger than that is needed: what lies to the right of it buys accuracy alone.
+# The list has, for each kind of scene, the quickest row whose median place error is small
+# enough. Nothing larger is needed: rows to the right of it buy accuracy alone.
 
 # %%
 for kind in report.KINDS:
@@ -65,8 +65,8 @@ for kind in report.KINDS:
 # %% [markdown]
 # ## Which rung a scene needs
 #
-# The middle column says how often a method doubts itself: contacts read off an image are
-# flagged where they are not all that it shows. `auto` takes the smallest model that
+# The middle column says how often a method doubts itself. Contacts read off an image are
+# flagged where the image shows more. `auto` takes the smallest model that
 # explains a frame.
 
 # %%
@@ -83,9 +83,9 @@ for line in report.machine_lines([], found["day"]):
 # %% [markdown]
 # ## What the machine could do
 #
-# Images of one-slot and eight-slot frames against the frames in a call. Dashed is the
-# bound: the longer of two times, the bytes at the rate of a copy and the multiplications
-# at the rate of a matrix product, both measured in the same run. Below some 256 frames a
+# The chart shows images of one-slot and eight-slot frames against the frames in a call. The
+# dashed bound is the longer of two times: the bytes at the rate of a copy, and the
+# multiplications at the rate of a matrix product. The same run measured both rates. Below some 256 frames a
 # call's dispatch is what takes the time; above, the product is.
 
 # %%

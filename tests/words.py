@@ -44,7 +44,7 @@ def sentences(path: Path) -> Iterator[Sentence]:
             lines = (n[2:] if n.startswith("# ") else "" for n in text.splitlines())
             parts.append((1, "\n".join(lines)))
     for line, part in parts:
-        for sentence in _split(part):
+        for sentence in _split(part, path.suffix == ".md"):
             yield Sentence(path, line, sentence, _fault(sentence))
 
 
@@ -59,11 +59,13 @@ def _texts(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield node.value.lineno, "".join(w for w in words if isinstance(w, str))
 
 
-def _split(text: str) -> Iterator[str]:
+def _split(text: str, page: bool) -> Iterator[str]:
     kept = []
     for line in _FENCE.sub("", text).splitlines():
         bare = line.strip()
-        if bare.startswith((">>>", "...", "|", "!", "#", "$$", "---")):
+        # A page's lines that stand four in are code as well.
+        code = page and line.startswith("    ")
+        if code or bare.startswith((">>>", "...", "|", "!", "#", "$$", "---")):
             kept.append("")
         else:
             kept.append(re.sub(r"^([-*] |\d+\. |: )", "\n", bare))
