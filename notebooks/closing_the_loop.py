@@ -13,9 +13,9 @@
 # # Closing the loop
 #
 # A rig sends a slot; the step says where the contact is and what to ground next; the rig
-# grounds it. The rig here is a virtual one, in a process of its own. It simulates a contact
-# that draws an eight, speaks the protocol of `hardware/PROTOCOL.md` over UDP and takes ground
-# commands. A rig on a serial line needs only another name in `open_source`.
+# grounds it. The rig here is a virtual one, in a process of its own. It simulates a
+# contact that draws an eight, speaks the protocol of `hardware/PROTOCOL.md` over UDP and
+# takes ground commands. A rig on a serial line needs only another name in `open_source`.
 
 # %%
 import tempfile
@@ -57,9 +57,9 @@ with VirtualRig(folder / "scene.npz", link="udp", rate=1000) as rig:
 # %% [markdown]
 # ## The live loop
 #
-# `run` does that until it is told to stop. It puts everything into a ring in shared memory,
-# from which other processes record and draw. The rig here has faults. A fiftieth of the slots
-# is lost, another is broken, and after a second the line is cut for 0.3 s.
+# `run` does that until it is told to stop. It puts everything into a ring in shared
+# memory, from which other processes record and draw. The rig here has faults. A fiftieth
+# of the slots is lost, another is broken, and after a second the line is cut for 0.3 s.
 
 
 # %%

@@ -12,7 +12,8 @@
 # %% [markdown]
 # # A sensor, its table of resistances, and recorded scenes
 #
-# This notebook shows the library's physics, and how close it comes to a rig of another model.
+# This notebook shows the library's physics, and how close it comes to a rig of another
+# model.
 
 # %%
 import json
@@ -32,11 +33,12 @@ table = tx.sensor.resistances(sensor)
 print({name: part.shape for name, part in table._asdict().items()})
 
 # %% [markdown]
-# The first picture is the potential over the sheet when one ampere enters at electrode 27; the
-# mean of all electrodes is zero. The others show one element in contact through 0 Ω and
-# 200 kΩ, and its effect on electrode 27 with corner 0 grounded. An imposed potential
-# saturates, a current source does not. Colours start at 0: over the grounded electrode itself J(0) falls to about −0.3, which no
-# contact on its metal would do (see `jacobian`).
+# The first picture is the potential over the sheet when one ampere enters at electrode
+# 27; the mean of all electrodes is zero. The others show one element in contact through 0
+# Ω and 200 kΩ, and its effect on electrode 27 with corner 0 grounded. An imposed
+# potential saturates, a current source does not. Colours start at 0: over the grounded
+# electrode itself J(0) falls to about −0.3, which no contact on its metal would do (see
+# `jacobian`).
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")

@@ -36,8 +36,8 @@ from tomojax.studies.table1 import plots, report, run
 # %% [markdown]
 # ## Table I, Fig. 3 (images) and Fig. 4 (weighted score)
 #
-# `tomojax table1` does the same. *V line* and *Edge* change places with the paper's: its text
-# does not say where its lines lie relative to the contact.
+# `tomojax table1` does the same. *V line* and *Edge* change places with the paper's: its
+# text does not say where its lines lie relative to the contact.
 
 # %%
 study = run()
@@ -55,8 +55,9 @@ for draw in (plots.table, plots.images, plots.dependence):
 # %% [markdown]
 # ## Fig. 7: single, double and areal contact under four patterns
 #
-# Each pattern is a selection of the recorded 64 slots. The first images have the λ of Table I,
-# which makes them as wide as the paper's. The second have the library's own choice.
+# Each pattern is a selection of the recorded 64 slots. The first images have the λ of
+# Table I, which makes them as wide as the paper's. The second have the library's own
+# choice.
 
 # %%
 folder = Path.cwd()

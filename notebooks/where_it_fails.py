@@ -12,12 +12,12 @@
 # %% [markdown]
 # # Where it fails
 #
-# The rows come from a committed run of `tomojax stability`. One thing gets worse from value to
-# value, until each method fails. The limit is the last value up to which four scenes in five
-# are within 10 mm of the truth. The image of `linear` tells an electrode near the contact; its
-# limit asks for nine in ten within one and a half pitches, 30 mm. Beyond the limit a place
-# that is over 20 mm off has to come with a flag: HIGH_RESIDUAL, CONTACTS_UNEXPLAINED, NO_CONTACT, NO_DATA or
-# SOLVE_FAILED.
+# The rows come from a committed run of `tomojax stability`. One thing gets worse from
+# value to value, until each method fails. The limit is the last value up to which four
+# scenes in five are within 10 mm of the truth. The image of `linear` tells an electrode
+# near the contact; its limit asks for nine in ten within one and a half pitches, 30 mm.
+# Beyond the limit a place that is over 20 mm off has to come with a flag: HIGH_RESIDUAL,
+# CONTACTS_UNEXPLAINED, NO_CONTACT, NO_DATA or SOLVE_FAILED.
 #
 # `linear` has all 64 grounds, the others the two corners; `follow` grounds as it likes.
 
@@ -46,10 +46,10 @@ print(report.flagged_text(summary["flagged"]))
 # %% [markdown]
 # ## The numbers themselves
 #
-# The pictures compare solvers of Eq. 3 in float32 with float64, and derivatives of the whole
-# pipeline with differences. They show how far apart places in float32 and float64 are over all
-# sweeps. Below stand images of Eq. 3 for a contact resistance ρ that is told wrongly, and
-# where optimisers end that start at a bad λ.
+# The pictures compare solvers of Eq. 3 in float32 with float64, and derivatives of the
+# whole pipeline with differences. They show how far apart places in float32 and float64
+# are over all sweeps. Below stand images of Eq. 3 for a contact resistance ρ that is told
+# wrongly, and where optimisers end that start at a bad λ.
 
 # %%
 display(report.numbers_chart(summary["numbers"], limits))

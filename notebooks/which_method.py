@@ -35,9 +35,10 @@ for name, value in found["environment"].items():
 # %% [markdown]
 # ## Speed against accuracy
 #
-# To the left is quicker, down is nearer. No method of ours is both quicker and nearer than the
-# line, the front. Peers, which a lab would write without this package, are drawn hollow. A
-# peer is full where it is ahead of all of ours of the same dtype, output and batch.
+# To the left is quicker, down is nearer. No method of ours is both quicker and nearer
+# than the line, the front. Peers, which a lab would write without this package, are drawn
+# hollow. A peer is full where it is ahead of all of ours of the same dtype, output and
+# batch.
 
 # %%
 display(report.chart(rows))
@@ -83,10 +84,10 @@ for line in report.machine_lines([], found["day"]):
 # %% [markdown]
 # ## What the machine could do
 #
-# The chart shows images of one-slot and eight-slot frames against the frames in a call. The
-# dashed bound is the longer of two times: the bytes at the rate of a copy, and the
-# multiplications at the rate of a matrix product. The same run measured both rates. Below some 256 frames a
-# call's dispatch is what takes the time; above, the product is.
+# The chart shows images of one-slot and eight-slot frames against the frames in a call.
+# The dashed bound is the longer of two times: the bytes at the rate of a copy, and the
+# multiplications at the rate of a matrix product. The same run measured both rates. Below
+# some 256 frames a call's dispatch is what takes the time; above, the product is.
 
 # %%
 display(report.rate_chart(found["rates"]))
