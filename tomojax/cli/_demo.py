@@ -1,8 +1,8 @@
-"""`tomojax demo`: recordings that come with the package, reconstructed and shown.
+"""`tomojax demo`: reconstructs and draws the recordings that come with the package.
 
-The recording is simulated (`python -m tomojax.cli._demo_recording` makes it anew), with an
-uneven sheet, gain errors and noise that the reconstruction does not know of. Letters and a
-hand are from a resistor network (`tomojax.cli._demo_shapes`).
+The touch recording is simulated; `python -m tomojax.cli._demo_recording` makes it anew. The
+simulation has an uneven sheet, gain errors and noise, which the reconstruction is not told.
+Letters and a hand come from a resistor network (`tomojax.cli._demo_shapes`).
 """
 
 import sys
@@ -24,7 +24,11 @@ from tomojax.cli.entry import Command, OutputFolder
     help="Folder for the pictures and the results.",
 )
 def demo(out: Path) -> None:
-    """Reconstruct a small recording that comes with the package; pictures and a clip."""
+    """Reconstruct a small recording that comes with the package.
+
+    The command prints the contacts that it finds. The results, two pictures and a clip go
+    to the folder OUT.
+    """
     from tqdm import tqdm
 
     from tomojax.exports import export

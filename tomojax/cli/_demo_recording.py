@@ -1,7 +1,8 @@
 """Makes the demo's recording: `python -m tomojax.cli._demo_recording FILE`.
 
-Two fingers: one draws an eight, the other taps. Three slots a scan (two opposite corners
-and a third), 200 scans of a rig with a sheet that is uneven by 3 %.
+One finger draws an eight, and a second finger taps. A scan has three slots: two opposite
+corners and a third corner are grounded in turn. The recording has 200 scans of a rig whose
+sheet is uneven by 3 %.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
@@ -21,7 +22,7 @@ _SCANS, _GROUNDS, _PERIOD = 200, (0, 63, 56), 0.01
 
 
 def voltages() -> np.ndarray:
-    """(scans, slots, 64) V, exact for the uneven sheet."""
+    """Simulates voltages (scans, slots, 64), V, exact for the uneven sheet."""
     uneven = np.indices((64, 64)).sum(0) / 63
     sheet = 10e3 * (1 + 0.03 * np.sin(2 * np.pi * uneven))
     sensor = tx.Sensor.grid(sheet_resistance=np.repeat(sheet.ravel(), 2))
@@ -42,7 +43,7 @@ def voltages() -> np.ndarray:
 
 
 def write(path: Path) -> None:
-    """With gain errors of 0.05 %, offsets and noise of 0.3 mV and 16 bits."""
+    """Writes 16-bit voltages with gain errors of 0.05 %, offsets and noise of 0.3 mV."""
     rng = np.random.default_rng(0)
     v = voltages() * rng.normal(1, 5e-4, 64) + rng.normal(0, 3e-4, 64)
     scale = 5 / 32768

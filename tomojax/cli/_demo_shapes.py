@@ -1,7 +1,8 @@
-"""The demo's shapes: letters and a hand on a rig that no method is told of.
+"""Makes and draws the demo's shapes: letters and a hand on a rig unknown to every method.
 
-`python -m tomojax.cli._demo_shapes FILE` makes their voltages anew: a resistor network with
-an uneven sheet, electrodes off their places, gains, zeros, noise (`tomojax.studies.rigs`).
+`python -m tomojax.cli._demo_shapes FILE` makes their voltages anew. A resistor network
+gives the voltages, with an uneven sheet and electrodes off their places. Gains, zeros and
+noise are added (`tomojax.studies.rigs`).
 """
 
 import sys
@@ -21,7 +22,7 @@ _TRUTH = 80  # pixels of a side
 
 
 def make(path: Path) -> None:
-    """Writes voltages (n, 64, 64), V, and what touched."""
+    """Writes the shapes' voltages (n, 64, 64), V, and masks of what touched."""
     import tomojax as tx
     from tomojax.studies.rigs import draw_rig, draw_strokes, network_of
 
@@ -40,7 +41,7 @@ def make(path: Path) -> None:
 
 
 def draw(path: Path, out: Path) -> None:
-    """Draws the truth, the paper's image of all grounds, and `shape`'s of ten."""
+    """Draws the truth, the paper's image of all grounds, and the image of `shape` from ten."""
     from matplotlib.figure import Figure
 
     import tomojax as tx
