@@ -41,7 +41,7 @@ def make(path: Path) -> None:
 
 
 def draw(path: Path, out: Path) -> None:
-    """Draws the truth, the paper's image of all grounds, and the image of `shape` from ten."""
+    """Draws the truth, the paper's image of all grounds, and `shape`'s image of ten."""
     from matplotlib.figure import Figure
 
     import tomojax as tx

@@ -39,7 +39,7 @@ class _Session:
             self._view += [self._told, *recorded]
 
     def beside(self, module: str, *words: str) -> None:
-        """Starts a process beside the loop, and tells that process of the ring and the rig."""
+        """Starts a process beside the loop, and tells the process the ring and the rig."""
         name = f"tomojax.hardware.{module}"
         command = [sys.executable, "-m", name, str(self.ring.path), self._told, *words]
         # It has the cores that the loop leaves; its threads would not wait idly.

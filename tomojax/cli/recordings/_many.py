@@ -48,7 +48,7 @@ class Recordings(click.Path):
 
 
 def found_in(given: Sequence[Path]) -> list[Path]:
-    """Lists the recordings that were named, and the recordings in folders that were named."""
+    """Lists the recordings that were named, and the recordings in named folders."""
     found: list[Path] = []
     for path in given:
         if not path.is_dir():

@@ -241,7 +241,7 @@ def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
 
 
 def _all(given: Sequence[Path], out: Path, settings: Any, options: dict[str, Any]) -> None:
-    """Reconstructs all with the same settings; programs are compiled for each rig's first."""
+    """Reconstructs all with the same settings; a rig's first compiles the programs."""
     from tomojax.cli.recordings import _many
     from tomojax.results import reconstruct_recording
 

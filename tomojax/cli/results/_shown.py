@@ -159,7 +159,7 @@ class ShownResults:
     def _volts(
         self, row: int, t: float, asked: dict[str, str], told: list[tuple[str, str]]
     ) -> dict[str, Any]:
-        """Reads the row's voltages from the recording, and a spectrum of those around it."""
+        """Reads the row's voltages from the recording, and a spectrum around the row."""
         recording = self._recording
         if recording is None:
             told.append(("voltages", self._heard))
