@@ -46,10 +46,14 @@ _MAP = 32
     "figure. `rigs`: the error on simulated rigs. [default: place; rigs for the "
     "--policy table of points or linear]",
 )
-@click.option("--noise", type=NUMBER, help="Noise, V rms. [default: the method's own]")
-@click.option("--lam", type=NUMBER, help="Image's weight λ. [default: from the noise]")
+@click.option("--noise", type=NUMBER, help="Assumed noise, V rms. [default: the method's]")
+@click.option("--lam", type=NUMBER, help="Image's regularisation λ. [default: by noise]")
 @click.option(
-    "--contacts", type=int, default=64, show_default=True, help="Contacts over the region."
+    "--contacts",
+    type=int,
+    default=64,
+    show_default=True,
+    help="Spread this many contacts over the region.",
 )
 @click.option(
     "--like",

@@ -82,7 +82,11 @@ def _shared(command: Any) -> Any:
             help="Write the view of --view rerun to this file and open no viewer; "
             "replaces an earlier view.",
         ),
-        click.option("--seconds", type=AMOUNT, help="Run time, s. [default: until Ctrl-C]"),
+        click.option(
+            "--seconds",
+            type=AMOUNT,
+            help="Stop after this time, s. [default: until Ctrl-C]",
+        ),
         click.option(
             "--file-seconds",
             type=AMOUNT,
@@ -95,7 +99,10 @@ def _shared(command: Any) -> Any:
             "--bind", help="Listen here over UDP. [default: 127.0.0.1, this machine only]"
         ),
         click.option(
-            "--speed", type=AMOUNT, help="Replay speed, 1 is as measured. [default: full]"
+            "--speed",
+            type=AMOUNT,
+            help="Replay a recording this many times as fast as measured. [default: "
+            "as fast as it is read]",
         ),
         click.option(
             "--like",
@@ -107,14 +114,14 @@ def _shared(command: Any) -> Any:
             "--channels",
             type=Numbers(),
             help="The electrode that each channel reads, as numbers with commas. "
-            "`tomojax check --write` finds them for --config. [default: channel k "
-            "reads electrode k]",
+            "`tomojax check --write` writes this list for --config. [default: "
+            "channel k reads electrode k]",
         ),
         click.option(
             "--grounds",
             type=Numbers(),
             help="The electrode that each ground line switches, -1 for none, as numbers "
-            "with commas. `tomojax check --write` finds them for --config. "
+            "with commas. `tomojax check --write` writes this list for --config. "
             "[default: line k switches electrode k]",
         ),
     ):
@@ -203,9 +210,13 @@ def _calibrated(rec: Path, made: Path) -> None:
     "--budget", type=AMOUNT, help="A slot older than this is late, s. [default: one slot]"
 )
 @click.option(
-    "--contacts", type=COUNT, default=2, show_default=True, help="Find this many at most."
+    "--contacts",
+    type=COUNT,
+    default=2,
+    show_default=True,
+    help="Find this many contacts at most.",
 )
-@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
+@click.option("--calibration", type=InputFile(), help="Apply this calibration of the rig.")
 @click.option(
     "--adapt",
     is_flag=True,
@@ -215,7 +226,7 @@ def _calibrated(rec: Path, made: Path) -> None:
 @click.option(
     "--shapes",
     is_flag=True,
-    help="Draw what touches by the method shape, in the view, in a separate process.",
+    help="Let a separate process draw the view's image by the method shape.",
 )
 @click.option(
     "--record",

@@ -33,7 +33,11 @@ from tomojax.cli.recordings import layout_option, opened
     "--older", "before", type=InputFile(), help="Begin with this older calibration."
 )
 @click.option(
-    "--frames", type=int, default=1000, show_default=True, help="Most frames, of ten slots."
+    "--frames",
+    type=int,
+    default=1000,
+    show_default=True,
+    help="Use this many frames of ten slots at most.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
 @click.option(
@@ -146,7 +150,10 @@ class _Corners(click.ParamType):
     "none. [default: 0 and the last of row 0]",
 )
 @click.option(
-    "-o", "--out", type=OutputFile("recording"), help="Keep the recording of SOURCE here."
+    "-o",
+    "--out",
+    type=OutputFile("recording"),
+    help="Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
 )
 @click.option(
     "--write",
@@ -167,11 +174,25 @@ class _Corners(click.ParamType):
 )
 @click.option("--like", type=InputFile(), help="Expect as many channels as this recording.")
 @click.option(
-    "--quiet", type=AMOUNT, default=4.0, show_default=True, help="Leave SOURCE alone, s."
+    "--quiet",
+    type=AMOUNT,
+    default=4.0,
+    show_default=True,
+    help="Record SOURCE untouched for this time, s.",
 )
-@click.option("--rub", type=AMOUNT, default=20.0, show_default=True, help="Rub SOURCE, s.")
 @click.option(
-    "--touch", type=AMOUNT, default=3.0, show_default=True, help="Hold each touch, s."
+    "--rub",
+    type=AMOUNT,
+    default=20.0,
+    show_default=True,
+    help="Record a rub on SOURCE for this time, s.",
+)
+@click.option(
+    "--touch",
+    type=AMOUNT,
+    default=3.0,
+    show_default=True,
+    help="Record each touch on SOURCE for this time, s.",
 )
 @click.option("--baud", type=COUNT, help="Speed of a serial line, baud. [default: 4000000]")
 @click.option("--bind", help="Listen here over UDP. [default: 127.0.0.1, this machine]")

@@ -76,14 +76,14 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     type=int,
     default=4,
     show_default=True,
-    help="Most contacts per row.",
+    help="Find this many contacts per row at most.",
 )
 @click.option(
     "--threshold",
     type=NUMBER,
-    help="Report no contact below this, V. [default: the method's]",
+    help="Report no contact if all voltages are below this, V. [default: the method's]",
 )
-@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
+@click.option("--calibration", type=InputFile(), help="Apply this calibration of the rig.")
 @click.option(
     "--tare/--no-tare",
     default=True,

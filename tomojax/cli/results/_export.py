@@ -55,7 +55,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     "--from",
     "since",
     type=NUMBER,
-    help="Write rows from this time on, s after the first row.",
+    help="Write rows from this time on, s after the first row. [default: 0]",
 )
 @click.option(
     "-o",
@@ -70,9 +70,11 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     help="Frames a second of lerobot, or pictures a second of a film. [default: 50]",
 )
 @click.option(
-    "--task", default="touch", help="Say in words what lerobot shows. [default: touch]"
+    "--task",
+    default="touch",
+    help="Say in words what lerobot's episodes show. [default: touch]",
 )
-@click.option("--slow", type=NUMBER, help="Slow a film down so many times. [default: 1]")
+@click.option("--slow", type=NUMBER, help="Slow a film down this many times. [default: 1]")
 @click.option(
     "--film",
     type=OutputFile("", unless=lambda given: True),

@@ -12,7 +12,9 @@ from tomojax.cli.studies._study import begin, named, study_options
 
 
 @click.command(cls=Command)
-@click.option("--quick", is_flag=True, help="Run four methods on few scenes; some minutes.")
+@click.option(
+    "--quick", is_flag=True, help="Run four methods on few scenes, in some minutes."
+)
 @click.option("--only", multiple=True, help="Run this sweep alone; may be repeated.")
 @study_options(
     "stability", "limits and a summary", "At each value. [default: 10; quick: 4]"

@@ -38,7 +38,8 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
         click.option(
             "--like",
             type=InputFile(),
-            help="Take the sheet and electrodes from this recording of the rig.",
+            help="Take the sheet and electrodes from this recording of the rig. "
+            "[default: the paper's sensor]",
         ),
     )
 
