@@ -1,7 +1,8 @@
-"""The bridge: measured slots from rigs into the compiled step, its grounds back.
+"""The bridge: brings measured slots from rigs into the compiled step, and grounds back.
 
-It moves slots and knows no physics. `open_source` gives a source by its name, `run` is
-the live loop, a `Recorder` writes recordings beside it; PROTOCOL.md is a rig's side.
+The bridge moves slots and knows no physics. `open_source` opens a source by its name. `run`
+is the live loop. A `Recorder` writes recordings beside the loop. PROTOCOL.md describes a
+rig's side.
 """
 
 from tomojax.hardware.loop import real_time as real_time, run as run, SlotRing as SlotRing

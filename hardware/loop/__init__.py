@@ -1,7 +1,7 @@
 """The live loop, and the recorder and the views that run beside it.
 
-The room carries slots from a source into a step, and grounds back. It knows nothing of how
-either works.
+The room carries slots from a source into a step, and grounds back. The room does not know
+how a source or a step works.
 """
 
 from tomojax.hardware.loop._leftovers import own_folder as own_folder

@@ -1,7 +1,7 @@
-"""What a session keeps outside its own memory, and what one that was killed has left.
+"""Keeps files and folders of a session, and removes those of sessions that were killed.
 
-The owner of a file or a folder holds a lock on it. The system lets go of that when the
-process ends, however it ends: so whoever gets the lock knows that nobody owns it.
+The owner of a file or a folder holds a lock on it. The system releases the lock whenever
+the process ends. Any process that gets the lock therefore knows that the owner has ended.
 """
 
 import os
@@ -20,7 +20,7 @@ except ImportError:  # Windows: nobody can tell
 def claim(path: Path) -> int | None:
     """Marks a file or a folder as this process's own; the descriptor holds the mark.
 
-    None where the system has no locks, or where another process has swept it just now.
+    Returns None where the system has no locks, or where another process has just swept it.
     """
     if fcntl is None:
         return None
@@ -34,7 +34,7 @@ def claim(path: Path) -> int | None:
 
 
 def abandoned(path: Path) -> bool:
-    """Whether the process that claimed it has ended; False where nobody can tell."""
+    """Tells whether the process that claimed a path has ended; False if nobody knows."""
     if fcntl is None:
         return False
     try:
@@ -52,7 +52,7 @@ def abandoned(path: Path) -> bool:
 
 
 def sweep(folder: Path, pattern: str) -> None:
-    """Removes what nobody owns any more, of one's own."""
+    """Removes this user's files and folders that no process owns any more."""
     if fcntl is None:
         return
     for path in folder.glob(pattern):
@@ -67,7 +67,7 @@ def sweep(folder: Path, pattern: str) -> None:
 
 @contextmanager
 def own_folder(prefix: str) -> Iterator[Path]:
-    """A folder for temporary files; those of processes that were killed are removed."""
+    """Makes a folder for temporary files, and removes folders of killed processes."""
     place = Path(tempfile.gettempdir())
     sweep(place, f"{prefix}*")
     with tempfile.TemporaryDirectory(prefix=prefix) as name:

@@ -1,4 +1,4 @@
-"""The live loop: a source's slots into the step, grounds back, all of it into a ring."""
+"""The live loop: moves slots from a source into the step and the ring, and grounds back."""
 
 import time
 from collections.abc import Callable
@@ -34,15 +34,17 @@ def run(
     meanwhile: Callable[[], None] = lambda: None,
     images: bool = True,
 ) -> None:
-    """Goes on until the source ends or `until` says so; `source` is started.
+    """Runs the loop until the source ends or `until` says so; `source` is started.
 
-    Each slot is put into the `ring` before the next is read. Without a `step` that is all.
-    Where newer slots wait already a slot is not worked on ("skipped"): the step is told as
-    many lost. A slot older than `budget` (s; by default the time of one) when it is read
-    is told to be hurried: the step's cheaper method, if it has one, answers.
-    `meanwhile` is called a few times a second, between slots. So often the ring's `trim` is
-    looked at, which corrects the voltages for what has drifted. Without `images` the ring's
-    is left to another process.
+    The loop puts each slot into the `ring` before it reads the next slot. Without a `step`,
+    the loop does nothing else. If newer slots wait already, the loop skips the step for
+    this slot ("skipped"). The step is later told the number of skipped slots, as lost.
+
+    A slot is late if it is older than `budget` (s; by default the time of one slot). The
+    step's cheaper method, if there is one, answers a late slot. `meanwhile` is called a few
+    times a second, between slots. The loop also reads the ring's `trim` then, which
+    corrects the voltages for drift. Without `images`, another process draws the ring's
+    image.
     """
     m = source.electrodes
     require(ring.electrodes == m, "ring", f"{ring.electrodes} electrodes", f"{m}")
@@ -102,7 +104,7 @@ def run(
 
 
 def _trimmed(ring: SlotRing, scale: np.float32, offset: np.float32) -> tuple:
-    """Volts per code and volts at 0 of each channel, drift corrected."""
+    """Returns each channel's volts per code and volts at 0, corrected for drift."""
     factor, more = ring.trim
     return scale * factor, offset * factor + more
 

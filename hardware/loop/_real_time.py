@@ -14,11 +14,12 @@ _FLAGS = (
 
 @contextmanager
 def real_time(priority: int = 50):
-    """Settings of this process for steps of short latency; yields what was allowed.
+    """Sets this process up for steps of short latency; yields the settings it was allowed.
 
-    To be entered before anything is computed: JAX reads most of this when it begins. On
-    one core, without tasks of other threads, each step compiled into one function, no
-    garbage collection, and SCHED_FIFO of that `priority` where the system lets it.
+    Enter this context before JAX computes anything: JAX reads most settings when it begins.
+    The process stays on one core, without tasks of other threads and without garbage
+    collection. Each step is compiled into one function. The process runs under SCHED_FIFO
+    with that `priority`, if the system allows.
     """
     import jax  # processes beside the loop start without
 
@@ -55,7 +56,7 @@ def real_time(priority: int = 50):
 
 
 def _quietest(cores: set[int]) -> int:
-    """The core that devices have interrupted least: 99.9 % were 8 % shorter there."""
+    """Returns the core that devices interrupted least: 99.9 % were 8 % shorter there."""
     try:
         names, *lines = Path("/proc/interrupts").read_text().splitlines()
     except OSError:
@@ -68,7 +69,7 @@ def _quietest(cores: set[int]) -> int:
 
 
 def beside(nice: int = 0) -> None:
-    """For a process that such a one has started: any core, and `nice` behind others."""
+    """Lets a process that the loop started use any core, `nice` steps behind others."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
     if hasattr(os, "nice"):  # not on Windows

@@ -1,7 +1,7 @@
-"""Slots, and what was said of them, in memory that processes share: one writes, many read.
+"""A ring of slots and their contacts in shared memory: one process writes, many read.
 
-The writer never waits. A reader that is slower than the ring is long loses the oldest
-slots and is told how many: whoever is late loses, and nobody else is kept waiting.
+The writer never waits. A reader that falls behind by more than the ring's length loses the
+oldest slots. That reader is told how many slots are lost, and no other process waits.
 """
 
 import os
@@ -65,17 +65,17 @@ def _row(electrodes: int, contacts: int) -> np.dtype:
 
 
 def mark_bytes(text: str) -> bytes:
-    """A mark's text as a file keeps it: one line, letters whole."""
+    """Returns a mark's text as bytes for a file: one line, cut between letters."""
     line = "".join(c if c.isprintable() else " " for c in text).strip()
     return line.encode(errors="replace")[:MARK].decode(errors="ignore").encode()
 
 
 class SlotRing:
-    """`SlotRing.create` makes one, `SlotRing(path)` opens it in another process.
+    """`SlotRing.create` makes a ring, `SlotRing(path)` opens the ring in another process.
 
-    `head` has numbers beside the rows, each an array that can be written into. `trim`
-    (2, M): readings times the first and plus the second, V, are what the loop works on;
-    who follows the rig's drift writes there.
+    `head` has numbers beside the rows, each an array that can be written into. `trim` (2,
+    M) has a factor and an offset, V, of each channel. The loop works on readings times the
+    factor plus the offset. The process that follows the rig's drift writes `trim`.
     """
 
     def __init__(self, path: Path | str, writable: bool = True):
@@ -96,9 +96,9 @@ class SlotRing:
     def create(
         cls, electrodes: int, contacts: int = 2, length: int = 1 << 16, folder: Any = None
     ) -> "SlotRing":
-        """Of `length` slots, in memory where the system has a folder for that.
+        """Makes a ring of `length` slots, in memory where the system has a folder for that.
 
-        Rings of processes that were killed are removed from there.
+        Rings of killed processes are removed from the folder.
         """
         require(length >= 2, "length", length, "2 or more slots")
         shared = Path("/dev/shm")
@@ -127,7 +127,7 @@ class SlotRing:
         return bool(self.head["done"]) or abandoned(self.path)
 
     def put(self, got: Any, codes: np.ndarray, said: dict[str, Any]) -> None:
-        """One slot more: a `Got`, its codes, and the other fields by name."""
+        """Writes one more slot: a `Got`, its codes, and the other fields by name."""
         written = int(self.head["rows"])
         k = written % self.length
         fields = self._fields
@@ -139,7 +139,7 @@ class SlotRing:
         self.head["rows"][...] = written + 1
 
     def since(self, row: int, most: int = 1 << 14) -> tuple[np.ndarray, int, int]:
-        """Rows from the `row`th on: a copy, the row after them, and how many are gone."""
+        """Returns a copy of rows from `row` on, the row after, and how many are lost."""
         end = int(self.head["rows"])
         # One that is written into just now is no row any more.
         first = max(row, end - self.length + 1)
@@ -157,25 +157,25 @@ class SlotRing:
         return dict(zip(_NAMES, self.head["counters"].tolist()))
 
     def latency(self, *parts: float) -> list[float]:
-        """Quantiles of all latencies so far, s; NaN before the first."""
+        """Returns quantiles of all latencies so far, s; NaN before the first."""
         total = np.cumsum(self.head["latency"])
         if not total[-1]:
             return [float("nan")] * len(parts)
         return [1e-6 * float(np.searchsorted(total, p * total[-1])) for p in parts]
 
     def say(self, text: str) -> None:
-        """Puts lines beside the slots, instead of those before; too long ones are cut."""
+        """Replaces the lines of text beside the slots; text that is too long is cut."""
         coded = text.encode()[:SAID]
         self.head["said"][...] = coded.decode(errors="ignore").encode()
 
     def said(self) -> str:
-        """Reads what was put there last."""
+        """Reads the lines that `say` put there last."""
         return bytes(self.head["said"][()]).decode(errors="ignore")
 
     def mark(self, text: str) -> float:
-        """Marks the newest slot's moment for the recorder; gives its time, s.
+        """Marks the newest slot's moment for the recorder; returns the moment's time, s.
 
-        One process marks. A text that is too long is cut.
+        Only one process marks. A text that is too long is cut.
         **Raises:** `ValueError` before the first slot, or where the recorder is late.
         """
         rows, marks = int(self.head["rows"]), int(self.head["marks"])
@@ -189,12 +189,12 @@ class SlotRing:
         return t
 
     def unrecorded_marks(self) -> list[tuple[float, bytes]]:
-        """Marks that no file has yet, the oldest first."""
+        """Returns the marks that no file has yet, the oldest first."""
         numbers = range(int(self.head["marked"]), int(self.head["marks"]))
         t, text = self.head["mark_t"], self.head["mark_text"]
         return [(float(t[k % MARKS]), bytes(text[k % MARKS])) for k in numbers]
 
     def remove(self) -> None:
-        """Takes the file away; those who have it open keep it until they end."""
+        """Removes the ring's file; processes that have it open keep it until they end."""
         with suppress(PermissionError):  # Windows keeps a file that is open
             self.path.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""Zeros and gains that drift, followed live: a process that reads the ring and trims it.
+"""Follows zeros and gains that drift: a process that reads the ring and trims it.
 
-The loop waits for nothing: it takes up what stands in the ring's `trim` a few times a
-second. What was followed is logged beside the recording, once a minute.
+The loop waits for nothing. The loop reads the ring's `trim` a few times a second. Once a
+minute, a log beside the recording takes the zeros and gains.
 """
 # pyright: reportArgumentType=false
 
@@ -25,13 +25,13 @@ _EVERY, _LOG, _NICE = 1.0, 60.0, 10
 
 
 class Log:
-    """What zeros and gains were by when, in an HDF5 file where there is a path."""
+    """Zeros and gains over time, in an HDF5 file if there is a path."""
 
     def __init__(self, path: Path | None):
         self._path, self._entries, self._due = path, [], 0.0
 
     def add(self, adapter: Any, last: bool = False) -> None:
-        """Once a minute, and at the end."""
+        """Adds an entry if a minute has passed, or at the end."""
         if np.isnan(adapter.time) or not (last or time.monotonic() > self._due):
             return
         self._due = time.monotonic() + _LOG
@@ -48,7 +48,7 @@ class Log:
 
 
 def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) -> str:
-    """Until the ring is done; says what was followed."""
+    """Follows the drift until the ring is done; returns a line on what has changed."""
     from tomojax.calibration import Adapter
     from tomojax.sensor import Calibration
 
@@ -80,8 +80,10 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
 
 
 def _places(rows: np.ndarray) -> np.ndarray:
-    """Places of lone contacts, NaN elsewhere; where slots were not worked on, those of the
-    last that was."""
+    """Returns places of lone contacts, NaN elsewhere.
+
+    A slot that was not worked on takes the place of the last slot that was.
+    """
     worked = np.isfinite(rows["latency"])
     last = np.maximum.accumulate(np.where(worked, np.arange(len(rows)), -1))
     alone = (last >= 0) & (rows["count"][last] == 1)

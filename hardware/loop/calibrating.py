@@ -1,7 +1,7 @@
-"""What a rub tells so far: a process that reads the ring and the file that grows.
+"""Shows what a rub tells so far: a process that reads the ring and the growing file.
 
-A map of the sheet's squares fills as they are touched; meanwhile calibrations of what is
-on the disk say how well each part is known.
+A map of the sheet's squares fills as the finger touches them. Meanwhile, calibrations of
+the slots on the disk say how well each part is known.
 """
 
 import argparse
@@ -29,7 +29,7 @@ _FRAMES, _AGAIN, _NICE = 120, 10.0, 10
 
 
 class Map:
-    """How often each square of about a pitch was visited."""
+    """Counts of visits to each square of the sheet, a square about a pitch wide."""
 
     def __init__(self, rig: Any):
         self._drive, self._sensor = abs(rig.drive_voltage), rig.sensor()
@@ -42,7 +42,7 @@ class Map:
         self._last = -1
 
     def add(self, volts: np.ndarray) -> None:
-        """Slots in a row (n, M), V: the electrode that reads most marks its square."""
+        """Adds slots in a row (n, M), V: the electrode that reads most marks its square."""
         n = len(volts) // _SLOTS
         each = volts[: n * _SLOTS].reshape(n, _SLOTS, -1)
         touched = np.abs(each).max(2).min(1) > _TOUCHED * self._drive
@@ -52,13 +52,13 @@ class Map:
             self._last = electrode
 
     def image(self) -> np.ndarray:
-        """Squares as pixels, as large as fit."""
+        """Returns the squares as pixels, as large as fit."""
         shown = np.minimum(self.count, _ENOUGH) / _ENOUGH
         times = max(1, SIDE // max(shown.shape))
         return np.kron(shown, np.ones((times, times)))[:SIDE, :SIDE]
 
     def text(self) -> str:
-        """How many squares are touched, and where to rub more."""
+        """Returns lines that say how many squares are touched, and where to rub more."""
         from tomojax.calibration import rub_more
 
         enough = int((self.count >= _ENOUGH).sum())
@@ -67,7 +67,7 @@ class Map:
 
 
 class Known:
-    """Calibrates what is on the disk, again and again, and says how well it is known."""
+    """Calibrates the slots on the disk again and again, and says how well all is known."""
 
     def __init__(self, path: Path):
         self.text, self._path = "", path
@@ -100,7 +100,7 @@ class Known:
 
 
 def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
-    """Until the ring is done."""
+    """Draws the map and prints the lines until the ring is done."""
     drawn, known = Map(rig_of(told)), Known(path)
     row, done, left = 0, False, np.zeros((0, ring.electrodes))
     while not done:

@@ -1,6 +1,6 @@
-"""The live view's image by `shape`: a process that reads the ring and draws into it.
+"""Draws the live view's image by `shape`: a process that reads the ring and writes into it.
 
-The loop waits for nothing. An image is of the latest slot of each of a few grounds.
+The loop waits for nothing. An image uses the latest slot of each of a few grounds.
 """
 
 import argparse
@@ -22,7 +22,7 @@ _EVERY, _SLOTS, _BACK, _OLD, _NICE = 0.1, (10, 2, 1), 256, 0.1, 5
 
 
 def latest(rows: np.ndarray) -> np.ndarray:
-    """The latest row of each ground, ten, two or one of them, the oldest first."""
+    """Returns the latest row of each of ten, two or one grounds, the oldest row first."""
     rows = rows[-_BACK:]
     rows = rows[(rows["ground"] >= 0) & (rows["time"] >= rows["time"][-1] - _OLD)]
     _, first = np.unique(rows["ground"][::-1], return_index=True)
@@ -32,7 +32,7 @@ def latest(rows: np.ndarray) -> np.ndarray:
 
 
 def draw(ring: SlotRing, told: dict[str, Any], path: str) -> int:
-    """Until the ring is done, of which the last is drawn; returns how many images."""
+    """Draws images until the ring is done, and one of its end; returns their number."""
     from tomojax.methods import Batch, method
     from tomojax.sensor import Calibration
 

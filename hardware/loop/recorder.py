@@ -1,7 +1,8 @@
-"""The recorder: a process of its own that writes a ring's slots into recordings.
+"""The recorder: a separate process that writes a ring's slots into recordings.
 
-Made to be killed at any time: HDF5 in SWMR mode, flushed several times a second, and what
-is flushed is noted in the ring, so that the next one goes on from there in a new file.
+The recorder may be killed at any time. It writes HDF5 in SWMR mode and flushes several
+times a second. It notes flushed slots in the ring, so that a next recorder goes on from
+there in a new file.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # (h5py does not say whether a name is a group or a dataset)
@@ -32,7 +33,7 @@ _CHUNK, _MOST = 2048, 1 << 14
 
 
 def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
-    """Of a recording, version 1."""
+    """Returns the attributes of a recording, version 1."""
     names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
     return {
         "schema": SCHEMA,
@@ -52,7 +53,7 @@ def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
 
 
 def rig_of(told: dict[str, Any]) -> Rig:
-    """The rig that such attributes tell of."""
+    """Returns the rig that a recording's attributes describe."""
     numbers = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
     rails = sorted(told["offset"] + told["scale"] * np.array([-32768.0, 32767.0]))
     return Rig(
@@ -94,7 +95,7 @@ class File:
         self._file.swmr_mode = True
 
     def append(self, rows: np.ndarray, lost: np.ndarray) -> None:
-        """Rows of a ring, each with as many `lost` before it; on the disk afterwards."""
+        """Writes a ring's rows, each with the `lost` slots before it, and flushes them."""
         before = np.flatnonzero(lost)
         if len(before):
             gone = lost[before]
@@ -113,7 +114,7 @@ class File:
         self.rows += n
 
     def mark(self, marks: list[tuple[float, bytes]]) -> None:
-        """Moments (s of the rig's clock) with their texts; on the disk afterwards."""
+        """Writes moments (s of the rig's clock) with their texts, and flushes them."""
         # Readers take as many as there are times.
         self._grow(self._marks, np.array([text for _, text in marks], f"S{MARK}"))
         self._grow(self._marks_t, np.array([t for t, _ in marks], float))
@@ -133,7 +134,7 @@ class File:
 
 
 def free_path(path: Path) -> Path:
-    """`path`, or the first of path-1, path-2, … that there is not."""
+    """Returns `path`, or the first of path-1, path-2, … that does not exist."""
     number, found = 0, path
     while found.exists():
         number += 1
@@ -142,7 +143,7 @@ def free_path(path: Path) -> Path:
 
 
 def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float) -> None:
-    """Until the ring's writer is done and all of it is on the disk."""
+    """Writes slots until the ring's writer is done and all slots are on the disk."""
     file, began = None, 0.0
     while True:
         done, row = ring.done, int(ring.head["recorded"])
@@ -173,7 +174,7 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
 
 
 class Recorder:
-    """Starts the process, and another where it dies; `look` now and then, then `close`."""
+    """Starts the process, and another if that one dies; `look` at times, then `close`."""
 
     def __init__(
         self, ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float = 3600.0
@@ -188,7 +189,7 @@ class Recorder:
         return subprocess.Popen(self._command, start_new_session=True)
 
     def look(self) -> None:
-        """Starts a new one, a second after the last died."""
+        """Starts a new process, a second after the last one died."""
         if self.process.poll() is None:
             return
         now = time.monotonic()
@@ -199,14 +200,14 @@ class Recorder:
             self.process = self._started()
 
     def stop(self) -> None:
-        """At once, whatever it does."""
+        """Ends the process at once."""
         self.process.kill()
         self.process.wait()
 
     def close(self, timeout: float = 60.0) -> None:
-        """After the ring is done: until all is on the disk.
+        """Waits, after the ring is done, until all slots are on the disk.
 
-        **Raises:** `OSError` where that cannot be: the disk is full.
+        **Raises:** `OSError` if slots cannot be written, for example to a full disk.
         """
         end = time.monotonic() + timeout
         while self.process.poll() != 0:

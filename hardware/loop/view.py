@@ -1,6 +1,7 @@
-"""What is live, in a terminal: a process of its own that reads the ring.
+"""Shows the live loop in a terminal: a separate process that reads the ring.
 
-On a terminal a picture that is drawn again and again; elsewhere a line each second.
+A terminal gets a picture that is drawn again and again. Any other output gets a line each
+second.
 """
 
 import argparse
@@ -20,7 +21,7 @@ _HOME, _CLEAR, _REST = "\x1b[H", "\x1b[2J", "\x1b[K"
 
 
 def blocks(image: np.ndarray) -> list[str]:
-    """An image as lines of half blocks in grey, x to the right and y upwards."""
+    """Returns an image as lines of half blocks in grey, x to the right and y upwards."""
     top = max(float(np.nanmax(image, initial=0)), 1e-30)
     shade = np.nan_to_num(np.clip(image / top, 0, 1))
     grey = (232 + np.rint(23 * shade)).astype(int).T[::-1]
@@ -31,7 +32,7 @@ def blocks(image: np.ndarray) -> list[str]:
 
 
 def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
-    """What is said in words."""
+    """Returns the view's lines of text."""
     p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
     counted = {name: n for name, n in ring.counted().items() if n}
     slots = counted.pop("slots", 0)
@@ -60,7 +61,7 @@ def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
 
 
 def watch(ring: SlotRing, terminal: bool) -> None:
-    """Until the ring is done."""
+    """Shows the ring until the ring is done."""
     period = _EVERY if terminal else 1.0
     before, rows = time.monotonic(), int(ring.head["rows"])
     if terminal:

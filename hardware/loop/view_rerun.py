@@ -1,4 +1,4 @@
-"""What is live, in rerun's viewer or a file of its: a process that reads the ring."""
+"""Shows the live loop in rerun's viewer, or writes it to rerun's file, beside the loop."""
 
 import argparse
 import signal
@@ -15,7 +15,7 @@ _EVERY = 0.1  # s
 
 
 def watch(ring: SlotRing, path: Path | None) -> None:
-    """Until the ring is done; into the file at `path`, or a viewer that is started."""
+    """Logs the ring until the ring is done, to the file at `path` or a new viewer."""
     import rerun as rr
 
     rr.init("tomojax", spawn=path is None)
@@ -32,7 +32,7 @@ def watch(ring: SlotRing, path: Path | None) -> None:
 
 
 def _log(rr, ring: SlotRing, rows: np.ndarray) -> None:
-    """The last of some slots, and how quick they were."""
+    """Logs the last of some slots, and the latencies."""
     rr.set_time("time", duration=float(rows["time"][-1]))
     rr.log("slots/each_second", rr.Scalars(len(rows) / _EVERY))
     rr.log("slots/lost", rr.Scalars(float(rows["lost"].sum())))
@@ -48,7 +48,7 @@ def _log(rr, ring: SlotRing, rows: np.ndarray) -> None:
 
 
 def _shades(image: np.ndarray) -> np.ndarray:
-    """0 to 1, y upwards."""
+    """Scales an image to 0 to 1, y upwards."""
     top = max(float(np.nanmax(image, initial=0)), 1e-30)
     return np.nan_to_num(np.clip(image / top, 0, 1)).T[::-1]
 

@@ -1,6 +1,6 @@
-"""Where contacts go while they are live: other programs, over the network or to files.
+"""Sends live contacts to other programs, over the network or into files.
 
-Each sink is a process of its own that reads the ring: the loop waits for none.
+Each sink is a separate process that reads the ring: the loop waits for none.
 """
 
 from tomojax.hardware.sinks._rows import (

@@ -1,4 +1,4 @@
-"""Foxglove's websocket, on this machine alone: contacts, the image, the state."""
+"""Foxglove's websocket, on this machine alone: sends contacts, the image and the state."""
 
 import json
 import math
@@ -19,10 +19,10 @@ _RADIUS, _HIGH, _IMAGES = 0.004, 0.001, 10.0
 
 
 class FoxgloveSink:
-    """Topics: /tomojax/contacts (SceneUpdate), /tomojax/image (RawImage, 32FC1, y upwards),
-    /tomojax/state and /tomojax/events (JSON, keys as of JSON lines).
+    """Topics of Foxglove; a slow client loses the oldest messages.
 
-    A client that is slow loses the oldest messages.
+    /tomojax/contacts is a SceneUpdate, /tomojax/image a RawImage (32FC1, y upwards).
+    /tomojax/state and /tomojax/events are JSON, with the keys of JSON lines.
     """
 
     def __init__(self, where: Where, ring: SlotRing):
@@ -68,7 +68,7 @@ def _time(t: float) -> Any:
 
 
 def _scene(row: LiveRow) -> Any:
-    """One entity with a disc for each contact; the next row's replaces it."""
+    """Returns an entity with a disc for each contact; the next row's entity replaces it."""
     from foxglove.messages import (
         Color,
         CylinderPrimitive,

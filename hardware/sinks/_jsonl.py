@@ -1,4 +1,4 @@
-"""JSON lines: one for each row and each event, into a file or to standard output."""
+"""JSON lines: writes one for each row and each event, to a file or standard output."""
 
 import json
 import math
@@ -15,10 +15,10 @@ _EVERY = 0.1
 
 
 class JsonSink:
-    """Keys have units: {"t_s", "slot", "flags", "contacts": [{"number", "x_m", …}]}, and
-    {"t_s", "event", "contact", "x_m", "y_m", "conductance_S", "force_N"}.
+    """A file of JSON lines whose keys have units; an unknown number is null.
 
-    A number that is not known is null.
+    A row is {"t_s", "slot", "flags", "contacts": [{"number", "x_m", …}]}. An event is
+    {"t_s", "event", "contact", "x_m", "y_m", "conductance_S", "force_N"}.
     """
 
     def __init__(self, where: Where):
@@ -46,7 +46,7 @@ class JsonSink:
 
 
 def row_as_json(row: LiveRow) -> dict[str, Any]:
-    """A row by keys with units."""
+    """Returns a row by keys with units."""
     contacts = [
         {
             "number": one.number,
@@ -61,7 +61,7 @@ def row_as_json(row: LiveRow) -> dict[str, Any]:
 
 
 def event_as_json(event: Event) -> dict[str, Any]:
-    """An event by keys with units."""
+    """Returns an event by keys with units."""
     return {
         "t_s": event.t,
         "event": event.kind,

@@ -1,4 +1,4 @@
-"""Lab Streaming Layer: contacts as numbers, events as markers, on the network's clock."""
+"""Lab Streaming Layer: sends contacts as numbers, events as markers, on its clock."""
 
 import time
 from typing import Any
@@ -14,10 +14,11 @@ _OF_CONTACT = {"number": "1", "x": "m", "y": "m", "conductance": "S", "force": "
 
 
 class LslSink:
-    """Two streams: NAME with t, flags, count, and five channels of each contact, NaN where
-    there is none; NAME-events with texts such as "touch_down 3 0.0312 0.0507".
+    """Two streams, NAME and NAME-events.
 
-    A sample's time is when it was sent: `t` has the rig's clock.
+    NAME has t, flags, count, and five channels of each contact, NaN without a contact.
+    NAME-events has texts such as "touch_down 3 0.0312 0.0507". A sample's time is when it
+    was sent; `t` has the rig's clock.
     """
 
     def __init__(self, where: Where, contacts: int):

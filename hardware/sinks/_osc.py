@@ -9,9 +9,11 @@ from tomojax.hardware.sinks._where import Where
 
 
 class OscSink:
-    """A bundle for each row: /tomojax/count, and of each contact /tomojax/contact with its
-    number, x, y (m), conductance (S), force (N); /tomojax/touch_down and /tomojax/lift_off
-    with the same. Force is NaN where it is not known.
+    """Sends a bundle for each row, and a message for each event.
+
+    A bundle has /tomojax/count, and /tomojax/contact for each contact. A contact has its
+    number, x, y (m), conductance (S) and force (N). The messages /tomojax/touch_down and
+    /tomojax/lift_off have the same values. An unknown force is NaN.
     """
 
     def __init__(self, where: Where):

@@ -1,4 +1,4 @@
-"""Rows of a ring as sinks take them: contacts with numbers and forces, and events."""
+"""Turns a ring's rows into rows for sinks: contacts with numbers and forces, and events."""
 
 import math
 import time
@@ -25,7 +25,7 @@ class LiveContact(NamedTuple):
 
 
 class LiveRow(NamedTuple):
-    """What the loop said of one slot."""
+    """The loop's answer to one slot."""
 
     slot: int  # its number; lost ones count
     t: float  # s, of the rig's clock
@@ -35,28 +35,28 @@ class LiveRow(NamedTuple):
 
 @runtime_checkable
 class Sink(Protocol):
-    """Where rows go. It may be slow: rows that come meanwhile are lost to it alone.
+    """The interface of a sink. A slow sink loses the rows that come meanwhile.
 
-    A sink of your own has these three methods; `follow` drives it.
+    A sink of your own has these three methods; `follow` calls them.
     """
 
     def put(self, row: LiveRow) -> bool | None:
-        """Takes a row; False where it did not go out."""
+        """Takes a row; returns False if the row was not sent."""
         ...
 
     def event(self, event: Event, row: LiveRow | None) -> None:
-        """Takes a touch-down or a lift-off; the row that told it, None at the end."""
+        """Takes a touch-down or a lift-off, and the row that told it (None at the end)."""
         ...
 
     def close(self) -> None:
-        """Ends it; all that was put is out."""
+        """Ends the sink after all that was put is sent."""
         ...
 
 
 class Force(NamedTuple):
-    """F of a conductance: by the power law g/A = c·pᵏ, on a contact of known radius.
+    """The force F, N, of a conductance, by the power law g/A = c·pᵏ and a known radius.
 
-    The step does not tell a contact's radius: who presses with a tip of one radius does.
+    The step does not tell a contact's radius. A user who presses with one tip knows it.
     """
 
     c: float  # S/m² at Pa
@@ -69,7 +69,7 @@ class Force(NamedTuple):
 
 
 class Counted(NamedTuple):
-    """Rows that went out, that the sink lost, and that its rate left out."""
+    """Numbers of rows: sent, lost by the sink, and left out because of its rate."""
 
     sent: int
     lost: int  # it was too slow for them, or they did not go out
@@ -83,11 +83,12 @@ def follow(
     rate: float = math.inf,
     force: Callable[[float], float] = lambda conductance: math.nan,
 ) -> Counted:
-    """Gives a sink what the loop says and has said, until the ring is done.
+    """Gives a sink the loop's past and coming rows until the ring is done.
 
-    **Raises:** `OSError` where the sink cannot go on; it tells how many rows went out.
+    **Raises:** `OSError` where the sink cannot go on; the error tells how many rows were
+    sent.
     **Arguments:** `told`: attributes of the rig, as a recording has them; `rate`: rows a
-    second at most (events are all told); `force` N of a conductance, S.
+    second at most (all events are sent); `force`: gives N of a conductance, S.
     """
     size, m = np.asarray(told["size"], float), len(told["electrode_xy"])
     pitch = math.sqrt(float(np.prod(size)) / m)

@@ -1,4 +1,4 @@
-"""Contacts and events as datagrams; `tomojax_contacts.h` reads them in C."""
+"""Sends contacts and events as datagrams; `tomojax_contacts.h` reads them in C."""
 
 import socket
 import struct
@@ -15,7 +15,7 @@ KINDS = {"row": 1, "touch_down": 2, "lift_off": 3}
 
 
 class UdpSink:
-    """A datagram for each row and each event; nobody has to listen."""
+    """Sends a datagram for each row and each event; nobody has to listen."""
 
     def __init__(self, where: Where):
         kind, _, _, _, self._to = socket.getaddrinfo(

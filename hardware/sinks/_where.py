@@ -1,4 +1,4 @@
-"""Names of sinks: KIND:WHERE?OPTION=VALUE."""
+"""Parses names of sinks: KIND:WHERE?OPTION=VALUE."""
 
 import math
 import socket
@@ -24,7 +24,7 @@ _LONGEST = 4096
 
 
 class Where(NamedTuple):
-    """A sink's name, taken apart."""
+    """The parts of a sink's name."""
 
     kind: str
     path: str  # of a file, or a name; HOST:PORT
@@ -40,8 +40,7 @@ class Where(NamedTuple):
 def parse(name: str) -> Where:
     """Takes a sink's name apart.
 
-    **Raises:** `ValueError` for an unknown kind, an address that is none, an option that
-    there is not.
+    **Raises:** `ValueError` for an unknown kind, a wrong address or an unknown option.
     """
     require(len(name) <= _LONGEST, "send", f"{len(name)} letters", "a name")
     kind, colon, rest = name.partition(":")
@@ -70,9 +69,9 @@ def parse(name: str) -> Where:
 
 
 def check(name: str) -> Where:
-    """What `parse` makes of a name, where the sink could be opened now.
+    """Parses a name, and checks that the sink could be opened now.
 
-    **Raises:** `ValueError` for a missing library, a file that is there, a port in use.
+    **Raises:** `ValueError` for a missing library, a file that exists, a port in use.
     """
     where = parse(name)
     library, extra, _ = _KINDS[where.kind]
@@ -99,9 +98,9 @@ def check(name: str) -> Where:
 
 
 def check_all(names: Sequence[str], written: Path | None = None) -> list[Where]:
-    """`check` of each; `written`: a file that something else will write.
+    """Checks each name; `written` is a file that something else will write.
 
-    **Raises:** `ValueError` also where two would write one file, or have one port.
+    **Raises:** `ValueError` also for two sinks with one file or one port.
     """
     found = [check(name) for name in names]
     taken: dict[object, str] = {}

@@ -1,7 +1,9 @@
-"""One sink beside the live loop: `python -m tomojax.hardware.sinks.run RING TOLD NAME`.
+"""Runs one sink beside the live loop.
 
-The process reads the ring and gives way to the loop. Whatever becomes of it or of who
-listens, the loop goes on.
+    python -m tomojax.hardware.sinks.run RING TOLD NAME
+
+The process reads the ring and gives way to the loop. The loop goes on, whatever happens to
+this process or to its listeners.
 """
 
 import argparse
@@ -22,7 +24,7 @@ _NICE = 5
 
 
 def open_sink(where: Where, ring: SlotRing) -> Sink:
-    """The sink of a name."""
+    """Opens the sink of a parsed name."""
     if where.kind == "udp":
         from tomojax.hardware.sinks._udp import UdpSink
 

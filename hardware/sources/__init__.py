@@ -1,6 +1,6 @@
 """Sources of slots: serial lines, UDP, converters, recordings, a virtual rig.
 
-The room moves bytes and voltages. It knows nothing of steps, nor of physics.
+The room moves bytes and voltages. The room knows nothing of steps, nor of physics.
 """
 
 from tomojax.hardware.sources._frames import (

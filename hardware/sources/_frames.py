@@ -1,8 +1,8 @@
-"""The rig's messages as bytes: see PROTOCOL.md, which firmware is written from.
+"""Packs and unpacks the rig's messages; PROTOCOL.md tells firmware's authors their bytes.
 
-Every message ends in a CRC-32 of what is before it and has a length that its kind gives:
-nothing is allocated, or read, by what a message claims. On a serial line each is coded by
-COBS and ended by a zero byte; over UDP each is a datagram.
+Every message ends in a CRC-32 of the bytes before. Each kind of message has a known length.
+No length in a message decides how much is allocated or read. A serial line carries messages
+coded by COBS, each ended by a zero byte. UDP carries each message as a datagram.
 """
 
 import struct
@@ -32,7 +32,7 @@ class Slot(NamedTuple):
 
 
 class Description(NamedTuple):
-    """What a rig says of itself, before its first slot."""
+    """A rig's description of itself, sent before its first slot."""
 
     electrodes: int
     session: int  # another one each time that it is switched on
@@ -43,7 +43,7 @@ class Description(NamedTuple):
 
 
 def slot_size(electrodes: int) -> int:
-    """Bytes of a slot's message."""
+    """Returns the bytes of a slot's message."""
     return _HEAD.size + 2 * electrodes + _CRC.size
 
 
@@ -63,7 +63,7 @@ def pack_description(told: Description) -> bytes:
 
 
 def pack_command(kind: int, grounds: Sequence[int] = ()) -> bytes:
-    """START, STOP, or GROUNDS: the ground conditions to go through again and again."""
+    """Packs START, STOP, or GROUNDS with the ground conditions to repeat in turn."""
     count = len(grounds) if kind == GROUNDS else VERSION
     return sealed(bytes((kind, count, 0, 0, *grounds)))
 
@@ -73,7 +73,7 @@ def _sound(message: bytes) -> bool:
 
 
 def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
-    """A rig's message, or None for what is none, for a rig of so many `electrodes`."""
+    """Unpacks a message of a rig with `electrodes`; returns None for a bad message."""
     # By its kind: of ten electrodes a slot is as long as a description.
     if message[:1] == bytes((SLOT,)) and len(message) == slot_size(electrodes):
         _, ground, zero, sequence, time = _HEAD.unpack_from(message)
@@ -90,7 +90,7 @@ def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
 
 
 def unpack_command(message: bytes, electrodes: int) -> tuple[int, tuple[int, ...]] | None:
-    """A command and its grounds, or None for what is none."""
+    """Unpacks a command and its grounds; returns None for a bad command."""
     if len(message) < 8 or len(message) > 8 + electrodes:
         return None
     kind, count, zero, nought = message[:4]
@@ -103,7 +103,10 @@ def unpack_command(message: bytes, electrodes: int) -> tuple[int, tuple[int, ...
 
 
 def check_grounds(grounds: Sequence[int], electrodes: int) -> tuple[int, ...]:
-    """As a tuple. **Raises:** `ValueError` unless 1 to M electrode numbers, at most 255."""
+    """Returns the grounds as a tuple.
+
+    **Raises:** `ValueError` unless there are 1 to M electrode numbers, at most 255.
+    """
     wanted, most = tuple(int(g) for g in grounds), min(electrodes, 255)  # a byte counts
     fits = 1 <= len(wanted) <= most and all(0 <= g < electrodes for g in wanted)
     require(fits, "grounds", wanted, f"1 to {most} of 0 to {electrodes - 1}")

@@ -1,8 +1,8 @@
-"""Which slot comes next: by a rig's sequence numbers and its clock, neither believed alone.
+"""Orders slots by a rig's sequence numbers and clock, and trusts neither alone.
 
-A slot whose number is far from the one that is due waits, and counts as late meanwhile.
-It is given out when its clock shows that it is new, or when those after it go on from it:
-then the rig's counter jumped.
+A slot whose number is far from the expected number waits, and counts as late meanwhile. The
+slot is released when its clock shows that it is new. Slots that wait are also released when
+enough of them follow each other: then the rig's counter has jumped.
 """
 
 from typing import NamedTuple
@@ -40,12 +40,12 @@ class Numbers:
         self._odd: list[tuple[Slot, float]] = []
 
     def begin(self, sequence: int, arrived: float) -> None:
-        """The next slot has this number, so the rig said."""
+        """Takes from the rig's description the number of the next slot."""
         self._odd = []
         self._next, self._last, self._said = sequence, None, arrived
 
     def add(self, slot: Slot, arrived: float) -> list[Placed]:
-        """What is given out now that `slot` has come."""
+        """Takes a slot, and returns the slots that can now be released."""
         ahead = (slot.sequence - self._next) % _ROUND
         if ahead <= _TRUSTED or self._agrees(slot, ahead, arrived):
             waited = self._between(slot)
@@ -69,7 +69,7 @@ class Numbers:
         return found
 
     def _agrees(self, slot: Slot, ahead: int, arrived: float) -> bool:
-        """Whether clock or time say as well that so many slots were lost."""
+        """Tells whether the clock or the time agrees that so many slots were lost."""
         if ahead >= _ROUND // 2:
             return False
         due = ahead / self.rate
@@ -80,7 +80,7 @@ class Numbers:
         return _LEAST * due <= clock <= _MOST * due or arrived - when >= _LEAST * due
 
     def _between(self, slot: Slot) -> list[tuple[Slot, float]]:
-        """Those that waited, where the clock says that they were measured just before."""
+        """Returns waiting slots that the clock places just before this slot."""
         waited = self._odd
         if not waited:
             return []
@@ -94,7 +94,7 @@ class Numbers:
         return []
 
     def _goes_on(self, slot: Slot) -> bool:
-        """Whether a slot follows those that wait; they are given up where it does not."""
+        """Tells whether a slot joins those that wait; a slot far off them replaces them."""
         step = (slot.sequence - self._odd[-1][0].sequence) % _ROUND
         if 1 <= step <= _TRUSTED:
             return True
@@ -105,7 +105,10 @@ class Numbers:
         return True
 
     def _jumped(self) -> list[Placed]:
-        """The counter began anew: what was lost is told by the clock, or by the time."""
+        """Releases the waiting slots after the counter began anew.
+
+        The clock, or else the time that went by, tells how many slots were lost.
+        """
         (first, arrived), lost, anew = self._odd[0], 0, False
         if self._last is not None:
             before, when = self._last
@@ -126,7 +129,7 @@ class Numbers:
 
 
 class Clock:
-    """A rig's clock as it is received: carried on where its bits begin anew."""
+    """A rig's clock as received, carried on where its bits begin anew."""
 
     def __init__(self, counters: Counters):
         self._counters = counters
@@ -134,11 +137,11 @@ class Clock:
         self._last, self._more, self._base = 0, 0, 0.0
 
     def begin(self, time: float) -> None:
-        """The next slot's time is this one, s: its clock is another."""
+        """Sets the next slot's time, s, since the clock is a new one."""
         self._base, self._began, self._more = time, None, 0
 
     def __call__(self, microseconds: int, seconds: float) -> float:
-        """The time of a slot, s, about so many `seconds` after the slot before."""
+        """Returns a slot's time, s, about so many `seconds` after the slot before."""
         if self._began is None:
             self._began = microseconds
         else:

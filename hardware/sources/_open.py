@@ -1,4 +1,4 @@
-"""Sources by their names."""
+"""Opens sources by their names."""
 
 import os
 from typing import Any
@@ -12,10 +12,12 @@ _LONGEST = 4096
 
 
 def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
-    """What `where` names: serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES or a recording.
+    """Opens the source that `where` names.
 
-    **Arguments:** `options` are those of the source: `baud`; `bind`, the address of this
-    machine to listen at (by default reached from this machine alone); `speed`, `since` and
+    `where` is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES or a recording's path.
+
+    **Arguments:** `options` depend on the source: `baud`; `bind`, the address of this
+    machine to listen at (by default only this machine reaches it); `speed`, `since` and
     `until` of a recording; `rate`, `settle` and `convert` of `NiSource`.
     **Raises:** `ValueError` for other names and options.
     """

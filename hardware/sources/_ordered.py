@@ -1,4 +1,4 @@
-"""A rig whose wires are in another order than its electrodes."""
+"""A source that puts right a rig's wires that are in another order than its electrodes."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,15 @@ from tomojax.hardware.sources._source import Counters, Got, SlotSource
 
 
 class OrderedSource(SlotSource):
-    """Another source's slots as if it were wired right.
+    """Another source's slots, as if the rig were wired right.
 
     **Arguments:** `channels`: the electrode that each channel reads; `grounds`: the
-    electrode that each ground line switches, −1 where it switches none. None: as they
-    should be. `tomojax check --write` finds both.
+    electrode that each ground line switches, −1 where it switches none. None means that the
+    wires are in order. `tomojax check --write` finds both.
 
-    Codes come in the order of electrodes; grounds are electrodes on both ways. A slot in
-    which nothing was grounded comes with a ground that there is not, which is flagged.
+    Codes come in the order of electrodes. Grounds are electrodes, both in slots and in
+    commands. A slot without a ground comes with a ground number that no electrode has,
+    which is flagged.
     """
 
     def __init__(
@@ -74,9 +75,10 @@ class OrderedSource(SlotSource):
         return got._replace(ground=ground if ground >= 0 else min(self.electrodes, 255))
 
     def set_grounds(self, grounds: Sequence[int]) -> None:
-        """Electrodes that no line switches are left out.
+        """Sets grounds, and leaves out electrodes that no line switches.
 
-        **Raises:** `ValueError` where none is left, or there are no such electrodes.
+        **Raises:** `ValueError` if no electrode is left, or for electrodes that do not
+        exist.
         """
         wanted = [int(e) for e in grounds]
         inside = all(0 <= e < self.electrodes for e in wanted)

@@ -17,8 +17,8 @@ _CHUNK = 256  # scans
 class ReplaySource(SlotSource):
     """The slots of a recording one by one, `speed` times as fast as they were measured.
 
-    Without `speed` as fast as they are read. Grounds are those that were recorded,
-    whatever is asked for: what was grounded comes with each slot.
+    Without `speed`, slots come as fast as they are read. Each slot has the ground that was
+    recorded, whatever ground is asked for.
     """
 
     def __init__(self, recording: Recording, speed: float | None = None):

@@ -1,4 +1,4 @@
-"""Where slots come from: what every source promises."""
+"""The interface of every source of slots."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 
 class Got(NamedTuple):
-    """What comes with a slot's codes."""
+    """The values that come with a slot's codes."""
 
     ground: int  # what was grounded, whatever was asked for
     lost: int  # slots lost just before this one
@@ -21,7 +21,7 @@ class Got(NamedTuple):
 
 @dataclass
 class Counters:
-    """What a source has seen; nothing is left out of them."""
+    """Counts of everything that a source has seen."""
 
     slots: int = 0  # given out
     lost: int = 0  # never came, or not sound
@@ -38,10 +38,10 @@ class Counters:
 
 
 class SlotSource(ABC):
-    """A rig's slots, one `read` each; a context that starts and stops it.
+    """A rig's slots, one `read` each; a context that starts and stops the source.
 
-    Codes are int16, V = `scale`·code + `offset`; known, as `rate` (slots a second), once
-    it is started. A gap is a number (`Got.lost`), never a made-up slot.
+    Codes are int16: V = `scale`·code + `offset`. These two and `rate` (slots a second) are
+    known once the source is started. A gap is a number (`Got.lost`), never a made-up slot.
     """
 
     electrodes: int
@@ -52,29 +52,29 @@ class SlotSource(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """From here on slots come. **Raises:** `OSError` where there is no rig."""
+        """Starts the slots. **Raises:** `OSError` where there is no rig."""
 
     @abstractmethod
     def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
-        """The next slot's codes into `codes`; None where none came within `timeout` s.
+        """Reads the next slot into `codes`; returns None if none came within `timeout` s.
 
-        **Raises:** `EOFError` where there will be none any more.
+        **Raises:** `EOFError` if no more slots will come.
         """
 
     @abstractmethod
     def set_grounds(self, grounds: Sequence[int]) -> None:
-        """Ground conditions that are gone through again and again from now on.
+        """Sets the ground conditions that are repeated in turn from now on.
 
-        **Raises:** `ValueError` for electrodes that there are not.
+        **Raises:** `ValueError` for electrodes that do not exist.
         """
 
     @abstractmethod
     def stop(self) -> None:
-        """Nothing more is read; can be called twice."""
+        """Stops reading; can be called twice."""
 
     @property
     def waiting(self) -> int:
-        """Slots that are here already and not yet read."""
+        """Slots that have come and are not yet read."""
         return 0
 
     def __enter__(self) -> "SlotSource":

@@ -1,4 +1,4 @@
-"""The protocol over UDP: each message a datagram, from one rig alone."""
+"""The protocol over UDP: each message is a datagram, from one rig alone."""
 
 import socket
 import time
@@ -12,7 +12,7 @@ _BUFFER = 4 << 20
 
 
 class UdpLink(Link):
-    """To the rig at (`host`, `port`): the system drops what others send."""
+    """A link to the rig at (`host`, `port`); the system drops what others send."""
 
     def __init__(self, host: str, port: int, bind: str, electrodes: int):
         self._rig, self._bind = (host, port), bind

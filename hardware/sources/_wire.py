@@ -1,4 +1,4 @@
-"""Slots over a wire: sequence numbers into gaps, whatever becomes of the connection."""
+"""Reads slots over a wire: finds gaps by sequence numbers, and mends a cut connection."""
 
 import math
 import time
@@ -27,23 +27,24 @@ _RATES, _FINEST, _VOLTS = (1e-3, 1e8), 1e-12, 1e6
 
 
 def _possible(told: frames.Description) -> bool:
-    """Whether times and voltages of such a rig are numbers, in float32 too."""
+    """Tells whether such a rig's times and voltages are numbers, in float32 too."""
     volts = 32768 * abs(told.scale) + abs(told.offset)
     known = _RATES[0] <= told.rate <= _RATES[1] and abs(told.scale) >= _FINEST
     return known and volts <= _VOLTS
 
 
 class Link(ABC):
-    """Whole messages there and back; `OSError` where it is cut."""
+    """Sends and receives whole messages; raises `OSError` if the link is cut."""
 
     @abstractmethod
     def open(self) -> None: ...
 
     @abstractmethod
     def receive(self, timeout: float) -> tuple[list[bytes], float]:
-        """Messages, sound or not, that are there within `timeout` s, as soon as one is.
+        """Returns the messages that come within `timeout` s, as soon as there is one.
 
-        And when their last byte was here, s of `time.perf_counter`.
+        Messages may be unsound. Also returns when their last byte came, s of
+        `time.perf_counter`.
         """
 
     @abstractmethod
@@ -56,10 +57,10 @@ class Link(ABC):
 class WireSource(SlotSource):
     """A rig that speaks the protocol of PROTOCOL.md over a `Link`.
 
-    It goes on through whatever becomes of the line: a link that is cut is opened again, a
-    rig that is silent is asked to start again. Slots of a rig that went on meanwhile are
-    counted by their numbers, those of one that was switched off by the time that went by.
-    Numbers that jump and a clock that falls are met as `Numbers` and `Clock` say.
+    The source goes on after faults of the line. It opens a cut link again, and asks a
+    silent rig to start again. If the rig kept running meanwhile, slot numbers count the
+    lost slots. If the rig was switched off, the time that went by counts them. `Numbers`
+    and `Clock` handle numbers that jump and a clock that falls.
     """
 
     def __init__(self, link: Link, electrodes: int = 64):
@@ -148,7 +149,7 @@ class WireSource(SlotSource):
         self._open = False
 
     def _pull(self, timeout: float) -> None:
-        """Waits for messages; opens the link again and asks again where that is due."""
+        """Waits for messages; opens the link again, and asks the rig again, if needed."""
         if not self._open:
             time.sleep(min(timeout, 0.02))
             try:
@@ -202,7 +203,7 @@ class WireSource(SlotSource):
         return got
 
     def _heed(self, ground: int) -> None:
-        """Asks for the grounds again where a command seems to have been lost."""
+        """Asks for the grounds again if a command seems to be lost."""
         if self._grounds is None or ground in self._grounds:
             self._unheeded = 0
             return

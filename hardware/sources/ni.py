@@ -1,6 +1,7 @@
 """National Instruments' converters by nidaqmx, with multiplexers that ground electrodes.
 
-Not yet run on hardware: tested against nidaqmx's own interface to its driver.
+The source has not run on hardware yet. It is tested against nidaqmx's own interface to its
+driver.
 """
 
 import time
@@ -27,22 +28,23 @@ _TIMEOUT = -200284  # the driver's number for: not yet there
 
 
 def word_of(ground: int) -> int:
-    """Lines 0 to 4 the address, 5 and 6 the enables (off when high) of two ADG732."""
+    """Returns a ground's bits for two ADG732: 0 to 4 address, 5 and 6 off when high."""
     mux, address = divmod(ground, _WAYS)
     return address | (0b01 if mux else 0b10) << 5
 
 
 class NiSource(SlotSource):
-    """A PXIe-6355 or its like: `inputs` are read under each ground that `lines` set.
+    """A PXIe-6355 or its like: reads `inputs` under each ground that `lines` set.
 
-    Every tick of the output's sample clock puts a ground's address on the lines and, a
-    settling delay `settle` (s) later, converts the inputs one after another, `convert` (s)
-    apart: the same clock, so that the k-th slot has the k-th ground. `lines` are digital
-    ("Dev1/port0/line0:6") or analog ("Dev2/ao0:6", 5 V), see `word_of`. Other grounds are
-    set by stopping and starting again: milliseconds, told as slots lost. For patterns, not
-    for a closed loop.
-    **Raises:** `ValueError` where a slot has no room for `settle` and all conversions, and
-    (at `start`) where the device cannot do what is asked; `OSError` without the driver.
+    Every tick of the output's sample clock puts a ground's address on the lines. The inputs
+    are converted one after another, `convert` (s) apart, after a settling delay `settle`
+    (s). One clock drives lines and inputs, so that the k-th slot has the k-th ground.
+    `lines` are digital ("Dev1/port0/line0:6") or analog ("Dev2/ao0:6", 5 V), see `word_of`.
+
+    To set other grounds, the source stops and starts again. That takes milliseconds, which
+    count as lost slots. Use this source for patterns, not for a closed loop.
+    **Raises:** `ValueError` if a slot has no room for `settle` and all conversions, or (at
+    `start`) if the device cannot do what is asked; `OSError` without the driver.
     """
 
     def __init__(
@@ -138,7 +140,7 @@ class NiSource(SlotSource):
         require(near, name, f"{asked:g}", f"what the device can do, here {got:.4g}")
 
     def _go(self) -> None:
-        """From here on the grounds, beginning with the first; the input is there before."""
+        """Starts the grounds at the first one; the input starts before the output."""
         assert self._tasks is not None
         output = self._tasks[0]
         # A buffer of one sample there is not.
@@ -177,7 +179,7 @@ class NiSource(SlotSource):
         return Got(ground, lost, number, number / self.rate, self._last)
 
     def _lost(self) -> int:
-        """Slots that there would have been since a stop."""
+        """Returns how many slots a stop has cost."""
         if self._begun is None:
             return 0
         away, self._begun = self._last - self._begun, None

@@ -18,14 +18,14 @@ except ModuleNotFoundError as error:
 
 
 class Frames:
-    """Bytes as they come into messages: what stands between two zero bytes, decoded."""
+    """Turns a stream of bytes into messages: decodes the bytes between two zero bytes."""
 
     def __init__(self, longest: int):
         self._longest = longest + longest // 254 + 1  # coded
         self._rest = b""
 
     def __call__(self, data: bytes) -> list[bytes]:
-        """Messages that `data` ends; an empty one for each that cannot be decoded."""
+        """Returns the messages that `data` ends; an undecodable message comes empty."""
         *whole, self._rest = (self._rest + data).split(b"\0")
         found = [self._decoded(piece) for piece in whole if piece]
         if len(self._rest) > self._longest:  # no message: what ends it, starts the next
@@ -42,7 +42,7 @@ class Frames:
 
 
 class SerialLink(Link):
-    """A port by its name; a pseudo-terminal will do."""
+    """A link over a serial port by its name; a pseudo-terminal works, too."""
 
     def __init__(self, port: str, baud: int, electrodes: int):
         self._port, self._baud = port, baud

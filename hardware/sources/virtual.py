@@ -2,10 +2,10 @@
 
     python -m tomojax.hardware.sources.virtual SCENE.npz --link pty|udp [faults]
 
-SCENE.npz has `voltages` (K, M, M): of K moments, under each ground, V; and `dwell`, how
-long each moment lasts, s. Speaks the protocol of PROTOCOL.md on a pseudo-terminal or over
-UDP; prints one line of JSON that says where. It is a rig in all but the sheet: what it
-cannot send in time is lost, and its slot numbers go on.
+SCENE.npz has `voltages` (K, M, M) of K moments under each ground, V. `dwell` is how long
+each moment lasts, s. The rig speaks the protocol of PROTOCOL.md on a pseudo-terminal or
+over UDP. It prints one line of JSON with its address. Only the sheet is simulated: slots
+that cannot be sent in time are lost, and slot numbers go on.
 """
 
 import argparse
@@ -30,7 +30,7 @@ _SPIN = 3e-5
 
 
 def wake_in_time() -> None:
-    """Linux wakes a sleeper 50 µs late at will: not this process."""
+    """Asks Linux to wake this process in time; others wake up to 50 µs late."""
     try:
         ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK, 1 ns
     except (AttributeError, OSError):
@@ -38,7 +38,7 @@ def wake_in_time() -> None:
 
 
 class Pty:
-    """The rig's end of a pseudo-terminal; the other has a name that stays."""
+    """The rig's end of a pseudo-terminal; the other end has a name that stays."""
 
     def __init__(self, name: Path):
         if not hasattr(os, "openpty"):
@@ -72,7 +72,7 @@ class Pty:
             return []
 
     def send(self, message: bytes, raw: bool = False) -> bool:
-        """Whether there was room for it."""
+        """Sends a message; returns whether there was room for it."""
         try:
             if self._unsent:
                 self._unsent = self._unsent[os.write(self._master, self._unsent) :]
@@ -90,7 +90,7 @@ class Pty:
 
 
 class Udp:
-    """The rig's socket; it answers whoever asked it to start."""
+    """The rig's socket; it answers the sender that asked the rig to start."""
 
     def __init__(self, port: int):
         self.port = port
@@ -128,7 +128,7 @@ class Udp:
 
 
 class Firmware:
-    """State and faults; `run` until the time is up."""
+    """The rig's state and faults; `run` goes on until the time is up."""
 
     def __init__(self, link: Pty | Udp, options: argparse.Namespace):
         scene = read_npz(options.scene, "no scene", ("voltages", "dwell"))
@@ -243,29 +243,31 @@ def options() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("scene", type=Path)
     add("--link", choices=("pty", "udp"), default="pty")
-    add("--name", type=Path, help="of the pseudo-terminal")
-    add("--port", type=int, default=0, help="of UDP; 0: any")
-    add("--rate", type=float, default=10e3, help="slots a second")
+    add("--name", type=Path, help="Path of the pseudo-terminal's link.")
+    add("--port", type=int, default=0, help="Port of UDP; 0 takes any.")
+    add("--rate", type=float, default=10e3, help="Slots a second.")
     add("--seconds", type=float, default=float("inf"))
-    add("--noise", type=float, default=3e-4, help="V rms")
+    add("--noise", type=float, default=3e-4, help="Noise of each voltage, V rms.")
     add("--seed", type=int, default=0)
-    add("--loss", type=float, default=0.0, help="part of the slots")
-    add("--corrupt", type=float, default=0.0, help="part of the slots")
-    add("--reorder", type=float, default=0.0, help="part of the slots")
-    add("--contrary", type=float, default=0.0, help="part with a ground not asked for")
-    add("--jitter", type=float, default=0.0, help="s, at most, of a hundredth of the slots")
-    add("--drift", type=float, default=0.0, help="of its clock, parts per million")
-    add("--dead", type=int, nargs="*", default=[], help="channels at the rail")
-    add("--stall", type=float, help="s from the start")
-    add("--disconnect", type=float, help="s from the start")
-    add("--restart", type=float, help="s from the start: switched off and on")
-    add("--away", type=float, default=0.5, help="s that those last")
-    add("--attached", action="store_true", help="end with the input: with who started it")
+    add("--loss", type=float, default=0.0, help="Part of the slots that are lost.")
+    add("--corrupt", type=float, default=0.0, help="Part of the slots with broken bytes.")
+    add("--reorder", type=float, default=0.0, help="Part of the slots sent one slot late.")
+    add("--contrary", type=float, default=0.0, help="Part with a ground not asked for.")
+    add("--jitter", type=float, default=0.0, help="Longest delay of one slot in 100, s.")
+    add("--drift", type=float, default=0.0, help="Error of its clock, parts per million.")
+    add("--dead", type=int, nargs="*", default=[], help="Channels at the rail.")
+    add("--stall", type=float, help="Stand still at this time, s from the start.")
+    add("--disconnect", type=float, help="Cut the link at this time, s from the start.")
+    add("--restart", type=float, help="Switch off and on at this time, s from the start.")
+    add("--away", type=float, default=0.5, help="Time that each of those three lasts, s.")
+    add(
+        "--attached", action="store_true", help="End with the process that started the rig."
+    )
     return parser
 
 
 def _end_with_input() -> None:
-    """Ends the process when nobody holds the other end of its input any more."""
+    """Ends the process when no other process holds its input's other end any more."""
     while os.read(0, 1024):
         pass
     os.kill(os.getpid(), signal.SIGINT)

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 class VirtualRig:
     """A virtual rig in a process of its own, from `with` to its end.
 
-    `where` is what `open_source` takes. `scene` is a file as of `write_scene`; `options`
-    are those of `python -m tomojax.hardware.sources.virtual`: link="udp", loss=0.01, ….
+    `where` is the name that `open_source` takes. `scene` is a file made by `write_scene`.
+    `options` are those of `python -m tomojax.hardware.sources.virtual`: link="udp",
+    loss=0.01, ….
     """
 
     def __init__(self, scene: Path | str, **options: Any):
@@ -56,14 +57,14 @@ class VirtualRig:
 
 
 def write_scene(path: Path | str, voltages: np.ndarray, dwell: float) -> None:
-    """Voltages (K, M, M) of K moments under each ground, V, each lasting `dwell` s."""
+    """Writes voltages (K, M, M), V, of K moments under each ground, each `dwell` s long."""
     np.savez(path, voltages=np.asarray(voltages, np.float32), dwell=dwell)
 
 
 def draw_eight(
     sensor: "tomojax.sensor.Sensor", path: Path | str, moments: int = 60
 ) -> None:
-    """A scene of a contact of 7 mm that draws an eight in a second and is lifted once."""
+    """Makes a scene: a contact of 7 mm draws an eight in a second and is lifted once."""
     import jax  # the rig itself, which plays scenes, starts without
     import jax.numpy as jnp
 

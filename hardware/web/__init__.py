@@ -1,7 +1,7 @@
-"""A page in the browser. It shows what is live, or results, and nobody else may see it.
+"""A page in the browser that shows the live loop or results, to this user alone.
 
-A process beside the loop serves it on this machine alone. The room draws what it is told:
-it knows neither files nor methods.
+A process beside the loop serves the page on this machine alone. The room draws what it is
+told, and knows neither files nor methods.
 """
 
 from tomojax.hardware.web._data import (

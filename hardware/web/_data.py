@@ -1,4 +1,4 @@
-"""What the page's figures take: columns of JSON, without NaN."""
+"""Makes the data of the page's figures: columns of JSON, without NaN."""
 
 from typing import Any
 
@@ -35,20 +35,20 @@ _MEANING = {
 
 
 def numbers(values: Any) -> list[float | None]:
-    """A list of finite numbers; None, which the page leaves out, for others."""
+    """Returns a list of finite numbers; others become None, which the page leaves out."""
     some = np.asarray(values, float).ravel()
     return [v if ok else None for v, ok in zip(some.tolist(), np.isfinite(some).tolist())]
 
 
 def pixels(image: np.ndarray) -> dict[str, Any]:
-    """An image (nx, ny) row by row upwards, to three digits, and its highest."""
+    """Returns an image (nx, ny) row by row upwards, to three digits, and its highest."""
     shown = np.nan_to_num(np.asarray(image, float), posinf=0.0, neginf=0.0).T
     high = max(float(shown.max(initial=0)), 1e-30)
     return {"pixels": np.round(shown.ravel() / high, 3).tolist(), "high": 1.0, "top": high}
 
 
 def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, list]:
-    """Places in mm, each with its number and its conductance."""
+    """Returns places in mm, each with a label of its number and its conductance."""
     xy, g = 1e3 * np.asarray(xy, float).reshape(-1, 2), np.asarray(conductance, float)
     known = np.isfinite(xy).all(1)
     numbers = np.arange(1, len(xy) + 1) if names is None else np.asarray(names)
@@ -60,7 +60,7 @@ def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, l
 
 
 def ellipse_columns(xy: Any, covariance: Any) -> dict[str, list]:
-    """Ellipses of two standard deviations of places, mm."""
+    """Returns ellipses of two standard deviations of places, mm."""
     found: dict[str, list] = {name: [] for name in ("x", "y", "w", "h", "angle")}
     for (x, y), (xx, yy, both) in zip(np.asarray(xy, float), np.asarray(covariance, float)):
         if not np.isfinite([x, y, xx, yy, both]).all():
@@ -75,13 +75,13 @@ def ellipse_columns(xy: Any, covariance: Any) -> dict[str, list]:
 
 
 def flag_lines(flags: int) -> list[tuple[str, str, int]]:
-    """Flags by name, what each means, and how much it takes from a row."""
+    """Returns each flag's name, its meaning, and how much it takes from a row."""
     some = [flag for flag in Flag if flag.value & flags]
     return [(str(f.name), _MEANING.get(str(f.name), ""), int(f.level)) for f in some]
 
 
 def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, list]]:
-    """Marks (s, text) with their texts to the side where there is room."""
+    """Returns marks (s, text), with each text on the side that has room."""
     right = [t > since + 0.7 * (until - since) for t, _ in marks]
     columns = {
         "t": [t for t, _ in marks],
@@ -93,7 +93,7 @@ def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, 
 
 
 def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:
-    """The electrode that the page asks for; the first where it asks for none there is."""
+    """Returns the electrode that the page asks for, or the first for a wrong number."""
     try:
         number = int(asked.get("electrode", "0"))
     except ValueError:
@@ -102,7 +102,7 @@ def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:
 
 
 def spectrum(volts: np.ndarray, rate: float, most: int = 512) -> dict[str, list]:
-    """Amplitudes over frequencies: in each part of them the highest, V."""
+    """Returns amplitudes, V, over frequencies: the highest in each part of them."""
     window = np.hanning(len(volts))
     found = 2 * np.abs(np.fft.rfft((volts - volts.mean()) * window)) / window.sum()
     f = np.fft.rfftfreq(len(volts), 1 / rate)

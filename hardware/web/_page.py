@@ -1,4 +1,4 @@
-"""The figures of the page, made once by Bokeh: data come later, by the names given here."""
+"""Makes the page's figures once by Bokeh; data come later, by the names given here."""
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false
 # pyright: reportOptionalMemberAccess=false
 # (Bokeh's properties take more than their types say)
@@ -37,10 +37,12 @@ def document(
     span: tuple[float, float],
     strength: str,
 ) -> dict[str, Any]:
-    """What the page embeds: Bokeh's document and where each figure goes.
+    """Returns what the page embeds: Bokeh's document, and where each figure goes.
 
-    `size` and `electrode_xy`: m; `image_shape`: pixels along x and y, or no image;
-    `span`: of the time line, s; `strength`: its label, with the unit.
+    - `size` and `electrode_xy`: m.
+    - `image_shape`: pixels along x and y, or None without an image.
+    - `span`: the time line's beginning and end, s.
+    - `strength`: the label of the contacts' strength, with the unit.
     """
     from bokeh.document import Document
     from bokeh.embed.util import standalone_docs_json_and_render_items
@@ -189,7 +191,7 @@ def _electrodes(sources, electrodes: int) -> dict[str, Any]:
 
 
 def flag_rows(t: Any, flags: Any) -> dict[str, list]:
-    """Where which flags are: columns of the source `doubts`."""
+    """Returns the times of each flag, as columns of the source `doubts`."""
     found: dict[str, list] = {"t": [], "name": [], "colour": []}
     flags = np.asarray(flags, np.uint32)
     for flag in Flag:

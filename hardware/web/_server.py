@@ -1,8 +1,8 @@
-"""A small server of one page on this machine, for whoever has its address alone.
+"""A small server of one page on this machine, only for those who have its address.
 
-The address has a random token. Whoever asks without it, under another host's name or from
-another page gets an empty 403: a page elsewhere in the same browser can ask this machine
-too, and so can every other user of it.
+The address has a random token. A request without the token, under another host's name or
+from another page gets an empty 403. The token matters because other pages and other users
+of this machine can send requests, too.
 """
 
 import asyncio
@@ -40,10 +40,11 @@ _KINDS = {
 
 
 class Pages:
-    """What is served: `files` by name, and what `answer` says of `data?…`.
+    """The pages to serve: `files` by name, and the answers of `answer` to `data?…`.
 
-    `answer(asked)`: a JSON object for the page's questions, names and texts. `mark(text)`:
-    marks a moment and gives its time, s, or None where there is no recorder.
+    `answer(asked)` returns a JSON object for the page's question; `asked` has names and
+    texts. `mark(text)` marks a moment and returns its time, s. `mark` is None without a
+    recorder.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ def _server(pages: Pages, port: int, token: str) -> Any:
     from tornado.web import Application
 
     class Bounded(HTTPServer):
-        """Few connections: a new one takes the place of the oldest stranger's."""
+        """A server with few connections: a new one replaces a stranger's oldest."""
 
         known: list[Any] = []
 
@@ -133,7 +134,7 @@ def _server(pages: Pages, port: int, token: str) -> Any:
 
 
 def _handler() -> type:
-    """The one handler; Tornado comes with Bokeh, which may not be installed."""
+    """Returns the handler's class; Tornado comes with Bokeh, which may not be installed."""
     from tornado.web import HTTPError, RequestHandler
 
     class Handler(RequestHandler):

@@ -1,4 +1,4 @@
-"""The page of what is live: a process of its own that reads the ring."""
+"""Serves the page of the live loop: a separate process that reads the ring."""
 
 import argparse
 import json
@@ -29,9 +29,9 @@ _SPAN, _PART, _SPECTRUM, _TRAIL = 30.0, 0.1, 4096, 40
 
 
 class LivePage:
-    """Keeps the last seconds of a ring in few numbers, and says them.
+    """Keeps the last seconds of a ring in few numbers, and answers the page with them.
 
-    `look` is called ten times a second or so, also where nobody asks.
+    `look` is called about ten times a second, even if no page asks.
     """
 
     def __init__(self, ring: SlotRing, told: dict[str, Any], recorded: bool):
@@ -45,13 +45,13 @@ class LivePage:
         self._last: Any = None
 
     def mark(self, text: str) -> float:
-        """Marks the newest slot's moment; gives its time, s."""
+        """Marks the newest slot's moment; returns the moment's time, s."""
         t = self._ring.mark(text)
         self._marks.append((t, text[:80] or "marked"))
         return t
 
     def look(self) -> None:
-        """Takes in what is new: one part of the time line."""
+        """Takes in new slots as one part of the time line."""
         rows, self._row, gone = self._ring.since(self._row)
         self._slots += len(rows) + gone
         self._seen.append((time.monotonic(), self._slots))
@@ -70,7 +70,7 @@ class LivePage:
         self._trail.extend(self._last["xy"][: self._last["count"]].tolist())
 
     def answer(self, asked: dict[str, str]) -> dict[str, Any]:
-        """What the page shows: the picture each time, `lines` and spectra where asked."""
+        """Returns the picture each time, and `lines` and spectra when asked."""
         ring, last = self._ring, self._last
         if last is None:
             told = [("state", "no slot yet"), *self._counted()]

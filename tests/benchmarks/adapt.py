@@ -1,15 +1,18 @@
-"""A day of drift, with and without --adapt: place errors hour by hour.
+"""Measures place errors hour by hour through a day of drift, with and without --adapt.
 
     python tests/benchmarks/adapt.py [--seed N] [--hours 24]
 
-Four rigs: a resistor network and one of finite elements (`tomojax.studies.rigs`), each as
-the paper's sensor and as one of 6 × 6 electrodes on 300 mm and 30 kΩ/sq. Each is calibrated
-from 120 contacts at unknown places. Then a day: every 30 s two scans of silence and
-one of a contact, of 200 that come again in any order; two hours of silence; an hour in
-which one contact is held still. Gains drift by 1 % an hour and zeros by 1 mV an hour (of a
-drive of 4.5 V): "steady", each channel up or down all day long, or "wandering", at rates
-that turn within hours. The same day without drift tells what is the start's error.
-Judging seeds by default: nothing was set on them. Writes adapt.json and adapt.png.
+Four rigs come from two models: a resistor network and finite elements
+(`tomojax.studies.rigs`). Each model makes the paper's sensor, and one of 6 × 6 electrodes
+on 300 mm and 30 kΩ/sq. Each rig is calibrated from 120 contacts at unknown places. Every 30
+s of the day has two scans of silence and one of a contact. There are 200 contacts, which
+come again in any order. The day includes two hours of silence, and an hour in which one
+contact is held still.
+
+Gains drift by 1 % an hour and zeros by 1 mV an hour (of a drive of 4.5 V). In "steady"
+drift, each channel goes up or down all day long. In "wandering" drift, rates turn within
+hours. The same day without drift tells the start's error. The default seeds are for
+judging: nothing was set on them. Writes adapt.json and adapt.png.
 """
 
 import argparse

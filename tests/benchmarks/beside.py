@@ -1,11 +1,11 @@
-"""The live loop with each sink, and with the page, beside the loop without.
+"""Compares the live loop alone with the loop beside each sink and beside the page.
 
     python tests/benchmarks/beside.py [--seconds 20] [--rounds 3] [--rate 10000]
 
-A virtual rig at 10 000 slots a second, the loop closed, a recorder on. Each round runs the
-loop alone and then with each companion, one after another. Counts the slots that were lost
-or skipped, and the latency from the last byte of a slot to the next ground. Writes
-beside.json and beside.png.
+A virtual rig sends 10 000 slots a second; the loop is closed and a recorder is on. Each
+round runs the loop alone, and then with each companion, one after another. Counts the slots
+that were lost or skipped. Measures the latency from the last byte of a slot to the next
+ground. Writes beside.json and beside.png.
 """
 
 import argparse

@@ -1,15 +1,18 @@
-"""Calibrations of rigs that are not ours: nominal, with contacts' places told, and blind.
+"""Compares calibrations of rigs: nominal, with contacts' places told, and blind.
 
     python tests/benchmarks/calibration.py [--rigs 10] [--touches 100] [--seed N]
 
 Every second rig is a resistor network, every other one is of finite elements
-(`tomojax.studies.rigs`), drawn by default: sheet uneven by 2 %, electrodes off by 3 % of
-their diameter, gains, zeros, noise. Half of the rigs have electrodes that are off by 10 %.
-One lone contact for each frame of ten slots, two corners and eight others, drawn anew;
-other lone contacts, pairs and bars, with all 64 grounds, are for judging. Zeros are not
-tared. Judging seeds by default: nothing was set on them. What is left is set beside rigs
-whose errors are switched off one by one, with nominal values told as if they were
-calibrated. Writes calibration.json, calibration.png and calibration_maps.png.
+(`tomojax.studies.rigs`). Rigs are drawn by default: sheet uneven by 2 %, electrodes off by
+3 % of their diameter, gains, zeros, noise. Half of the rigs have electrodes that are off by
+10 %. Each frame has one lone contact in ten slots: two corners and eight others, drawn
+anew. Other lone contacts, pairs and bars, with all 64 grounds, are for judging. Zeros are
+not tared.
+
+The default seeds are for judging: nothing was set on them. The errors that are left stand
+beside those of rigs whose faults are switched off one by one. For these rigs, nominal
+values are told as if they were calibrated. Writes calibration.json, calibration.png and
+calibration_maps.png.
 """
 
 import argparse
@@ -341,7 +344,7 @@ def draw_maps(rigs: dict[int, dict[str, Any]], seed: int, path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rigs", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0, help="of the rigs")
+    parser.add_argument("--first", type=int, default=0, help="Number of the first rig.")
     parser.add_argument("--touches", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1000041)
     parser.add_argument("--out", type=Path, default=RESULTS)

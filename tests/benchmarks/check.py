@@ -1,12 +1,12 @@
-"""`tomojax check` on faulty rigs of two models, and on sound ones.
+"""Tries `tomojax check` on faulty rigs of two models, and on sound ones.
 
-    python tests/benchmarks/check.py [--seed N] [--only WORD] [--rigs 6]
+    python tests/benchmarks/check.py [--seed N] [--only WORD]
 
-Each fault of the list alone, on rigs of finite elements and on resistor networks, on
-sensors of other grids, pitches, sheets and drives, in scans of one, ten or all slots at 1
-to 10 kHz; pairs of faults; and sound rigs, some of other kinds than drawn by default. A
-fault is found if its kind and its channels are named; a name that was not made is a false
-one. A judging seed by default. Writes check.json and check.png.
+Each fault of the list comes alone, on rigs of finite elements and on resistor networks.
+Sensors have other grids, pitches, sheets and drives. Scans have one, ten or all slots, at 1
+to 10 kHz. Pairs of faults follow, and sound rigs, some of other kinds than drawn by
+default. A fault is found if its kind and its channels are named. A name that was not made
+is a false one. The default seed is for judging. Writes check.json and check.png.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""Contacts from one to 64 slots: our models beside the paper's, on a rig not ours.
+"""Finds contacts from one to 64 slots: our models beside the paper's.
 
     python tests/benchmarks/contacts.py [--scenes 60] [--seed 3] [--out FOLDER]
 
-Voltages of a resistor network (tests/rig.py; a new sheet for every ten scenes), with the
-converter's noise and zeros; nominal values alone are told. Writes contacts.json,
-contacts.png and separation.png; what --only leaves out stays in them. Takes an hour, the
-most of it to compile.
+A resistor network makes the voltages (tests/rig.py; a new sheet for every ten scenes), with
+the converter's noise and zeros. Methods are told nominal values alone. Writes
+contacts.json, contacts.png and separation.png; parts that --only leaves out stay in them.
+Takes an hour, most of it to compile.
 """
 
 import argparse

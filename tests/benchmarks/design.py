@@ -1,11 +1,12 @@
-"""Designs of grounds: how near the best possible, how fast, and what a robot gains.
+"""Measures designs of grounds: the gap to the best possible, speed, a robot's gain.
 
     python tests/benchmarks/design.py [--only gap|places|lambda|loop] [--out FOLDER]
 
-Gaps to the bound for every objective (eight of 64; greedy and exchange beside); a table for
-1024 places, with compiling; λ by gradient against a grid; and the closed loop on rigs
-that are not ours (tests/rig.py): a table by place against *Around*, in place error and in
-time. Writes design.json and design.png.
+The part gap takes every objective (eight of 64 slots), with greedy and exchange beside. The
+part places makes a table for 1024 places, with compiling. The part lambda sets λ by
+gradient against a grid. The part loop closes the loop on rigs of another model
+(tests/rig.py). There, a table by place stands against *Around*, in place error and in time.
+Writes design.json and design.png.
 """
 
 import argparse

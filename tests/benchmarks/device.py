@@ -1,14 +1,16 @@
-"""Speed of float32 on the device that JAX finds, and on the CPU beside it.
+"""Measures the speed of float32 on the device that JAX finds, and on the CPU.
 
     python tests/benchmarks/device.py [--quick] [--minutes 30] [--out notebooks/results]
 
 The script measures `source`, Eq. 3, the table of resistances and `points`. Scenes are our
-own exact voltages with 0.3 mV of noise: other benchmarks judge accuracy, this one says how
-far float32 here is from float64 on a CPU with the same method and the same voltages. On a
-GPU a last pass sets every product's precision to "highest": where an error is much smaller
-there, a call lacks it and ran in TF32. Each part has a process and a time limit of its own,
-so that one that fails or hangs leaves the others' rows. `compile_s` is the first call, with
-what it compiles. Writes device.json and device.png.
+own exact voltages with 0.3 mV of noise. Other benchmarks judge accuracy. This one tells how
+far float32 here is from float64 on a CPU, with the same method and voltages. On a GPU, a
+last pass sets every product's precision to "highest". A call whose error is much smaller
+there lacks this setting, and ran in TF32.
+
+Each part has its own process and time limit. A part that fails or hangs therefore leaves
+the others' rows. `compile_s` is the first call, with everything that it compiles. Writes
+device.json and device.png.
 """
 
 import argparse
@@ -243,8 +245,10 @@ def draw(rows: list[dict], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--minutes", type=float, default=30.0, help="for all parts")
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds for one part")
+    parser.add_argument(
+        "--minutes", type=float, default=30.0, help="Time for all parts, minutes."
+    )
+    parser.add_argument("--limit", type=float, default=300.0, help="Time for one part, s.")
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()

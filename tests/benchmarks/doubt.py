@@ -1,11 +1,12 @@
-"""What the flags are worth: places that are far off without a doubt, on faulty rigs.
+"""Measures what flags are worth: far-off places without a doubt, on faulty rigs.
 
     python tests/benchmarks/doubt.py [--seed N] [--only matrix|signs] [--each 8]
 
-Lone contacts on rigs of resistor networks; each fault alone, and pairs of faults. A place
-is far off if it is half a pitch from the contact or further. A judging seed by default: no
-threshold was set on it. `signs` judges what `tomojax info` finds in recordings of touches,
-of the five faults of wiring and of none. Writes doubt.json and doubt.png.
+Lone contacts are on rigs of resistor networks. Each fault comes alone, and then pairs of
+faults. A place is far off if it is half a pitch from the contact or further. The default
+seed is for judging: no threshold was set on it. The part signs judges what `tomojax info`
+finds in recordings of touches, with each of five faults of wiring and with none. Writes
+doubt.json and doubt.png.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""Electrodes where resolution is worst: designed places against the uniform grid's.
+"""Compares electrodes where resolution is worst: designed places, and a uniform grid.
 
     python tests/benchmarks/electrodes.py [--out FOLDER] [--scenes 10]
 
-16 and 64 electrodes on 160 mm × 160 mm. `image_spread` at places and on cells that the
-design did not use; then half-value widths of images whose voltages are of a resistor
-network (tests/rig.py) with that grid or those places: with an even sheet, as after a
-calibration, and with one that varies by 2 %. λ is chosen for each by the least image error
+16 and 64 electrodes lie on 160 mm × 160 mm. The first figure is `image_spread`, at places
+and on cells that the design did not use. The second is half-value widths of images. A
+resistor network (tests/rig.py) with that grid or those places makes the voltages. Its sheet
+is even, as after a calibration, or varies by 2 %. For each, λ gives the least image error
 of other scenes on other rigs. Writes electrodes.json and electrodes.png.
 """
 
@@ -193,7 +193,10 @@ def draw(rows: list[dict], maps: dict, path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--scenes", type=int, default=10, help="along a side; 0: spread alone"
+        "--scenes",
+        type=int,
+        default=10,
+        help="Scenes along a side; 0 measures the spread alone.",
     )
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()

@@ -1,8 +1,8 @@
-"""Exports of results, read back by tools that are not ours: are the values equal?
+"""Compares exports of results with the values that other tools read back.
 
     python tests/benchmarks/exports.py RESULTS… [--json FILE]
 
-For each file and kind a line: how many numbers were compared, and how many differ.
+For each file and kind, prints how many numbers were compared, and how many differ.
 """
 
 import argparse

@@ -1,9 +1,9 @@
-"""A folder of 100 recordings, two of them broken: one command, stopped and gone on with.
+"""Reconstructs a folder of 100 recordings, two of them broken; stops a run and resumes.
 
     python tests/benchmarks/folder.py [--count 100] [--scans 200] [--json FILE]
 
-Makes the recordings on rigs that are not ours (tests/rig.py), reconstructs the folder,
-kills a second run of it in the middle and goes on with that, and compares the bytes.
+Makes the recordings on rigs of another model (tests/rig.py), and reconstructs the folder.
+Kills a second run in the middle, goes on with that run, and compares the bytes.
 """
 
 import argparse

@@ -1,12 +1,13 @@
-"""Recordings of contacts that move to rows, by `follow` and by `auto`; a step's start.
+"""Measures `follow` and `auto` on recordings of moving contacts, and a step's start.
 
     python tests/benchmarks/following.py [--seconds 60] [--contacts 1 3] [--out FILE]
 
-Start: `make_step` in processes of their own, with an empty cache of JAX's and then with
-what that has left. Recordings: contacts go round over a rig of our own model, written a
-second at a time; `reconstruct` in a process of its own, its programs kept by a run before:
-`follow` for each slot of scans of 64, `auto` for each scan of two slots. Slots a second
-with start and without (from two lengths), and the most memory that it held. Prints JSON.
+The start is `make_step` in processes of their own: first with an empty cache of JAX's, then
+with the cache that the first left. In the recordings, contacts go round over a rig of our
+own model, written a second at a time. `reconstruct` runs in a process of its own, with
+programs kept by a run before. `follow` takes each slot of scans of 64, `auto` each scan of
+two slots. Prints slots a second, with start and without (from two lengths), and the most
+memory held, as JSON.
 """
 
 import argparse

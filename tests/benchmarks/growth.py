@@ -1,9 +1,9 @@
-"""How time grows: with elements, electrodes, slots, contacts and frames; exponents fitted.
+"""Measures how time grows with elements, electrodes, slots, contacts and frames.
 
     python tests/benchmarks/growth.py [--out notebooks/results]
 
-Each curve is timed by itself on this machine, compile time apart; the exponent is of the
-upper half of the curve, where what does not grow counts little. Writes growth.json and
+Each curve is timed by itself on this machine, compile time apart. The exponent is fitted to
+the upper half of the curve, where constant parts count little. Writes growth.json and
 growth.png. Takes four minutes.
 """
 

@@ -1,11 +1,12 @@
-"""What an installation costs: of `tomojax`, of `[app]`, and of each extra beside it.
+"""Measures what an installation costs: `tomojax`, `[app]`, and each extra beside it.
 
     python tests/benchmarks/install.py [--only app web …] [--out FOLDER]
 
-Each in a new virtual environment: seconds that pip takes, megabytes on the disk, packages,
-and seconds of `import tomojax` and, where there is a command line, of `tomojax --help`
-(the second call: the first one compiles Python's files). pip's cache is as it is: what is
-in it need not be fetched. Writes install.json and install.png.
+Each is installed in a new virtual environment. The figures are pip's seconds, megabytes on
+the disk, packages, and seconds of `import tomojax`. An installation with a command line
+also has seconds of `tomojax --help`. That is the second call, because the first one
+compiles Python's files. The cache of pip stays as it is: cached packages need not be
+fetched. Writes install.json and install.png.
 """
 
 import argparse

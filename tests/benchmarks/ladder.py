@@ -1,10 +1,10 @@
-"""Every model on recorded scenes with their truth, and what `auto` takes for each.
+"""Tries every model on recorded scenes with their truth, and shows what `auto` takes.
 
     python tests/benchmarks/ladder.py FOLDER [--out FOLDER]
 
-FOLDER holds static_all.h5 with truth.json, and bounce_*.h5 with their .truth.npz
-(recordings of a rig model that is not ours). Writes ladder.json, ladder.png (images of the
-scenes by each model) and drops.png (the drops' conductance over time). Takes ten minutes.
+FOLDER holds static_all.h5 with truth.json, and bounce_*.h5 with their .truth.npz. These are
+recordings of a rig of another model. Writes ladder.json, ladder.png (images of the scenes
+by each model) and drops.png (the drops' conductance over time). Takes ten minutes.
 """
 
 import argparse

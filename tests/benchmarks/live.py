@@ -1,10 +1,11 @@
-"""The live loop for minutes: a virtual rig on a pseudo-terminal at 10 000 slots a second.
+"""Runs the live loop for minutes: a virtual rig on a pseudo-terminal, 10 000 slots/s.
 
     python tests/benchmarks/live.py [--seconds 600] [--rate 10000] [--out FOLDER]
 
-Closed loop, recorder and terminal view on. Counts what was lost, and where; latency from
-the last byte of a slot to the command with the next ground; memory. The scene is a contact
-that moves over a rig that is not ours (tests/rig.py). Writes live.json and live.png.
+The loop is closed; recorder and terminal view are on. Counts what was lost, and where.
+Measures memory, and the latency from the last byte of a slot to the command with the next
+ground. In the scene, a contact moves over a rig of another model (tests/rig.py). Writes
+live.json and live.png.
 """
 
 import argparse

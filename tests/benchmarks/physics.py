@@ -1,9 +1,9 @@
-"""Time and memory of the table, and speed beside pyEIT and scikit-fem, in one run.
+"""Measures time and memory of the table, and speed beside pyEIT and scikit-fem, in one run.
 
     python tests/benchmarks/physics.py [--quick] [--out notebooks/results]
 
-Writes physics.json and physics.png. Medians and quartiles; compile time apart; the two
-sides of a comparison take turns, so that a noisy machine is noisy for both.
+Writes physics.json and physics.png. Figures are medians and quartiles, compile time apart.
+The two sides of a comparison take turns, so that a noisy machine is noisy for both.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Change of grounds and λ beside pyEIT and NumPy, many ground sets, rules for λ.
+"""Measures changes of grounds and λ beside pyEIT and NumPy; many ground sets, rules for λ.
 
     python tests/benchmarks/reconstruction.py [--quick] [--out notebooks/results]
 
@@ -317,7 +317,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
-    parser.add_argument("--only", help="one part, into the file of the others")
+    parser.add_argument("--only", help="Run one part, and add it to the others' file.")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     jac = np.asarray(tx.jacobian(tx.Sensor.grid(divisions=(40, 40))))

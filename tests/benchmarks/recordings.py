@@ -1,9 +1,9 @@
-"""Long recordings: rate, memory, chunk size, kills; images beside pyEIT's.
+"""Measures long recordings: rate, memory, chunk size, kills; images beside pyEIT's.
 
     python tests/benchmarks/recordings.py [--quick] [--only hour …] [--out FOLDER]
 
-Writes recordings.json and recordings.png. An hour of recording takes 4.6 GB of disk, its
-results 6.5 GB, all in a temporary folder (--folder).
+Writes recordings.json and recordings.png. An hour of recording takes 4.6 GB of disk, and
+its results 6.5 GB. All lie in a temporary folder (--folder).
 """
 
 import argparse

@@ -1,11 +1,12 @@
-"""Methods on rigs wider than what they assume: places, counts, stated deviations, flags.
+"""Tries methods on rigs with more errors than they assume: places, counts, errors, flags.
 
     python tests/benchmarks/rigs.py [--rigs 12] [--each 10] [--seed N] [--model elements]
 
-Every row of `tomojax.studies.rigs.FAMILY` changes one property of the rig or the contact.
-A method is told nominal values. Judging seeds by default: no threshold was set on them.
-`points`, `source` and `auto` have the two corner slots, `follow` ten slots; `conductance`
-the two corners of a part of the scenes. Writes notebooks/results/rigs.json and rigs.png.
+Every row of `tomojax.studies.rigs.FAMILY` changes one property of the rig or the contact. A
+method is told nominal values. Stated deviations of places are judged, too. The default
+seeds are for judging: no threshold was set on them. `points`, `source` and `auto` have the
+two corner slots, `follow` ten slots. `conductance` has the two corners of a part of the
+scenes. Writes notebooks/results/rigs.json and rigs.png.
 """
 
 import argparse

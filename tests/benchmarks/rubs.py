@@ -1,15 +1,17 @@
-"""How long to rub for a calibration, and where: place errors after rubs of many kinds.
+"""Measures how long to rub for a calibration, and where: place errors after many rubs.
 
     python tests/benchmarks/rubs.py [--rigs 4] [--seed N]
 
 Every second rig is a resistor network, every other one is of finite elements
-(`tomojax.studies.rigs`), drawn by default. A finger wanders over the sheet at about
-0.1 m/s and presses now more, now less; ten times a second a frame of ten slots is read, of
-two corners and eight other grounds, in which it hardly moves (of five minutes 600 frames).
-Rubs of 2 s to 5 min over the whole sheet; of 30 s in one quarter, with pauses (half of the
-time it stays where it is), and with a second finger half of the time. Other lone contacts,
-in other slots, are for judging. Nothing was set on the seed that is the default.
-Writes rubs.json and rubs.png.
+(`tomojax.studies.rigs`), drawn by default. A finger wanders over the sheet at about 0.1
+m/s, and presses now more, now less. Ten times a second, a frame of ten slots is read: two
+corners and eight other grounds. The finger hardly moves within a frame. Five minutes have
+600 frames.
+
+Rubs over the whole sheet last 2 s to 5 min. Rubs of 30 s stay in one quarter, have pauses,
+or have a second finger half of the time. In a rub with pauses, the finger stays where it is
+for half of the time. Other lone contacts, in other slots, are for judging. Nothing was set
+on the default seed. Writes rubs.json and rubs.png.
 """
 
 import argparse

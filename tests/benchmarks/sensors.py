@@ -1,12 +1,12 @@
-"""Methods on sensors of other kinds: electrodes, sizes, discs, sheets, drives, bits.
+"""Tries methods on other sensors: electrodes, sizes, discs, sheets, drives, bits.
 
     python tests/benchmarks/sensors.py [--rigs 6] [--each 6] [--pairs 40] [--seed N]
 
-Lone contacts as `tomojax.studies.rigs` draws them by default, and pairs whose centres are
-one pitch apart, on sensors that differ from the default in one property or in all. A
-method is told nominal values and has the two corner slots, `follow` ten slots. Errors in
-pitches. Judging seeds by default. Writes notebooks/results/sensors.json and sensors.png;
-what --only leaves out stays in them.
+Sensors differ from the default in one property or in all. Lone contacts are drawn by the
+defaults of `tomojax.studies.rigs`; pairs have centres one pitch apart. A method is told
+nominal values and has the two corner slots, `follow` ten slots. Errors are in pitches. The
+default seeds are for judging. Writes notebooks/results/sensors.json and sensors.png; parts
+that --only leaves out stay in them.
 """
 
 import argparse

@@ -1,16 +1,18 @@
-"""Images of shapes on rigs that are not ours, beside the other images.
+"""Measures images of shapes on rigs of other models, beside the other images.
 
     python tests/benchmarks/shapes.py [--rigs 10] [--scenes 12] [--seed N] [--only PART]
 
-Letters, digits, hands, feet, tools, rings, cables, frames and two objects, 30 to 140 mm,
-strokes of 8 to 30 mm, any place and turn, 0.005 to 5 S/m², pressed evenly, softly, or
-through a resistance; every second rig is a resistor network, every other one of finite
-elements (`tomojax.studies.rigs`), drawn by default. Nominal values are told; `calibrated`
-rows have a calibration of 40 contacts at unknown places. The others' images are judged at
-the threshold that is best for each in hindsight, `shape`'s at its own half level. Parts:
-images, digits, gaps, patterns; speed alone. Judging seeds by default: nothing was set on
-them. Writes
-shapes.json, shapes.png, shapes_gallery.png.
+Shapes are letters, digits, hands, feet, tools, rings, cables, frames and two objects. They
+are 30 to 140 mm large, with strokes of 8 to 30 mm, at any place and turn. They conduct
+0.005 to 5 S/m², and are pressed evenly, softly, or through a resistance. Every second rig
+is a resistor network, every other one of finite elements (`tomojax.studies.rigs`), drawn by
+default. Nominal values are told; `calibrated` rows have a calibration of 40 contacts at
+unknown places.
+
+The image of `shape` is judged at its own half level. The others' images are judged at the
+threshold that is best for each in hindsight. Parts: images, digits, gaps, patterns; speed
+alone. The default seeds are for judging: nothing was set on them. Writes shapes.json,
+shapes.png, shapes_gallery.png.
 """
 
 import argparse

@@ -1,11 +1,12 @@
-"""Several grounds at once against single ones: how near two contacts can be told apart.
+"""Compares several grounds at once with single ones: how near two contacts are told apart.
 
     python tests/benchmarks/shared.py [--pairs 40] [--out FOLDER]
 
-Sets of 2 and 8 slots: the best single grounds, and conductances to ground that
-`design_shared` finds from there, both for pairs 15 mm apart anywhere. Voltages are of a
-resistor network (tests/rig.py) on other rigs and places; two discs with free currents in
-each slot are fitted to them from 3 mm beside the truth. Writes shared.json and shared.png.
+Sets have 2 and 8 slots. The best single grounds are found for pairs 15 mm apart, anywhere.
+From there, `design_shared` finds conductances to ground for the same pairs. Voltages are of
+a resistor network (tests/rig.py) on other rigs and places. Two discs, with free currents in
+each slot, are fitted to the voltages from 3 mm beside the truth. Writes shared.json and
+shared.png.
 """
 
 import argparse

@@ -1,16 +1,18 @@
-"""Error against the number of slots: the paper's nine patterns and designed sets, by Eq. 3.
+"""Measures error against slots: the paper's nine patterns and designed sets, by Eq. 3.
 
     python tests/benchmarks/slots.py [--scenes 160] [--out FOLDER]
 
-Images of `linear` (J(0)) of contacts that hold the sheet at V0, the paper's own case.
-Designs are made on nominal values and simulated rigs; what is measured are voltages of a
-resistor network (tests/rig.py), other sheets and places. λ is a trade of place for width,
-so sets are compared where they are equally wide: each has the λ at which its images of
-simulated scenes are 10 mm (half-value width). Beside it, the λ of least image error, and
-the whole curve. Sets by place look up where `points` finds the contacts in the two
-exploratory slots, which are not counted, as in the paper. Tables are `design_policy`'s
-before it makes neighbours alike. "at most n" is the design of
-up to n slots whose simulated figures are best. Writes slots.json and slots.png.
+Images of `linear` (J(0)) are of contacts that hold the sheet at V0, the paper's own case.
+Designs are made on nominal values and simulated rigs. The measured voltages are those of a
+resistor network (tests/rig.py), with other sheets and places. λ trades place for width.
+Sets are therefore compared where they are equally wide. Each set has the λ at which its
+images of simulated scenes are 10 mm wide (half-value width). The λ of least image error and
+the whole curve are given, too.
+
+Sets by place look up where `points` finds the contacts in the two exploratory slots. These
+slots are not counted, as in the paper. Tables are `design_policy`'s before it makes
+neighbours alike. "at most n" is the design of up to n slots whose simulated figures are
+best. Writes slots.json and slots.png.
 """
 
 import argparse

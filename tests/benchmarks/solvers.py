@@ -1,4 +1,4 @@
-"""Eq. 3 by every route: how right in float32, and what value and gradient cost.
+"""Solves Eq. 3 by every route: how right in float32, and what value and gradient cost.
 
     python tests/benchmarks/solvers.py [--quick] [--out notebooks/results]
 
@@ -211,7 +211,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
-    parser.add_argument("--only", help="one part, into the file of the others")
+    parser.add_argument("--only", help="Run one part, and add it to the others' file.")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     path = arguments.out / "solvers.json"

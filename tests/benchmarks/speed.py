@@ -1,13 +1,13 @@
-"""Frames a second of `points`, `auto` and `conductance`, beside those of an older commit.
+"""Measures frames a second of `points`, `auto` and `conductance`, beside an older commit.
 
     git worktree add /tmp/older COMMIT
     python tests/benchmarks/speed.py --beside /tmp/older [--scenes 96] [--seed 7]
 
-Scenes are a resistor network's (tests/rig.py; a new sheet for every eight), with noise and
-zeros; nominal values alone are told. Both commits get the same frames in the same batches,
-one after the other, each in a process of its own. The first call, with what it compiles,
-is a column of its own. Writes speed.json and speed.png; what --only leaves out stays in
-them. An hour.
+A resistor network makes the scenes (tests/rig.py; a new sheet for every eight), with noise
+and zeros. Nominal values alone are told. Both commits get the same frames in the same
+batches, one after the other, each in a process of its own. The first call, with everything
+that it compiles, has its own column. Writes speed.json and speed.png; parts that --only
+leaves out stay in them. Takes an hour.
 """
 
 import argparse
@@ -164,7 +164,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=96)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--beside", type=Path, help="a checkout of an older commit")
+    parser.add_argument("--beside", type=Path, help="Checkout of an older commit.")
     parser.add_argument("--only", nargs="*", choices=JOBS, default=list(JOBS))
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)

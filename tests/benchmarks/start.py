@@ -1,12 +1,13 @@
-"""Seconds to a first answer, and the programs that it compiles, beside an older commit.
+"""Measures seconds to a first answer, and programs compiled for it, beside an older commit.
 
     git worktree add /tmp/older COMMIT
     python tests/benchmarks/start.py --beside /tmp/older [--seed 7] [--only points auto]
 
-Each row is a new process with JAX's cache in a folder of its own: empty at first, then as
-that first run left it. Recordings are a resistor network's (tests/rig.py): 16 scans of 64
-slots with a bar in each, and 2 s of ten slots a scan with a contact. Writes start.json and
-start.png; what --only leaves out stays in them. Half an hour.
+Each row is a new process with JAX's cache in a folder of its own. The cache is empty at
+first, and then as the first run left it. A resistor network makes the recordings
+(tests/rig.py). One has 16 scans of 64 slots with a bar in each. The other has 2 s of ten
+slots a scan with a contact. Writes start.json and start.png; parts that --only leaves out
+stay in them. Takes half an hour.
 """
 
 import argparse
@@ -133,7 +134,7 @@ def draw(rows: list[dict], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--beside", type=Path, help="a checkout of an older commit")
+    parser.add_argument("--beside", type=Path, help="Checkout of an older commit.")
     parser.add_argument("--only", nargs="*", choices=JOBS, default=list(JOBS))
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()

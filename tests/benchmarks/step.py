@@ -1,12 +1,12 @@
-"""The step: how long one slot takes, and what each policy makes of moving contacts.
+"""Measures how long a step's slot takes, and how each policy follows moving contacts.
 
     python tests/benchmarks/step.py [--slots 100000] [--out FOLDER]
 
-Latency: from NumPy voltages to NumPy contacts and the next ground, one call after another,
-as percentiles, for each method with a process as it comes and a tuned one
-(`tomojax.hardware.real_time`). Closed loop: a contact moves
-over a rig that is not ours (tests/rig.py), each slot's ground is what the policy asked
-for; places are those said in the same slot. Writes step.json and step.png.
+Latency is from NumPy voltages to NumPy contacts and the next ground, one call after
+another. Its percentiles are given for each method. The process is either as it comes, or
+tuned (`tomojax.hardware.real_time`). In the closed loop, a contact moves over a rig of
+another model (tests/rig.py). Each slot's ground is the one that the policy asked for.
+Places are those said in the same slot. Writes step.json and step.png.
 """
 
 import argparse

@@ -1,10 +1,10 @@
-"""The page in the browser for long: pictures a second, memory, an hour's file, strangers.
+"""Tries the page in the browser: pictures a second, memory, an hour's file, strangers.
 
     python tests/benchmarks/web.py live [--seconds 600]      # beside it: the loop without
     python tests/benchmarks/web.py hour [--hours 1] [--folder FOLDER]     # 2.7 GB an hour
     python tests/benchmarks/web.py strangers [--requests 10000]
 
-Needs Chromium, but for the last. Each prints one JSON object.
+Live and hour need Chromium. Each prints one JSON object.
 """
 
 import argparse

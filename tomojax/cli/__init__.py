@@ -1,10 +1,10 @@
-"""The command line. Bad input is one line on standard error and exit status 2."""
+"""The command line. Bad input gives one line on standard error and exit status 2."""
 
 import sys
 
 
 def main() -> None:
-    """Entry point of `tomojax`."""
+    """Runs the program `tomojax`."""
     try:
         from tomojax.cli import app
 

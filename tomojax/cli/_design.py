@@ -1,4 +1,4 @@
-"""`tomojax design`: grounds for where contacts may be."""
+"""`tomojax design`: chooses grounds for the places where contacts may be."""
 
 import json
 import sys
@@ -20,10 +20,16 @@ _MAP = 32
     type=NUMBER,
     nargs=4,
     metavar="X0 Y0 X1 Y1",
-    help="Where contacts may be, mm. [default: the sheet but half a pitch]",
+    help="Design for contacts in this rectangle, mm. [default: the sheet without a rim "
+    "of half a pitch]",
 )
 @click.option(
-    "--place", "spots", type=NUMBER, nargs=2, multiple=True, help="A contact at X Y, mm."
+    "--place",
+    "spots",
+    type=NUMBER,
+    nargs=2,
+    multiple=True,
+    help="Design for a contact at X Y, mm. May be repeated.",
 )
 @click.option("--slots", type=int, default=8, show_default=True)
 @click.option(
@@ -35,28 +41,38 @@ _MAP = 32
 @click.option(
     "--criterion",
     type=click.Choice(["place", "a", "d", "worst", "rigs"]),
-    help="Of all places: the mean error of place, the mean variance, the volume of what "
-    "stays unknown, or the worst; rigs: what is seen on simulated ones. "
-    "[default: place; of a table for points or linear rigs]",
+    help="Make one figure small. `place`: a contact's mean error of place. `a`: the mean "
+    "variance. `d`: the volume of what stays unknown. `worst`: the worst place's "
+    "figure. `rigs`: the error on simulated rigs. [default: place; rigs for the "
+    "--policy table of points or linear]",
 )
-@click.option("--noise", type=NUMBER, help="V rms. [default: as the method takes it]")
-@click.option("--lam", type=NUMBER, help="λ of an image. [default: the noise's]")
-@click.option("--contacts", type=int, default=64, show_default=True, help="In a region.")
+@click.option("--noise", type=NUMBER, help="Assumed noise, V rms. [default: the method's]")
+@click.option("--lam", type=NUMBER, help="Image's regularisation λ. [default: by noise]")
 @click.option(
-    "--like", type=InputFile(), help="A recording of the rig: its sheet, electrodes."
+    "--contacts",
+    type=int,
+    default=64,
+    show_default=True,
+    help="Spread this many contacts over the region.",
+)
+@click.option(
+    "--like",
+    type=InputFile(),
+    help="Take the sheet and electrodes from this recording of the rig. [default: "
+    "the paper's sensor]",
 )
 @click.option(
     "--json",
     "json_path",
     type=OutputFile("report", makes=True),
-    help="Write all of it here; replaces an earlier report.",
+    help="Write the whole report here; replaces an earlier report.",
 )
 @click.option("--out", type=OutputFolder("design.png"), help="Folder for a picture.")
 @click.option(
     "--policy",
     type=OutputFile("policy", makes=True),
-    help="Also a table by place, for `tomojax live --policy`: an .npz file; replaces an "
-    "earlier one.",
+    help="Write a table of grounds by place to this .npz file as well, for `tomojax live "
+    "--policy`; replaces an earlier table.",
 )
 def design(
     region: tuple | None,
@@ -67,9 +83,11 @@ def design(
     like: Path | None,
     **options: Any,
 ) -> None:
-    """The best ground conditions for a contact's place, and how far from the best possible.
+    """Choose the electrodes to ground for locating contacts best.
 
-    Beside the paper's nine patterns, and a design of as many slots as each has.
+    The command prints the chosen grounds, and how far they are from the best possible. The
+    paper's nine patterns follow for comparison. Beside each pattern stands a design of as
+    many slots.
     """
     import jax
     import numpy as np

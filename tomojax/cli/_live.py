@@ -22,7 +22,7 @@ from tomojax.cli.entry import (
 
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
-    """Values of TOML files as defaults: the same keys as the options have names."""
+    """Takes options' defaults from TOML files; a key is an option's name."""
     for path in paths:
         _read_config(context, path)
 
@@ -46,7 +46,7 @@ def _read_config(context: click.Context, path: Path) -> None:
 
 
 class Numbers(click.ParamType):
-    """Whole numbers: a list in a TOML file, or with commas on the command line."""
+    """Whole numbers: a list in a TOML file, or numbers with commas on the command line."""
 
     name = "numbers"
 
@@ -59,7 +59,7 @@ class Numbers(click.ParamType):
 
 
 def _shared(command: Any) -> Any:
-    """Options that both commands have."""
+    """Adds the options that both commands have."""
     for option in (
         click.option(
             "--config",
@@ -68,7 +68,7 @@ def _shared(command: Any) -> Any:
             expose_value=False,
             callback=_config,
             multiple=True,
-            help="A TOML file with these options' values by name; may be repeated.",
+            help="Read these options' values, by name, from a TOML file. May be repeated.",
         ),
         click.option(
             "--view",
@@ -79,36 +79,50 @@ def _shared(command: Any) -> Any:
         click.option(
             "--rrd",
             type=OutputFile("view"),
-            help="With --view rerun: a file, no viewer; replaces an earlier one.",
+            help="Write the view of --view rerun to this file and open no viewer; "
+            "replaces an earlier view.",
         ),
-        click.option("--seconds", type=AMOUNT, help="[default: until Ctrl-C]"),
+        click.option(
+            "--seconds",
+            type=AMOUNT,
+            help="Stop after this time, s. [default: until Ctrl-C]",
+        ),
         click.option(
             "--file-seconds",
             type=AMOUNT,
             default=3600.0,
             show_default=True,
-            help="A new file of the recording after so long.",
+            help="Begin a new file of the recording after this time, s.",
         ),
-        click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]"),
+        click.option("--baud", type=COUNT, help="Serial baud rate. [default: 4000000]"),
         click.option(
-            "--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]"
+            "--bind", help="Listen here over UDP. [default: 127.0.0.1, this machine only]"
         ),
-        click.option("--speed", type=AMOUNT, help="Of a recording; 1 is its own."),
+        click.option(
+            "--speed",
+            type=AMOUNT,
+            help="Replay a recording this many times as fast as measured. [default: "
+            "as fast as it is read]",
+        ),
         click.option(
             "--like",
             type=InputFile(),
-            help="A recording of this rig: its sheet and electrodes.",
+            help="Take the sheet and electrodes from this recording of the rig. "
+            "[default: the paper's sensor]",
         ),
         click.option(
             "--channels",
             type=Numbers(),
-            help="The electrode that each channel reads: a key in what `tomojax check "
-            "--write` leaves for --config.",
+            help="The electrode that each channel reads, as numbers with commas. "
+            "`tomojax check --write` writes this list for --config. [default: "
+            "channel k reads electrode k]",
         ),
         click.option(
             "--grounds",
             type=Numbers(),
-            help="The electrode that each ground line switches, -1: none; likewise.",
+            help="The electrode that each ground line switches, -1 for none, as numbers "
+            "with commas. `tomojax check --write` writes this list for --config. "
+            "[default: line k switches electrode k]",
         ),
     ):
         command = option(command)
@@ -122,10 +136,14 @@ def _shared(command: Any) -> Any:
     "--out",
     type=OutputFile("recording", also=(".calibration.json",)),
     required=True,
-    help="The recording.",
+    help="Write the recording to this file.",
 )
 @click.option(
-    "--pattern", default="all", show_default=True, help="Ground conditions, over and over."
+    "--pattern",
+    default="all",
+    show_default=True,
+    help="Ground these electrodes in turn, over and over: all, boundary, edge, "
+    "v_line, random_16 or random_8.",
 )
 @click.option(
     "--calibrate",
@@ -133,12 +151,14 @@ def _shared(command: Any) -> Any:
     help="Show which squares of the sheet were touched, and calibrate at the end.",
 )
 def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any) -> None:
-    """Record the slots of SOURCE: serial:PORT, udp://HOST:PORT, or virtual.
+    """Record the slots of SOURCE.
 
-    A scan of the recording is one slot. What is on the disk stays readable whatever
-    happens; a full disk or a crash begins a new file, OUT-1, OUT-2, ….
-    With --calibrate rub the whole sheet with one finger: a map fills, lines say how well
-    each part is known. Ctrl-C ends the rub; then OUT.calibration.json is made of it.
+    SOURCE is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, or virtual, a simulated rig. A
+    scan of the recording is one slot. Slots on the disk stay readable whatever happens.
+    After a crash or a full disk a new file begins: OUT-1, OUT-2, ….
+
+    For --calibrate, rub the whole sheet with one finger. A map fills, and lines say how
+    well each part is known. Ctrl-C ends the rub and makes OUT.calibration.json.
     """
     import numpy as np
 
@@ -182,53 +202,63 @@ def _calibrated(rec: Path, made: Path) -> None:
     "--policy",
     default="around_contacts",
     show_default=True,
-    help="One of tomojax.POLICIES, or a table of `tomojax design --policy`.",
+    help="Choose the next grounds by this policy: a name of tomojax.POLICIES, or a table "
+    "of `tomojax design --policy`.",
 )
-@click.option("--cheaper", help="A method that answers slots that are late.")
+@click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(
-    "--budget", type=AMOUNT, help="A slot that is older is late, s. [default: one slot]"
+    "--budget", type=AMOUNT, help="A slot older than this is late, s. [default: one slot]"
 )
-@click.option("--contacts", type=COUNT, default=2, show_default=True, help="At most.")
-@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
+@click.option(
+    "--contacts",
+    type=COUNT,
+    default=2,
+    show_default=True,
+    help="Find this many contacts at most.",
+)
+@click.option("--calibration", type=InputFile(), help="Apply this calibration of the rig.")
 @click.option(
     "--adapt",
     is_flag=True,
-    help="Follow zeros and gains that drift, slowly; with --record OUT their log is "
-    "OUT.adapted.h5.",
+    help="Follow zeros and gains that drift slowly. If --record OUT is given, "
+    "OUT.adapted.h5 logs them.",
 )
 @click.option(
     "--shapes",
     is_flag=True,
-    help="Draw what touches in the view by the method shape, in a process of its own.",
+    help="Let a separate process draw the view's image by the method shape.",
 )
 @click.option(
     "--record",
     "out",
     type=OutputFile("recording", also=(".adapted.h5",)),
-    help="Record here as well.",
+    help="Write the slots to this recording as well. [default: no recording]",
 )
 @click.option(
     "--send",
     multiple=True,
     metavar="KIND:WHERE",
-    help="Send contacts, touch-down and lift-off: udp://HOST:PORT, jsonl:FILE (- is "
-    "standard output), osc://HOST:PORT, lsl:NAME, foxglove:PORT. With ?rate=100 so many "
-    "rows a second at most. May be repeated.",
+    help="Send contacts, touch-downs and lift-offs to udp://HOST:PORT, jsonl:FILE (- is "
+    "standard output), osc://HOST:PORT, lsl:NAME or foxglove:PORT. Add ?rate=100 "
+    "for at most 100 rows a second. May be repeated.",
 )
 @click.option(
     "--radius",
     type=AMOUNT,
-    help="Of what presses, m: then --send has forces, where --calibration has presses.",
+    help="Radius of the tip that presses, m. --send then includes forces. Needs a "
+    "--calibration with a law of pressure.",
 )
 @click.option(
     "--real-time",
     is_flag=True,
-    help="One core, one function, no garbage collection, SCHED_FIFO.",
+    help="Answer sooner: one core, one compiled function, no garbage collection, "
+    "SCHED_FIFO where the system allows.",
 )
 def live(source: str, method: str, policy: str, out: Path | None, **options: Any) -> None:
-    """Contacts of the slots of SOURCE as they come, and its next grounds back.
+    """Find the contacts in each slot of SOURCE as the slot comes.
 
-    SOURCE: serial:PORT, udp://HOST:PORT, a recording, or virtual: a rig in a process.
+    SOURCE is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording, or virtual, a
+    simulated rig. The command sends the next grounds back to SOURCE.
     """
     from tomojax import Calibration, make_step
     from tomojax.hardware import real_time
@@ -279,7 +309,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
 
 def _law(calibration: Any, radius: float | None) -> tuple[float, ...] | None:
-    """What makes forces of conductances: c, k and the contact's area, m²."""
+    """Returns c, k and the contact's area, m², which turn conductances into forces."""
     if radius is None:
         return None
     law = None if calibration is None else calibration.pressure

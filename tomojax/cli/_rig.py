@@ -27,19 +27,23 @@ from tomojax.cli.recordings import layout_option, opened
     "-o",
     "--out",
     type=OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
-    help="[default: REC.calibration.json]",
+    help="Write the calibration here. [default: REC.calibration.json]",
 )
 @click.option(
-    "--older", "before", type=InputFile(), help="An older calibration to begin with."
+    "--older", "before", type=InputFile(), help="Begin with this older calibration."
 )
 @click.option(
-    "--frames", type=int, default=1000, show_default=True, help="At most, of ten slots."
+    "--frames",
+    type=int,
+    default=1000,
+    show_default=True,
+    help="Use this many frames of ten slots at most.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
 @click.option(
     "--picture",
     type=OutputFile("picture"),
-    help="Draw sheet and electrodes here (PNG); replaces a picture.",
+    help="Draw the sheet and electrodes here (PNG); replaces a picture.",
 )
 @click.option(
     "--json",
@@ -62,12 +66,15 @@ def calibrate(
     since: float | None,
     until: float | None,
 ) -> None:
-    """Calibrate the rig from REC: rub the whole sheet with one finger or a blunt pen.
+    """Calibrate the rig from REC, a recording of a rub.
 
-    Where the contact is need not be known: places, gains, zeros, the sheet, the ground
-    paths and the electrodes' places are found together.
-    PLACES, where you have them, has x and y in metres, of each slot or of each scan: `xy`
-    in an .npz file, or a .csv file. `tomojax reconstruct --calibration` uses the result.
+    Rub the whole sheet with one finger or a blunt pen. The finger's places need not be
+    known. The command finds places, gains, zeros, the sheet, the ground paths and the
+    electrodes' places together.
+
+    PLACES, where you have them, gives x and y in metres of each slot or each scan. PLACES
+    is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
+    uses the result.
     """
     from tomojax import calibration as room
     from tomojax.sensor import Calibration
@@ -139,16 +146,20 @@ class _Corners(click.ParamType):
     "--corners",
     type=_Corners(),
     default="auto",
-    help="Electrodes at the corners that were touched in the end, as 0,7, or none. "
-    "[default: 0 and the last of row 0]",
+    help="The two electrodes at the corners that were touched in the end, as 0,7, or "
+    "none. [default: 0 and the last of row 0]",
 )
 @click.option(
-    "-o", "--out", type=OutputFile("recording"), help="A SOURCE's recording, which is kept."
+    "-o",
+    "--out",
+    type=OutputFile("recording"),
+    help="Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
 )
 @click.option(
     "--write",
     type=OutputFile("order"),
-    help="The corrected order, for --config of live; replaces an earlier one.",
+    help="Write the corrected order of wires here, for --config of `tomojax live`; "
+    "replaces an earlier order.",
 )
 @click.option(
     "--picture",
@@ -161,16 +172,30 @@ class _Corners(click.ParamType):
     type=OutputFile("report"),
     help="Write the faults here; replaces an earlier report.",
 )
-@click.option("--like", type=InputFile(), help="A recording of this sensor.")
+@click.option("--like", type=InputFile(), help="Expect as many channels as this recording.")
 @click.option(
-    "--quiet", type=AMOUNT, default=4.0, show_default=True, help="Of a SOURCE, s."
+    "--quiet",
+    type=AMOUNT,
+    default=4.0,
+    show_default=True,
+    help="Record SOURCE untouched for this time, s.",
 )
-@click.option("--rub", type=AMOUNT, default=20.0, show_default=True, help="Of a SOURCE, s.")
 @click.option(
-    "--touch", type=AMOUNT, default=3.0, show_default=True, help="Of a SOURCE, s."
+    "--rub",
+    type=AMOUNT,
+    default=20.0,
+    show_default=True,
+    help="Record a rub on SOURCE for this time, s.",
 )
-@click.option("--baud", type=COUNT, help="Of a serial line. [default: 4000000]")
-@click.option("--bind", help="Address to listen at over UDP. [default: 127.0.0.1, local]")
+@click.option(
+    "--touch",
+    type=AMOUNT,
+    default=3.0,
+    show_default=True,
+    help="Record each touch on SOURCE for this time, s.",
+)
+@click.option("--baud", type=COUNT, help="Speed of a serial line, baud. [default: 4000000]")
+@click.option("--bind", help="Listen here over UDP. [default: 127.0.0.1, this machine]")
 @layout_option
 @stretch_options
 def check(
@@ -190,17 +215,20 @@ def check(
     since: float | None,
     until: float | None,
 ) -> int:
-    """Check a new rig: wires, grounds, drive, noise, gains, places and the sheet.
+    """Check a new rig: wires, grounds, noise, places and sheet.
 
-    REC holds some seconds of nothing, some of rubbing anywhere with a finger or a blunt
-    pen, and in the end two touches that hold still, with pauses before and after: the first
-    at the corner of electrode 0 (x and y least), the second at the corner at the end of row
-    0 (x least, y most). Nothing else tells a mirrored or a turned array. A part that REC
-    lacks is not judged, and named. Electrode e is row·columns + column; rows run along x,
-    columns along y. Ground conditions: best all (`tomojax record --pattern all`).
+    The command also judges the drive and the gains. REC is judged, or SOURCE (serial:PORT,
+    udp://HOST:PORT, ni:INPUTS,LINES) is recorded first. While SOURCE is recorded, the
+    command says what to do in turn.
 
-    SOURCE (serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES) is recorded first; what to do is
-    said in turn.
+    REC begins with some seconds of nothing, and some of rubbing anywhere with a finger or a
+    blunt pen. REC ends with two touches that hold still, with pauses before and after.
+    Touch the corner of electrode 0 first (x and y least), then the corner at the end of row
+    0 (x least, y most). Nothing else tells a mirrored or a turned array. The report names
+    each part that REC lacks, and does not judge that part.
+
+    Electrode e is row·columns + column; rows run along x, columns along y. The best ground
+    conditions are all (`tomojax record --pattern all`).
 
     Exit status: 0 no fault, 1 faults, 2 nothing could be said.
     """
@@ -244,7 +272,10 @@ def check(
 
 
 def _same_sensor(path: Path, recording: Any, like: Path) -> None:
-    """**Raises:** `ValueError` where two recordings are of sensors of other electrodes."""
+    """Checks that two recordings have as many channels.
+
+    **Raises:** `ValueError` where the numbers of channels differ.
+    """
     from tomojax.recordings import open_recording
 
     with open_recording(like) as other:

@@ -39,7 +39,7 @@ class _Session:
             self._view += [self._told, *recorded]
 
     def beside(self, module: str, *words: str) -> None:
-        """Starts a process beside the loop that is told of the ring and the rig."""
+        """Starts a process beside the loop, and tells the process the ring and the rig."""
         name = f"tomojax.hardware.{module}"
         command = [sys.executable, "-m", name, str(self.ring.path), self._told, *words]
         # It has the cores that the loop leaves; its threads would not wait idly.
@@ -54,9 +54,10 @@ class _Session:
         tell: Callable[[float], None] = lambda seconds: None,
         images: bool = True,
     ) -> None:
-        """Until the time is up or Ctrl-C; `tell` is called with the seconds since.
+        """Runs the loop until the time is up or Ctrl-C.
 
-        Without `images` a process beside the loop draws the view's.
+        The loop calls `tell` with the seconds since its start. Without `images`, a process
+        beside the loop draws the view's image.
         """
         from tomojax.hardware import run
 
@@ -99,7 +100,7 @@ class _Session:
         self._tell(step is not None)
 
     def _close(self) -> None:
-        """What is measured first: nobody beside the loop keeps it from the disk."""
+        """Closes the recorder before any other process: slots reach the disk first."""
         if self.recorder is not None:
             self.recorder.close()
             if self.ring.head["rows"]:
@@ -117,7 +118,7 @@ class _Session:
 
 
 def _wait(process: subprocess.Popen) -> None:
-    """Until it has ended; one that hangs, as on a reader that stands still, is ended."""
+    """Waits until a process has ended, and ends a process that hangs."""
     words: Any = process.args
     name = " ".join([*words[2:3], *words[5:6]])[:80]
     try:
@@ -130,7 +131,7 @@ def _wait(process: subprocess.Popen) -> None:
 
 
 def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
-    """The view's command, if any."""
+    """Returns the view's command, or an empty list without a view."""
     if view == "none":
         return []
     if view == "web":
@@ -150,9 +151,9 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
 def session(
     source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
 ):
-    """A session and what `prepare` makes of the sensor before the source is started.
+    """Yields a session, and what `prepare` makes of the sensor before the source starts.
 
-    A rig that sends already, while a step is compiled, would lose slots.
+    A rig that already sends while a step is compiled would lose slots.
     """
     import numpy as np
 

@@ -23,7 +23,7 @@ from tomojax.cli.studies import frontier, stability, table1
     is_flag=True,
     envvar="TOMOJAX_NO_CACHE",
     show_envvar=True,
-    help="Compile anew; keep no compiled programs in the cache folder.",
+    help="Compile every program anew; keep no compiled programs in the cache folder.",
 )
 @click.pass_context
 def app(context: click.Context, no_cache: bool) -> None:

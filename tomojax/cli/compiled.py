@@ -40,9 +40,9 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
 
     `kind` begins the folder's name; folders of one kind hold `limit` bytes at most.
 
-    The settings are environment variables, so that processes of a command share them. A
-    JAX_COMPILATION_CACHE_DIR of the user stays, and then this function sets nothing. A
-    folder that cannot be made or written stops no command: its programs are not kept.
+    The settings are environment variables, so that all processes of a command share them.
+    If the user has set JAX_COMPILATION_CACHE_DIR, this function changes nothing. A folder
+    that cannot be made or written stops no command: programs are then not kept.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -115,10 +115,10 @@ def _drop_oldest(cache: Path, kind: str, limit: int) -> None:
 
 
 def _drop_when_cut_short(folder: Path) -> None:
-    """Removes a program that JAX cannot read: it is compiled, and written, anew.
+    """Removes a program that JAX cannot read, so that JAX compiles the program anew.
 
-    JAX writes in place, and never over what is there (jax/_src/lru_cache.py): a command
-    that was killed as it wrote would leave a warning to all that come after.
+    JAX writes in place, and never over a file that exists (jax/_src/lru_cache.py). A
+    command that was killed while writing would give all later commands a warning.
     """
     show = warnings.showwarning
 

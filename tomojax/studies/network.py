@@ -1,8 +1,9 @@
 """A rig as a resistor network: voltages that no model of this package made.
 
-Squares of the sheet, joined by resistors; electrodes as single nodes; sparse LU. What a
-reconstruction is not told: its sheet varies, its electrodes are off their places, its
-channels have gains, zeros and noise. For trials of accuracy (`tomojax frontier`).
+Resistors join squares of the sheet, electrodes are single nodes, and sparse LU solves. A
+reconstruction is not told the rig's errors. The sheet varies, electrodes are off their
+places, and channels have gains, zeros and noise. `tomojax frontier` tries accuracy on these
+rigs.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,10 +31,10 @@ Contact = tuple[Bool[np.ndarray, " cells"] | Float[np.ndarray, " cells"], float]
 class Network:
     """A rig with errors that are drawn, of a sensor with one sheet resistance.
 
-    **Arguments:** `variation` of the sheet, rms; `offset` of electrodes at most, m;
-    `noise` and zeros, V; `gain` of channels, rms. `offset` and `noise` follow the
-    electrodes' diameter and the drive by default. The `rigs` beside this module draw
-    more: they fill in `sheet`, `place`, `radius`, `contact` and `ground` by `built`.
+    **Arguments:** `variation` of the sheet, rms; `offset` of electrodes at most, m; `noise`
+    and zeros, V; `gain` of channels, rms. `offset` and `noise` follow the electrodes'
+    diameter and the drive by default. The `rigs` beside this module draw more. They give
+    `sheet`, `place`, `radius`, `contact` and `ground` to `built`.
     """
 
     def __init__(
@@ -79,10 +80,16 @@ class Network:
         ground: Float[np.ndarray, " m"],
         fine: float | int = 1.0,
     ) -> "Network":
-        """A rig of given parts: `sheet` resistance by place, Ω/sq; centres and radii of the
-        faces that touch it, m; resistances between them and the sheet, and of the ground
-        paths, Ω. Its squares are `fine` times smaller than usual, and rims cut resistors.
-        It is not told how voltages are read: `measure` is not for it."""
+        """Makes a rig of given parts.
+
+        - `sheet`: resistance by place, Ω/sq.
+        - `place` and `radius`: centres and radii of the faces that touch the sheet, m.
+        - `contact`: resistances between faces and sheet, Ω.
+        - `ground`: resistances of the ground paths, Ω.
+        - `fine`: how many times smaller the squares are than usual; rims cut resistors.
+
+        The rig is not told how voltages are read, so `measure` does not work on it.
+        """
         new = cls.__new__(cls)
         new.drive = float(sensor.drive_voltage)
         side = _SQUARE * float(sensor.electrode_diameter) / fine
@@ -92,13 +99,13 @@ class Network:
 
     @property
     def width(self) -> float:
-        """Of a cell, m."""
+        """Width of a cell, m."""
         return float(self._side.max())
 
     def average(
         self, density: Callable[[np.ndarray], np.ndarray], within: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, " n"]:
-        """The means of a density over the cells with these centres, by 6 × 6 points."""
+        """Returns means of a density over the cells with these centres, by 6 × 6 points."""
         part = (np.arange(6) + 0.5) / 6 - 0.5
         points = np.stack(np.meshgrid(part, part), -1).reshape(-1, 1, 2) * self._side
         found = density((points + within).reshape(-1, 2))
@@ -130,7 +137,7 @@ class Network:
         self.network = self._joined()
 
     def _shares(self, near: np.ndarray, place: np.ndarray, radius: float) -> np.ndarray:
-        """How much of a face lies on each of some cells; all on the nearest if tiny."""
+        """Returns the part of a face on each of some cells; all on the nearest if tiny."""
 
         def inside(points: np.ndarray) -> np.ndarray:
             return (np.hypot(*(points - place).T) <= radius).astype(float)
@@ -142,10 +149,10 @@ class Network:
         return area / area.sum()
 
     def _outside(self, place: np.ndarray, radius: np.ndarray) -> np.ndarray:
-        """The part of each resistor that lies outside the face at one of its ends.
+        """Returns the part of each resistor that lies outside the face at one of its ends.
 
-        Without this cut a face acts as if a quarter of a square smaller: 1 % of the
-        largest voltage, and 5 % for faces of 3 mm.
+        Without this cut, a face acts as if it were smaller by a quarter of a square. The
+        error is 1 % of the largest voltage, and 5 % for faces of 3 mm.
         """
         part = np.ones(self._pairs.shape[1])
         for a, b in (self._pairs, self._pairs[::-1]):
@@ -162,12 +169,12 @@ class Network:
         return np.maximum(part, 0.02)
 
     def resist(self, inside: Bool[np.ndarray, " cells"], factor: float | int) -> None:
-        """The sheet's resistance there, so many times what it was: a tear, wear."""
+        """Multiplies the sheet's resistance `inside` by `factor`: a tear, wear."""
         self.sheet = np.where(inside, factor, 1) * self.sheet
         self.network = self._joined()
 
     def _joined(self) -> sp.csc_array:
-        """The network's matrix: neighbours joined by the mean of their resistances."""
+        """Returns the network's matrix: the mean resistance joins two neighbours."""
         c = self._squareness * 2 / self.sheet[self._pairs].sum(0)
         a, b = self.node[self._pairs]
         a, b, c = (v[a != b] for v in (a, b, c))
@@ -179,10 +186,10 @@ class Network:
     def scene(
         self, *contacts: Contact
     ) -> tuple[Float[np.ndarray, "m m"], list[tuple[Float[np.ndarray, "2"], float]]]:
-        """Exact voltages (m grounds, m) and, of each contact, centre and conductance.
+        """Returns exact voltages (m grounds, m), and each contact's centre and conductance.
 
-        A contact is (inside, S): a mask of the cells, or how much of the conductance each
-        has, and the total.
+        A contact is (inside, S): a mask of the cells, or each cell's part of the
+        conductance, and the total.
         """
         volts = self.under(np.arange(self.electrodes), *contacts)
         truth = [
@@ -194,7 +201,7 @@ class Network:
     def under(
         self, grounds: Integer[np.ndarray, " n"], *contacts: Contact, series: float = 0.0
     ) -> Float[np.ndarray, "n m"]:
-        """Exact voltages under some grounds; `series`: Ω between drive and object."""
+        """Returns exact voltages under some grounds; `series`: Ω from drive to object."""
         u, driven = self._loaded(contacts, grounds, series)
         own = np.arange(len(grounds)), grounds
         current = driven[grounds] / (self.ground[grounds] + u[own])
@@ -203,7 +210,7 @@ class Network:
     def shared(
         self, to_ground: Float[np.ndarray, "slots m"], *contacts: Contact
     ) -> Float[np.ndarray, "slots m"]:
-        """Exact voltages with conductances, S, to ground."""
+        """Returns exact voltages with conductances, S, to ground."""
         u, driven = self._loaded(contacts, np.arange(self.electrodes))
         unit = np.eye(self.electrodes)
         return np.stack([np.linalg.solve(unit + u * g, driven) for g in to_ground])
@@ -211,7 +218,10 @@ class Network:
     def _loaded(
         self, contacts: Sequence[Contact], grounds: np.ndarray, series: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Of currents into the grounds (n, m), and of the drive (m,); nothing grounded."""
+        """Returns voltages of unit currents into the grounds (n, m), and of the drive (m,).
+
+        Nothing is grounded.
+        """
         g = np.zeros(self.count)
         for inside, total in contacts:
             np.add.at(g, self.node, total * (inside / inside.sum()))
@@ -225,24 +235,24 @@ class Network:
         return u[:n] + series, self.drive * u[n]
 
     def measure(self, volts: np.ndarray) -> np.ndarray:
-        """As the converter reads them."""
+        """Returns voltages as the converter reads them."""
         read = volts * self.gain + self.zero
         read = read + self.noise * self.rng.normal(size=volts.shape)
         per_volt, half = self.codes / (2 * self.full_scale), self.codes // 2
         return np.clip(np.round(read * per_volt), -half, half - 1) / per_volt
 
     def disc(self, xy: Sequence[float] | np.ndarray, radius: float | int) -> np.ndarray:
-        """The cells in a disc."""
+        """Returns the cells in a disc."""
         return np.hypot(*(self.cells - np.asarray(xy)).T) <= radius
 
     def ring(self, xy: Sequence[float] | np.ndarray, inner: float, outer: float):
-        """The cells between two circles."""
+        """Returns the cells between two circles."""
         return self.disc(xy, outer) & ~self.disc(xy, inner)
 
     def bar(
         self, xy: Sequence[float] | np.ndarray, length: float, width: float, angle: float
     ) -> np.ndarray:
-        """The cells in a bar."""
+        """Returns the cells in a bar."""
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         along, across = np.abs((self.cells - np.asarray(xy)) @ turn).T
         return (along <= length / 2) & (across <= width / 2)
@@ -251,9 +261,9 @@ class Network:
 def _squares(
     size: np.ndarray, side: float
 ) -> tuple[np.ndarray, tuple[int, int], np.ndarray]:
-    """Centres of squares that fill the sheet, how many along each side, and their sides.
+    """Returns centres of squares that fill the sheet, how many along each side, and sides.
 
-    They are rectangles where no squares fill it.
+    The cells are rectangles where no squares fill the sheet.
     """
     nx, ny = (max(8, round(float(length) / side)) for length in size)
     x, y = ((np.arange(n) + 0.5) * length / n for n, length in zip((nx, ny), size))
@@ -262,7 +272,7 @@ def _squares(
 
 
 def _neighbours(shape: tuple[int, int], side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of neighbours (2, n), and how wide for its length what joins them is."""
+    """Returns pairs of neighbours (2, n), and the width over length of their resistors."""
     index = np.arange(shape[0] * shape[1]).reshape(shape)
     along_x = np.stack([index[1:].ravel(), index[:-1].ravel()])
     along_y = np.stack([index[:, 1:].ravel(), index[:, :-1].ravel()])

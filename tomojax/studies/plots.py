@@ -1,4 +1,4 @@
-"""Pictures. matplotlib is an extra and is imported by this module alone."""
+"""Draws pictures with matplotlib, which is an extra."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -7,7 +7,7 @@ from tomojax.sensor import Sensor
 
 
 def sheet(axes: Axes, sensor: Sensor, values: np.ndarray, label: str, **style) -> None:
-    """One value per element, seen from above, with the electrodes' outlines; mm."""
+    """Draws one value per element, seen from above, with the electrodes' outlines; mm."""
     image = np.asarray(values).reshape(*sensor.divisions, 2).mean(-1)
     w, h = 1e3 * np.asarray(sensor.size)
     picture = axes.imshow(

@@ -1,7 +1,7 @@
-"""What all commands have in common: paths that are checked first, Ctrl-C that is heard.
+"""Helpers of all commands: paths that are checked first, and Ctrl-C that is heard.
 
-Before a command works, each file that it will write is compared with each that it reads
-and with the others it writes. The room knows no command.
+Before a command works, each file that the command will write is compared with all other
+files that the command reads or writes. The room knows no command.
 """
 
 from tomojax.cli.entry._amounts import (

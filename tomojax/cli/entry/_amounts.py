@@ -1,6 +1,7 @@
-"""Numbers on the command line: NaN and infinities are none, nor are amounts of nothing.
+"""Types of options that are numbers: NaN and infinities are refused.
 
-Values come as texts, or from a TOML file as whatever they are there.
+An amount and a count must be above 0. Values come as texts, or from a TOML file as Python
+values.
 """
 
 import math
@@ -10,7 +11,7 @@ import click
 
 
 class Number(click.ParamType):
-    """A finite number; above 0 where it is an `amount`."""
+    """A finite number; above 0 for an `amount`."""
 
     name = "float"
 
@@ -29,14 +30,17 @@ class Number(click.ParamType):
 
 
 def whole_number(value: Any) -> int:
-    """**Raises:** `ValueError` for what is no whole number: TOML has 2.5, true and inf."""
+    """Turns a value into an integer.
+
+    **Raises:** `ValueError` for anything but a whole number: TOML has 2.5, true and inf.
+    """
     if isinstance(value, bool) or not isinstance(value, (int, str)):
         raise ValueError(f"got {value!r}, expected a whole number")
     return int(value)
 
 
 class Count(click.ParamType):
-    """A whole number, 1 or more; nothing that is counted comes near the limit."""
+    """A whole number from 1 to 10⁹; nothing that is counted comes near the limit."""
 
     name = "integer"
 

@@ -1,4 +1,4 @@
-"""A command whose paths are checked before it works, and that says what it left."""
+"""A command that checks its paths before it works, and says what it left when stopped."""
 
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ _running: list[tuple[Written, Any]] = []
 
 
 class Command(click.Command):
-    """As click's; no file is written that is read, or written twice.
+    """A click command that never writes a file it reads, nor one file twice.
 
     **Raises:** `ValueError` before any work.
     """
@@ -29,13 +29,13 @@ class Command(click.Command):
 
 
 def failed_to_read(read: list[Path], error: BaseException) -> str:
-    """One line on input that ended too early."""
+    """Returns one line on input that ended too early."""
     names = ", ".join(map(str, read)) or "standard input"
     return f"{names}: ends too early: {error or 'nothing left to read'}"
 
 
 def stopped() -> str:
-    """One line on what a command that is stopped leaves."""
+    """Returns one line on what a stopped command leaves."""
     for one, _ in _running:
         partial = one.path.with_name(one.path.name + ".partial")
         if one.kind == "results" and partial.exists():

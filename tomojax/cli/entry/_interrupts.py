@@ -1,8 +1,9 @@
-"""Ctrl-C: heard within two seconds, whatever the command is at.
+"""Ctrl-C: heard within two seconds, whatever the command is doing.
 
-Python runs a signal's handler in the main thread, after the call that the thread is in. A
-compiler's call takes up to a minute. So a thread of its own hears Ctrl-C as well, and ends
-the process where the command has not ended by itself. Files bear that at any moment.
+Python runs a signal's handler in the main thread, after that thread's current call ends. A
+compiler's call takes up to a minute. A separate thread therefore hears Ctrl-C as well. That
+thread ends the process if the command has not ended by itself. Files survive such an end at
+any moment.
 """
 
 import os
@@ -32,7 +33,7 @@ _own_end, _listens = Event(), Event()
 
 @contextmanager
 def listening(words: Callable[[], str]) -> Iterator[None]:
-    """Hears Ctrl-C; `words` is the line that is printed before the process ends."""
+    """Hears Ctrl-C; the line that `words` returns is printed before the process ends."""
     # Ctrl-C may be ignored, as a shell asks of what runs in the background: then nothing is
     # heard, unless a command listens to it (`interrupts`).
     if signal.getsignal(signal.SIGINT) not in (
@@ -86,10 +87,10 @@ def _end(words: Callable[[], str]) -> NoReturn:
 
 @contextmanager
 def interrupts(own_end: bool = False) -> Iterator[Event]:
-    """Ctrl-C as an event: as an exception it may come up inside a callback and be lost.
+    """Turns Ctrl-C into an event, since an exception inside a callback may be lost.
 
-    A second one ends the process at once, which loses nothing that has been written.
-    With `own_end` the first may take its time.
+    A second Ctrl-C ends the process at once; written files lose nothing. If `own_end` is
+    true, the command may take its time after the first Ctrl-C.
     """
 
     def handle(number: int, frame: Any) -> None:

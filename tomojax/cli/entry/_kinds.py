@@ -1,4 +1,4 @@
-"""What a file is, told from its first bytes: only what we make is replaced."""
+"""Tells the kind of a file by its first bytes, so that only our own files are replaced."""
 
 import json
 import zipfile

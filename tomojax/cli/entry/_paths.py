@@ -1,4 +1,4 @@
-"""Types of options that are paths: what is read, what is written."""
+"""Types of options that are paths: files to read, files and folders to write."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ Beside = Callable[[dict[str, Any]], Path | None]
 
 
 class InputFile(click.Path):
-    """A file that the command reads, and so never writes; `empty`: it may be."""
+    """A file that the command reads and never writes; the file may be empty if `empty`."""
 
     def __init__(self, empty: bool = False):
         super().__init__(path_type=Path)
@@ -40,10 +40,13 @@ class InputFile(click.Path):
 class OutputFile(click.Path):
     """A file that the command writes.
 
-    `kind` of `KINDS`, whose files alone are replaced; "results" and "recording" have rules
-    of their own. `beside`: its name by default, from the other values. `also`: suffixes of
-    companions that may be written beside it. `makes`: the command makes its folder.
-    `unless`, by the other values: the command checks what is given.
+    - `kind`: a key of `KINDS`; an existing file is replaced only if it is of this kind.
+      "results" and "recording" have their own rules.
+    - `beside`: makes the default name from the other options' values.
+    - `also`: suffixes of companion files that may be written beside the file.
+    - `makes`: whether the command makes the file's folder.
+    - `unless`: tells from the other options' values whether the command itself checks the
+      path.
     """
 
     def __init__(
@@ -62,7 +65,7 @@ class OutputFile(click.Path):
 class OutputFolder(click.Path):
     """A folder, and the names of files that the command writes there.
 
-    `goes_on`: the same command goes on with what is there.
+    `goes_on`: whether the same command goes on with files that are in the folder.
     """
 
     def __init__(self, *names: str, goes_on: bool = False):
@@ -92,7 +95,7 @@ def paths_read(context: click.Context) -> list[Path]:
 
 
 def paths_written(context: click.Context) -> list[Written]:
-    """Lists the files that the command will write; sets names that have a default."""
+    """Lists the files that the command will write, and fills in default names."""
     found = []
     for parameter in context.command.params:
         kind, name = parameter.type, parameter.name
@@ -122,9 +125,12 @@ def _files(kind: OutputFile | OutputFolder, option: str, path: Path) -> Iterator
 
 
 def check_paths(read: list[Path], written: list[Written], overwrite: bool | None) -> None:
-    """**Raises:** `ValueError` where work would destroy, or could not be kept.
+    """Checks that the command can write its files, and that no file is destroyed.
 
-    `overwrite`: of a command that has such an option.
+    `overwrite` is the value of the command's option of that name, or None without the
+    option.
+    **Raises:** `ValueError` where the command would destroy a file, or could not keep its
+    work.
     """
     known = {_identity(path): f"read from {path}" for path in read}
     for one in written:
@@ -143,7 +149,7 @@ def check_paths(read: list[Path], written: list[Written], overwrite: bool | None
 
 
 def _identity(path: Path) -> Any:
-    """The same for two names of one file: through links, and where there is none yet."""
+    """Returns the same value for two names of one file, even before the file exists."""
     try:
         about = path.stat()
     except OSError:
@@ -168,7 +174,7 @@ def _check_place(one: Written) -> None:
 
 
 def _check_replaced(one: Written, overwrite: bool | None) -> None:
-    """A file that is there is replaced only by one of its own kind."""
+    """Checks that an existing file is replaced only by a file of its own kind."""
     words, is_one = KINDS.get(one.kind, ("", None))
     path = one.path
     # Without --overwrite the command itself says that a file is there.

@@ -1,4 +1,4 @@
-"""`--from` and `--to`: a stretch of the file that a command reads."""
+"""`--from` and `--to`: the stretch of a file that a command reads."""
 
 from typing import Any
 
@@ -11,7 +11,10 @@ def stretch_options(command: Any) -> Any:
     """Adds both options; the command gets `since` and `until`, s, or None."""
     for option in (
         click.option(
-            "--to", "until", type=AMOUNT, help="Read up to this time. [default: the end]"
+            "--to",
+            "until",
+            type=AMOUNT,
+            help="Read up to this time, s after the file's first row. [default: the end]",
         ),
         click.option(
             "--from",

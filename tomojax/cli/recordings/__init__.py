@@ -1,6 +1,6 @@
-"""Commands on recordings: what they hold, what can be put right, and what touched.
+"""Commands on recordings: `info`, `reconstruct` and `repair`.
 
-Each module is one command, or what they share.
+Each module holds one command, or code that the commands share.
 """
 
 from tomojax.cli.recordings._info import info as info

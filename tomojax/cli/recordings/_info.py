@@ -1,4 +1,4 @@
-"""`tomojax info`."""
+"""`tomojax info`: prints what a recording holds, and its faults."""
 
 import json
 from pathlib import Path
@@ -15,13 +15,13 @@ from tomojax.cli.recordings._opened import layout_option, opened
 @click.option(
     "--calibration",
     type=InputFile(),
-    help="Say how old this is, and whether REC still fits it.",
+    help="Say how old this calibration is, and whether REC still fits it.",
 )
 @click.option(
     "--json",
     "json_path",
     type=OutputFile("report"),
-    help="Write the rows and a summary here; replaces an earlier one.",
+    help="Write the faults and a summary here; replaces an earlier report.",
 )
 @layout_option
 @stretch_options
@@ -33,7 +33,10 @@ def info(
     since: float | None,
     until: float | None,
 ) -> None:
-    """What the recording REC holds, and its faults."""
+    """Print what the recording REC holds, and its faults.
+
+    The command also looks for signs of wrong wiring.
+    """
     from tqdm import tqdm
 
     from tomojax.bringup.signs import find_signs

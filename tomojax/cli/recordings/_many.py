@@ -1,4 +1,4 @@
-"""Several recordings at once: results of each, and a table of all."""
+"""Reconstructs several recordings: results of each, and one table of all."""
 
 import csv
 import json
@@ -48,7 +48,7 @@ class Recordings(click.Path):
 
 
 def found_in(given: Sequence[Path]) -> list[Path]:
-    """The recordings that were named, and those in folders that were."""
+    """Lists the recordings that were named, and the recordings in named folders."""
     found: list[Path] = []
     for path in given:
         if not path.is_dir():
@@ -61,7 +61,7 @@ def found_in(given: Sequence[Path]) -> list[Path]:
 
 
 def _is_recording(path: Path) -> bool:
-    """Whether a file of a folder is meant: a broken one is, another tool's table is not."""
+    """Tells recordings from other files of a folder; a broken recording counts, too."""
     ending = path.suffix.lower()
     if ending not in _ENDINGS or path.name.endswith(_OURS) or not path.is_file():
         return False
@@ -78,7 +78,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
-    """Where the results of each recording go.
+    """Returns the results file of each recording.
 
     **Raises:** `ValueError` for two recordings whose results would have one name.
     """
@@ -100,10 +100,11 @@ def reconstruct_all(
     work: Callable[[Path, Path, Callable[[str], None]], None],
     fresh: bool,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Works on each; an error is a line, and the next one's turn.
+    """Reconstructs each recording; an error gives one line, and the next recording follows.
 
-    `work` makes the results of a recording; `fresh`: none may be there yet. Returns rows
-    of the table, which is written after each file, and how many went wrong.
+    `work` makes the results of a recording. If `fresh`, no results may exist before.
+    Returns the rows of the table, and how many recordings failed. The table is written anew
+    after each recording.
     """
     places = places_of(recordings, out)
     there = [place for place in places.values() if place.exists() or _begun(place)]
@@ -137,7 +138,7 @@ def reconstruct_all(
 
 
 class Stopped(Exception):
-    """Ctrl-C, and what is to be said of it."""
+    """Ctrl-C, with the line to print."""
 
 
 def _begun(place: Path) -> bool:
@@ -150,7 +151,7 @@ def _say(text: str) -> None:
 
 
 def _counted(place: Path) -> dict[str, Any]:
-    """Figures of one results file."""
+    """Returns figures of one results file."""
     from tomojax.exports import Source
     from tomojax.results import report
 
@@ -171,7 +172,7 @@ def _counted(place: Path) -> dict[str, Any]:
 
 
 def write_table(rows: list[dict[str, Any]], path: Path) -> None:
-    """Writes the table as CSV, units in the names."""
+    """Writes the table as CSV, with units in the columns' names."""
     names = [f"{n}_{unit}" if unit else n for n, unit in _COLUMNS.items()]
     with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         to = csv.writer(file, lineterminator="\n")
@@ -180,7 +181,7 @@ def write_table(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def text(rows: list[dict[str, Any]], wrong: int, out: Path) -> str:
-    """For people."""
+    """Returns the table as text for people."""
     head = f"{'touches':>7s} {'rows':>8s} {'doubted':>8s} {'s':>8s}  file"
     lines = [
         f"{row['touches']!s:>7s} {row['rows']!s:>8s} {row['rows_doubted']!s:>8s} "
@@ -193,7 +194,7 @@ def text(rows: list[dict[str, Any]], wrong: int, out: Path) -> str:
 
 
 def write_json(rows: list[dict[str, Any]], path: Path) -> None:
-    """Writes the table as the reports of other commands are."""
+    """Writes the table as JSON, in the layout of other commands' reports."""
     from tomojax._environment import environment
 
     done = sum(row["status"] == "done" for row in rows)

@@ -1,4 +1,4 @@
-"""How commands open a recording: its layout, and a stretch of it."""
+"""Opens a recording for a command: its layout, and a stretch of it."""
 
 from pathlib import Path
 from typing import Any
@@ -22,18 +22,18 @@ layout_option = click.option(
     multiple=True,
     metavar="NAME=TEXT",
     callback=_layout,
-    help="How a file is laid out. Of .tdms: group=scan, channels=ai{}, ground=ground, "
-    "slots=10, rail=5. Of others what they should have said: f_switch=5000, pitch=0.01. "
-    "Again for each.",
+    help="Say how a file is laid out. A .tdms file takes group=scan, channels=ai{}, "
+    "ground=ground, slots=10, rail=5. Other files take attributes that they lack: "
+    "f_switch=5000, pitch=0.01. May be repeated.",
 )
 
 
 def opened(
     rec: Path, layout: dict, since: float | None = None, until: float | None = None
 ) -> Any:
-    """Opens a recording, or a stretch of it; a context that closes it.
+    """Opens a recording, or a stretch of it; returns a context that closes the recording.
 
-    **Raises:** `ValueError`, one line.
+    **Raises:** `ValueError` with one line.
     """
     from tomojax.recordings import between, open_recording
 

@@ -1,4 +1,4 @@
-"""`tomojax reconstruct`."""
+"""`tomojax reconstruct`: finds contacts and images in recordings."""
 
 import json
 import sys
@@ -41,46 +41,68 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
         lambda given: _results_of(given["rec"]),
         unless=lambda given: _several(given["rec"]),
     ),
-    help="Results file; of several a folder. [default: REC.results.h5; tomojax-results]",
+    help="Write the results to this file, or to this folder for several recordings. "
+    "[default: REC.results.h5; tomojax-results]",
 )
 @click.option(
     "--rate",
     type=click.Choice(["scan", "slot"]),
-    help="A row for each. [default: scan; slot with --method follow]",
+    help="Make a row for each scan or for each slot. [default: scan; slot with --method "
+    "follow]",
 )
 @click.option(
     "--method",
-    help="auto, points, shape, source, positive, conductance or linear; or follow, which "
-    "carries contacts on from slot to slot. [default: auto; source with --rate slot]",
-)
-@click.option("--images/--no-images", default=None, help="[default: only with --rate scan]")
-@click.option("--lam", default="auto", show_default=True, callback=_lam, help="λ, or auto.")
-@click.option(
-    "--grid", type=int, help="Pixels of a side. [default: 32; 24 with --rate slot]"
+    help="Reconstruct by auto, points, shape, source, positive, conductance, linear or "
+    "follow. The method follow carries contacts on from slot to slot. [default: "
+    "auto; source with --rate slot]",
 )
 @click.option(
-    "--contacts", type=int, default=4, show_default=True, help="At most, per row."
+    "--images/--no-images",
+    default=None,
+    help="Keep an image of each row. [default: only with --rate scan]",
 )
 @click.option(
-    "--threshold", type=NUMBER, help="V: less is no contact. [default: the method's]"
+    "--lam",
+    default="auto",
+    show_default=True,
+    callback=_lam,
+    help="Regularisation weight λ, or auto.",
 )
-@click.option("--calibration", type=InputFile(), help="A calibration file of this rig.")
+@click.option(
+    "--grid", type=int, help="Pixels along a side. [default: 32; 24 with --rate slot]"
+)
+@click.option(
+    "--contacts",
+    type=int,
+    default=4,
+    show_default=True,
+    help="Find this many contacts per row at most.",
+)
+@click.option(
+    "--threshold",
+    type=NUMBER,
+    help="Report no contact if all voltages are below this, V. [default: the method's]",
+)
+@click.option("--calibration", type=InputFile(), help="Apply this calibration of the rig.")
 @click.option(
     "--tare/--no-tare",
     default=True,
-    help="Take channels' zeros from contact-free slots, where there are. [default: tare]",
+    help="Take channels' zeros from contact-free slots, if there are any. [default: tare]",
 )
 @click.option(
     "--adapt",
     is_flag=True,
-    help="Follow zeros and gains that drift, slowly; the results log them.",
+    help="Follow zeros and gains that drift slowly; the results log them.",
 )
 @click.option(
     "--policy",
     type=InputFile(),
-    help="A table of `tomojax design --policy`: of each scan its slots alone, its λ.",
+    help="Use only the slots that this table chooses in each scan, and its λ. `tomojax "
+    "design --policy` writes the table.",
 )
-@click.option("--chunk", type=int, help="Scans that are worked on at once.")
+@click.option(
+    "--chunk", type=int, help="Scans to work on at once. [default: by memory and time]"
+)
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
 @click.option("--overwrite", is_flag=True, help="Begin anew over results that are there.")
 @click.option(
@@ -91,30 +113,34 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--outlines",
     type=OutputFile("outlines"),
-    help="Write the outlines of what touches here (.geojson or .svg), with --method "
-    "shape; replaces outlines.",
+    help="Write outlines of what touches to this .geojson or .svg file; needs --method "
+    "shape. Replaces earlier outlines.",
 )
 @click.option(
     "--json",
     "json_path",
     type=OutputFile("report"),
-    help="Write the printed summary here; replaces an earlier one.",
+    help="Write the printed summary here; replaces an earlier report.",
 )
-@click.option("--verbose", is_flag=True, help="Print what was compiled, and for how long.")
-@click.option("--coordinator", help="HOST:PORT of process 0, to share the work.")
-@click.option("--processes", type=int, help="How many share it.")
-@click.option("--process", type=int, help="Which of them this is, from 0.")
+@click.option(
+    "--verbose", is_flag=True, help="Print each compiled program, and how long it took, s."
+)
+@click.option("--coordinator", help="Share the work; HOST:PORT of process 0.")
+@click.option("--processes", type=int, help="Processes that share the work.")
+@click.option("--process", type=int, help="This process's number, from 0.")
 @layout_option
 @stretch_options
 def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
-    """Contacts and images of every scan or slot of the recording REC.
+    """Find contacts and images in the recording REC.
 
-    Of several, or of a folder, each gets its results in the folder OUT, and all a line in
-    OUT/table.csv; one that cannot be read is a line on standard error, and exit status 2.
+    Each scan or slot of REC gives one row of results. Several recordings, or a folder, give
+    one results file each in the folder OUT. OUT/table.csv has a line for each recording. A
+    recording that cannot be read gives a line on standard error, and the exit status is 2.
 
-    Ctrl-C, a crash or a full disk leave OUT.partial: --resume goes on with it, to the same
-    file. On several machines that share a folder, run one command on each, with the same
-    --coordinator and --processes; one that was killed is started again with --resume.
+    Ctrl-C, a crash or a full disk leave OUT.partial. --resume goes on with OUT.partial, and
+    makes the same file as an unbroken run. To share the work, run one command on each of
+    several machines that share a folder. Give each command the same --coordinator and
+    --processes. Start a killed command again with --resume.
     """
     settings = _settings(options)
     if _several(rec):
@@ -215,7 +241,7 @@ def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
 
 
 def _all(given: Sequence[Path], out: Path, settings: Any, options: dict[str, Any]) -> None:
-    """Each with the same settings: programs are compiled for the first of each rig."""
+    """Reconstructs all with the same settings; a rig's first compiles the programs."""
     from tomojax.cli.recordings import _many
     from tomojax.results import reconstruct_recording
 

@@ -1,4 +1,4 @@
-"""`tomojax repair`: what only a person may decide of a recording."""
+"""`tomojax repair`: corrects in a recording what only a person may decide."""
 
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,11 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
 @click.command(cls=Command)
 @click.argument("rec", type=InputFile())
 @click.option(
-    "-o", "--out", type=OutputFile("recording"), required=True, help="A new file."
+    "-o",
+    "--out",
+    type=OutputFile("recording"),
+    required=True,
+    help="Write the repaired recording here, a new file.",
 )
 @click.option(
     "--set",
@@ -54,18 +58,19 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     multiple=True,
     metavar="NAME=VALUE",
     callback=_header,
-    help="What an attribute should have said, in SI units: f_switch=5000. Again for each.",
+    help="Give an attribute the value that it should have had, in SI units: "
+    "f_switch=5000. May be repeated.",
 )
 @click.option(
     "--scans",
     callback=_scans,
     metavar="FIRST:BEHIND",
-    help="Keep these scans, the first and the one behind the last. [default: all]",
+    help="Keep the scans from FIRST to the one before BEHIND. [default: all]",
 )
 @click.option(
     "--order",
     type=InputFile(),
-    help="Channels and grounds are as this file of `tomojax check --write` says.",
+    help="Put channels and grounds in the order of this file of `tomojax check --write`.",
 )
 @stretch_options
 def repair(
@@ -77,10 +82,10 @@ def repair(
     since: float | None,
     until: float | None,
 ) -> None:
-    """Write recording REC as it should have been; REC stays as it is.
+    """Write the recording REC as it should have been.
 
-    Clocks that fall, stand or begin anew are put right by every command that reads REC;
-    here the times become part of the file.
+    REC itself stays as it is. Every command that reads REC puts right clocks that fall,
+    stand or begin anew. This command writes the corrected times into the new file.
     """
     from tqdm import tqdm
 

@@ -1,6 +1,6 @@
-"""Commands on results: what becomes of a file that `reconstruct` has written.
+"""Commands on results files that `reconstruct` has written: `export`, `track` and `view`.
 
-Each module is one command.
+Each module is one command, or serves the page of `view`.
 """
 
 from tomojax.cli.results._export import export as export

@@ -1,4 +1,4 @@
-"""`tomojax export`."""
+"""`tomojax export`: writes results for other tools."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from tomojax.cli.entry import (
 
 
 def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
-    """A kind, or the time where the stretch ends: no kind is a number."""
+    """Returns a kind, or the time where the stretch ends; no kind is a number."""
     from tomojax.exports import KINDS
 
     found: dict[str, Any] = {"kind": None, "until": None}
@@ -47,38 +47,48 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     multiple=True,
     callback=_to,
     metavar="KIND|S",
-    help="The kind: csv, parquet, netcdf, mcap, svg, lerobot or film. A number is where "
-    "the stretch ends, s after the first row. [default: by the ending of -o; the end]",
+    help="Write this kind: csv, parquet, netcdf, mcap, svg, lerobot or film. A number "
+    "ends the stretch instead, s after the first row. [default: by the ending of "
+    "-o; the end]",
 )
 @click.option(
-    "--from", "since", type=NUMBER, help="Rows from this time on, s after the first row."
+    "--from",
+    "since",
+    type=NUMBER,
+    help="Write rows from this time on, s after the first row. [default: 0]",
 )
 @click.option(
     "-o",
     "--out",
     type=OutputFile("", unless=lambda given: True),  # checked once the kind is known
-    help="A file, or a folder for several RESULTS. [default: beside RESULTS]",
+    help="Write this file, or files in this folder for several RESULTS. [default: beside "
+    "RESULTS]",
 )
 @click.option(
     "--rate",
     type=COUNT,
-    help="Frames a second of lerobot, pictures a second of a film. [default: 50]",
+    help="Frames a second of lerobot, or pictures a second of a film. [default: 50]",
 )
-@click.option("--task", default="touch", help="Of lerobot: what is done, in words.")
-@click.option("--slow", type=NUMBER, help="Of a film: so many times slower.")
+@click.option(
+    "--task",
+    default="touch",
+    help="Say in words what lerobot's episodes show. [default: touch]",
+)
+@click.option("--slow", type=NUMBER, help="Slow a film down this many times. [default: 1]")
 @click.option(
     "--film",
     type=OutputFile("", unless=lambda given: True),
-    help="As --to film -o FILM.",
+    help="Write a film here, short for --to film -o FILM.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
 def export(results: Sequence[Path], to: dict, **options: Any) -> None:
     """Write RESULTS of `reconstruct` or `track` for other tools.
 
-    csv and parquet have a row for each row of RESULTS, and a file of events beside them:
-    when contacts begin and end. netcdf is for xarray, mcap for ROS 2 and Foxglove, svg for
-    papers, film to look at (.mp4 with ffmpeg, else .gif). lerobot is a folder with an
-    episode for each of RESULTS; of the others each of RESULTS gets a file.
+    The kinds csv and parquet have a row for each row of RESULTS. A file of events beside
+    them says when contacts begin and end. The kind netcdf is for xarray, mcap for ROS 2 and
+    Foxglove, svg for papers. A film is .mp4 where ffmpeg is installed, and .gif elsewhere.
+    The kind lerobot is a folder with an episode for each of RESULTS. Every other kind makes
+    a file for each of RESULTS.
     """
     from tomojax.exports import check_kind, export, KINDS
 
@@ -122,7 +132,7 @@ def export(results: Sequence[Path], to: dict, **options: Any) -> None:
 
 
 def _place(results: Path, out: Path | None, kind: str, many: bool) -> Path:
-    """Where the export of one results file goes."""
+    """Returns the path of one results file's export."""
     from tomojax.exports import ending
 
     suffix = ending(kind)
@@ -134,7 +144,10 @@ def _place(results: Path, out: Path | None, kind: str, many: bool) -> Path:
 
 
 def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None:
-    """**Raises:** `ValueError` before any work."""
+    """Checks all paths.
+
+    **Raises:** `ValueError` before any work.
+    """
     from tomojax.exports import beside, KINDS
 
     endings = KINDS[kind].endings

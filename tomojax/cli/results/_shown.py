@@ -1,4 +1,4 @@
-"""What the page of a results file shows: a row, and the time line around it."""
+"""Answers the page of `tomojax view`: a row of results, and the time line around it."""
 
 import json
 import math
@@ -33,8 +33,8 @@ _MOST, _MOST_FLAGS, _TRAIL, _SPECTRUM = 1000, 400, 2000, 2048
 class ShownResults:
     """Answers the page's questions about the results in a file.
 
-    `recording`: their recording, or None, where it is not at hand; `required`: whether one
-    that cannot be opened is an error.
+    `recording` is the path of the results' recording, or None without it. If `required`, a
+    recording that cannot be opened is an error.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class ShownResults:
         self._heard, self._recording = recording.path.name, recording
 
     def document(self) -> dict[str, Any]:
-        """The page, before any data."""
+        """Returns the page, before any data."""
         file = self._file
         xy = file.electrode_xy()
         shape, label = None, ""
@@ -91,7 +91,7 @@ class ShownResults:
         }
 
     def answer(self, asked: dict[str, str]) -> dict[str, Any]:
-        """The row at the time `t`, and the time line from `from` to `to`."""
+        """Returns the row at the time `t`, and the time line from `from` to `to`."""
         file, line = self._file, self._line
         begin, end = line.span
         row = line.strongest
@@ -159,7 +159,7 @@ class ShownResults:
     def _volts(
         self, row: int, t: float, asked: dict[str, str], told: list[tuple[str, str]]
     ) -> dict[str, Any]:
-        """The row's voltages out of the recording, and a spectrum of those around it."""
+        """Reads the row's voltages from the recording, and a spectrum around the row."""
         recording = self._recording
         if recording is None:
             told.append(("voltages", self._heard))
@@ -221,7 +221,7 @@ _OF_A_ROW = (
 
 
 def _time(text: str | None, low: float, high: float, default: float = 0.0) -> float:
-    """A time that the page asks for, inside the file."""
+    """Returns a time that the page asks for, limited to the file's times."""
     try:
         number = default if text is None else float(text)
     except ValueError:
@@ -230,7 +230,7 @@ def _time(text: str | None, low: float, high: float, default: float = 0.0) -> fl
 
 
 def _marks(told: Any) -> list[tuple[float, str]]:
-    """Marks out of a file's attribute; none where it says something else."""
+    """Reads marks from a file's attribute; returns none from a broken attribute."""
     try:
         some = [(float(t), str(text)[:80]) for t, text in json.loads(told)]
     except (TypeError, ValueError, RecursionError):

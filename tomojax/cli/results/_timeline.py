@@ -1,4 +1,4 @@
-"""Results over time in few numbers, of files of any length: at first thinly, then whole."""
+"""Sums results of files of any length over time: from few rows first, then from all."""
 
 import time
 from pathlib import Path
@@ -16,7 +16,7 @@ _PARTS, _PLACES, _FEW, _EXACT, _PIECE = 16384, 256, 8, 200_000, 1 << 19
 
 
 class Parts(NamedTuple):
-    """Stretches of rows: the time of their first, s, and what is in each."""
+    """Stretches of rows: the time of their first row, s, and what the rows hold."""
 
     t: np.ndarray
     contacts: np.ndarray  # the most
@@ -26,7 +26,7 @@ class Parts(NamedTuple):
 
 
 class Timeline:
-    """Rows `first` to `last` of a results file; a thread of its own reads all of them.
+    """Rows `first` to `last` of a results file; a separate thread reads all of them.
 
     `name`: the dataset whose values are summed over the contacts.
     """
@@ -64,11 +64,11 @@ class Timeline:
 
     @property
     def read(self) -> float:
-        """How much of the file is in the parts, 0 to 1."""
+        """Returns the share of the file that the parts cover so far, 0 to 1."""
         return 1 - self._left / max(1, len(self._parts.t))
 
     def _edge(self, file: LoadedResults, t: float) -> int:
-        """The first row that is not before `t`."""
+        """Returns the first row that is not before `t`."""
         k = int(np.searchsorted(self._at, t))
         if k == 0:
             return 0
@@ -77,14 +77,14 @@ class Timeline:
         return low + int(np.searchsorted(file.stretch("t", low, high), t, "left"))
 
     def row(self, file: LoadedResults, t: float) -> int:
-        """The last row that is not after `t`."""
+        """Returns the last row that is not after `t`."""
         after = self._edge(file, np.nextafter(t, np.inf)) - 1
         return int(np.clip(after, self.first, self.last - 1))
 
     def _taken(
         self, file: LoadedResults, start: int, stop: int, edges: np.ndarray
     ) -> Parts:
-        """Parts from each of `edges` (rows, the first is `start`) to the next."""
+        """Sums rows into parts, from each of `edges` (rows from `start` on) to the next."""
         t, count, each, flags = (
             file.stretch(name, start, stop)
             for name in ("t", "contact_count", self.name, "flags")
@@ -101,7 +101,7 @@ class Timeline:
         )
 
     def _thin(self, file: LoadedResults) -> None:
-        """Some rows here and there stand for all the parts around them."""
+        """Fills all parts from a few rows here and there."""
         count = len(self._edges) - 1
         starts = np.unique(np.linspace(0, count - 1, min(count, _PLACES)).astype(int))
         some = []
@@ -116,7 +116,7 @@ class Timeline:
         self._parts.t[:] = np.interp(np.arange(count), starts, looked.t)
 
     def _refine(self) -> None:
-        """Reads the rest, a piece at a time; in memory are the parts alone."""
+        """Reads all rows piece by piece; only the parts stay in memory."""
         try:
             with LoadedResults(self.path) as file:
                 each = max(1, _PIECE * len(self._parts.t) // (self.last - self.first))
@@ -132,7 +132,7 @@ class Timeline:
             self.failed = str(error)
 
     def parts(self, file: LoadedResults, since: float, until: float, most: int) -> Parts:
-        """Up to `most` parts between two times."""
+        """Returns up to `most` parts between two times."""
         start, stop = self.row(file, since), self.row(file, until) + 1
         if stop - start <= _EXACT:
             count = min(most, stop - start)

@@ -1,4 +1,4 @@
-"""`tomojax track`."""
+"""`tomojax track`: follows contacts over time."""
 
 import json
 import math
@@ -31,27 +31,41 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     "-o",
     "--out",
     type=OutputFile("results", lambda given: _track_of(given["results"])),
-    help="[default: RESULTS.track.h5]",
+    help="Write the tracks here. [default: RESULTS.track.h5]",
 )
 @click.option(
-    "--smooth/--filter", default=True, show_default=True, help="Later rows count."
+    "--smooth/--filter",
+    default=True,
+    show_default=True,
+    help="Use later rows as well as earlier rows, or earlier rows alone.",
 )
 @click.option(
-    "--hold", type=int, default=3, show_default=True, help="Rows it may be missing."
+    "--hold",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Keep a contact that is missing from up to this many rows.",
 )
-@click.option("--least", type=int, default=3, show_default=True, help="Rows that show it.")
+@click.option(
+    "--least",
+    type=int,
+    default=3,
+    show_default=True,
+    help="Drop a contact that fewer rows than this show.",
+)
 @click.option(
     "--drift",
     default="auto",
     show_default=True,
     callback=_drift,
-    help="M,LN_G: by how much a row changes places and ln g; 0,0 stands still.",
+    help="How much place (m) and ln g (conductance) change per row, as standard "
+    "deviations M,LN_G, or auto. 0,0 stands still.",
 )
-@click.option("--overwrite", is_flag=True, help="Over results that are there.")
+@click.option("--overwrite", is_flag=True, help="Replace results that are there.")
 @click.option(
     "--picture",
     type=OutputFile("picture"),
-    help="Draw the paths here (PNG); replaces a picture.",
+    help="Draw the contacts' paths here (PNG); replaces a picture.",
 )
 @click.option(
     "--json",
@@ -61,10 +75,11 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
 )
 @stretch_options
 def track(results: Path, out: Path, **options: Any) -> None:
-    """Follow the contacts of RESULTS (of `reconstruct --method points` or auto) over time.
+    """Follow the contacts of RESULTS over time.
 
-    A contact's place and conductance come from all rows that show it, and it has a number:
-    when it began and ended is printed. Best with --rate slot.
+    RESULTS come from `reconstruct --method points` or auto, best with --rate slot. A
+    contact's place and conductance are found from all rows that show the contact. Each
+    contact gets a number. The command prints when each contact began and ended.
     """
     from tomojax._environment import environment
     from tomojax.results import track_file as work

@@ -1,4 +1,4 @@
-"""`tomojax view`."""
+"""`tomojax view`: shows results in a page of the browser."""
 
 import math
 import time
@@ -17,11 +17,14 @@ from tomojax.cli.entry import AMOUNT, Command, InputFile, interrupts, stretch_op
     "--recording",
     "rec",
     type=InputFile(),
-    help="Show voltages of this recording. [default: the results' own, beside them]",
+    help="Show voltages of this recording. [default: the results' own, if it is beside "
+    "them]",
 )
 @stretch_options
 @click.option("--open", "opened", is_flag=True, help="Open the page in the browser.")
-@click.option("--seconds", type=AMOUNT, help="[default: until Ctrl-C]")
+@click.option(
+    "--seconds", type=AMOUNT, help="Show for this time, s. [default: until Ctrl-C]"
+)
 def view(
     results: Path,
     rec: Path | None,
@@ -32,7 +35,8 @@ def view(
 ) -> None:
     """Show RESULTS in a page of the browser, on this machine alone.
 
-    The printed address has a secret: whoever has it sees the page while this runs.
+    The printed address has a secret. Whoever has the address sees the page while the
+    command runs.
     """
     if find_spec("bokeh") is None:
         raise ValueError("bokeh is not installed; pip install 'tomojax[web]' brings it")

@@ -1,4 +1,4 @@
-"""`tomojax frontier`: which method, pattern, mesh and precision to take."""
+"""`tomojax frontier`: shows which method, pattern, mesh and precision to take."""
 
 import json
 import sys
@@ -12,8 +12,10 @@ from tomojax.cli.studies._study import begin, named, study_options
 
 
 @click.command(cls=Command)
-@click.option("--quick", is_flag=True, help="Under two minutes, few scenes and methods.")
-@click.option("--only", multiple=True, help="This method alone; may be given again.")
+@click.option(
+    "--quick", is_flag=True, help="Take few scenes and methods, in under two minutes."
+)
+@click.option("--only", multiple=True, help="Measure this method alone; may be repeated.")
 @study_options("frontier", "rows and a summary", "Of each kind. [default: 20; quick: 6]")
 def frontier(
     quick: bool,
@@ -24,9 +26,11 @@ def frontier(
     seed: int,
     like: Path | None,
 ) -> None:
-    """Speed against accuracy of every method and of the peers, on this machine.
+    """Measure speed and accuracy of every method, on this machine.
 
-    On scenes whose voltages another model made: a resistor network with a rig's errors.
+    Peers are measured as well: the code that a lab would write with NumPy, SciPy,
+    scikit-fem and pyEIT. Another model makes the scenes' voltages: a resistor network with
+    a rig's errors.
     """
     from tomojax._environment import environment
     from tomojax.studies.frontier import jobs, KINDS, mark_front, report, run
@@ -78,7 +82,7 @@ def frontier(
 
 
 def _peers_there() -> None:
-    """Known before the work: the peers are part of the picture."""
+    """Checks before the work that the peers are installed."""
     from importlib.util import find_spec
 
     for module in ("pyeit", "skfem"):

@@ -1,4 +1,4 @@
-"""`tomojax stability`: where methods fail, and what they say then."""
+"""`tomojax stability`: finds where methods fail, and what they say then."""
 
 import json
 import sys
@@ -12,8 +12,10 @@ from tomojax.cli.studies._study import begin, named, study_options
 
 
 @click.command(cls=Command)
-@click.option("--quick", is_flag=True, help="Four methods, few scenes; some minutes.")
-@click.option("--only", multiple=True, help="This sweep alone; may be given again.")
+@click.option(
+    "--quick", is_flag=True, help="Run four methods on few scenes, in some minutes."
+)
+@click.option("--only", multiple=True, help="Run this sweep alone; may be repeated.")
 @study_options(
     "stability", "limits and a summary", "At each value. [default: 10; quick: 4]"
 )
@@ -26,9 +28,10 @@ def stability(
     seed: int,
     like: Path | None,
 ) -> None:
-    """Sweep noise, faults and scenes until each method fails; what it says beyond.
+    """Sweep noise, faults and scenes until each method fails.
 
-    On scenes whose voltages another model made: a resistor network with a rig's errors.
+    The command prints each method's limit, and what the method says beyond the limit.
+    Another model makes the scenes' voltages: a resistor network with a rig's errors.
     """
     from tomojax._environment import environment
     from tomojax.studies.stability import (

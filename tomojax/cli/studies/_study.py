@@ -1,4 +1,4 @@
-"""What `tomojax frontier` and `tomojax stability` share: a folder of rows, and a rig."""
+"""Options and checks of `tomojax frontier` and `tomojax stability`."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,14 +10,17 @@ from tomojax.cli.entry import InputFile, OutputFile, OutputFolder
 
 
 def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
-    """Options of a command that leaves `name`.json and pictures in a folder."""
+    """Returns a decorator with a study's options; the study leaves `name`.json and
+    pictures.
+    """
     options = (
         click.option(
             "--out",
             type=OutputFolder(*_names(name), goes_on=True),
             default=Path(f"tomojax-{name}"),
             show_default=True,
-            help="Folder for pictures and rows; run again, it goes on where it was.",
+            help="Folder for pictures and rows; a second run goes on where the first "
+            "stopped.",
         ),
         click.option(
             "--json",
@@ -28,12 +31,15 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
             help=f"Write {report} here; replaces a report. [default: {name}.json in "
             "the folder]",
         ),
-        click.option("--scenes", type=int, help=scenes),
+        click.option(
+            "--scenes", type=int, help=f"Number of scenes, {scenes[0].lower()}{scenes[1:]}"
+        ),
         click.option("--seed", type=int, default=0, show_default=True),
         click.option(
             "--like",
             type=InputFile(),
-            help="A recording of the rig: its sheet and electrodes.",
+            help="Take the sheet and electrodes from this recording of the rig. "
+            "[default: the paper's sensor]",
         ),
     )
 
@@ -46,7 +52,7 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
 
 
 def _names(name: str) -> list[str]:
-    """Of files in the folder, beside the report."""
+    """Lists the files in the folder, beside the report."""
     pictures = {
         "frontier": ("frontier.png", "frontier_rungs.png", "frontier_rates.png"),
         "stability": ("stability.png", "stability_numbers.png"),
@@ -58,10 +64,10 @@ def _names(name: str) -> list[str]:
 def begin(
     json_path: Path | None, scenes: int | None, least: int, seed: int, like: Path | None
 ) -> Any:
-    """The sensor, after a look at the options.
+    """Checks the options, and returns the sensor.
 
-    **Raises:** `ValueError` for fewer scenes than `least`, or over 1000, and for a
-    negative seed.
+    **Raises:** `ValueError` for fewer scenes than `least`, or over 1000, and for a negative
+    seed.
     """
     import numpy as np
 
@@ -81,5 +87,5 @@ def begin(
 
 
 def named(job: Any) -> str | None:
-    """What a progress bar shows beside it."""
+    """Returns the job's name, which stands beside the progress bar."""
     return job

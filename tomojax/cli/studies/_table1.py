@@ -1,4 +1,4 @@
-"""`tomojax table1`: the paper's Table I, predicted."""
+"""`tomojax table1`: predicts the paper's Table I."""
 
 import json
 import sys
@@ -25,7 +25,7 @@ _PICTURES = tuple(f"table1_{name}.png" for name in ("table", "dependence", "imag
     help="Folder for three pictures; without it, none is drawn.",
 )
 def table1(json_path: Path | None, out: Path | None) -> None:
-    """Predict the paper's Table I and set it beside the paper's numbers."""
+    """Predict the paper's Table I, beside the paper's own numbers."""
     from tomojax._environment import environment
     from tomojax.studies.table1 import PAPER, report, run as table1_run
 

@@ -1,4 +1,4 @@
-"""Speed against accuracy of every method, beside peers, on a rig that is not ours.
+"""Compares speed and accuracy of every method and its peers, on a rig of another model.
 
 The study uses the library as any caller would.
 """

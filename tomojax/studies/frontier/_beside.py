@@ -1,4 +1,4 @@
-"""The front of our rows, and the peers' rows beside those of ours that are like them."""
+"""Finds the front of our rows, and sets the peers' rows beside our rows that are alike."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -16,15 +16,15 @@ ALIKE = ("scene", "dtype", "output", "batch")
 
 
 def error_mm(row: Row) -> float | None:
-    """The median place error with ghosts; rows of runs before there was one lack it."""
+    """Returns the median place error with ghosts, mm; rows of old runs count no ghosts."""
     return row.get("with_ghosts_median_mm", row["place_median_mm"])
 
 
 def mark_front(rows: list[Row]) -> None:
-    """`on_front`: of its kind of scene none is both quicker a frame and nearer the place.
+    """Marks each row of ours that no other row beats in both speed and place (`on_front`).
 
-    The peers do not take part: the front is ours, of any dtype, output and batch. `ahead`
-    is of the peers' rows: see `beside_peers`.
+    Only rows of the same kind of scene are compared. The front is of our rows alone, of any
+    dtype, output and batch. `ahead` marks rows of the peers: see `beside_peers`.
     """
     for row in rows:
         row["on_front"] = row["ahead"] = False
@@ -37,7 +37,7 @@ def mark_front(rows: list[Row]) -> None:
 
 
 def front(rows: list[Row]) -> list[Row]:
-    """Rows than which none is both quicker a frame and nearer the place, quickest first."""
+    """Returns the rows that no row beats in both speed and place, the quickest first."""
     best, kept = np.inf, []
     told = ((row["p50_us"], error_mm(row), k) for k, row in enumerate(rows))
     placed = [(us, error, k) for us, error, k in told if error is not None]
@@ -49,7 +49,7 @@ def front(rows: list[Row]) -> list[Row]:
 
 
 def front_of_alike(rows: list[Row]) -> list[Row]:
-    """The fronts among rows that are alike."""
+    """Returns the fronts among rows that are alike."""
     groups: dict[tuple, list[Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row.get(key) for key in ALIKE), []).append(row)
@@ -57,11 +57,12 @@ def front_of_alike(rows: list[Row]) -> list[Row]:
 
 
 def beside_peers(rows: list[Row]) -> Iterator[dict[str, Any]]:
-    """For each row of a peer, among ours that are alike (scene, dtype, output, batch): the
-    quickest that is no further off, and the nearest that is no slower.
+    """Sets each row of a peer beside our rows that are alike.
 
-    A peer's row is `ahead` where none of ours is as near and as fast. Where there is none
-    of ours that is alike, `alike` is 0 and nothing is said.
+    Rows are alike if scene, dtype, output and batch agree. The quickest of our rows is
+    chosen among those at least as near as the peer. The nearest is chosen among those at
+    least as fast. A peer's row is `ahead` if no such row of ours is both as near and as
+    fast. Without any row that is alike, `alike` is 0 and nothing is compared.
     """
     ours: dict[tuple, list[tuple[float, Row]]] = {}
     for row in rows:

@@ -1,9 +1,9 @@
-"""One job of `tomojax frontier`, in a process of its own: a method on one mesh and dtype.
+"""Runs one job of `tomojax frontier` in its own process: a method on one mesh and dtype.
 
     python -m tomojax.studies.frontier._job SCENES.npz JOB
 
 Prints a JSON row for each pattern, rule for λ, kind of scene, batch size and output. The
-process's memory is the job's own, and what a crash takes with it is one job.
+process's memory is the job's own. A crash loses only this job.
 """
 
 import json
@@ -23,7 +23,7 @@ from tomojax.studies.frontier._scenes import load_trials
 
 
 def peak_mb() -> float:
-    """The process's own peak: on Linux getrusage may carry the parent's over."""
+    """Returns this process's own peak, MB; Linux's getrusage may give the parent's peak."""
     status = Path("/proc/self/status")
     if not status.exists():
         import resource  # not on Windows

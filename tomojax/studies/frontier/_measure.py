@@ -1,4 +1,4 @@
-"""What every job of `tomojax frontier` shares: its grounds, and how a call is timed."""
+"""Chooses the grounds of every job of `tomojax frontier`, and times calls."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ _SECONDS, _LEAST, _MOST = 0.5, 3, 300
 
 
 class Job(NamedTuple):
-    """What one process measures."""
+    """One process's job: the method, and the settings to measure."""
 
     method: str
     patterns: tuple[str, ...]
@@ -34,7 +34,7 @@ class Job(NamedTuple):
 def grounds_of(
     sensor: Sensor, name: str, volts: Float[np.ndarray, "n M M"], designed: tuple = ()
 ) -> Integer[np.ndarray, "n S"]:
-    """Electrodes grounded; "corners" explore, "ten" adds *Around* to them."""
+    """Returns the grounded electrodes; "corners" explore, "ten" adds *Around* to them."""
     n, corners = len(volts), np.asarray(exploration(sensor))
     if name in ("corner", "corners"):
         return np.tile(corners[: 1 if name == "corner" else 2], (n, 1))
@@ -52,7 +52,7 @@ def grounds_of(
 
 
 def repeated(call: Callable[[], Any]) -> tuple[float, np.ndarray]:
-    """Seconds of the first call, which compiles, and of those after."""
+    """Times a call, s: returns the first call, which compiles, and the later calls."""
     begin = time.perf_counter()
     call()
     first, spent = time.perf_counter() - begin, []
@@ -67,7 +67,7 @@ def repeated(call: Callable[[], Any]) -> tuple[float, np.ndarray]:
 
 
 def timing(first: float, spent: np.ndarray, frames: int) -> dict[str, Any]:
-    """Per frame; `spread` is the middle half's width over the median."""
+    """Returns times per frame; `spread` is the middle half's width over the median."""
     each = 1e6 * spent / frames
     low, middle, high = np.quantile(each, [0.25, 0.5, 0.75])
     return {
@@ -81,6 +81,6 @@ def timing(first: float, spent: np.ndarray, frames: int) -> dict[str, Any]:
 
 
 def kinds_of(trials: Trials) -> Iterator[tuple[str, np.ndarray]]:
-    """Each kind of scene, and which of the trials are of that kind."""
+    """Yields each kind of scene, and which of the trials are of that kind."""
     for kind in KINDS:
         yield kind, np.flatnonzero(trials.kind == kind)

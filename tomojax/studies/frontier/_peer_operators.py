@@ -1,12 +1,13 @@
-"""What a competent user would write without this package: NumPy, SciPy, scikit-fem, pyEIT.
+"""The peers: code that a user would write with NumPy, SciPy, scikit-fem and pyEIT.
 
 One table of resistances comes from scikit-fem (P1 elements) and SciPy's LU. Each electrode
-is the node at its place. The logarithm of the radii mends the electrode's own resistance:
-a node of a mesh of spacing h acts like a disc of radius 0.2 h.
+is the node at its place. A node of a mesh of spacing h acts like a disc of radius 0.2 h.
+The logarithm of the two radii corrects the electrode's own resistance.
 
-Three peers make images from voltages with that table: the paper's Eq. 3 by NumPy, the same
-by pyEIT's JAC solver with the same Jacobian, and sLORETA by NumPy. Each computes its
-operator once, in float64, for a ground set and λ, and applies it in the frames' dtype.
+Three peers make images from voltages with that table. One is the paper's Eq. 3 by NumPy.
+Another is pyEIT's JAC solver with the same Jacobian. The last is sLORETA by NumPy. Each
+peer computes its operator once, in float64, for a ground set and λ. The operator is applied
+in the frames' dtype.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,13 +39,13 @@ class Table(NamedTuple):
     series: float  # z, of the ground path
 
     def transfer(self, slot: int) -> Float[np.ndarray, "M K"]:
-        """T^l_ik = R_ik − R_lk − R_il + R_ll + z, for the grounded electrode l = `slot`."""
+        """Returns T^l_ik = R_ik − R_lk − R_il + R_ll + z, for the grounded l = `slot`."""
         offset = self.ee[slot, slot] + self.series - self.ee[:, [slot]]
         return self.ek - self.ek[slot] + offset
 
 
 def peer_table(sensor: Sensor, pixels: int, stands: str = "centre") -> Table:
-    """The table for an image of `pixels` by `pixels`, each its "centre" or its "mean"."""
+    """Returns the table of `pixels` by `pixels`, each by its "centre" or its "mean"."""
     import skfem
     from skfem.models.poisson import laplace
 
@@ -82,7 +83,7 @@ def peer_table(sensor: Sensor, pixels: int, stands: str = "centre") -> Table:
 def pixel_places(
     pixels: int, size: Float[np.ndarray, "2"], inside: tuple[float, float] = (0.5, 0.5)
 ) -> Float[np.ndarray, "K 2"]:
-    """A point of each pixel, m; by default its centre."""
+    """Returns a point of each pixel, m; by default its centre."""
     axes = [side * (np.arange(pixels) + part) / pixels for side, part in zip(size, inside)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
 
@@ -90,7 +91,7 @@ def pixel_places(
 def paper_jacobian(
     table: Table,
 ) -> tuple[Float[np.ndarray, "M M K"], Float[np.ndarray, "M K"]]:
-    """J(0) of the paper's Eq. 1 for every ground, and the loops' resistance, ohms.
+    """Returns J(0) of the paper's Eq. 1 for every ground, and the loops' resistance, ohms.
 
     J^l_ik = T^l_ik / (R_kk + R_ll − 2R_lk + z).
     """
@@ -113,7 +114,7 @@ class Peer(NamedTuple):
 
 
 def peers_of(sensor: Sensor, pixels: int) -> Iterator[list[Peer]]:
-    """All that take part, each with both of what may stand for a pixel."""
+    """Yields all peers, each with both points that may stand for a pixel."""
     made = []
     for stands in _POINTS:
         table = peer_table(sensor, pixels, stands)
@@ -137,7 +138,7 @@ def peers_of(sensor: Sensor, pixels: int) -> Iterator[list[Peer]]:
 
 
 def _applied(*operators: np.ndarray, dtype: str) -> Images:
-    """One product after the other."""
+    """Multiplies frames by one operator after the other."""
     cast = [np.ascontiguousarray(operator, dtype) for operator in operators]
 
     def images(frames: np.ndarray) -> np.ndarray:
@@ -149,7 +150,7 @@ def _applied(*operators: np.ndarray, dtype: str) -> Images:
 
 
 def _equation_3(jac: np.ndarray) -> Callable[..., Images]:
-    """Eq. 3 in the form that is smaller: Jᵀ(JJᵀ + λI)⁻¹ or (JᵀJ + λI)⁻¹Jᵀ."""
+    """Solves Eq. 3 in the smaller form: Jᵀ(JJᵀ + λI)⁻¹ or (JᵀJ + λI)⁻¹Jᵀ."""
 
     def prepare(grounds: np.ndarray, relative: float, dtype: str) -> Images:
         rows = jac[grounds].reshape(-1, jac.shape[-1])
@@ -163,18 +164,19 @@ def _equation_3(jac: np.ndarray) -> Callable[..., Images]:
 
 
 def _largest(gram: np.ndarray) -> float:
-    """The largest eigenvalue."""
+    """Returns the largest eigenvalue."""
     start = np.ones(len(gram))
     found: Any = spla.eigsh(gram, 1, v0=start, return_eigenvectors=False)
     return float(found[0])
 
 
 def _sloreta(table: Table, two: bool) -> Callable[..., Images]:
-    """T^lᵀ(T^lT^lᵀ + λI)⁻¹ of each slot, scaled as sLORETA does, in the mean over slots.
+    """Averages T^lᵀ(T^lT^lᵀ + λI)⁻¹ over the slots, scaled as sLORETA does.
 
     Each pixel's row is divided by the root of the resolution matrix's diagonal, and the
-    whole is one matrix. `two`: the roots are of the slots' mean, and two matrices have the
-    rank of the table, M, between them: fewer multiplications from two slots on.
+    whole is one matrix. If `two`, the roots are of the slots' mean. Two matrices, whose
+    inner size is the table's rank M, then make the image. They need fewer multiplications
+    from two slots on.
     """
     m = len(table.ee)
 
@@ -200,7 +202,7 @@ def _sloreta(table: Table, two: bool) -> Callable[..., Images]:
 
 
 def _pyeit(sensor: Sensor, jac: np.ndarray) -> Callable[..., Images]:
-    """Its JAC solver with our Jacobian: the mesh that it is given is not used."""
+    """Runs pyEIT's JAC solver with our Jacobian; pyEIT's own mesh is not used."""
     from pyeit.eit.jac import JAC
     from pyeit.eit.protocol import PyEITProtocol
     from pyeit.mesh import PyEITMesh
@@ -231,7 +233,7 @@ def _pyeit(sensor: Sensor, jac: np.ndarray) -> Callable[..., Images]:
 
 
 def read_peak(images: np.ndarray, pixels: int, size: np.ndarray) -> np.ndarray:
-    """Places (n, 2) of the highest pixels, refined by a parabola along each axis, m."""
+    """Reads places (n, 2) of the highest pixels, refined along each axis by a parabola."""
     highest, frame = images.argmax(1), np.arange(len(images))
     places = np.empty((len(images), 2))
     for axis, (at, step) in enumerate(zip(np.divmod(highest, pixels), (pixels, 1))):
@@ -245,7 +247,7 @@ def read_peak(images: np.ndarray, pixels: int, size: np.ndarray) -> np.ndarray:
 
 
 def read_half(images: np.ndarray, pixels: int, size: np.ndarray) -> np.ndarray:
-    """Places (n, 2) of the mean above half the maximum, m: the paper's reading."""
+    """Reads places (n, 2) of the mean above half the maximum, m: the paper's reading."""
     above = np.maximum(images - images.max(1, keepdims=True) / 2, 0)
     centres = pixel_places(pixels, size)
     weights = np.column_stack([centres, np.ones(len(centres))]).astype(images.dtype)

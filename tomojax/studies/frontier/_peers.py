@@ -1,8 +1,9 @@
-"""Rows of the peers: what a lab would write without this package, at its best.
+"""Rows of the peers: code that a lab would write without this package, at its best.
 
-The peers are what `_peer_operators` has. They get the patterns, batches, pixels and dtype
-of our methods. λ, how a place is read and what stands for a pixel are those that put single
-contacts nearest to where they are: chosen in hindsight, which favours the peers.
+The peers are those of `_peer_operators`. They get our methods' patterns, batches, pixels
+and dtype. Three choices put single contacts nearest to their true places: λ, how a place is
+read, and which points stand for a pixel. They are chosen in hindsight, which favours the
+peers.
 """
 
 import time
@@ -39,7 +40,7 @@ _FIRST, _WIDER, _LIMITS, _BETTER = (-16, 2), 4, (-28, 14), 0.999
 
 
 class Choice(NamedTuple):
-    """What is nearest for single contacts, all in hindsight."""
+    """The choice that is nearest for single contacts, all in hindsight."""
 
     error: float  # mm, in the median
     peer: Peer
@@ -49,11 +50,11 @@ class Choice(NamedTuple):
 
 
 def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """Rows of each peer and pattern, as contacts and as images.
+    """Yields rows of each peer and pattern, as contacts and as images.
 
-    "contacts": one contact's place, read off the image by vectorised NumPy, is all that
-    comes out, and reading is in the time. "image": the image comes out; up to three
-    contacts are read off it by this package, which is not in the time.
+    For "contacts", vectorised NumPy reads one contact's place off the image, and the time
+    includes reading. For "image", the image is the output. This package then reads up to
+    three contacts off the image, outside the measured time.
     """
     size, pixels = np.asarray(sensor.size, float), job.pixels
     peers = list(peers_of(sensor, pixels))
@@ -105,7 +106,7 @@ def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
 
 
 def _contact_of(solve: Images, reading: str, pixels: int, size: np.ndarray) -> Images:
-    """Places from frames."""
+    """Returns a function from frames to places."""
     read = _READINGS[reading]
     return lambda frames: read(solve(frames), pixels, size)
 
@@ -117,7 +118,7 @@ def _hindsight(
     trials: Trials,
     size: np.ndarray,
 ) -> dict[str, Choice]:
-    """For each output the choice with the least error of single contacts, as scored."""
+    """Finds for each output the choice with the least error of single contacts."""
     one = np.flatnonzero(trials.kind == "one")
     volts, grounds, trials = volts[one], grounds[one], trials.of(one)
     found: dict[str, list[Choice]] = {output: [] for output in _OUTPUTS}
@@ -137,9 +138,9 @@ def _hindsight(
 
 
 def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
-    """The λ of least error, and whether that lies at the end of the widest range.
+    """Finds the λ of least error, and tells whether λ lies at the end of the widest range.
 
-    The range widens while its end is better than all that lies inside.
+    The range widens while its end is better than all values inside.
     """
     low, high = _FIRST
     error = cache(error)
@@ -161,7 +162,7 @@ def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
 def _images(
     peer: Peer, volts: np.ndarray, grounds: np.ndarray, lam: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images and currents of frames, each with the operator of its own ground set."""
+    """Returns images and currents of frames, each by its own ground set's operator."""
     images, currents = [], []
     sets, member = np.unique(grounds, axis=0, return_inverse=True)
     order = np.argsort(member, kind="stable")
@@ -176,8 +177,11 @@ def _images(
 def _rows(
     output: str, reading: str, images: np.ndarray, currents: np.ndarray, size: np.ndarray
 ) -> Rows:
-    """Contacts of images: one, of which the place alone is known, or as this package reads
-    them, peaks as `source` does and halves as `linear` does."""
+    """Returns contacts of images.
+
+    For "contacts", an image has one contact, and only its place is known. Otherwise this
+    package reads contacts: peaks as `source` does, halves as `linear` does.
+    """
     n, pixels = len(images), int(np.sqrt(images.shape[1]))
     shaped = None
     if output == "contacts":
@@ -208,7 +212,7 @@ def _rows(
 def _several(
     images: jax.Array, currents: jax.Array, cell: jax.Array, peak: bool
 ) -> Contacts:
-    """Up to three contacts of each image."""
+    """Reads up to three contacts of each image."""
     level = 0.8 if peak else 0.5
 
     def read(image: jax.Array, current: jax.Array) -> Contacts:

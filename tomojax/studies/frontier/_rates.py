@@ -1,8 +1,8 @@
-"""Two more jobs of `tomojax frontier`: images a second beside what the machine can do, and
-what a robot's day of frames takes.
+"""Two more jobs of `tomojax frontier`: images a second, and a robot's day of frames.
 
-The bound of a batch of images is the longer of two times: its multiplications at the rate
-of a large matrix product, its bytes at the rate of a large copy, both measured here.
+Images a second stand beside the machine's bound. The bound of a batch of images is the
+longer of two times. One is its multiplications at the rate of a large matrix product. The
+other is its bytes at the rate of a large copy. Both rates are measured here.
 """
 
 import os
@@ -30,7 +30,7 @@ _NOTHING = 70
 
 
 def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """Images of frames with one pattern, on the device from beginning to end."""
+    """Yields rates of images of frames with one pattern; all work stays on the device."""
     copy, product = machine(job.dtype)
     for method in ("linear", "source"):
         model = make_method(sensor, method, job.pixels)
@@ -73,7 +73,7 @@ def rate_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
 
 
 def machine(dtype: str) -> tuple[float, float]:
-    """Bytes a second of a copy (read and written), flops a second of a product."""
+    """Measures bytes a second of a copy (read and written), flops a second of a product."""
     large = jnp.ones(_LARGE, dtype)
     copy = jax.jit(lambda a: a + 1)
     _, spent = repeated(lambda: jax.block_until_ready(copy(large)))
@@ -93,7 +93,7 @@ def _images(model: Linear | Source, prepared: Any, volts: jax.Array) -> jax.Arra
 
 
 def _error(model: Linear | Source, prepared: Any, volts: jax.Array) -> float:
-    """Of some images beside NumPy's in float64, of the highest: before any is timed."""
+    """Returns the error of some images beside NumPy's in float64, of the highest value."""
     some = np.asarray(volts[:_CHECKED], float).reshape(min(len(volts), _CHECKED), -1)
     if isinstance(model, Source):
         operator, basis = prepared.imaging, model.smoothed
@@ -106,13 +106,13 @@ def _error(model: Linear | Source, prepared: Any, volts: jax.Array) -> float:
 
 
 def _sizes(model: Linear | Source, prepared: Any) -> int:
-    """Rows of the basis through which the voltages go."""
+    """Returns the number of rows of the basis through which the voltages go."""
     operator = prepared.imaging if isinstance(model, Source) else prepared.operator
     return operator.shape[1]
 
 
 def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """A mix of scenes, the most of it nothing: `auto` beside its largest rung alone."""
+    """Yields rows of a mix of scenes, mostly empty: `auto`, and its largest rung alone."""
     rng = np.random.default_rng(0)
     chosen = {
         kind: rng.choice(np.flatnonzero(trials.kind == kind), count)

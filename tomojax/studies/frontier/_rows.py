@@ -32,7 +32,7 @@ _FRAMES = 8
 
 
 def method_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """Rows of a method of the ladder."""
+    """Yields rows of a method of the ladder."""
     model = make_method(sensor, job.method, job.pixels)
     size = np.asarray(sensor.size)
     mesh = pixel_divisions(sensor, (job.pixels, job.pixels), model.cells_per_diameter)
@@ -70,7 +70,7 @@ def method_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
 
 
 def _rungs(model: AbstractMethod, rows: Rows) -> dict[str, list[int]]:
-    """How many frames each rung of the ladder explained, where a method chooses."""
+    """Counts the frames that each rung explained, if a method chooses rungs."""
     if not model.tells_rung:
         return {}
     return {"rungs": np.bincount(rows.rung, minlength=5).tolist()}
@@ -84,7 +84,7 @@ def _times(
     volts: np.ndarray,
     grounds: np.ndarray,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Of each kind of scene; of no kind where a frame's time does not depend on it."""
+    """Yields times of each kind of scene, or of none if a frame always takes the same."""
     fits = model.any_grounds
     for kind, at in kinds_of(trials) if fits else [("", np.arange(1))]:
         good = np.ones(volts.shape[1:], bool)
@@ -119,7 +119,7 @@ def _times(
 
 
 def chosen_lambda(model: AbstractMethod, rule: str, frames: list[Frame]) -> float:
-    """λ for a recording by one of the rules; "own" is what the method takes."""
+    """Returns λ for a recording by one of the rules; "own" is the method's own rule."""
     if rule == "own":
         return float(model.choose_lambda(frames))
     assert isinstance(model, Linear)
@@ -135,7 +135,7 @@ def chosen_lambda(model: AbstractMethod, rule: str, frames: list[Frame]) -> floa
 
 
 def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:
-    """Of the step that follows contacts, each slot grounded as its policy asks."""
+    """Yields rows of the step that follows contacts, grounded as its policy asks."""
     for name in job.patterns:
         step = make_step(sensor, "follow", name, contacts=_CONTACTS)
         volts = trials.volts.astype(job.dtype)
@@ -168,7 +168,7 @@ def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
 
 
 def rows_of_steps(outs: list[Output]) -> Rows:
-    """Outputs of a step, as a batch has them; without images."""
+    """Turns outputs of a step into rows as a batch has them, without images."""
     told = jax.tree.map(lambda *values: np.array(values), *outs)
     none = np.zeros(len(outs), np.uint8)
     return Rows.of(told.contacts, residual=told.residual, flags=told.flags, rung=none)

@@ -1,4 +1,7 @@
-"""Scenes with truth for `tomojax frontier`, from a resistor network, and their scores."""
+"""Makes scenes with truth for `tomojax frontier`, and scores rows.
+
+A resistor network makes the scenes' voltages.
+"""
 
 import hashlib
 from collections.abc import Callable
@@ -45,7 +48,7 @@ DOUBT = int(flags.DOUBT | flags.Flag.NO_CONTACT)
 
 
 class Trials(NamedTuple):
-    """n scenes as measured, and what was there."""
+    """n scenes as measured, and their true contacts."""
 
     kind: np.ndarray  # (n,) names
     volts: Float[np.ndarray, "n M M"]  # V, of every ground
@@ -54,7 +57,7 @@ class Trials(NamedTuple):
     image: Float[np.ndarray, "n nx ny"]  # S per cell
 
     def of(self, chosen: np.ndarray) -> "Trials":
-        """Some of them."""
+        """Returns the chosen trials."""
         return Trials(*(values[chosen] for values in self))
 
 
@@ -64,7 +67,7 @@ def make_trials(
     seed: int = 0,
     progress: Callable[[], Any] = lambda: None,
 ) -> Trials:
-    """`count` scenes of each kind: one, two or three contacts, a bar, a large one.
+    """Makes `count` scenes of each kind: one, two or three contacts, a bar, a large one.
 
     Sizes and conductances vary by decades; every ten scenes are of another rig.
     """
@@ -123,7 +126,7 @@ def _contacts(
 
 
 def _spread(draw: Callable[[], np.ndarray], least: float) -> list[np.ndarray]:
-    """Three places that are so far from each other."""
+    """Draws three places that are at least so far from each other."""
     places: list[np.ndarray] = []
     while len(places) < 3:
         new = draw()
@@ -133,7 +136,7 @@ def _spread(draw: Callable[[], np.ndarray], least: float) -> list[np.ndarray]:
 
 
 def _image(rig: Network, contacts: list[Contact]) -> Float[np.ndarray, "nx ny"]:
-    """Conductance on coarse cells, S."""
+    """Returns conductance on coarse cells, S."""
     size = rig.cells.max(0) + rig.cells.min(0)
     index = np.minimum((rig.cells / size * _FINE).astype(int), _FINE - 1)
     image = np.zeros((_FINE, _FINE))
@@ -143,19 +146,19 @@ def _image(rig: Network, contacts: list[Contact]) -> Float[np.ndarray, "nx ny"]:
 
 
 def identity(sensor: Sensor) -> str:
-    """Of what a run's scenes are made for."""
+    """Returns a hash of the sensor that a run's scenes are made for."""
     arrays = (np.asarray(getattr(sensor, name), np.float32) for name in _TOLD)
     return hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest()[:16]
 
 
 def save_trials(path: Path, sensor: Sensor, trials: Trials) -> None:
-    """With what a process of its own needs to make the sensor again."""
+    """Writes the trials, with the values from which a process makes the sensor anew."""
     told = {name: np.asarray(getattr(sensor, name)) for name in _TOLD}
     np.savez_compressed(path, allow_pickle=False, **told, **trials._asdict())
 
 
 def load_trials(path: Path, dtype: str) -> tuple[Sensor, Trials]:
-    """As `save_trials` left them; the sensor on 64 cells along its longer side."""
+    """Reads what `save_trials` wrote; the sensor has 64 cells along its longer side."""
     with np.load(path) as file:
         told = {name: file[name] for name in _TOLD}
         trials = Trials(*(file[name] for name in Trials._fields))
@@ -166,16 +169,16 @@ def load_trials(path: Path, dtype: str) -> tuple[Sensor, Trials]:
 
 
 def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
-    """Of trials of one kind: figures of places, counts, images, conductance and flags.
+    """Scores trials of one kind: figures of places, counts, images, conductance and flags.
 
-    A scene's place error is that of its worst contact, each to the nearest that was found
-    (of a bar and of something large: of the mean of what was found, by current); one in
-    which nothing was found counts as infinite. `place_median_mm`, `place_p90_mm`, `far` and
-    `far_undoubted` are of that error, and know nothing of contacts that are not there.
+    A scene's place error is that of its worst contact, each to the nearest contact found. A
+    bar or a large contact is compared with the mean of the contacts found, weighted by
+    current. A scene in which nothing was found has an infinite error. `place_median_mm`,
+    `place_p90_mm`, `far` and `far_undoubted` are of that error, and ignore ghosts.
 
-    `with_ghosts_median_mm` and `with_ghosts_p90_mm` count those too, and are what the front
-    and the comparison with the peers go by: see `ghost_error`. `ghosts` is the part of the
-    scenes that have any.
+    `with_ghosts_median_mm` and `with_ghosts_p90_mm` count ghosts, too: see `ghost_error`.
+    The front and the comparison with the peers use these two. `ghosts` is the part of the
+    scenes that have ghosts.
     """
     kind = str(trials.kind[0])
     there, whole = np.isfinite(trials.conductance), kind in ("bar", "large")
@@ -215,9 +218,9 @@ def score(rows: Rows, trials: Trials, size: np.ndarray) -> dict[str, Any]:
 def place_error(
     rows: Rows, k: int, places: Float[np.ndarray, "C 2"], whole: bool = False
 ) -> float:
-    """How far the worst of the contacts at `places` is from the nearest found in row k, m.
+    """Returns the largest distance of a contact at `places` to the nearest of row k, m.
 
-    `whole`: the contacts found are parts of one, and count by their currents.
+    If `whole`, the contacts found are parts of one, and count by their currents.
     """
     count = int(rows.contact_count[k])
     if not count:
@@ -233,10 +236,11 @@ def place_error(
 def ghost_error(
     rows: Rows, k: int, places: Float[np.ndarray, "C 2"], whole: bool = False
 ) -> float:
-    """How far the farthest ghost of row k is from the nearest contact there is, m.
+    """Returns how far the farthest ghost of row k is from the nearest true contact, m.
 
-    Ghosts are the contacts found that are left where each contact at `places` has one of
-    its own, so that the distances' sum is least. Without any, and for `whole`: 0.
+    Each contact at `places` is matched with one found, so that the distances' sum is least.
+    The contacts found that are left are ghosts. Without ghosts, and for `whole`, the error
+    is 0.
     """
     count = int(rows.contact_count[k])
     if whole or count <= len(places):
@@ -248,7 +252,7 @@ def ghost_error(
 
 
 def _told_apart(rows: Rows, k: int, trials: Trials) -> bool:
-    """Two, each near one of the true ones."""
+    """Tells whether two contacts were found, each near one of the true ones."""
     if int(rows.contact_count[k]) != 2:
         return False
     places = trials.xy[k, :2]
@@ -259,7 +263,7 @@ def _told_apart(rows: Rows, k: int, trials: Trials) -> bool:
 
 
 def _image_figures(kind: str, rows: Rows, trials: Trials, size: np.ndarray) -> dict:
-    """Width at half the maximum (of single contacts), and the image's error, medians."""
+    """Returns medians: width at half the maximum (single contacts), and image error."""
     if rows.image is None:
         return {}
     images = np.nan_to_num(rows.image.astype(float))
@@ -282,7 +286,7 @@ def _image_figures(kind: str, rows: Rows, trials: Trials, size: np.ndarray) -> d
 
 
 def _overlaps(fine: int, coarse: int) -> Float[np.ndarray, "fine coarse"]:
-    """Which part of each of `fine` cells lies in each of `coarse` ones."""
+    """Returns the part of each of `fine` cells that lies in each of `coarse` cells."""
     low, high = np.arange(fine) / fine, (np.arange(fine) + 1) / fine
     start, end = np.arange(coarse) / coarse, (np.arange(coarse) + 1) / coarse
     shared = np.minimum(high[:, None], end) - np.maximum(low[:, None], start)
@@ -290,5 +294,5 @@ def _overlaps(fine: int, coarse: int) -> Float[np.ndarray, "fine coarse"]:
 
 
 def _finite(value: Any) -> float | None:
-    """JSON has no infinity."""
+    """Turns infinity and NaN into None, since JSON has neither."""
     return float(value) if np.isfinite(value) else None

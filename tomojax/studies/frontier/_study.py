@@ -1,8 +1,8 @@
-"""`tomojax frontier`: speed against accuracy of every method, on this machine.
+"""`tomojax frontier`: compares speed and accuracy of every method, on this machine.
 
-A scene's voltages are a resistor network's, with the errors of a rig; what reconstructs
-is told nominal values. Each method, mesh and dtype is a job in a process of its own; rows
-are kept as they come, so that a run that was cut off goes on where it was.
+A resistor network makes a scene's voltages, with the errors of a rig. A reconstruction is
+told nominal values. Each method, mesh and dtype is a job in a process of its own. Rows are
+kept as they come. A run that was cut off therefore goes on where it stopped.
 """
 
 import json
@@ -34,7 +34,7 @@ _RULES = ("own", "cautious", "gcv", "discrepancy", "l_curve")
 
 
 def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
-    """What is measured. All that only `linear` has a choice of is swept with `linear`."""
+    """Lists the jobs. A choice that only `linear` has is swept with `linear` alone."""
     if quick:
         return [
             Job("linear", ("around",), batches=(256,)),
@@ -86,10 +86,10 @@ def run(
     progress: Callable[[str], Any] = lambda done: None,
     only: tuple[str, ...] = (),
 ) -> list[dict[str, Any]]:
-    """Rows of all jobs; what `folder` has of the same run already is not done again.
+    """Returns rows of all jobs; jobs that `folder` has of the same run are not done again.
 
-    With `only` jobs of these methods alone are done now; of others there are the rows that
-    `folder` has.
+    If `only` is given, only jobs of these methods are done now. Other methods keep the rows
+    that `folder` has.
 
     **Raises:** `ValueError` where `folder` holds a run with other scenes or of another
     sensor.
@@ -123,9 +123,9 @@ def run(
 
 
 def same_run(path: Path, told: dict[str, Any]) -> None:
-    """Of what a folder was begun with, kept in `path`.
+    """Checks a run against the one that its folder was begun with, which `path` keeps.
 
-    **Raises:** `ValueError` where that was something else.
+    **Raises:** `ValueError` where the two differ.
     """
     if not path.exists():
         new = path.with_suffix(".new")
@@ -142,7 +142,7 @@ def same_run(path: Path, told: dict[str, Any]) -> None:
 
 
 def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
-    """Jobs that are done, and their rows; a line that was cut off does not count."""
+    """Reads the jobs that are done, and their rows; a cut-off line does not count."""
     done, rows = set(), []
     text = path.read_text() if path.exists() else ""
     whole = text[: text.rfind("\n") + 1]
@@ -156,7 +156,7 @@ def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
 
 
 def _designed(path: Path) -> tuple[int, ...]:
-    """Eight grounds for the whole sheet, by their place error."""
+    """Designs eight grounds for the whole sheet, by their place error."""
     with jax.enable_x64(True):
         sensor, _ = load_trials(path, "float64")
         places = design_places(sensor)
@@ -165,7 +165,7 @@ def _designed(path: Path) -> tuple[int, ...]:
 
 
 def measured(path: Path, job: Job) -> list[dict[str, Any]]:
-    """Its rows; of a job that fails one that says so."""
+    """Returns a job's rows; a job that fails gives one row that says so."""
     words = [sys.executable, "-m", "tomojax.studies.frontier._job", str(path)]
     command = [*words, json.dumps(job._asdict())]
     wide = "1" if job.dtype == "float64" else "0"

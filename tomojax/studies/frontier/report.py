@@ -1,4 +1,4 @@
-"""What `tomojax frontier` prints and draws."""
+"""Prints and draws the results of `tomojax frontier`."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -36,7 +36,7 @@ WORDS = {
 
 
 def text(rows: list[dict[str, Any]]) -> str:
-    """The front of each kind of scene, slowest first, and the peers' own beside it."""
+    """Returns each kind's front, slowest first, and the peers' front beside it."""
     lines = [
         "        method       pattern   slots λ        pixels dtype    output   batch "
         "  µs a frame (99 %)  place, mm (90 %)  width"
@@ -52,7 +52,7 @@ def text(rows: list[dict[str, Any]]) -> str:
 
 
 def _verdict(found: list[dict[str, Any]]) -> list[str]:
-    """Who is ahead at single contacts, among rows that are alike."""
+    """Returns lines on who is ahead at single contacts, among rows that are alike."""
     alike = [f for f in found if f["alike"]]
     faster = [f["times_as_fast"] for f in alike if f["times_as_fast"]]
     ahead = [f for f in alike if f["ahead"]]
@@ -100,7 +100,7 @@ def _mm(value: float | None) -> str:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """How far from the peers, or how far behind them, and what failed."""
+    """Returns how far ahead of the peers we are, or how far behind, and what failed."""
     found = list(beside_peers([r for r in rows if r["scene"] == "one"]))
     alike = [f for f in found if f["alike"]]
     return {
@@ -127,9 +127,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def chart(rows: list[dict[str, Any]]) -> Any:
-    """A panel for each kind of scene: time of a frame against place error.
+    """Draws a panel for each kind of scene: time of a frame against place error.
 
-    Peers are hollow, and full where they are ahead of all of ours that are alike.
+    Peers are hollow, and full where they are ahead of all our rows that are alike.
     """
     from matplotlib.figure import Figure
 
@@ -175,7 +175,7 @@ def chart(rows: list[dict[str, Any]]) -> Any:
 
 
 def rungs(rows: list[dict[str, Any]]) -> Any:
-    """Which rung each kind of scene needs: error, doubt, time, and what `auto` took."""
+    """Draws the rung that each kind of scene needs: error, doubt, time, `auto`'s choice."""
     from matplotlib.figure import Figure
 
     models = ("linear", "source", "points", "conductance", "auto")
@@ -217,7 +217,7 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
 
 
 def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Iterator[str]:
-    """Images a second beside the machine's bound, and a day of frames."""
+    """Yields lines on images a second, beside the bound, and on a day of frames."""
     sets = {(r["method"], r["slots"], r["pixels"], r["threads"]) for r in rates}
     for method, slots, pixels, threads in sorted(sets):
         some = [
@@ -241,7 +241,7 @@ def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Ite
 
 
 def rate_chart(rates: list[dict[str, Any]]) -> Any:
-    """Images a second against the batch; dashed, what the machine could do."""
+    """Draws images a second against the batch; dashed lines are the machine's bound."""
     from matplotlib.figure import Figure
 
     panels = sorted({(r["pixels"], r["threads"]) for r in rates})

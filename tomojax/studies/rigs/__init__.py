@@ -1,7 +1,7 @@
-"""Rigs to try methods on, wider than what methods assume; two models that share no code.
+"""Rigs to try methods on, with more errors than methods assume; two models of them.
 
-A rig is a description (`Rig`), drawn from stated distributions by a seed; a model makes
-the exact voltages of it. The room knows nothing of methods.
+A rig is a description (`Rig`), drawn from stated distributions by a seed. A model makes the
+rig's exact voltages; the two models share no code. The room knows nothing of methods.
 """
 
 from tomojax.studies.rigs._elements import Elements as Elements

@@ -1,7 +1,7 @@
-"""A rig in triangles: a second model of it, which shares no code with `Network`.
+"""A rig in triangles: a second model of a rig, which shares no code with `Network`.
 
-Linear elements on an unstructured mesh that resolves the rim of each electrode's face. A
-contact is a cloud of points, and so the mesh is made once for a rig.
+Linear elements lie on an unstructured mesh that resolves the rim of each electrode's face.
+A contact is a cloud of points, so that the mesh is made only once for a rig.
 """
 
 from collections.abc import Sequence
@@ -64,7 +64,7 @@ class Elements:
         self.stiffness = sp.csc_array(stiffness, shape) + self._joined_faces(area)
 
     def _joined_faces(self, area: np.ndarray) -> sp.csc_array:
-        """The conductances between faces with a contact resistance and their electrodes."""
+        """Returns conductances between electrodes and faces with a contact resistance."""
         face = self._face[self.triangles]
         within = (face == face[:, :1]).all(1) & (face[:, 0] >= 0)
         lumped = np.zeros(len(self.points))
@@ -76,20 +76,20 @@ class Elements:
         return _links(self._unknown[nodes], e, share, self.count)
 
     def touched(self, touch: Touch | Strokes, grounds: Grounds) -> Float[np.ndarray, "S M"]:
-        """Exact voltages, V, under some grounds."""
+        """Returns exact voltages, V, under some grounds."""
         return self.scene([touch], grounds)
 
     def scene(
         self, touches: Sequence[Touch | Strokes], grounds: Grounds
     ) -> Float[np.ndarray, "S M"]:
-        """Exact voltages, V, of several contacts at once under some grounds."""
+        """Returns exact voltages, V, of several contacts at once under some grounds."""
         spread = [self._spread(touch) for touch in touches]
         if all(touch.exponent == 1 for touch in touches):
             return self._linear(touches, spread, grounds)
         return self._nonlinear(touches, spread, grounds)
 
     def _spread(self, touch: Touch | Strokes) -> tuple[np.ndarray, np.ndarray]:
-        """The unknowns that a contact feeds, and the conductance to each of them, S."""
+        """Returns the unknowns that a contact feeds, and each one's conductance, S."""
         pitches = np.pi * np.prod(touch.half_axes) / self.rig.sensor.mean_pitch**2
         count = max(_CLOUD, int(_EACH * pitches))
         i = np.arange(count) + 0.5
@@ -112,10 +112,10 @@ class Elements:
         return fed, conductance[fed]
 
     def _linear(self, touches, spread, grounds) -> np.ndarray:
-        """One factor for all grounds: each contact has a node, joined to the drive.
+        """Solves all grounds by one factor: each contact has a node, joined to the drive.
 
-        With the drive at 0 V a current of 1 A is drawn from each ground; with nothing
-        grounded all is at the drive's voltage.
+        A current of 1 A is drawn from each ground while the drive is at 0 V. Without a
+        ground, every node is at the drive's voltage.
         """
         n = self.count
         size = n + len(touches)
@@ -135,16 +135,18 @@ class Elements:
 
     @cached_property
     def _inverse(self) -> spla.SuperLU:
-        """The factor of the sheet alone; a path from the first electrode carries nothing,
-        as currents balance."""
+        """The factor of the sheet alone.
+
+        A path from the first electrode carries no current, because currents balance.
+        """
         square = float(np.mean(np.asarray(self.rig.sensor.sheet_resistance)))
         return _factor(self.stiffness + _diagonal([0], [1 / square], self.count))
 
     def _nonlinear(self, touches, spread, grounds) -> np.ndarray:
-        """Newton's method, for each ground, on the voltages w between object and sheet.
+        """Finds by Newton's method, for each ground, the voltages w from object to sheet.
 
-        w + (T + series) q(w) = V0, where T are the sheet's resistances from the fed
-        unknowns to the ground, q = g w |w/V0|ⁿ⁻¹ the currents.
+        The equation is w + (T + series) q(w) = V0. T are the sheet's resistances from the
+        fed unknowns to the ground. The currents are q = g w |w/V0|ⁿ⁻¹.
         """
         fed = np.concatenate([f for f, _ in spread])
         g = np.concatenate([c for _, c in spread])
@@ -194,7 +196,7 @@ def _newton(table: np.ndarray, g: np.ndarray, more: np.ndarray, drive: float) ->
 
 
 def _factor(matrix: sp.sparray) -> spla.SuperLU:
-    """Symmetric and positive: no pivots are looked for."""
+    """Factors a symmetric positive matrix without looking for pivots."""
     options = {"SymmetricMode": True}
     return spla.splu(
         sp.csc_array(matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options
@@ -206,16 +208,16 @@ def _diagonal(at: Sequence, values: Sequence, size: int) -> sp.csc_array:
 
 
 def _links(a: np.ndarray, b: np.ndarray, g: np.ndarray, size: int) -> sp.csc_array:
-    """The matrix of conductances g between unknowns a and b."""
+    """Returns the matrix of conductances g between unknowns a and b."""
     rows, columns = np.concatenate([a, b, a, b]), np.concatenate([a, b, b, a])
     return sp.csc_array((np.concatenate([g, g, -g, -g]), (rows, columns)), (size, size))
 
 
 def _nodes(rig: Rig, fine: float | int) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh's nodes (n, 2), m, and the face that each is in, or -1.
+    """Returns the mesh's nodes (n, 2), m, and the face that each node is in, or -1.
 
-    Rings around each face, ever wider apart, up to a lattice's spacing; the lattice where
-    no ring is; the border.
+    Rings lie around each face, ever wider apart, up to a lattice's spacing. The lattice
+    fills the sheet where no ring is. Nodes on the border follow.
     """
     size = np.asarray(rig.sensor.size, float)
     rng = np.random.default_rng(0)
@@ -281,7 +283,7 @@ def _circle(place: np.ndarray, radius: float, n: int, turned: float) -> np.ndarr
 
 
 def _apart(points: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Which points stay, such that none is too close to one before it."""
+    """Returns which points stay, such that none is too close to an earlier point."""
     pairs = KDTree(points).query_pairs(least.max(), output_type="ndarray")
     a, b = np.sort(pairs, 1).T
     close = np.hypot(*(points[a] - points[b]).T) < np.minimum(least[a], least[b])

@@ -1,7 +1,7 @@
-"""Rigs, contacts and seeds that methods are tried on: wider than what methods assume.
+"""Rigs, contacts and seeds to try methods on, with more errors than methods assume.
 
-Each row of `FAMILY` changes one property of the rig that `draw_rig` draws by default.
-Seeds below `JUDGING` are for making; from there on they are used once, for figures that are
+Each row of `FAMILY` changes one property of the rig that `draw_rig` draws by default. Seeds
+below `JUDGING` are for developing methods. Higher seeds are used once, for figures that are
 shown.
 """
 
@@ -21,7 +21,7 @@ JUDGING = 1_000_000
 
 
 class Row(NamedTuple):
-    """What is other than usual: of the rig, and of each lone contact."""
+    """The properties of the rig, and of each lone contact, that differ from the default."""
 
     title: str
     rig: dict[str, Any]
@@ -54,7 +54,7 @@ FAMILY = {
 
 
 class LoneContacts(NamedTuple):
-    """n lone contacts as measured under some grounds, and what was there."""
+    """n lone contacts as measured under some grounds, and their true values."""
 
     volts: Float[np.ndarray, "n S M"]  # V
     grounds: np.ndarray  # (S,)
@@ -77,7 +77,7 @@ def make_rig(sensor: Sensor, row: str, rng: np.random.Generator) -> Rig:
 
 
 def draw_touch(sensor: Sensor, row: str, rng: np.random.Generator) -> Touch:
-    """A contact anywhere but at the edge: radius 0.15 to 0.6 pitches.
+    """Draws a contact anywhere but at the edge: radius 0.15 to 0.6 pitches.
 
     The conductance is 10⁻¹·⁵ to 10¹·⁵ times that of a square of the sheet.
     """
@@ -105,9 +105,10 @@ def lone_contacts(
     grounds: np.ndarray | None = None,
     model: Callable[[Rig], Any] | None = None,
 ) -> LoneContacts:
-    """`each` lone contacts on each of `rigs` rigs of that row; the two corners by default.
+    """Makes `each` lone contacts on each of `rigs` rigs of that row.
 
-    `model` makes the exact voltages: `network_of` by default, or `Elements`.
+    The grounds are the two corners by default. `model` makes the exact voltages:
+    `network_of` by default, or `Elements`.
     """
     rng = np.random.default_rng([seed, *row.encode()])
     grounds = np.asarray(exploration(sensor)) if grounds is None else grounds

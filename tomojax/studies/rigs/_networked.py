@@ -27,7 +27,7 @@ class Networked:
     def touched(
         self, touch: Touch | Strokes, grounds: Integer[np.ndarray, " S"]
     ) -> Float[np.ndarray, "S M"]:
-        """Exact voltages, V, under some grounds."""
+        """Returns exact voltages, V, under some grounds."""
         weights = self.weights(touch)
         if touch.exponent == 1:
             contact = weights, touch.conductance
@@ -37,7 +37,7 @@ class Networked:
         return np.stack([self._under_law(touch, g, int(e)) for e in grounds])
 
     def weights(self, touch: Touch | Strokes) -> Float[np.ndarray, " cells"]:
-        """How much of the contact's conductance each cell has, relative."""
+        """Returns the part of the contact's conductance that each cell has, relative."""
         cells = self.network.cells
         near = np.hypot(*(cells - touch.xy).T) <= max(touch.half_axes) + self.network.width
         weights = np.zeros(len(cells))
@@ -47,11 +47,12 @@ class Networked:
         return weights
 
     def _under_law(self, touch: Touch | Strokes, g: np.ndarray, ground: int) -> np.ndarray:
-        """The voltages under one ground: a fixed point of each node's conductance G.
+        """Finds the voltages under one ground by a fixed point of each node's conductance.
 
-        A current I drawn from the ground lowers node k by I (series + u_k) below V0, and
-        the object by I·series: I u_k is what the law takes. In logarithms a step goes the
-        1/n-th part of the way, which is the whole way where the current is given.
+        A current I drawn from the ground lowers node k by I (series + u_k) below V0. The
+        same current lowers the object by I·series. The law takes the voltage between them,
+        I u_k. In logarithms a step goes the 1/n-th part of the way. That is the whole way
+        where the current is given.
         """
         drive, n = self.network.drive, touch.exponent
         matrix = self.network.network
@@ -79,5 +80,5 @@ class Networked:
 
 
 def network_of(rig: Rig, fine: float | int = 1.0) -> Networked:
-    """The rig as a resistor network."""
+    """Returns the rig as a resistor network."""
     return Networked(rig, fine)

@@ -1,4 +1,4 @@
-"""What a rig really is: a description that each model of it takes; and how it is drawn."""
+"""Describes a rig as it really is, for each model to take, and draws rigs."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ class Chain:
     def read(
         self, volts: Float[np.ndarray, "*before S M"], rng: np.random.Generator
     ) -> Float[np.ndarray, "*before S M"]:
-        """Reads slots that follow each other, the first one after one like it.
+        """Reads slots that follow each other; the slot before the first is like the first.
 
-        Before its first channel a slot's predecessor had its last one read.
+        The last channel of the slot before is read just before a slot's first channel.
         """
         v = (1 - self.settling) * volts + self.settling * _slot_before(volts)
         last = _slot_before(v)[..., -1:]
@@ -88,14 +88,18 @@ def draw_rig(
 ) -> Rig:
     """Draws a rig from stated distributions.
 
-    **Arguments:** `uneven`: of the sheet's resistance, rms, normal with a Gaussian
-    covariance of length `patch` (m; a quarter of the sheet by default), `stretch` times
-    longer along x; `gradient`: from one side to the other, of the mean; `seam`: of a
-    strip an electrode wide, anywhere; `off`: of electrodes, σ along each axis, of their
-    diameter; `face`: which part of a disc's radius touches, mean and spread (uniform),
-    `decentred` within it by that part of what is left; `contact`: the mean of an
-    exponential distribution, Ω; `more_ground` Ω, and σ of ln of each path
-    (`unlike_grounds`); `gain` rms; `noise` and zeros, of the drive; `chain`: as in `Chain`.
+    **Arguments:**
+
+    - `uneven`: rms of the sheet's resistance, normal with a Gaussian covariance. Its length
+      is `patch` (m; a quarter of the sheet by default), `stretch` times longer along x.
+    - `gradient`: from one side to the other, of the mean.
+    - `seam`: of a strip an electrode wide, anywhere.
+    - `off`: σ of electrodes along each axis, of their diameter.
+    - `face`: the part of a disc's radius that touches, mean and spread (uniform).
+    - `decentred`: how far a face is off its disc's centre, of the room that is left.
+    - `contact`: the mean of an exponential distribution, Ω.
+    - `more_ground`: Ω more in each ground path; `unlike_grounds`: σ of ln of each path.
+    - `gain`: rms; `noise`: of noise and zeros, of the drive; `chain`: as in `Chain`.
     """
     m, diameter = sensor.electrode_count, float(sensor.electrode_diameter)
     size, drive = np.asarray(sensor.size, float), abs(float(sensor.drive_voltage))

@@ -1,4 +1,4 @@
-"""What touches the sheet: ellipses with a pressure profile, of any conductance."""
+"""Contacts on the sheet: ellipses with a pressure profile, of any conductance."""
 
 from typing import Literal, NamedTuple
 
@@ -9,7 +9,7 @@ Profile = Literal["flat", "hertz", "soft", "lopsided"]
 
 
 class Touch(NamedTuple):
-    """An ellipse that conducts; `series` is a resistance between it and the drive."""
+    """An ellipse that conducts; `series` is a resistance from the drive to the ellipse."""
 
     xy: Float[np.ndarray, "2"]  # of the ellipse's centre, m
     half_axes: tuple[float, float]  # m
@@ -20,10 +20,10 @@ class Touch(NamedTuple):
     exponent: float = 1.0  # of the law: a current of g (V0 − u) |(V0 − u)/V0|ⁿ⁻¹
 
     def density(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Conductance per area at points, relative: 0 outside.
+        """Returns the conductance per area at points, relative: 0 outside.
 
-        "hertz": √(1 − r²), the pressure of a sphere; "soft": (1 − r²)²; "lopsided": rises
-        ninefold from one end to the other.
+        "hertz" is √(1 − r²), the pressure of a sphere; "soft" is (1 − r²)². "lopsided"
+        rises ninefold from one end to the other.
         """
         c, s = np.cos(self.angle), np.sin(self.angle)
         along = (points - self.xy) @ np.array([[c, -s], [s, c]]) / np.array(self.half_axes)
@@ -40,7 +40,7 @@ class Touch(NamedTuple):
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """The conductance's, m: ∫x·g/∫g."""
+        """The centre of the conductance, m: ∫x·g/∫g."""
         if self.profile != "lopsided":
             return self.xy
         along = np.array([np.cos(self.angle), np.sin(self.angle)])

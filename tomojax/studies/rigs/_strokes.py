@@ -27,13 +27,13 @@ class Strokes:
 
     @property
     def xy(self) -> Float[np.ndarray, "2"]:
-        """The middle of what holds them, m."""
+        """The middle of the box around the lines, m."""
         low, high = self._box()
         return (low + high) / 2
 
     @property
     def half_axes(self) -> tuple[float, float]:
-        """Of a circle that holds them, m."""
+        """Half axes of a circle that holds the lines, m."""
         low, high = self._box()
         reach = float(np.hypot(*(high - low))) / 2
         return reach, reach
@@ -47,13 +47,13 @@ class Strokes:
         return zip(self.lines, self.widths, strict=True)
 
     def depths(self, points: Float[np.ndarray, "p 2"]) -> Float[np.ndarray, "s p"]:
-        """How deep points are inside each stroke, of its half width; below 0 outside."""
+        """Returns depths of points in strokes, of their half widths; negative outside."""
         return np.stack(
             [1 - _distance(points, line) / (width / 2) for line, width in self._each()]
         )
 
     def density(self, points: Float[np.ndarray, "p 2"]) -> Float[np.ndarray, " p"]:
-        """Conductance per area, of the highest; 0 outside."""
+        """Returns the conductance per area, of the highest; 0 outside."""
         depth = self.depths(points)
         part = (depth > 0).astype(float)
         if self.soft > 0:
@@ -62,12 +62,12 @@ class Strokes:
         return (np.array(presses)[:, None] * part).max(0)
 
     def inside(self, points: Float[np.ndarray, "p 2"]) -> Bool[np.ndarray, " p"]:
-        """Which points are touched."""
+        """Returns which points are touched."""
         return np.asarray((self.depths(points) > 0).any(0))
 
     @property
     def conductance(self) -> float:
-        """In all, S, where all of it is on the sheet."""
+        """The total conductance, S, if all lines are on the sheet."""
         low, high = self._box()
         part = (np.arange(_RASTER) + 0.5) / _RASTER
         x, y = (a + (b - a) * part for a, b in zip(low, high))
@@ -78,12 +78,12 @@ class Strokes:
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """The middle of what holds them, m."""
+        """The middle of the box around the lines, m."""
         return self.xy
 
 
 def _distance(points: np.ndarray, line: np.ndarray) -> Float[np.ndarray, " p"]:
-    """From points to a line of straight pieces."""
+    """Returns the distance of points to a line of straight pieces."""
     if len(line) == 1:
         return np.hypot(*(points - line[0]).T)
     least = np.full(len(points), np.inf)
@@ -101,7 +101,7 @@ _Number = float | int
 def _arc(
     x: _Number, y: _Number, r: _Number, start: _Number, end: _Number, ry: _Number = 0
 ) -> Line:
-    """Part of a circle, or of an ellipse of height `ry`; angles in degrees."""
+    """Returns part of a circle, or of an ellipse of height `ry`; angles in degrees."""
     turn = np.radians(np.linspace(start, end, 25))
     rise = ry or r
     return [(x + r * c, y + rise * s) for c, s in zip(np.cos(turn), np.sin(turn))]
@@ -173,7 +173,7 @@ def draw_strokes(
     width: float | None = None,
     **laws: float,
 ) -> Strokes:
-    """A glyph or a thing of that height, m, turned by `turn`, rad, about its middle.
+    """Draws a glyph or a thing of that height, m, turned by `turn`, rad, about its middle.
 
     **Arguments:** `width` of a glyph's strokes, m; `laws`: `soft`, `series` and `exponent`
     of `Strokes`; `per_area` S/m².

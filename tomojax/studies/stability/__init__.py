@@ -1,4 +1,4 @@
-"""Where each method fails, and what its flags say then, on a rig that is not ours.
+"""Finds where each method fails, and what its flags say then, on a rig of another model.
 
 The study uses the library as any caller would.
 """

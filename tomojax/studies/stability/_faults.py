@@ -1,7 +1,7 @@
-"""What goes wrong between a scene and its reconstruction: noise, faults, wrong values.
+"""Faults between a scene and its reconstruction: noise, faults, wrong values.
 
-Sweeps of `tomojax stability` over the lone contacts of a bench: their voltages are spoilt,
-or the reconstruction is told something that is not so.
+Sweeps of `tomojax stability` use the lone contacts of a bench. A sweep spoils their
+voltages, or tells the reconstruction something wrong.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from tomojax.studies.stability._scenes import Bench, Sweep, SweptScenes
 
 
 def _spoilt(change: Callable[[Bench, np.ndarray, float], np.ndarray]):
-    """A sweep's `make` of what is done to voltages (n, M, M)."""
+    """Makes a sweep's `make` from a change of voltages (n, M, M)."""
 
     def make(bench: Bench, value: float) -> SweptScenes:
         volts, xy = bench.lone
@@ -34,7 +34,7 @@ def _gain(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
 
 @_spoilt
 def _common(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """An offset that all channels of a slot share."""
+    """Adds an offset that all channels of a slot share."""
     return volts + value * bench.rng().normal(size=(*volts.shape[:2], 1))
 
 
@@ -52,21 +52,21 @@ def _channels(bench: Bench, value: float) -> np.ndarray:
 
 @_spoilt
 def _dead(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """Channels that read 0, and nobody says so."""
+    """Sets channels to 0, and tells nobody."""
     volts[:, :, _channels(bench, value)] = 0
     return volts
 
 
 @_spoilt
 def _missing(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """Channels that are known to say nothing: NaN."""
+    """Sets channels to NaN: they are known to say nothing."""
     volts[:, :, _channels(bench, value)] = np.nan
     return volts
 
 
 @_spoilt
 def _swapped(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """So many channels are plugged in a circle."""
+    """Moves each of so many channels to the next one's place, in a circle."""
     chosen = _channels(bench, value)
     volts[:, :, chosen] = volts[:, :, np.roll(chosen, 1)]
     return volts
@@ -74,7 +74,7 @@ def _swapped(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
 
 @_spoilt
 def _wrong_ground(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """For the first corner, the electrode so many on was grounded."""
+    """Grounds, instead of the first corner, the electrode so many numbers after it."""
     first = bench.corners[0]
     volts[:, first] = volts[:, (first + int(value)) % len(bench.electrodes)]
     return volts
@@ -82,7 +82,7 @@ def _wrong_ground(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
 
 @_spoilt
 def _late(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """The ground is switched when so many channels are read already."""
+    """Switches the ground when so many channels are read already."""
     first, second = bench.corners[:2]
     before = np.full(len(bench.electrodes), first)
     before[first] = second
@@ -94,24 +94,24 @@ def _late(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
 
 @_spoilt
 def _saturated(bench: Bench, volts: np.ndarray, value: float) -> np.ndarray:
-    """The converter's range ends at so much, V."""
+    """Ends the converter's range at so much, V."""
     return np.clip(volts, -value, value)
 
 
 def _sheet(bench: Bench, value: float) -> SweptScenes:
-    """What is told is so many times what it is."""
+    """Tells a sheet resistance so many times the true one."""
     told = bench.sensor.sheet_resistance * value
     return SweptScenes(*bench.lone, told=replace(bench.sensor, sheet_resistance=told))
 
 
 def _ground_path(bench: Bench, value: float) -> SweptScenes:
-    """Ω more on the way to ground than there are."""
+    """Tells a ground path with so many Ω too much."""
     told = bench.sensor.ground_resistance + value
     return SweptScenes(*bench.lone, told=replace(bench.sensor, ground_resistance=told))
 
 
 def _misplaced(bench: Bench, value: float) -> SweptScenes:
-    """Electrodes are told so many mm from where they are, rms."""
+    """Tells electrodes' places so many mm from the true places, rms."""
     moved = bench.electrodes + 1e-3 * value * bench.rng().normal(
         size=bench.electrodes.shape
     )

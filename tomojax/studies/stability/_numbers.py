@@ -1,6 +1,6 @@
-"""What `tomojax stability` shows of the numbers themselves: float32, solvers, gradients.
+"""Studies numbers for `tomojax stability`: float32, solvers, gradients.
 
-On a small sensor, so that thousands of points are a matter of minutes.
+The sensor is small, so that thousands of points take minutes.
 """
 
 from dataclasses import replace
@@ -34,12 +34,12 @@ _COMPARED, _STEP = 50, 1e-4
 
 
 def small(dtype: Any) -> Sensor:
-    """4 × 4 electrodes on 16 × 16 cells."""
+    """Returns a sensor of 4 × 4 electrodes on 16 × 16 cells."""
     return Sensor.grid(4, 4, 0.02, 0.01, divisions=(16, 16), dtype=dtype)
 
 
 def solver_rows(seed: int = 0) -> list[dict[str, Any]]:
-    """Error of an image of eight grounds in float32, beside float64, along λ.
+    """Compares an image of eight grounds in float32 with float64, along λ.
 
     Needs float64 to be enabled: `jax.enable_x64`.
     """
@@ -92,7 +92,7 @@ _SLOTS = 4
 
 
 def random_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """Anywhere in the ranges."""
+    """Draws points anywhere in the ranges."""
     rng = np.random.default_rng(seed)
     return {
         name: rng.uniform(low, high, (count, _SLOTS) if name == "weights" else (count,))
@@ -101,7 +101,10 @@ def random_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def symmetric_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """On the sheet's centre, its axes, diagonals and electrodes, with equal weights."""
+    """Draws points on the sheet's centre, its axes, diagonals and electrodes.
+
+    Their weights are equal.
+    """
     points = random_points(count, seed)
     middle, turn = 0.04, np.arange(count) % 5
     x, y = points["x"], points["y"]
@@ -118,10 +121,11 @@ def symmetric_points(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 def pipeline(
     sensor: Sensor, centres: Float[Array, "K 2"], point: dict[str, Array]
 ) -> Float[Array, ""]:
-    """From sheet, electrodes, contact, grounds' weights and λ to how wrong an image is.
+    """Returns how wrong an image is, from sheet, electrodes, contact, weights and λ.
 
-    The distance of the image's centre of gravity from the contact, squared, and its second
-    moment, in units of the sheet's side: sensor → resistances → voltages → J_s → Eq. 3.
+    The error adds two terms, in units of the sheet's side squared. One is the squared
+    distance of the image's centre of gravity from the contact. The other is the image's
+    second moment. The pipeline is sensor → resistances → voltages → J_s → Eq. 3.
     """
     side = sensor.size[0]
     xy = sensor.electrode_xy.at[5, 0].add(point["shift"])
@@ -156,8 +160,11 @@ def pipeline(
 def gradient_rows(
     count: int = 10_000, symmetric: int = 100, seed: int = 0
 ) -> list[dict[str, Any]]:
-    """Whether the pipeline's gradient is finite, and its largest difference from
-    differences, at random and at symmetric points. Needs float64 to be enabled."""
+    """Compares the pipeline's gradient with differences, at random and symmetric points.
+
+    Rows tell whether gradients are finite, and their largest difference. Needs float64 to
+    be enabled.
+    """
     sensor = small(np.float64)
     value = partial(pipeline, sensor, centroids(sensor.divisions, sensor.size))
     # One after another: `vmap` takes 1.5 times as long on the CPU, to compile too.
@@ -187,7 +194,10 @@ def gradient_rows(
 
 
 def _against_differences(plain: Any, points: dict, gradients: dict) -> dict[str, float]:
-    """Of each argument, beside its largest derivative; central, fourth order."""
+    """Returns each argument's largest difference, over its largest derivative.
+
+    Differences are central, of fourth order.
+    """
     worst = {}
     some = {k: v[: len(gradients["x"])] for k, v in points.items()}
     n = len(some["x"])

@@ -1,8 +1,8 @@
-"""SweptScenes for `tomojax stability`: one thing gets worse, everything else stays.
+"""Scenes for `tomojax stability`: one property gets worse, everything else stays.
 
-Voltages are a resistor network's (`_network`), with the errors of a rig; a reconstruction
-is told nominal values. What a value of a sweep makes of a scene uses the same draws at
-every value, so that a curve shows the value and not the draw.
+A resistor network (`tomojax.studies.network`) makes voltages, with the errors of a rig. A
+reconstruction is told nominal values. All values of a sweep use the same random draws. A
+curve therefore shows the value and not the draw.
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ class SweptScenes(NamedTuple):
     before: Float[np.ndarray, "n M M"] | None = None  # of another contact, until now
 
     def first(self, count: int | None) -> "SweptScenes":
-        """So many of them; None is all."""
+        """Returns so many of the scenes; None is all."""
         before = None if self.before is None else self.before[:count]
         return self._replace(volts=self.volts[:count], xy=self.xy[:count], before=before)
 
@@ -55,7 +55,7 @@ class Bench:
         self.radius = _RADIUS * self.side
 
     def rng(self) -> np.random.Generator:
-        """The same draws each time."""
+        """Returns a generator that gives the same draws each time."""
         return np.random.default_rng(self.seed)
 
     @cached_property
@@ -64,25 +64,25 @@ class Bench:
 
     @cached_property
     def places(self) -> Float[np.ndarray, "n 2"]:
-        """Anywhere but at the edge."""
+        """Places of the lone contacts, anywhere but at the edge, m."""
         margin = _MARGIN * self.side
         return self.rng().uniform(margin, self.size - margin, (self.count, 2))
 
     @cached_property
     def exact(self) -> tuple[np.ndarray, np.ndarray]:
-        """Voltages of the lone contacts before the converter, and where they are."""
+        """Voltages of the lone contacts before the converter, and their places."""
         made = [self.scene([self.disc(p)]) for p in self.places]
         volts, xy = zip(*made)
         return np.array(volts), np.array(xy)
 
     @cached_property
     def lone(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same as measured."""
+        """Voltages of the lone contacts as measured, and their places."""
         volts, xy = self.exact
         return self.measured(volts), xy
 
     def measured(self, volts: np.ndarray, rig: Network | None = None) -> np.ndarray:
-        """By the rig's converter, with the same noise each time."""
+        """Returns voltages read by the rig's converter, with the same noise each time."""
         rig = rig or self.rig
         rig.rng = np.random.default_rng([self.seed, 1])
         return rig.measure(volts)
@@ -94,7 +94,7 @@ class Bench:
         conductance: float = CONDUCTANCE,
         rig: Network | None = None,
     ) -> Contact:
-        """A contact of that total conductance, S; of what is off the sheet, nothing."""
+        """Returns a disc of that total conductance, S; parts off the sheet are left out."""
         rig = rig or self.rig
         inside = rig.disc(place, radius or self.radius)
         if not inside.any():
@@ -104,20 +104,20 @@ class Bench:
     def scene(
         self, contacts: list[Contact], rig: Network | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Exact voltages, and centres (C, 2)."""
+        """Returns exact voltages, and centres (C, 2)."""
         volts, truth = (rig or self.rig).scene(*contacts)
         return volts, np.array([xy for xy, _ in truth])
 
     def scenes(
         self, contacts: list[list[Contact]], rig: Network | None = None
     ) -> SweptScenes:
-        """As measured."""
+        """Returns scenes as measured."""
         volts, xy = zip(*(self.scene(some, rig) for some in contacts))
         return SweptScenes(self.measured(np.array(volts), rig), np.array(xy))
 
 
 class Sweep(NamedTuple):
-    """Values from harmless to hopeless, and what they make of the scenes."""
+    """Values from harmless to hopeless, and the scenes that they make."""
 
     title: str  # with the unit of the values
     values: tuple[float, ...]
@@ -131,7 +131,7 @@ def _conductance(bench: Bench, value: float) -> SweptScenes:
 
 
 def _size(bench: Bench, value: float) -> SweptScenes:
-    """Of the same conductance per area, within reason: ever larger metal."""
+    """Makes ever larger metal, of about the same conductance per area."""
     radius = value * 1e-3
     total = CONDUCTANCE * max(1.0, (radius / bench.radius) ** 2)
     found = bench.scenes([[bench.disc(p, radius, total)] for p in bench.places])
@@ -139,7 +139,7 @@ def _size(bench: Bench, value: float) -> SweptScenes:
 
 
 def _from_electrode(bench: Bench, value: float) -> SweptScenes:
-    """So many mm from an electrode's centre, any but those that are grounded first."""
+    """Puts contacts so many mm from an electrode's centre, but for those grounded first."""
     rng = bench.rng()
     inner = np.setdiff1d(np.arange(len(bench.electrodes)), bench.corners)
     chosen = rng.permutation(inner)[: bench.count]
@@ -150,7 +150,7 @@ def _from_electrode(bench: Bench, value: float) -> SweptScenes:
 
 
 def _from_ground(bench: Bench, value: float) -> SweptScenes:
-    """So many mm from the electrode that is grounded first, towards the middle."""
+    """Puts contacts so many mm from the electrode grounded first, towards the middle."""
     ground = bench.electrodes[bench.corners[0]]
     inwards = np.arctan2(*(bench.size / 2 - ground)[::-1])
     angles = inwards + np.linspace(-0.6, 0.6, bench.count)
@@ -159,21 +159,21 @@ def _from_ground(bench: Bench, value: float) -> SweptScenes:
 
 
 def _from_edge(bench: Bench, value: float) -> SweptScenes:
-    """So many mm from an edge; what of the disc is off the sheet is not there."""
+    """Puts contacts so many mm from an edge; any part off the sheet is left out."""
     along = bench.rng().uniform(0.2, 0.8, bench.count) * bench.size[1]
     places = [np.array([1e-3 * value, y]) for y in along]
     return bench.scenes([[bench.disc(p)] for p in places])
 
 
 def _from_corner(bench: Bench, value: float) -> SweptScenes:
-    """So many mm from both edges, in a corner that is not explored."""
+    """Puts contacts so many mm from both edges, in a corner that is not explored."""
     steps = np.linspace(0, 1e-3, bench.count)
     places = [np.array([1e-3 * value + s, bench.size[1] - 1e-3 * value]) for s in steps]
     return bench.scenes([[bench.disc(p)] for p in places])
 
 
 def _contacts(bench: Bench, value: float) -> SweptScenes:
-    """So many, an eighth of the side apart at least, of the same conductance."""
+    """Makes so many contacts, a seventh of the side apart or more, of one conductance."""
     rng, made = bench.rng(), []
     for _ in range(bench.count):
         places: list[np.ndarray] = []
@@ -186,7 +186,7 @@ def _contacts(bench: Bench, value: float) -> SweptScenes:
 
 
 def _apart(bench: Bench, value: float) -> SweptScenes:
-    """Two, so many mm apart; told apart where each is within a third of that."""
+    """Makes two contacts so many mm apart; both must be found within a third of that."""
     angles = bench.rng().uniform(0, np.pi, bench.count)
     half = 0.5e-3 * value * np.stack([np.cos(angles), np.sin(angles)], 1)
     radius = min(bench.radius / 2, 0.4e-3 * value)
@@ -201,7 +201,7 @@ def _uneven(bench: Bench, value: float) -> SweptScenes:
 
 
 def _tear(bench: Bench, value: float) -> SweptScenes:
-    """A slit of so many mm, from an edge inwards across the middle of the sheet."""
+    """Cuts a slit of so many mm, from an edge inwards across the middle of the sheet."""
     rig = Network(bench.sensor, bench.rng())
     x, y = rig.cells.T
     width = 1.5 * bench.size[0] / rig.shape[0]
@@ -210,7 +210,7 @@ def _tear(bench: Bench, value: float) -> SweptScenes:
 
 
 def _motion(bench: Bench, value: float) -> SweptScenes:
-    """At so many m/s while a scan of all grounds goes on at 10 kHz."""
+    """Moves contacts at so many m/s while a scan of all grounds goes on at 10 kHz."""
     slots, lasting = np.array([0, 1, 2, 4, 8, 16, 32, 64]), 1e-4
     made, xy = [], []
     order = _scan_order(bench)
@@ -231,13 +231,13 @@ def _motion(bench: Bench, value: float) -> SweptScenes:
 
 
 def _scan_order(bench: Bench) -> np.ndarray:
-    """Grounds in the order of their slots: the corners, then the others."""
+    """Returns grounds in the order of their slots: the corners, then the others."""
     every = np.arange(len(bench.electrodes))
     return np.concatenate([bench.corners, np.setdiff1d(every, bench.corners)])
 
 
 def _jump(bench: Bench, value: float) -> SweptScenes:
-    """What followed a contact finds it so many mm from where it was."""
+    """Moves a followed contact by so many mm at once."""
     volts, xy = bench.lone
     angle = bench.rng().uniform(0, 2 * np.pi, bench.count)
     away = 1e-3 * value * np.stack([np.cos(angle), np.sin(angle)], 1)

@@ -1,6 +1,6 @@
-"""What `tomojax stability` shows of assumptions and starts: ρ of J(ρ), and optimisers' λ.
+"""Studies assumptions and starts for `tomojax stability`: ρ of J(ρ), and optimisers' λ.
 
-On a small sensor; voltages are a resistor network's.
+The sensor is small, and a resistor network makes the voltages.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ _SLOTS = 3
 
 
 def resistance_rows(dtype: Any = np.float32, seed: int = 0) -> list[dict[str, Any]]:
-    """How far off Eq. 3 with J(ρ) finds contacts, of every ρ that it may be told."""
+    """Returns how far off Eq. 3 with J(ρ) finds contacts, for every ρ it may be told."""
     sensor, rng = small(dtype), np.random.default_rng(seed)
     rig = Network(sensor, rng)
     places = rng.uniform(0.02, 0.06, (_CONTACTS, 2))
@@ -59,14 +59,14 @@ def resistance_rows(dtype: Any = np.float32, seed: int = 0) -> list[dict[str, An
 
 
 def _away(images: np.ndarray, centres: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """From the middle of what is above half of an image's highest, m."""
+    """Returns how far the middle above half an image's highest is from the truth, m."""
     part = np.maximum(images - 0.5 * images.max(1, keepdims=True), 0)
     middle = (part @ centres) / part.sum(1, keepdims=True)
     return np.hypot(*(middle - truth).T)
 
 
 def start_rows(starts: tuple[float, ...] = STARTS, seed: int = 0) -> list[dict[str, Any]]:
-    """What optimisers end at in float32, from whatever λ they start: beside the best.
+    """Returns where optimisers end in float32 from each starting λ, beside the best end.
 
     `tune` finds λ of every slot, `descend_sets` three slots and λ.
     """

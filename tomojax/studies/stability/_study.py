@@ -1,8 +1,8 @@
-"""`tomojax stability`: where each method fails, and what it says then.
+"""`tomojax stability`: finds where each method fails, and what the method says then.
 
-A sweep goes from harmless to hopeless (`_stability_scenes`, `_stability_faults`). A
-method's limit is the last value up to which four scenes in five are right; beyond it, a
-place that is far off has to come with a flag.
+A sweep goes from harmless to hopeless (`_scenes`, `_faults`). A method's limit is the last
+value up to which four scenes in five are right. Beyond the limit, a place that is far off
+must have a flag.
 """
 
 import json
@@ -63,9 +63,9 @@ class Trial:
         self._models: dict[tuple[str, Any], AbstractMethod] = {}
 
     def found(self, name: str, scenes: SweptScenes, dtype: Any = np.float32) -> Rows:
-        """Rows of a method; `linear` has every ground, the others two.
+        """Returns rows of a method; `linear` has every ground, the others two.
 
-        In float64 where that is enabled: `jax.enable_x64`.
+        The rows are in float64 only if `dtype` is and `jax.enable_x64` enables float64.
         """
         if name == "follow":
             return self._followed(scenes)
@@ -95,7 +95,7 @@ class Trial:
         return make_step(self.bench.sensor, contacts=CONTACTS)
 
     def _followed(self, scenes: SweptScenes) -> Rows:
-        """After so many slots, each grounded as the step asks."""
+        """Returns rows after so many slots, each grounded as the step asks."""
         outs = []
         for k, volts in enumerate(scenes.volts):
             state, ground, out = self.step.state, 0, None
@@ -111,9 +111,9 @@ class Trial:
 def trial_row(
     trial: Trial, method: str, scenes: SweptScenes, both: bool = True
 ) -> dict[str, Any]:
-    """How right, how far off and how doubted a method is on scenes of one value.
+    """Returns how right, how far off and how doubted a method is on scenes of one value.
 
-    With `both` in float64 too, where a method has a part in that.
+    If `both`, methods that take part in float64 are run in float64, too.
     """
     some = scenes.first(_FEW.get(method))
     try:
@@ -149,7 +149,7 @@ def trial_row(
 
 
 def _beside_float64(rows: Rows, wide: Rows) -> dict[str, Any]:
-    """How far apart places of float32 and float64 are, where neither is doubted."""
+    """Returns how far apart places of float32 and float64 are, where neither is doubted."""
     sound = ((rows.flags | wide.flags) & DOUBT) == 0
     same = rows.contact_count == wide.contact_count
     away = np.hypot(*np.moveaxis(rows.contact_xy - wide.contact_xy, -1, 0))
@@ -161,7 +161,7 @@ def _beside_float64(rows: Rows, wide: Rows) -> dict[str, Any]:
 
 
 def _not_numbers(rows: Rows) -> np.ndarray:
-    """Which rows say something that is no number."""
+    """Returns which rows have a value that is no number."""
     there = np.arange(rows.contact_xy.shape[1]) < rows.contact_count[:, None]
     places = np.isfinite(rows.contact_xy).all(2) & np.isfinite(rows.contact_current)
     bad = (there & ~places).any(1) | ~np.isfinite(rows.residual)
@@ -171,7 +171,7 @@ def _not_numbers(rows: Rows) -> np.ndarray:
 
 
 def sweep_rows(trial: Trial, name: str, methods: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Of one sweep: a row for each value and method."""
+    """Returns a row for each value and method of one sweep."""
     sweep, rows = SWEEPS[name], []
     for value in sweep.values:
         scenes = sweep.make(trial.bench, value)
@@ -183,17 +183,17 @@ def sweep_rows(trial: Trial, name: str, methods: tuple[str, ...]) -> list[dict[s
 
 
 def takes_part(sweep: Sweep, method: str, scenes: SweptScenes) -> bool:
-    """A step is made for one sensor, and has no scans."""
+    """Tells whether a method takes part: a step has one sensor, and no scans."""
     if sweep.only and method not in sweep.only:
         return False
     return method != "follow" or (sweep.follows and scenes.told is None)
 
 
 def right(row: dict[str, Any]) -> float:
-    """The part of the scenes of one value in which a method is right.
+    """Returns the part of the scenes of one value in which a method is right.
 
-    An image of Eq. 3 with J(0) blurs a place and tells an electrode near it: `linear` is
-    right where nine in ten are within one and a half pitches.
+    An image of Eq. 3 with J(0) blurs a place, and shows an electrode near the place.
+    `linear` is right where nine in ten are within one and a half pitches.
     """
     if row["raised"] is not None:
         return 0.0
@@ -204,12 +204,12 @@ def right(row: dict[str, Any]) -> float:
 
 
 def holds(row: dict[str, Any]) -> bool:
-    """Whether that is enough; of whole scenes, rounding apart."""
+    """Tells whether enough scenes are right, rounding apart."""
     return right(row) >= HOLDS - 1e-9
 
 
 def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each sweep and method: the limit, and what the user gets beyond it."""
+    """Returns the limit of each sweep and method, and what the user gets beyond it."""
     found = []
     for name, method in dict.fromkeys((r["sweep"], r["method"]) for r in rows):
         some = [r for r in rows if (r["sweep"], r["method"]) == (name, method)]
@@ -246,7 +246,7 @@ SLOW_TESTS = ("contacts", "conductance_low", "gain")
 
 
 def _test(sweep: str, method: str) -> str | None:
-    """What fails when the limit moves in, or what is said beyond is not so."""
+    """Returns the test that fails when the limit moves in, or the flags beyond change."""
     if method in _FEW and sweep not in SLOW_TESTS:
         return None
     tested = "source" if method == "positive" else method
@@ -276,7 +276,7 @@ def run(
     seed: int = 0,
     progress: Callable[[str], Any] = lambda done: None,
 ) -> list[dict[str, Any]]:
-    """Rows of all sweeps; what `folder` has of the same run already is not done again."""
+    """Returns rows of all sweeps; sweeps that `folder` has already are not repeated."""
     count = scenes or (QUICK_SCENES if quick else SCENES)
     folder.mkdir(parents=True, exist_ok=True)
     told = {"scenes": count, "seed": seed, "quick": quick, "sensor": identity(sensor)}
@@ -292,7 +292,7 @@ def run(
 
 
 def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
-    """Of solvers, gradients, ρ and optimisers' starts; kept in `folder` as the rows are."""
+    """Returns rows on solvers, gradients, ρ and optimisers' starts, kept in `folder`."""
 
     def made() -> dict[str, Any]:
         starts = STARTS[::3] if quick else STARTS
@@ -310,7 +310,7 @@ def numbers(folder: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def _kept(path: Path, make: Callable[[], Any]) -> Any:
-    """What is in the file; if there is none, it is made."""
+    """Reads the file, or makes it if there is none."""
     if path.exists():
         return json.loads(path.read_text())
     new = make()

@@ -1,4 +1,4 @@
-"""What `tomojax stability` prints and draws."""
+"""Prints and draws the results of `tomojax stability`."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ _WIDE, _FAR_AWAY = 5, 300.0  # panels in a line; mm where something lost is draw
 
 
 def text(limits: list[dict[str, Any]]) -> str:
-    """A line for each sweep and method."""
+    """Returns a line for each sweep and method."""
     lines = [f"{'sweep':34s} {'method':12s} {'holds to':>9s} of {'':9s} beyond"]
     for row in limits:
         limit = "-" if row["limit"] is None else f"{row['limit']:g}"
@@ -27,7 +27,7 @@ def text(limits: list[dict[str, Any]]) -> str:
 
 
 def flagged(limits: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of places that are far off, over all sweeps, the part that is flagged."""
+    """Returns the part of far-off places that is flagged, over all sweeps."""
     found = {}
     for method in dict.fromkeys(row["method"] for row in limits):
         some = [row for row in limits if row["method"] == method]
@@ -45,7 +45,7 @@ def flagged(limits: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def flagged_text(flagged: dict[str, Any]) -> str:
-    """A line for each method."""
+    """Returns a line for each method."""
     lines = []
     for method, row in flagged.items():
         part = "none" if row["flagged"] is None else f"{100 * row['flagged']:.0f} %"
@@ -60,13 +60,13 @@ def flagged_text(flagged: dict[str, Any]) -> str:
 
 
 def _both(limits: list[dict[str, Any]]) -> list[float]:
-    """Of sweeps that were run in float32 and float64 how far apart they are, mm."""
+    """Returns how far apart float32 and float64 are, mm, of sweeps run in both."""
     values = [row["dtypes_apart_mm"] for row in limits]
     return [value for value in values if value is not None]
 
 
 def numbers_text(numbers: dict[str, Any]) -> str:
-    """Of solvers and gradients."""
+    """Returns lines on solvers, gradients, ρ and optimisers' starts."""
     lines = []
     for solver in dict.fromkeys(row["solver"] for row in numbers["solvers"]):
         errors = [r["error"] for r in numbers["solvers"] if r["solver"] == solver]
@@ -102,7 +102,7 @@ def numbers_text(numbers: dict[str, Any]) -> str:
 
 
 def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
-    """Solvers, gradients, float32 beside float64, told ρ, optimisers' starts."""
+    """Draws solvers, gradients, float32 beside float64, told ρ, optimisers' starts."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 8.5), layout="constrained")
@@ -145,9 +145,9 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
 def _along(
     axes: Any, rows: list[dict[str, Any]], line: str, x: str, y: str, named: bool = False
 ) -> None:
-    """A line for each value of one key; what there is no number of leaves a gap.
+    """Draws a line for each value of one key; missing numbers leave gaps.
 
-    `named`: the values of x one after another, whatever they are.
+    If `named`, the values of x stand one after another, at equal distances.
     """
     for name in dict.fromkeys(row[line] for row in rows):
         mine = [row for row in rows if row[line] == name and row[x] is not None]
@@ -157,7 +157,7 @@ def _along(
 
 
 def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
-    """A panel for each sweep: place error of nine in ten, limits, and what is unflagged."""
+    """Draws a panel for each sweep: place error of nine in ten, limits, no-flag errors."""
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(row["sweep"] for row in rows))

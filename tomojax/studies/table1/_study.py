@@ -1,14 +1,17 @@
-"""`tomojax table1`: the paper's Table I as predictions, from one number of its own.
+"""`tomojax table1`: predicts the paper's Table I from a single number of its own.
 
-Protocol. J(0) of the paper's sensor on its 4 mm mesh. A contact is one element; its
-voltages are its column of J. One λ for all patterns, by the single condition that *All*
-has the paper's width, half the width at half the maximum (mean of ±x, ±y). The other
-eight widths are then predictions. Contacts are a fixed low-discrepancy set over the
-sheet, of which the table takes those two pitches and more from its edge; each contact has
-random patterns of its own. What depends on these choices is swept and drawn.
+Protocol. J(0) is of the paper's sensor on its 4 mm mesh. A contact is one element; its
+voltages are its column of J. One λ serves all patterns: with this λ, *All* has the paper's
+width. The width is half the width at half the maximum (mean of ±x, ±y). The other eight
+widths are then predictions.
 
-Beyond the paper: the error of each contact's place, and both again on voltages of a 10 mm
-disc from the exact contact model on a finer mesh, as a 16-bit converter reads them.
+Contacts are a fixed low-discrepancy set over the sheet. The table takes only contacts two
+pitches or more from the sheet's edge. Each contact has random patterns of its own. The
+study sweeps and draws the effects of these choices.
+
+The study goes beyond the paper in two ways. It gives the error of each contact's place. It
+also repeats both on voltages of a 10 mm disc from the exact contact model, on a finer mesh.
+A 16-bit converter reads these voltages.
 """
 
 from collections.abc import Callable
@@ -80,7 +83,7 @@ class Study(NamedTuple):
 
 
 def run(contacts: int = 100, progress: Callable[[str], None] = lambda text: None) -> Study:
-    """The whole protocol; `contacts` over the sheet, `progress` is told each step."""
+    """Runs the protocol with `contacts` over the sheet; `progress` is told each step."""
     sensor = Sensor.grid(divisions=_COARSE)
     progress("Jacobian")
     jac = jacobian(sensor)
@@ -122,7 +125,7 @@ def run(contacts: int = 100, progress: Callable[[str], None] = lambda text: None
 
 
 def _contact_elements(middles: np.ndarray, size: np.ndarray, count: int) -> np.ndarray:
-    """Elements nearest to a low-discrepancy set (R₂) over the sheet, 10 mm off its edge."""
+    """Returns elements nearest to a low-discrepancy set (R₂), 10 mm off the edge."""
     g = 1.32471795724474602596  # the root of x³ = x + 1
     unit = (0.5 + np.outer(np.arange(count), [1 / g, 1 / g**2])) % 1
     wanted = MARGINS[0] + unit * (size - 2 * MARGINS[0])
@@ -159,7 +162,9 @@ class _Problem(NamedTuple):
     def measure(
         self, grounds: np.ndarray, volts: Float[Array, "P L M"], lams: Float[Array, " G"]
     ) -> Measured:
-        """Images of all contacts for each λ. Sums of blocks first: one trace for all."""
+        """Measures all contacts' images for each λ. Sums of blocks first: one trace for
+        all.
+        """
         return _figures(
             *_sums(self.reduced, self._slots(grounds), volts),
             self.reduced.basis,
@@ -169,7 +174,7 @@ class _Problem(NamedTuple):
         )
 
     def image(self, grounds: np.ndarray, volts: Array, lam: Array, i: int) -> np.ndarray:
-        """Image (nx, ny) of contact i."""
+        """Returns the image (nx, ny) of contact i."""
         slots = self._slots(grounds)[i : i + 1]
         grams, rights = _sums(self.reduced, slots, volts[i : i + 1])
         return np.asarray(_image(grams[0], rights[0], self.reduced.basis, lam))
@@ -181,7 +186,7 @@ class _Problem(NamedTuple):
 
 @jax.jit
 def _sums(reduced: ReducedSlots, slots: Array, volts: Array):
-    """Σ A_lᵀA_l and Σ A_lᵀv_l over each contact's slots."""
+    """Returns Σ A_lᵀA_l and Σ A_lᵀv_l over each contact's slots."""
 
     def one(chosen_and_voltages: tuple[Array, Array]) -> tuple[Array, Array]:
         chosen, v = chosen_and_voltages
@@ -213,7 +218,7 @@ def _image(gram, right, basis, lam) -> Float[Array, "nx ny"]:
 
 
 def _calibrated(inner: _Problem, grounds: np.ndarray, volts: Array) -> float:
-    """λ at which *All* has the paper's mean width."""
+    """Finds the λ at which *All* has the paper's mean width."""
     strongest = jnp.linalg.eigvalsh(inner.reduced.grams.sum(0))[-1]
     low, high = -5.0, -1.0  # log10 of λ/σ₁²
     for _ in range(4):

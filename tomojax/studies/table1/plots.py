@@ -1,4 +1,4 @@
-"""Pictures of Table I: widths and speed beside the paper's, what they depend on, images."""
+"""Draws Table I: widths and speed beside the paper's, what they depend on, images."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +11,7 @@ _LABELS = [name.replace("_", " ") for name in PAPER]
 
 
 def table(study: Study) -> Figure:
-    """Widths, place errors and Fig. 4's weighted score."""
+    """Draws widths, place errors and Fig. 4's weighted score."""
     figure = Figure(figsize=(15, 9), layout="constrained")
     (widths, places), (trade, scores) = figure.subplots(2, 2)
     found = rows(study)
@@ -60,7 +60,7 @@ def _scores(axes: Axes, column) -> None:
 
 
 def dependence(study: Study) -> Figure:
-    """How the two figures of agreement move over λ, contact position and definition."""
+    """Draws the two figures of agreement over λ, contact position and definition."""
     figure = Figure(figsize=(15, 8), layout="constrained")
     grid = figure.subplots(2, 2, sharey="row")
     found = sensitivity(study)
@@ -88,7 +88,7 @@ def dependence(study: Study) -> Figure:
 
 
 def images(study: Study) -> Figure:
-    """One contact under every pattern, with the grounds (the paper's Fig. 3)."""
+    """Draws one contact under every pattern, with the grounds (the paper's Fig. 3)."""
     from tomojax.sensor import Sensor
 
     figure = Figure(figsize=(12, 11), layout="constrained")

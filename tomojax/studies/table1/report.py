@@ -1,4 +1,4 @@
-"""Table I beside the paper's numbers: rows, summary and sensitivity of a `Study`."""
+"""Sets Table I beside the paper's numbers: rows, summary and sensitivity of a `Study`."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ _ADAPTIVE = ("around", "cop_line", "point")
 
 
 def rows(study: Study) -> list[dict[str, Any]]:
-    """One per pattern, units in the keys. Spreads are standard deviations over contacts."""
+    """Returns a row per pattern, units in the keys; spreads are standard deviations."""
     inside = study.inside
     width_of_all = _mm(study.own["all"].half_width)[inside, -1].mean()
     table = []
@@ -44,7 +44,7 @@ def rows(study: Study) -> list[dict[str, Any]]:
 
 
 def summary(study: Study) -> dict[str, Any]:
-    """The two figures that say how well Table I is predicted, and what was averaged."""
+    """Returns the two figures of how well Table I is predicted, and what was averaged."""
     rank, error = agreement(study.own, study.inside, -1)
     dt = {r["pattern"]: (r["dt_ms"], r["paper_dt_ms"]) for r in rows(study)}
     return {
@@ -64,8 +64,11 @@ def summary(study: Study) -> dict[str, Any]:
 def agreement(
     own: dict[str, Measured], inside: np.ndarray, at: int, figure: str = "half_width"
 ) -> tuple[float, float]:
-    """Spearman's rank correlation of the nine widths, rms relative error of the eight
-    ratios to *All*, both against the paper's."""
+    """Returns the rank correlation of the widths, and the rms error of their ratios.
+
+    The correlation is Spearman's, of the nine widths. The error is relative, of the eight
+    ratios to *All*. Both are against the paper's widths.
+    """
     mean = {name: getattr(own[name], figure)[inside, at].mean() for name in PAPER}
     ours = np.array([float(mean[name] / mean["all"]) for name in PAPER])
     paper = np.array([width / PAPER["all"][0] for width, _ in PAPER.values()])
@@ -76,7 +79,7 @@ def agreement(
 
 
 def sensitivity(study: Study) -> list[dict[str, Any]]:
-    """`agreement` for every margin from the edge, λ and definition of width."""
+    """Returns `agreement` for every margin from the edge, λ and definition of width."""
     size = study.size
     found = []
     for margin in MARGINS:
@@ -101,17 +104,17 @@ def sensitivity(study: Study) -> list[dict[str, Any]]:
 
 
 def score(dt: np.ndarray, width: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Fig. 4's weighted score, (weights, patterns): w·width_min/width + (1 − w)·Δt_min/Δt.
+    """Returns Fig. 4's weighted score (weights, patterns).
 
-    1 is the best in everything that the weight counts. The paper gives the figure, not
-    its formula; this is our reading.
+    The score is w·width_min/width + (1 − w)·Δt_min/Δt. 1 is the best in everything that the
+    weight counts. The paper gives the figure, not its formula; this is our reading.
     """
     w = weight[:, None]
     return w * width.min() / width + (1 - w) * dt.min() / dt
 
 
 def text(study: Study) -> str:
-    """The table as it is printed."""
+    """Returns the table as it is printed."""
     lines = [
         "              slots   dt, ms  | width, mm  ratio | the paper's   ratio   dt "
         "| place, mm | exact: width  place",
