@@ -14,7 +14,7 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:
-    """**Raises:** `ValueError` for discs that overlap or leave the sheet."""
+    """Refuses discs that overlap or leave the sheet. **Raises:** `ValueError`."""
     import numpy as np  # help and versions are told without
 
     xy, size, diameter = (
