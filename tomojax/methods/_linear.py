@@ -103,8 +103,7 @@ class Linear(AbstractMethod):
         noise: float = 0.0,
         polarity: float = 1.0,
     ) -> "Linear":
-        """Makes the method of any J (L, M, pixels); `noise` in V; the drive's
-        `polarity`."""
+        """Makes the method of any J (L, M, pixels); `noise`, V; `polarity` of the drive."""
         rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.

@@ -121,8 +121,7 @@ class AbstractSource(AbstractMethod):
         noise: float = 0.0,
         polarity: float = 1.0,
     ) -> _S:
-        """Makes the method of any T^l; the image is smooth over `length` pixels; `noise`,
-        V.
+        """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
         `polarity` is the drive's: currents flow out of the object for 1, into the object
         for −1.

@@ -1,5 +1,4 @@
-"""Climbs the ladder with many frames; fits a larger model only where a frame asks for
-one."""
+"""Climbs the ladder with many frames; fits larger models only to frames that need them."""
 
 from typing import Any, NamedTuple
 

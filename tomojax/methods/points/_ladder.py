@@ -1,5 +1,4 @@
-"""Climbs the steps of `points`: one disc; then more discs, a bar or a ring, if these
-gain."""
+"""Climbs the steps of `points`: one disc; more discs, a bar or a ring, if these gain."""
 
 from collections.abc import Callable
 from functools import partial
