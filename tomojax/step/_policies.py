@@ -187,7 +187,7 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
 
 
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
-    """Tables by place the grounds of *Around* for a small contact."""
+    """Makes a table by place: *Around*'s grounds for a small contact."""
     grid = cell_centres((_PLACES, _PLACES))
     places = jnp.asarray(grid * np.asarray(sensor.size), sensor.dtype)
 

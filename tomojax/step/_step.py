@@ -29,11 +29,12 @@ _BLOCK = 4096
 class Step:
     """A method and a policy as one compiled function of a state and a slot.
 
-    `state` is the first state: two arrays, to be saved and restored unchanged. `step(state,
-    voltages, ground)` gives the state after that slot and an `Output` in NumPy's arrays.
-    The input is converted and checked for its shape. Nothing else in the input can raise or
-    compile anew: flags tell of wrong input. `replay` runs recorded slots in one compiled
-    loop. `image(state)` gives the image after a slot, on request. `make_step` makes a step.
+    `state` is the first state: two arrays, to be saved and restored unchanged.
+    `step(state, voltages, ground)` gives the state after that slot and an `Output` in
+    NumPy's arrays. The input is converted and checked for its shape. Nothing else in the
+    input can raise or compile anew: flags tell of wrong input. `replay` runs recorded slots
+    in one compiled loop. `image(state)` gives the image after a slot, on request.
+    `make_step` makes a step.
 
     **Example:**
 
