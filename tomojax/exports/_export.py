@@ -39,8 +39,7 @@ KINDS = {
 
 
 def ending(kind: str) -> str:
-    """Returns the ending of a kind's file, "" for a folder; films without ffmpeg are
-    GIFs."""
+    """Returns a file ending of a kind, "" for a folder; films without ffmpeg are GIFs."""
     if kind == "film":
         return ".mp4" if shutil.which("ffmpeg") else ".gif"
     return KINDS[kind].endings[0] if KINDS[kind].endings else ""
