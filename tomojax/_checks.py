@@ -1,4 +1,4 @@
-"""Host-side checks: a `ValueError` names the argument, what came, what was expected.
+"""Checks on the host: a `ValueError` names the argument, the value and the expectation.
 
 Values under a trace (jit, grad, vmap) are unknown and pass. Shapes are always checked.
 """

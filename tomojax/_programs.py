@@ -40,7 +40,7 @@ class Kept:
     A key names a program: the function's name, the package's source and the arguments. The
     key holds the arguments' structure, the arrays' shapes and types, and all other values.
     A program that cannot be kept is compiled all the same. Compilers run beside the caller:
-    several programs that `begin` are compiled side by side.
+    `begin` lets several programs compile side by side.
     """
 
     def __init__(self, function: Callable):
@@ -89,7 +89,7 @@ class Kept:
 
 
 def _trace_context() -> Any:
-    """Returns what JAX is tracing; from 0.11 on only JAX's own modules name this."""
+    """Returns JAX's trace context; from 0.11 on only JAX's own modules name the context."""
     if hasattr(jax.core, "trace_ctx"):
         return jax.core.trace_ctx
     return importlib.import_module("jax._src.core").trace_ctx

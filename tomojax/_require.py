@@ -1,4 +1,4 @@
-"""Checks without JAX: a `ValueError` names the argument, what came, what was expected."""
+"""Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
 from typing import Any
 

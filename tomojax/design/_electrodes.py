@@ -79,8 +79,8 @@ def design_electrodes(
     the sheet but 1/16 at its edges. `lam` is λ of the images, the same for all electrodes'
     places. The default is 1e-5 of the largest eigenvalue of JᵀJ. `grid` is the number of
     cells along a side. `contact_resistance` is ρ, Ω, that of a square of the sheet by
-    default. `starts` counts searches: the first begins at the sensor's own places, the
-    others beside these (a symmetric start ends symmetric).
+    default. `starts` counts searches: the first begins at the sensor's own places, further
+    searches beside these (a symmetric start ends symmetric).
     **Raises:** `ValueError` for a sheet with a value per element, and wrong arguments.
 
     **Example:**

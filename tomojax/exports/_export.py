@@ -12,7 +12,7 @@ from tomojax.exports._source import Progress, Source
 
 
 class Kind(NamedTuple):
-    """A format: its files' endings, the module that writes it, the library needed.
+    """A format: the endings of files, the writing module, and the library needed.
 
     **Example:**
 

@@ -20,8 +20,8 @@ _RATIO, _SLACK = 200, 1 << 24
 def read_npz(
     path: Path | str, what: str, needed: Iterable[str], more: Iterable[str] | None = ()
 ) -> dict[str, np.ndarray]:
-    """Reads arrays of numbers by name: all that are `needed`, and those of `more` that the
-    file has (None: every array).
+    """Reads arrays of numbers by name: all that are `needed`, and `more` if the file has
+    them (None: every array).
 
     **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 

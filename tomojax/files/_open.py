@@ -273,7 +273,7 @@ def memory() -> int:
 
 
 class _Readers:
-    """The process that forks for each file; it begins with the first file."""
+    """The process that forks for each file; begun with the first file."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -27,7 +27,7 @@ _KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.
 
 
 def main() -> None:
-    """Forks for each file that comes through standard input, a socket, until it closes."""
+    """Forks for each file that comes through standard input, until this socket closes."""
     # Ctrl-C is for the process that asks; forks that have ended are nobody's.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)

@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """One scan, or one slot of it, as measured (NumPy).
+    """One scan, or one slot of a scan, as measured (NumPy).
 
     **Example:**
 

@@ -219,8 +219,8 @@ def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
 def bends_and_slopes(
     xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
 ) -> Float[np.ndarray, "3 M M"]:
-    """Makes matrices from voltages to each voltage's distance from the plane through its
-    neighbours', and to the plane's slopes along x and y, per pitch."""
+    """Makes matrices from voltages to each one's distance from its neighbours' plane, and
+    to the plane's slopes along x and y, per pitch."""
     apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
     pitch = np.median(apart.min(1))
     matrices = np.zeros((3, *apart.shape))

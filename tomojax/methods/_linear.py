@@ -103,7 +103,7 @@ class Linear(AbstractMethod):
         noise: float = 0.0,
         polarity: float = 1.0,
     ) -> "Linear":
-        """Makes the method of any J (L, M, pixels); `noise`, V; `polarity` of the drive."""
+        """Makes the method of any J (L, M, pixels); `noise` V; `polarity` of the drive."""
         rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
@@ -133,7 +133,7 @@ class Linear(AbstractMethod):
         return float(np.linalg.norm(rows.reshape(-1, rows.shape[-1]), 2) ** 2)
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns Table I's λ for any frames: it makes *All* as wide as the paper's.
+        """Returns Table I's λ for any frames: this λ makes *All* as wide as the paper's.
 
         `tomojax.reconstruct`'s own rule goes decades lower, for the least error of the
         image. Such an image has a peak at every electrode: contacts cannot be read off the

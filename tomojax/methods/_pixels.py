@@ -29,7 +29,7 @@ class Pixels(NamedTuple):
 
 
 def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
-    """Makes pixels of `shape`; refines the mesh until `cells` are no wider than a disc."""
+    """Makes pixels of `shape`; `cells` cells of the mesh are no wider than an electrode."""
     divisions = pixel_divisions(sensor, shape, cells)
     # A sheet with a value per element keeps the mesh that they are given on.
     if sensor.sheet_resistance.ndim:
@@ -44,7 +44,7 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
 def pixel_divisions(
     sensor: Sensor, shape: tuple[int, int], cells: int = 1
 ) -> tuple[int, int]:
-    """Finds a mesh that divides pixels; `cells` of it are no wider than an electrode."""
+    """Finds a mesh that divides pixels; `cells` cells are no wider than an electrode."""
     size = np.asarray(sensor.size, float)
     widest = float(sensor.electrode_diameter) / cells * (1 + 1e-5)
     finer = np.ceil(size / np.array(shape) / widest).astype(int)

@@ -38,9 +38,9 @@ _MOST_ELECTRODES, _MOST_SLOTS = 4096, 1 << 16
 class Hdf5Recording(Recording):
     """A file of the form "Recording, version 1".
 
-    A writer may still have the file open in HDF5's SWMR mode, or a crash may have left it
-    so. The recording then has the whole scans present at the opening. MATLAB's files have
-    no attributes, but variables of the same names. Every array of MATLAB has its axes in
+    A writer may still have the file open in HDF5's SWMR mode, or may have crashed. The
+    recording then has the whole scans present at the opening. MATLAB's files have no
+    attributes, but variables of the same names. Every array of MATLAB has its axes in
     MATLAB's order.
     """
 
@@ -133,7 +133,7 @@ class Hdf5Recording(Recording):
         return told
 
     def _believe(self) -> None:
-        """Keeps a clock's credible times; makes the others from the scans' numbers."""
+        """Keeps a clock's credible times; makes other times from the scans' numbers."""
         rows = self.rows_after_gaps()
         lost = np.zeros(self.scans + 1, np.int64)
         np.add.at(lost, np.minimum(rows, self.scans), self.gaps[:, 1])
@@ -264,8 +264,7 @@ def _open(path: Path) -> OpenContainer:
 
 
 def _is_hdf5(raw: Any) -> bool:
-    """Finds HDF5's signature at the start or behind a user's block (512 bytes in
-    MATLAB)."""
+    """Finds HDF5's signature at the start or behind a user's block (MATLAB's has 512 B)."""
     at = 0
     while len(start := raw.read(8)) == 8:
         if start == b"\x89HDF\r\n\x1a\n":

@@ -14,8 +14,8 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
     has the names of recording version 1's attributes, and `rows`, `columns`, `pitch`,
     `slots`.
 
-    **Arguments:** `options` are those of `TdmsRecording` for .tdms files. Other files have
-    the option `header`: fields by name that replace the file's.
+    **Arguments:** `options` are `TdmsRecording`'s for .tdms files. Other files have the
+    option `header`: fields by name that replace the file's.
     **Raises:** `ValueError`, one line with the file, the field, the value found and the
     value expected; also for a file that cannot be opened.
 

@@ -140,7 +140,7 @@ class ResultsFile:
         return self.partial.with_name(self.partial.name + ".state")
 
     def keep(self, **arrays: Any) -> None:
-        """Puts arrays beside the rows, in place of earlier ones: at once or not at all."""
+        """Puts arrays beside the rows, replacing earlier arrays: at once or not at all."""
         new = self._state.with_name(self._state.name + ".new")
         try:
             with open(new, "wb") as file:
@@ -153,7 +153,7 @@ class ResultsFile:
             raise
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Reads the arrays that `keep` put there last; nothing where none were put."""
+        """Reads the arrays that `keep` put there last, if any."""
         if not self._state.exists():
             return {}
         try:

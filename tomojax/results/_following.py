@@ -91,7 +91,7 @@ def require_alone(share: tuple[int, int]) -> None:
 
 
 def checked(file: ResultsFile, now: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Reads the state that `file` kept; checks it against a run's first state, `now`.
+    """Reads the state that `file` kept; compares the state with a run's first, `now`.
 
     **Raises:** `ValueError` for a state of another kind of run.
     """

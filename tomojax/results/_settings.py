@@ -181,8 +181,7 @@ def choose_lambda(
     settings: Settings,
     calibration: Calibration,
 ) -> float:
-    """Returns λ of the settings, or the method's choice from the first stretch of
-    contact."""
+    """Returns the settings' λ, or the method's choice from the first contact."""
     if settings.lam is not None:
         return settings.lam
     size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are

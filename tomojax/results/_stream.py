@@ -232,7 +232,7 @@ def _wait_for(path: Path, seconds: float = 600.0) -> None:
 
 
 def _work(recording, settings, calibration, solve, file, writer, todo, progress) -> None:
-    """Does chunks `todo`: reads one and writes one while it computes another.
+    """Does chunks `todo`: reads a chunk and writes a chunk while computing a third.
 
     `solve` gives a chunk's rows, and a state to keep once the rows are marked.
     """

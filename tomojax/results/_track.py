@@ -80,7 +80,7 @@ def track(
 
     **Arguments:** `rows` of `points` or `auto` (their contacts come with covariances);
     `drive_voltage` V; `sheet_resistance` Ω/sq; `smooth`: later rows count as well as
-    earlier ones; `hold`: rows that a present contact may be missing from (a feeble contact
+    earlier rows; `hold`: rows that a present contact may be missing from (a feeble contact
     is not seen under every ground). `least`: rows that have to show a contact (fewer rows
     show a ghost). `drift`: standard deviations per row of place (m) and ln g, the likeliest
     by default; `pitch` of the electrodes, m.

@@ -63,7 +63,7 @@ def join(
 
 
 def leave(share: tuple[int, int], out: Path) -> None:
-    """Leaves, process 0 last: JAX aborts a process that finds process 0 gone."""
+    """Leaves the group, process 0 last: JAX aborts a process that finds process 0 gone."""
     import jax
 
     if not jax.distributed.is_initialized():  # alone, or nothing was left to do

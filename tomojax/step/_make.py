@@ -33,7 +33,7 @@ def make_step(
     """Makes a compiled step: from one slot after another to contacts and the next ground.
 
     **Arguments:** `method` is "follow" or one of `tomojax.method`. "follow" carries a few
-    contacts on from slot to slot; the others see each slot alone. `policy` is a name, or
+    contacts on from slot to slot; other methods see each slot alone. `policy` is a name, or
     several to `switch` between. The patterns "around", "cop_line" and "point" begin with
     two corner slots each. "around_contacts" is *Around* by the contacts' places.
     "information" grounds the slot that is expected to say most of the places. `tables`

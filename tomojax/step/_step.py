@@ -244,7 +244,7 @@ class Step:
         return memory, cheaper, told, slot.hurried
 
     def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
-        """Returns contacts and flags; none for a slot that cannot be used."""
+        """Returns contacts and flags; an unusable slot has no contact and no flag."""
         contacts, residual, bits = told
         limit, noise = self._method.residual_limit, self._method.noise
         contacts, bits = judge(contacts, residual, bits, read.voltages, limit, noise)

@@ -99,11 +99,11 @@ def design_objective(
 
     - `method`: "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
       `grid` × `grid` pixels).
-    - `criterion`: "rigs", the errors on 16 simulated rigs that are not nominal. Errors of
-      "points" are those of place (`SimulatedPlaceError`); "linear" adds the width of images
+    - `criterion`: "rigs", the errors on 16 simulated rigs that are not nominal. "points"
+      counts errors of place (`SimulatedPlaceError`); "linear" adds the width of images
       (`SimulatedImage`). "place", the expected error of a contact's place (of an image the
-      same as "a"); "a", the mean variance; "d", the volume of what stays unknown; "worst",
-      the largest of all places.
+      same as "a"); "a", the mean variance; "d", the volume that stays unknown; "worst", the
+      largest of all places.
     - `lam`: λ of an image; by default the λ where the converter's noise alone limits
       images.
     - `noise`: a standard deviation, V; one for each channel (M,); or their covariance

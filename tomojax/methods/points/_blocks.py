@@ -73,7 +73,7 @@ def begun(frames: Frames, program: Kept, given: Any = (), *static: int) -> Any:
 
 
 def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
-    """Writes the results of some frames into `whole`; makes `whole` where None."""
+    """Writes the results of some frames into `whole`; None makes a new `whole`."""
     if whole is None:
         whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), new)
     for old, values in zip(jax.tree.leaves(whole), jax.tree.leaves(new)):

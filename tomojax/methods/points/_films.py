@@ -40,7 +40,7 @@ class Again(NamedTuple):
 
 
 def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
-    """Fits each film's first frame as `searched` does, and begins the other frames there.
+    """Fits each film's first frame by `searched`; the film's other frames begin there.
 
     A frame that the first frame's model explains less well is searched too.
     """

@@ -69,7 +69,7 @@ def best_fit(
 ) -> tuple[Found, Ended]:
     """Returns the best of the fits from `starts`, and that fit's end.
 
-    A fit that does not get `below` these slots' costs may end early.
+    `below` holds slots' costs: a fit that stays above these costs may end early.
     """
     if below is None:
         below = jnp.full(len(scene.voltages), jnp.inf, starts.dtype)
@@ -141,7 +141,8 @@ def _cost_of(kind: Kind) -> Callable[..., Normal]:
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """Differentiates the fit: p' = −(∂g/∂p)⁻¹·∂g; g, the cost's slope, is 0 there.
 
-    Only differentiation costs this. The search's loop cannot be differentiated in reverse.
+    Only callers who differentiate pay for this solve. The search's loop cannot be
+    differentiated in reverse.
     """
     scene, kind, starts, below = primals
     at = _lowest(scene, kind, starts, below)

@@ -286,7 +286,7 @@ def _believed(scene: Fitting, found: Found, size: int) -> Found:
 
 
 def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
-    """Tells whether all discs lie apart and none is too weak."""
+    """Tells whether all discs lie apart, and all are strong enough."""
     place = found.place[:size]
     current = jnp.sign(scene.method.sheet.drive_voltage) * found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
@@ -298,7 +298,7 @@ def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]
 
 
 def _bars(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
-    """Returns the start of a bar's fit; the second start is NaN: none."""
+    """Returns the start of a bar's fit; the second row is NaN, no start."""
     pair = ladder.pair
     middle, half = pair.mean(0), (pair[1] - pair[0]) / 2
     start = bar_at(jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit)
@@ -316,7 +316,7 @@ def _rings(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
 
 
 def bar_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
-    """Returns a bar's parameters: the `known` first ones, then zeros."""
+    """Returns a bar's parameters: the `known` numbers, then zeros."""
     return jnp.pad(known, (0, CURVE.parameters - len(known)))
 
 

@@ -1,5 +1,4 @@
-"""Reads recordings as CSV: a line for each slot, with a ground and a column per
-electrode."""
+"""Reads recordings as CSV: a line for each slot, with ground and a column per electrode."""
 
 import re
 import warnings
