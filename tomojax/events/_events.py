@@ -21,7 +21,7 @@ _REACH = 0.75
 
 
 class Event(NamedTuple):
-    """The begin or the end of a contact; or a mark.
+    """The beginning or the end of a contact, or a mark.
 
     **Example:**
 

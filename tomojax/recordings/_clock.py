@@ -27,7 +27,7 @@ def mended_times(
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"], tuple[str, ...]]:
     """Returns rising start times, the scans with new times, and the reasons as sentences.
 
-    **Arguments:** `t0` s, as read; `numbers` of the scans, lost scans count; `interval`
+    **Arguments:** `t0` s, as read; `numbers` of the scans, counting lost scans; `interval`
     from scan to scan by f_switch, s. The times of a sound clock stay unchanged.
     """
     if _sound(t0, interval):

@@ -39,8 +39,8 @@ class Hdf5Recording(Recording):
     """A file of the form "Recording, version 1".
 
     A writer may still have the file open in HDF5's SWMR mode, or may have crashed. The
-    recording then has the whole scans present at the opening. MATLAB's files have no
-    attributes, but variables of the same names. Every array of MATLAB has its axes in
+    recording then has the whole scans that the file holds when opened. MATLAB's files have
+    no attributes, but variables of the same names. Every array of MATLAB has its axes in
     MATLAB's order.
     """
 

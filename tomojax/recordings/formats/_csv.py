@@ -23,7 +23,7 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
     """Opens the recording in a CSV file.
 
     The first line names the columns: `ground`, and optionally `t` (s) and `number` (of the
-    slot, lost slots count). All other columns are electrodes in order, in volts, or in
+    slot, counting lost slots). All other columns are electrodes in order, in volts, or in
     codes where `scale` is told. Separators are commas, semicolons or tabs. Commas may be
     decimal where semicolons or tabs separate. A field that is no number becomes NaN, and is
     flagged.

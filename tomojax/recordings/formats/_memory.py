@@ -21,7 +21,7 @@ class MemoryRecording(Recording):
     """Slots of a file that has been read, with a description of the rig.
 
     **Arguments:** `values` volts, or codes where `told` has a `scale`; `ground` of each
-    slot; `t` of each slot, s, or None; `number` of each slot, lost slots count; `codes`:
+    slot; `t` of each slot, s, or None; `number` of each slot, counting lost slots; `codes`:
     the type of codes that come as other numbers, NaN among these.
     """
 
