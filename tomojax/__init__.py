@@ -1,7 +1,7 @@
 """Differentiable reconstruction for tomographic tactile sensors.
 
 The names of `__init__.pyi` are imported when they are first used (SPEC 1), so that a
-command starts before JAX does. This file must not import a room.
+command starts before JAX does. This file must not import the package's folders.
 """
 
 from pathlib import Path as _Path

@@ -1,6 +1,6 @@
-"""Host-side checks: a `ValueError` names the argument, what came, what was expected.
+"""Checks on the host: a `ValueError` names the argument, the value and the expectation.
 
-Values under a trace (jit, grad, vmap) are not known and pass; shapes are always checked.
+Values under a trace (jit, grad, vmap) are unknown and pass. Shapes are always checked.
 """
 
 from typing import Any
@@ -15,12 +15,12 @@ from tomojax._require import require as require
 
 
 def known(*values: Any) -> bool:
-    """Whether the values are numbers now, not placeholders of a trace."""
+    """Tells whether the values are numbers now, not placeholders of a trace."""
     return not any(isinstance(v, Tracer) for v in values)
 
 
 def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
-    """`value` as an array of `dtype`, by default its own or JAX's default float."""
+    """Returns `value` as an array of `dtype`; by default the value's own or JAX's float."""
     if not known(*jax.tree.leaves(value)):
         return jnp.asarray(value, dtype)
     try:
@@ -56,7 +56,7 @@ def require_not_negative(name: str, value: jax.Array) -> None:
 
 
 def require_shape(name: str, value: jax.Array, *shapes: tuple[int | None, ...]) -> None:
-    """Checks against any of `shapes`; None stands for any length."""
+    """Checks the value's shape against any of `shapes`; None stands for any length."""
 
     def fits(shape: tuple[int | None, ...]) -> bool:
         return len(shape) == value.ndim and all(

@@ -1,4 +1,4 @@
-"""Names for what users may pass."""
+"""Names the types of users' arguments."""
 
 from collections.abc import Sequence
 from typing import Any

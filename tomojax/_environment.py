@@ -1,11 +1,11 @@
-"""What a result was made with."""
+"""Names the device, the machine and the versions that made a result."""
 
 import platform
 from importlib.metadata import version
 
 
 def environment() -> dict[str, str]:
-    """Device, machine and versions, for the JSON files."""
+    """Returns device, machine and versions, for the JSON files."""
     import jax  # half a second, which a command that writes no JSON need not spend
 
     packages = ("tomojax", "jax", "jaxlib", "equinox", "numpy")

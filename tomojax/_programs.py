@@ -1,7 +1,7 @@
 """Compiled functions whose programs are kept between processes.
 
-JAX's own cache keeps what is compiled, under a key that tracing and lowering make first:
-three seconds for each program of `points`. Here the lowered program is kept as well.
+JAX's own cache keeps compiled programs, under a key from tracing and lowering. Both take
+three seconds for each program of `points`. This file keeps lowered programs too.
 """
 
 import functools
@@ -37,10 +37,10 @@ _QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level"
 class Kept:
     """A function of pytrees, compiled as `eqx.filter_jit` does; keeps its programs.
 
-    A program is told by the function's name, the package's source, and the arguments:
-    their structure, the shapes and types of arrays, the values of all else. Where it cannot
-    be kept, it is compiled all the same. Compilers run beside the caller: `begin` several
-    programs, and they are compiled side by side.
+    A key names a program: the function's name, the package's source and the arguments. The
+    key holds the arguments' structure, the arrays' shapes and types, and all other values.
+    A program that cannot be kept is compiled all the same. Compilers run beside the caller:
+    `begin` lets several programs compile side by side.
     """
 
     def __init__(self, function: Callable):
@@ -61,7 +61,7 @@ class Kept:
         return program(flat)
 
     def begin(self, *args: Any) -> Any:
-        """Traces, and lets a thread compile; returns shapes and types of the results."""
+        """Traces, and lets a thread compile; returns the results' shapes and types."""
         if jax.device_count() > 1:
             return eqx.filter_eval_shape(self._function, *args)
         return self._program(args)[0].shapes
@@ -89,7 +89,7 @@ class Kept:
 
 
 def _trace_context() -> Any:
-    """What JAX is tracing; from 0.11 on only its own modules name it."""
+    """Returns JAX's trace context; from 0.11 on only JAX's own modules name the context."""
     if hasattr(jax.core, "trace_ctx"):
         return jax.core.trace_ctx
     return importlib.import_module("jax._src.core").trace_ctx
@@ -99,12 +99,12 @@ _KEPT: list[Kept] = []
 
 
 def kept(function: Callable) -> Kept:
-    """See `Kept`."""
+    """Wraps a function in `Kept`."""
     return Kept(function)
 
 
 def forget() -> None:
-    """Drops all programs that this process holds; `jax.clear_caches` drops others."""
+    """Drops all kept programs of this process; `jax.clear_caches` drops JAX's own."""
     for one in _KEPT:
         one.forget()
 
@@ -131,7 +131,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _stop_compiling() -> None:
-    """Drops what no compiler has begun: a process that ends would wait for it."""
+    """Drops programs that no compiler has begun: an ending process would wait for them."""
     _compilers().shutdown(wait=False, cancel_futures=True)
     _compilers.cache_clear()
     forget()
@@ -143,7 +143,7 @@ def _with_options(function: Callable) -> Callable:
 
 @functools.cache
 def options() -> dict[str, Any]:
-    """The compiler's options; none on a GPU, and none where XLA does not know them."""
+    """Returns the compiler's options; none on a GPU or where XLA does not know them."""
     if jax.default_backend() != "cpu":
         return {}
     try:
@@ -164,7 +164,7 @@ def _named(function: Callable, key: Any) -> str:
 
 @functools.cache
 def _source() -> str:
-    """A digest of the package's files: a program is of the code that made it."""
+    """Returns a digest of the package's files: a program belongs to its source code."""
     here = Path(__file__).parent
     # In a checkout `kernels/` lies beside this folder.
     roots = [here, here.parent / "kernels"]
@@ -175,7 +175,7 @@ def _source() -> str:
 
 
 def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Program:
-    """The program of a file; traced, and written, where there is none that can be read."""
+    """Reads the program of a file; traces and writes one where no file can be read."""
     if path is not None:
         with suppress(Exception):  # a file that was cut short, or is of another JAX
             program, template = pickle.loads(path.read_bytes())
@@ -231,5 +231,5 @@ def _later(lower: Callable, template: Any, shapes: Sequence[Any]) -> _Program:
 
 @functools.cache
 def _prepare_lapack() -> None:
-    """Makes JAX find LAPACK's functions, which a program that is loaded just calls."""
+    """Makes JAX find LAPACK's functions: a loaded program calls them without looking."""
     jax.jit(jnp.linalg.cholesky).lower(np.eye(2, dtype=np.float32))

@@ -1,4 +1,4 @@
-"""Checks without JAX: a `ValueError` names the argument, what came, what was expected."""
+"""Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:
-    """**Raises:** `ValueError` for discs that overlap or leave the sheet."""
+    """Refuses discs that overlap or leave the sheet. **Raises:** `ValueError`."""
     import numpy as np  # help and versions are told without
 
     xy, size, diameter = (

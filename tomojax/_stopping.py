@@ -1,4 +1,4 @@
-"""Ctrl-C for loops: asked for by a command, heard between parts of the work."""
+"""Ctrl-C for loops: a command asks for the stop, a loop stops between parts of its work."""
 
 from threading import Event
 
@@ -7,6 +7,6 @@ asked = Event()
 
 
 def stop_if_asked() -> None:
-    """**Raises:** `KeyboardInterrupt` once Ctrl-C was heard; in any thread."""
+    """Stops any thread once Ctrl-C was heard. **Raises:** `KeyboardInterrupt`."""
     if asked.is_set():
         raise KeyboardInterrupt

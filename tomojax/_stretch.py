@@ -1,4 +1,4 @@
-"""A stretch of a file: rows between two times, told from the file's first row on."""
+"""A stretch of a file: rows between two times, counted from the file's first row."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,9 +12,9 @@ _SLACK = 1e-9
 def stretch_of(
     t: Float[np.ndarray, " n"], since: float | None, until: float | None
 ) -> tuple[int, int]:
-    """The rows (first, one after the last) with since ≤ t − t[0] < until; `t` rises, s.
+    """Finds rows with since ≤ t − t[0] < until: first, one after the last; `t` rises, s.
 
-    **Raises:** `ValueError` where there is none.
+    **Raises:** `ValueError` where no row lies there.
     """
     start, stop = 0, len(t)
     length = float(t[-1] - t[0])

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and that one run at a time writes."""
+"""Writes files whole or not at all, and lets one run at a time write a file."""
 
 import os
 import re
@@ -21,12 +21,12 @@ _unfinished: set[Path] = set()
 
 @contextmanager
 def whole(path: Path | str) -> Iterator[Path]:
-    """Gives a name to write to; at the end that file takes the name `path`.
+    """Gives a temporary name to write to; at the end the file takes the name `path`.
 
-    A pipe or a device, such as /dev/stdout, is written to itself. A symbolic link stays:
-    what it points to is replaced.
+    A pipe or a device, such as /dev/stdout, is written directly. A symbolic link stays: the
+    file that the link points to is replaced.
 
-    **Raises:** `OSError` that names `path`; then nothing is left of what was written.
+    **Raises:** `OSError` that names `path`; then no written part is left.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
@@ -55,31 +55,31 @@ def write_text(path: Path | str, text: str) -> None:
 
 
 def reason(error: BaseException) -> str:
-    """What the system says is wrong, in one line: HDF5 wraps that in two."""
+    """Returns the system's message in one line: HDF5 wraps the message in two."""
     found = re.search(r"error message = '([^']+)'", str(error))
     text = found[1] if found else getattr(error, "strerror", None) or str(error)
     return " ".join(text.split())
 
 
 def remove_unfinished() -> None:
-    """Removes what this process is writing: it ends now."""
+    """Removes the files that this process is writing; for a process that ends now."""
     for part in list(_unfinished):
         remove(part)
 
 
 def remove(part: Path) -> None:
-    """Removes a file; a folder that went away is no error."""
+    """Removes a file; a file or folder that is missing is no error."""
     with suppress(OSError):
         part.unlink()
 
 
 @contextmanager
 def held(path: Path, shared: bool) -> Iterator[None]:
-    """Holds the lock file `path`; the system lets go of it when the process ends.
+    """Holds the lock file `path`; the system releases the file when the process ends.
 
-    `shared`: with others that hold it so as well. A disk without locks keeps nobody out.
+    `shared` lets others hold the file as well. A disk without locks keeps nobody out.
 
-    **Raises:** `ValueError` where another run holds it.
+    **Raises:** `ValueError` where another run holds the file.
     """
     file = _taken(path, shared)
     if file is not None and not shared:

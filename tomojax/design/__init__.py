@@ -1,7 +1,7 @@
-"""Designs: ground conditions, λ and electrodes' places that are best for a purpose.
+"""Finds ground conditions, λ and electrodes' places that are best for a purpose.
 
-`objectives` says what a set of slots is good for; the searches of this room make
-that small. The room knows nothing of recordings, nor of results.
+`objectives` rates a set of slots; the searches of this folder make an objective small. The
+folder knows nothing of recordings, nor of results.
 """
 
 from tomojax.design._by_place import (

@@ -1,4 +1,4 @@
-"""Tables of ground conditions by place, for a step to look up."""
+"""Designs tables of ground conditions by place, for a step to look up."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ _SMOOTH, _PASSES = 0.02, 4
 
 
 class PlaceDesigns(NamedTuple):
-    """A set of its own for each of nx × ny places.
+    """A set of slots for each of nx × ny places.
 
     **Example:**
 
@@ -62,16 +62,17 @@ def design_policy(
     shape: tuple[int, int] | None = None,
     **options: Any,
 ) -> PlaceDesigns:
-    """The best `slots` grounds for a contact at each place, as a policy.
+    """Finds the best `slots` grounds for a contact at each place, as a policy.
 
-    Each place has the relaxed problem's heaviest slots, improved by exchanges. Then sets
-    that differ from their neighbours' give way to one that is 2 % worse at most and has
-    more in common with them, so that little changes at a seam. Those for images have a λ
-    for each place (`place_lambdas`).
+    Each place has the relaxed problem's heaviest slots, improved by exchanges. Sets that
+    differ from their neighbours' then give way to a set with more in common, 2 % worse at
+    most. So little changes at a seam. Designs for images have a λ for each place
+    (`place_lambdas`).
 
-    **Arguments:** `method` and `options` as in `design_objective`, but that of "points" and
-    "linear" the default is "rigs" (errors that slots share count); `shape` of the table, by
-    default (32, 32), (24, 24) of "linear" and (16, 16) of "source", which take longer.
+    **Arguments:** `method` and `options` are those of `design_objective`. The default
+    criterion of "points" and "linear" is "rigs" (errors that slots share count). `shape` of
+    the table is (32, 32) by default; (24, 24) of "linear" and (16, 16) of "source", which
+    take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
     1 to the electrodes'.
 
@@ -112,7 +113,7 @@ def design_policy(
 
 
 def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array]:
-    """The best set of n slots for each place alone, and the bound of each."""
+    """Finds the best set of n slots for each place alone, and each place's bound."""
     slots, dtype = objective.slots, objective.dtype
     count = jax.eval_shape(objective, jnp.ones(slots, dtype))
 
@@ -137,7 +138,7 @@ def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array
 def _smoothed(
     objective: AbstractObjective, sets: Float[Array, "P L"], shape: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Sets that have more in common with their neighbours', and their values."""
+    """Returns sets that have more in common with their neighbours', and their values."""
     places, n = jnp.arange(len(sets)), sets[0].sum()
 
     def values(sets: Array) -> Array:
@@ -145,7 +146,7 @@ def _smoothed(
         return jax.lax.map(lambda x: one(*x), (places, sets), batch_size=_TOGETHER)
 
     def beside(sets: Array) -> Array:
-        """Neighbours' sets (4, P, L); at an edge the place's own."""
+        """Returns neighbours' sets (4, P, L); at an edge the place's own."""
         grid = jnp.pad(sets.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
         shifted = grid[2:, 1:-1], grid[:-2, 1:-1], grid[1:-1, 2:], grid[1:-1, :-2]
         return jnp.stack([part.reshape(sets.shape) for part in shifted])
@@ -172,10 +173,10 @@ def place_lambdas(
     sets: Float[Array, "P L"],
     shape: tuple[int, int],
 ) -> Float[Array, "nx ny"]:
-    """λ/σ₁² of the least image error at each place and its neighbours, under its set.
+    """Finds λ/σ₁² of the least image error at each place and its neighbours, under its set.
 
-    Of simulated contacts on rigs that are not nominal: for "linear" they hold the sheet at
-    V0, for "source" they are soft.
+    The contacts are simulated on rigs that are not nominal. Contacts for "linear" hold the
+    sheet at V0; contacts for "source" are soft.
     """
     radius, conductance = (0.002, 1.0) if method == "linear" else (0.006, 1e-4)
     scenes = simulate_scenes(

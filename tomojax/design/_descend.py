@@ -1,4 +1,4 @@
-"""λ and sets of slots by gradients through simulated images."""
+"""Finds λ and sets of slots by gradients through simulated images."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,7 +23,7 @@ _SCANS, _LEAST = 4, 1e-3
 
 
 def _in_reach(objective: ImageError) -> ImageError:
-    """With a λ that a way leads from: beyond these images are rounding, or 0."""
+    """Clips λ into reach of a descent: images beyond are rounding, or 0."""
     total = jnp.trace(objective.grams.sum(0))
     low = _LEAST * jnp.finfo(objective.dtype).eps * total
     log_lam = jnp.clip(objective.log_lam, jnp.log(low), jnp.log(total))
@@ -31,7 +31,7 @@ def _in_reach(objective: ImageError) -> ImageError:
 
 
 class Tuned(NamedTuple):
-    """An objective with its best λ and length, and how many it took."""
+    """An objective with its best λ and length, and the number of solves."""
 
     objective: ImageError
     value: Float[Array, ""]
@@ -39,10 +39,10 @@ class Tuned(NamedTuple):
 
 
 def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
-    """The λ (and length) of least mean error.
+    """Finds the λ (and length) of least mean error.
 
-    The best λ of a few, a decade apart, about the one that it has (and on, while the best
-    is the last of them); from there BFGS.
+    A few λ, a decade apart, are tried about the objective's own λ. The search moves on
+    while the best λ is at an end. BFGS starts from the best λ.
 
     **Example:**
 
@@ -94,7 +94,7 @@ def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
 
 
 class Drawn(NamedTuple):
-    """What `descend_sets` arrives at."""
+    """The result of `descend_sets`."""
 
     weights: Float[Array, " L"]
     logits: Float[Array, " L"]
@@ -110,10 +110,10 @@ def descend_sets(
     rate: float = 0.2,
     seed: int = 0,
 ) -> Drawn:
-    """Sets of `n` slots and λ together, by gradients through sets that are drawn.
+    """Finds sets of `n` slots and λ together, by gradients through drawn sets.
 
     Sets come from `subset_marginals`' distribution, gradients by SIMPLE (`drawn_weights`),
-    steps by Adam (Kingma and Ba, ICLR 2015). Ends with the best of some last ones.
+    steps by Adam (Kingma and Ba, ICLR 2015). The best of some last sets is the result.
 
     **Example:**
 

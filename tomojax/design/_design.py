@@ -1,4 +1,4 @@
-"""Ground conditions for a purpose: designed sets beside the best possible and patterns."""
+"""Designs sets of ground conditions; compares them with the best possible and patterns."""
 
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ _DRAWN = 4
 
 
 class Design(NamedTuple):
-    """A set of ground conditions, and what it was chosen among.
+    """A set of ground conditions, and the values that the search found.
 
     **Example:**
 
@@ -45,11 +45,11 @@ class Design(NamedTuple):
 
 
 def design(objective: AbstractObjective, slots: int = 8) -> Design:
-    """The best set of `slots` ground conditions that is found, each once.
+    """Finds the best set of `slots` ground conditions, each once.
 
-    The relaxed problem's heaviest slots, those of a greedy search and some drawn by the
-    relaxed weights, all improved by exchanges: the best of them. `bound` says how far from
-    the best possible that can be at most.
+    Exchanges improve the relaxed problem's heaviest slots, a greedy search's set, and sets
+    drawn by the relaxed weights. The best set is the result. `bound` tells how far from the
+    best possible the result can be at most.
     **Raises:** `ValueError` for a number of slots outside 1 to the objective's.
 
     **Example:**
@@ -116,7 +116,7 @@ def _search(objective: AbstractObjective, n: int) -> _Found:
 
 
 def _ordered(objective: AbstractObjective, grounds: np.ndarray) -> Int[np.ndarray, " n"]:
-    """Each next the one that lowers the objective most."""
+    """Orders grounds: each next ground lowers the objective most."""
     value = jax.jit(lambda o, w: o.value(w))
     left, order = [int(g) for g in grounds], []
     weights = np.zeros(objective.slots)
@@ -136,10 +136,10 @@ def patterns_beside(
     objective: AbstractObjective,
     explored: Float[Array, "P 2 M"],
 ) -> list[dict[str, Any]]:
-    """The paper's nine patterns under the same objective: name, slots, value, adaptive.
+    """Rates the paper's nine patterns by the objective: name, slots, value, adaptive.
 
-    Adaptive ones have a set of their own for each of the P contacts, from its `explored`
-    voltages; their two exploratory slots are not counted, as the paper does not.
+    Adaptive patterns have their own set for each of the P contacts, from its `explored`
+    voltages. Their two exploratory slots are not counted, nor does the paper count them.
 
     **Example:**
 
@@ -178,7 +178,7 @@ def patterns_beside(
 def each_its_own(
     objective: AbstractObjective, weights: Float[Array, "P L"]
 ) -> Float[Array, " P"]:
-    """Figure k under weights k; NaN for an objective that has one figure for all."""
+    """Computes figure k under weights k; NaN for an objective with one figure for all."""
 
     def one(k_and_weights: tuple[Array, Array]) -> Array:
         k, w = k_and_weights

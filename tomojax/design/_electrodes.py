@@ -1,6 +1,6 @@
-"""Places for electrodes: the image's resolution where it is worst, made as good as it gets.
+"""Finds places for electrodes that make the image's worst resolution as good as possible.
 
-Uniform grids leave gaps that their images blur. Gradients go through the Green's function
+Images blur contacts in the gaps of uniform grids. Gradients go through the Green's function
 of the sheet, the paper's J and Eq. 3 to the electrodes' places.
 """
 
@@ -70,17 +70,17 @@ def design_electrodes(
     starts: int = 2,
     seed: int = 0,
 ) -> ElectrodeDesign:
-    """As many electrodes as the sensor has, for the best resolution at the worst place.
+    """Places the sensor's number of electrodes for the best resolution at the worst place.
 
-    A soft maximum of `image_spread`, sharpened in steps, by optimistix' BFGS. Electrodes
+    optimistix' BFGS lowers a soft maximum of `image_spread`, sharpened in steps. Electrodes
     stay on the sheet and 1.4 diameters apart.
 
-    **Arguments:** `places` (P, 2), m, where resolution counts, by default 24 × 24 over the
-    sheet but 1/16 at its edges; `lam` λ of the images, the same for all electrodes' places,
-    by default 1e-5 of the largest eigenvalue of JᵀJ; `grid` cells along a side;
-    `contact_resistance` ρ, Ω, that of a square of the sheet by default; `starts` of the
-    search, the first at the sensor's own places,
-    the others beside them (a symmetric start ends symmetric).
+    **Arguments:** `places` (P, 2), m, tell where resolution counts: by default 24 × 24 over
+    the sheet but 1/16 at its edges. `lam` is λ of the images, the same for all electrodes'
+    places. The default is 1e-5 of the largest eigenvalue of JᵀJ. `grid` is the number of
+    cells along a side. `contact_resistance` is ρ, Ω, that of a square of the sheet by
+    default. `starts` counts searches: the first begins at the sensor's own places, further
+    searches beside these (a symmetric start ends symmetric).
     **Raises:** `ValueError` for a sheet with a value per element, and wrong arguments.
 
     **Example:**
@@ -155,12 +155,12 @@ def image_spread(
     grid: int = 32,
     contact_resistance: float | None = None,
 ) -> Float[Array, " P"]:
-    """√(Σ_k |x − x_k|²p_k²/Σ_k p_k²), m, of the images p of contacts at `places` x.
+    """Computes √(Σ_k |x − x_k|²p_k²/Σ_k p_k²), m, of images p of contacts at `places` x.
 
-    p = (JᵀJ + λI)⁻¹JᵀJb of b a Gaussian (σ a fifth of the pitch): the spread of Backus and
-    Gilbert (Phil. Trans. R. Soc. A 266, 1970), σ of an image that is a Gaussian. J is
-    Eq. 1's of all ground conditions, on an even sheet with electrodes at `electrode_xy`, m;
-    differentiable in those.
+    p = (JᵀJ + λI)⁻¹JᵀJb is the image of a Gaussian b (σ a fifth of the pitch). This is the
+    spread of Backus and Gilbert (Phil. Trans. R. Soc. A 266, 1970): σ, if the image is a
+    Gaussian. J is Eq. 1's of all ground conditions, on an even sheet with electrodes at
+    `electrode_xy`, m. The spread is differentiable in `electrode_xy`.
 
     **Example:**
 
@@ -187,7 +187,7 @@ def image_spread(
 def image_scale(
     sensor: Sensor, grid: int = 32, contact_resistance: float | None = None
 ) -> float:
-    """σ₁², the largest eigenvalue of JᵀJ: what λ of `image_spread` is relative to.
+    """Computes σ₁², the largest eigenvalue of JᵀJ, for the scale of `image_spread`'s λ.
 
     **Example:**
 
@@ -201,14 +201,14 @@ def image_scale(
 
 
 def _cells(sensor: Sensor, grid: int) -> Float[Array, "K 2"]:
-    """Their middles, m."""
+    """Returns the middles of the grid's cells, m."""
     return jnp.asarray(cell_centres((grid, grid)), sensor.dtype) * sensor.size
 
 
 def _gram(
     sensor: Sensor, xy: Array, grid: int, contact: float | None
 ) -> Float[Array, "K K"]:
-    """JᵀJ of all ground conditions; slot by slot, as J itself takes a lot of room."""
+    """Computes JᵀJ of all ground conditions slot by slot: J itself takes a lot of room."""
     z, rho = sensor.ground_resistance, sensor.sheet_resistance
     through = jnp.asarray(rho.mean() if contact is None else contact, xy.dtype)
     cells = _cells(sensor, grid)
@@ -234,7 +234,7 @@ def _gram(
 
 
 def _crowding(sensor: Sensor, xy: Float[Array, "M 2"]) -> Float[Array, ""]:
-    """What electrodes cost that are too near each other; 0 else."""
+    """Computes the cost of electrodes too near each other; 0 for electrodes apart."""
     square = ((xy[:, None] - xy) ** 2).sum(-1)
     far = jnp.eye(len(xy), dtype=xy.dtype)
     apart = jnp.sqrt(square + far) / sensor.electrode_diameter

@@ -1,7 +1,7 @@
-"""Sets of ground conditions that make an objective small, and how small it can be at all.
+"""Finds sets of ground conditions that make an objective small, and a lower bound.
 
 `relax` finds the best weights and a bound that no set can beat; `greedy` adds one slot
-after another, `exchange` swaps as long as that helps.
+after another; `exchange` swaps slots as long as swaps help.
 """
 
 from collections.abc import Callable
@@ -57,11 +57,11 @@ Figures = Callable[[Float[Array, " L"]], Float[Array, " P"]]
 
 
 def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None) -> Relaxed:
-    """The weights 0 ≤ w ≤ 1, Σw = `n` that make the mean (or largest) figure least.
+    """Finds weights 0 ≤ w ≤ 1, Σw = `n` that make the mean (or largest) figure least.
 
     Spectral projected gradients (Birgin, Martínez, Raydan, SIAM J. Optim. 10, 2000). The
-    bound is Σ_k π_k f_k(w) + min_v Σ_k π_k ∇f_k·(v − w) over sets v, true for convex
-    figures f_k and any π: the mean's, or those of a soft maximum.
+    bound is Σ_k π_k f_k(w) + min_v Σ_k π_k ∇f_k·(v − w) over sets v. The bound holds for
+    convex figures f_k and any π: the mean's, or those of a soft maximum.
 
     **Example:**
 
@@ -144,7 +144,7 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
 
 
 def greedy(value: Callable, slots: int, n: int, dtype=None) -> Float[Array, " L"]:
-    """The set to which one slot after the other was added, each time the best."""
+    """Builds a set slot by slot, each time with the best slot."""
     each = jnp.eye(slots, dtype=dtype)
 
     def add(_: Array, chosen: Array) -> Array:
@@ -157,10 +157,10 @@ def greedy(value: Callable, slots: int, n: int, dtype=None) -> Float[Array, " L"
 def exchange(
     value: Callable, chosen: Float[Array, " L"], n: int, tried: int | None = None
 ) -> Float[Array, " L"]:
-    """The set after swaps of one slot for another, each time the best, while they help.
+    """Swaps one slot for another, each time the best swap, while swaps help.
 
-    With `tried`, only so many swaps are looked at each time, those that the slope says
-    most of (of a convex objective it says how much they can help at most).
+    `tried` limits the swaps looked at each time to those that the slope promises most of.
+    (A convex objective's slope tells how much a swap can help at most.)
     """
     slots = len(chosen)
     if n == slots:

@@ -1,7 +1,7 @@
-"""Several electrodes grounded at once, for two contacts that are close.
+"""Designs slots that ground several electrodes at once, for two contacts that are close.
 
-The unknowns are conductances γ (S) to ground, slots × electrodes: the exact model is
-differentiable in them. They begin between open and closed and end as switches.
+The unknowns are conductances γ (S) to ground, slots × electrodes. The exact model is
+differentiable in γ. Each γ begins between open and closed and ends as a switch.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ _STEPS, _RATE, _LEAN = 240, 0.15, 2.0
 
 
 class Pairs(NamedTuple):
-    """Two contacts each, on a sheet, as `points` sees them."""
+    """Pairs of contacts on a sheet, in the model of `points`."""
 
     sheet: Sheet
     noise: Noise
@@ -47,7 +47,7 @@ class Pairs(NamedTuple):
 
 
 class SharedDesign(NamedTuple):
-    """Conductances to ground, beside the best set of single grounds that was found.
+    """Conductances to ground, and the best set of single grounds that was found.
 
     **Example:**
 
@@ -67,9 +67,9 @@ class SharedDesign(NamedTuple):
 
 
 def pairs_of(sensor: Sensor, places: Numbers, conductance: float = 1e-4) -> Pairs:
-    """Pairs of contacts at `places` (P, 2, 2), m, each of so many S.
+    """Makes pairs of contacts at `places` (P, 2, 2), m, each contact of `conductance` S.
 
-    **Raises:** `ValueError` for places of another shape or that are not finite.
+    **Raises:** `ValueError` for places of another shape, or places that are not finite.
     """
     where = float_array("places", places, sensor.dtype)
     require_shape("places", where, (None, 2, 2))
@@ -80,7 +80,7 @@ def pairs_of(sensor: Sensor, places: Numbers, conductance: float = 1e-4) -> Pair
 
 
 def closed(sensor: Sensor) -> Float[Array, ""]:
-    """γ of a closed switch, S: 1/z; with z = 0 what is as good as none."""
+    """Returns γ of a closed switch, S: 1/z, 1000 at most."""
     z = jnp.mean(sensor.ground_resistance)
     return 1 / jnp.maximum(z, 1e-3)
 
@@ -88,10 +88,10 @@ def closed(sensor: Sensor) -> Float[Array, ""]:
 def shared_map(
     pairs: Pairs, places: Float[Array, "C 2"], to_ground: Float[Array, " M"]
 ) -> tuple[Float[Array, "C 4 M"], Float[Array, "C C"]]:
-    """Ω: each contact's voltages per ampere with their derivatives, and what it feels.
+    """Computes contacts' voltages per ampere with derivatives, and the loop, all in Ω.
 
-    By place (per unit) and size. (I + R_eeΓ)x = 1, (I + R_eeΓ)Y = R_e(x): T = x·m + Y, as
-    `kernels.shared_slot_map`; the loop is from contact to contact.
+    Derivatives are by place (per unit) and size. (I + R_eeΓ)x = 1, (I + R_eeΓ)Y = R_e(x): T
+    = x·m + Y, as in `kernels.shared_slot_map`. The loop is from contact to contact.
     """
     sheet, ee = pairs.sheet, pairs.sheet.field.electrodes
     size, count = jnp.zeros((), places.dtype), len(places)
@@ -114,7 +114,7 @@ def shared_map(
 def shared_columns(
     pairs: Pairs, places: Float[Array, "C 2"], to_ground: Float[Array, " M"]
 ) -> Float[Array, "C 4 M"]:
-    """`shared_map`, V, with the currents that contacts of that resistance draw."""
+    """Computes `shared_map`'s voltages, V, for the currents that the contacts draw."""
     t, loop = shared_map(pairs, places, to_ground)
     loop = loop + pairs.resistance * jnp.eye(len(loop), dtype=loop.dtype)
     drive = jnp.broadcast_to(pairs.sheet.drive_voltage, (len(loop), 1)).astype(loop.dtype)
@@ -124,7 +124,7 @@ def shared_columns(
 def pair_information(
     pairs: Pairs, places: Float[Array, "C 2"], to_ground: Float[Array, " M"]
 ) -> Float[Array, "n n"]:
-    """JᵀN⁻¹J of places and sizes, 3 each, with the currents of the slot free."""
+    """Computes JᵀN⁻¹J of places and sizes, 3 a contact; the slot's currents are free."""
     columns = shared_columns(pairs, places, to_ground)
     m = columns.shape[-1]
     weights = slot_weights(pairs.noise, columns[:, 0].sum(0), jnp.ones(m, bool))
@@ -137,7 +137,7 @@ def pair_information(
 
 
 def pair_objective(pairs: Pairs, to_ground: Float[Array, "L M"]) -> PlaceInformation:
-    """The standard deviation of each pair's distance, of slots with such γ."""
+    """Makes slots' objective for such γ: the standard deviation of each pair's distance."""
     each = jax.vmap(jax.vmap(pair_information, (None, None, 0)), (None, 0, None))
     prior = jnp.kron(jnp.eye(2, dtype=to_ground.dtype), place_prior(pairs.sheet.unit))
     apart = pairs.places[:, 1] - pairs.places[:, 0]
@@ -156,12 +156,12 @@ def design_shared(
     conductance: float = 1e-4,
     steps: int = _STEPS,
 ) -> SharedDesign:
-    """Conductances to ground, of all electrodes in each slot, for two contacts' distance.
+    """Designs all electrodes' conductances to ground, slot by slot, for contacts' distance.
 
-    ln γ between an open and a closed switch's, by Adam (Kingma and Ba, ICLR 2015) from
-    the best set of single grounds, blurred, and from some drawn about half open; a growing
-    cost on what is neither open nor closed. The switches that come out, not γ, are what is
-    rated; where single grounds are better, those are the design.
+    Adam (Kingma and Ba, ICLR 2015) moves ln γ between an open and a closed switch's. One
+    start is the best set of single grounds, blurred; the other is drawn about half open. A
+    growing cost drives each switch open or closed. The final switches are rated, not γ.
+    Single grounds are the design where they are better.
     **Raises:** `ValueError` for wrong places and a number of slots outside 1 to M.
 
     **Example:**
@@ -213,5 +213,5 @@ def design_shared(
 
 
 def gamma(part: Float[Array, "L M"], most: Float[Array, ""]) -> Float[Array, "L M"]:
-    """S: from open (0) to closed (1), its logarithm in proportion."""
+    """Computes γ, S, from `part` (0 open, 1 closed): ln γ is linear in `part`."""
     return most * jnp.asarray(_OPEN, part.dtype) ** (1 - part)

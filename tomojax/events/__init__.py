@@ -1,6 +1,6 @@
-"""When contacts begin and end, in files and live.
+"""Finds when contacts begin and end, in files and live.
 
-The room imports no JAX: processes beside the loop use it.
+The folder imports no JAX: processes beside the loop use events.
 """
 
 from tomojax.events._events import (

@@ -1,4 +1,4 @@
-"""Touch-down and lift-off: contacts of rows, numbered, from their first to their last."""
+"""Finds touch-down and lift-off: numbers the contacts of rows, from first row to last."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -21,7 +21,7 @@ _REACH = 0.75
 
 
 class Event(NamedTuple):
-    """A contact begins, or has ended.
+    """The beginning or the end of a contact, or a mark.
 
     **Example:**
 
@@ -51,11 +51,12 @@ class _Seen:
 
 
 class EventFinder:
-    """Numbers the contacts of rows that come one by one, and tells events.
+    """A finder that numbers the contacts of rows, one row after another, and tells events.
 
-    A contact keeps its number while each row shows one within `reach` of its last place; it
-    may be missing for `hold` seconds. It gets a number once `confirm` rows show it.
-    A row without an answer (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`) ends nothing.
+    A contact keeps its number while each row shows a contact within `reach` of the last
+    place. A contact may be missing for `hold` seconds, and gets a number once `confirm`
+    rows show the contact. A row without an answer (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`)
+    ends nothing.
 
     **Arguments:** `reach` m; `hold` s; `confirm` rows.
     **Raises:** `ValueError` for a reach or a hold below 0.
@@ -84,7 +85,7 @@ class EventFinder:
 
     @classmethod
     def of_rows(cls, pitch: float, interval: float) -> "EventFinder":
-        """For electrodes at `pitch`, m, and a row each `interval`, s.
+        """Makes a finder for electrodes at `pitch`, m, and a row each `interval`, s.
 
         A contact moves less than 0.75 of a pitch from row to row, and may be missing for
         three rows.
@@ -100,7 +101,7 @@ class EventFinder:
         flags: Integer[np.ndarray, " n"] | None = None,
         force: Float[np.ndarray, "n C"] | None = None,
     ) -> list[Event]:
-        """A stretch of rows, NaN-padded as results have them."""
+        """Finds the events of a stretch of rows, NaN-padded as in results."""
         bits = np.zeros(len(t), int) if flags is None else flags
         found = []
         for k in range(len(t)):
@@ -118,7 +119,7 @@ class EventFinder:
         flags: int = 0,
         force: Sequence[float] | None = None,
     ) -> tuple[list[int], list[Event]]:
-        """One row: the number of each of its contacts (0: not yet), and what has happened.
+        """Takes one row; returns each contact's number (0: not yet), and the events.
 
         **Arguments:** `t` s; `xy` m and `conductance` S of the row's contacts, no padding;
         `flags` of the row; `force` N.
@@ -149,7 +150,7 @@ class EventFinder:
         return numbers, found
 
     def finish(self) -> list[Event]:
-        """Ends what is still there."""
+        """Ends the contacts that are still there."""
         return self._ended(math.inf)
 
     def _number(self, contact: _Seen, found: list[Event]) -> int:
@@ -171,7 +172,7 @@ class EventFinder:
         ]
 
     def _pairs(self, seen: list[Event]) -> Iterable[tuple[int, _Seen]]:
-        """Contacts of the row and those that they are, the nearest first."""
+        """Pairs contacts of the row with contacts before, the nearest first."""
         apart = sorted(
             (math.dist(event.xy, contact.last.xy), k, j)
             for k, event in enumerate(seen)
@@ -197,11 +198,11 @@ def find_events(
     *,
     pitch: float,
 ) -> list[Event]:
-    """All events of rows, in order of time.
+    """Finds all events of rows, in order of time.
 
     **Arguments:** `t` s; `count` of contacts; `xy` m; `conductance` S; `force` N; `pitch`
-    of the electrodes, m: a contact moves less than 0.75 of it from row to row. It may be
-    missing for three rows.
+    of the electrodes, m: a contact moves less than 0.75 pitches from row to row. A contact
+    may be missing for three rows.
 
     **Example:**
 
@@ -225,10 +226,9 @@ def events_of_tracks(
     xy: Float[np.ndarray, "n C 2"],
     conductance: Float[np.ndarray, "n C"],
 ) -> list[Event]:
-    """Events of contacts that `track` has numbered: each number's first row and last.
+    """Finds events of contacts that `track` has numbered: each number's first and last row.
 
-    **Arguments:** `t` s; `track` the numbers, 0 where there is none; `xy` m; `conductance`
-    S.
+    **Arguments:** `t` s; `track` the numbers, 0 without a contact; `xy` m; `conductance` S.
 
     **Example:**
 

@@ -1,6 +1,6 @@
-"""Results in the formats of other tools.
+"""Writes results in the formats of other tools.
 
-Each module writes one kind of file. A kind's library is an extra.
+Each module writes one kind of file. The library of a kind is an extra.
 """
 
 from tomojax.exports._export import (

@@ -1,4 +1,4 @@
-"""Rows as a flat table: a column for each number, with its unit in the name."""
+"""Makes rows a flat table: a column for each number, with the unit in the column's name."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ _PARTS = {
 
 
 class Column(NamedTuple):
-    """A column of the table: where in a field's rows it is."""
+    """A column of the table, and its place in a field's rows."""
 
     name: str
     unit: str
@@ -32,12 +32,12 @@ class Column(NamedTuple):
     at: tuple[int, ...]
 
     def of(self, block: dict[str, np.ndarray]) -> np.ndarray:
-        """Its values in a block of rows."""
+        """Returns the column's values in a block of rows."""
         return block[self.field][(slice(None), *self.at)]
 
 
 def columns(source: Source) -> list[Column]:
-    """The columns of results: t_s, contact_count, flags, contact1_x_m, ….
+    """Lists the columns of results: t_s, contact_count, flags, contact1_x_m, ….
 
     Fields of the whole row come first, then those of each contact.
     """
@@ -62,7 +62,7 @@ def columns(source: Source) -> list[Column]:
 
 
 def tables(source: Source, progress: Progress) -> Iterator[dict[str, np.ndarray]]:
-    """All columns, and the flags' names, a block of rows at a time."""
+    """Yields all columns, and the flags' names, a block of rows at a time."""
     told = columns(source)
     fields = list(dict.fromkeys(column.field for column in told))
     for block in source.blocks(fields, progress):
@@ -71,14 +71,14 @@ def tables(source: Source, progress: Progress) -> Iterator[dict[str, np.ndarray]
 
 
 def flag_names(flags: np.ndarray) -> np.ndarray:
-    """Names with a bar between, for each row; few combinations occur."""
+    """Names each row's flags, with a bar between; few combinations occur."""
     values, which = np.unique(flags, return_inverse=True)
     names = ["|".join(str(f.name) for f in Flag if int(v) & f.value) for v in values]
     return np.array(names, object)[which]
 
 
 def event_columns(events: list[Event]) -> dict[str, Any]:
-    """Events in order: touch-down, lift-off and marks."""
+    """Makes columns of the events in order: touch-down, lift-off and marks."""
 
     def numbers(name: str) -> np.ndarray:
         return np.array([getattr(event, name) for event in events], np.float32)

@@ -1,4 +1,4 @@
-"""CSV: a line for each row, and beside it a file of events."""
+"""Writes CSV: a line for each row, and a second file of events."""
 
 import csv
 from pathlib import Path
@@ -12,7 +12,7 @@ from tomojax.exports._source import Progress, Source
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
-    """Writes both files; empty cells where there is no number."""
+    """Writes both files; a cell without a number is empty."""
     with whole(out) as part, part.open("w", newline="", encoding="utf-8") as file:
         for number, table in enumerate(tables(source, progress)):
             _lines(file, table, head=number == 0)

@@ -1,4 +1,4 @@
-"""`export`: which kind is written by what, and what it needs."""
+"""`export`: finds the module that writes a kind, and checks the module's library."""
 
 import shutil
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from tomojax.exports._source import Progress, Source
 
 
 class Kind(NamedTuple):
-    """A format: the ending of its files, the module that writes it, what that needs.
+    """A format: the endings of files, the writing module, and the library needed.
 
     **Example:**
 
@@ -39,20 +39,20 @@ KINDS = {
 
 
 def ending(kind: str) -> str:
-    """Of a file of a kind; "" for a folder. Films are GIFs where there is no ffmpeg."""
+    """Returns a file ending of a kind, "" for a folder; films without ffmpeg are GIFs."""
     if kind == "film":
         return ".mp4" if shutil.which("ffmpeg") else ".gif"
     return KINDS[kind].endings[0] if KINDS[kind].endings else ""
 
 
 def beside(out: Path, kind: str) -> list[Path]:
-    """Files that are written beside `out`."""
+    """Lists the files that are written beside `out`."""
     events = out.with_name(f"{out.stem}.events{out.suffix}")
     return [events] if kind in ("csv", "parquet") else []
 
 
 def check_kind(kind: str) -> Kind:
-    """**Raises:** `ValueError` for an unknown kind, or one whose library is missing."""
+    """Finds a kind. **Raises:** `ValueError` if unknown, or if its library is missing."""
     require(kind in KINDS, "kind", repr(kind), ", ".join(KINDS))
     found = KINDS[kind]
     if found.library and find_spec(found.library) is None:
@@ -75,11 +75,12 @@ def export(
 ) -> None:
     """Writes results in another format; whole or not at all.
 
-    **Arguments:** `results` one file, or for `kind` "lerobot" as many as there are
-    episodes; `kind` of `KINDS`; `since` and `until` s after the first row of a file;
-    `rate`, frames a second of "lerobot" and pictures of "film"; `task` of "lerobot", what
-    is done in words; `slow` of "film", how many times slower than it was.
-    **Raises:** `ValueError` for what is no results file, no kind, or an empty stretch.
+    **Arguments:** `results` is one file, or for `kind` "lerobot" a file for each episode;
+    `kind` of `KINDS`; `since` and `until` s after the first row of a file; `rate`, frames a
+    second of "lerobot" and pictures of "film"; `task` of "lerobot": the robot's task in
+    words; `slow` of "film": how many times slower than real time.
+    **Raises:** `ValueError` for a file without results, an unknown kind, or an empty
+    stretch.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""A film of results: the sheet with what touches it, and how much, as it happened."""
+"""Draws a film of results: the sheet with contacts and their strength, in real time."""
 
 import shutil
 import subprocess
@@ -32,9 +32,10 @@ def write(
     rate: int | None = None,
     slow: float | None = None,
 ) -> None:
-    """Draws `rate` pictures a second of the film; `slow`: so many times slower than it was.
+    """Draws `rate` pictures a second; the film is `slow` times slower than real time.
 
-    **Raises:** `ValueError` for an MP4 without ffmpeg, or a GIF of more than 50 a second.
+    **Raises:** `ValueError` for an MP4 without ffmpeg, or a GIF of over 50 pictures a
+    second.
     """
     rate, slow = rate or _RATE, slow or 1.0
     require(slow > 0, "slow", slow, "a number above 0")
@@ -59,7 +60,7 @@ def write(
 
 @contextmanager
 def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
-    """Pictures into ffmpeg, by the codec that it has for MP4."""
+    """Sends pictures to ffmpeg, which chooses its codec for MP4."""
     height, width = shape
     command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
     command += ["-s", f"{width}x{height}", "-r", str(rate), "-i", "-", "-an"]
@@ -83,7 +84,7 @@ def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
 
 @contextmanager
 def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
-    """Pictures as a GIF; all have the colours of the first ones."""
+    """Writes pictures as a GIF; all pictures have the colours of the first."""
     from PIL import Image
 
     frames: list[Any] = []
@@ -102,7 +103,7 @@ def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
 
 
 class _Picture:
-    """One figure, drawn once; of each picture only what moves is drawn."""
+    """A figure, drawn once; each picture draws only the moving parts."""
 
     def __init__(self, source: Source, whole: Overview, rows: np.ndarray, trail: int):
         from matplotlib.figure import Figure
@@ -153,7 +154,7 @@ class _Picture:
         self.shape = np.asarray(self._canvas.buffer_rgba()).shape[:2]
 
     def draw(self, number: int, row: int) -> np.ndarray:
-        """The pixels of a picture (height, width, 4)."""
+        """Draws a picture; returns the pixels (height, width, 4)."""
         source = self._source
         told = {name: source.row(name, row) for name in self._names}
         count = int(told["contact_count"])

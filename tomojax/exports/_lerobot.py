@@ -1,7 +1,7 @@
-"""LeRobot's dataset layout, version 3.0: episodes at a constant rate, for learners.
+"""Writes LeRobot's dataset layout, version 3.0: episodes at a constant rate, for learners.
 
-Frame k holds the last row at or before k/rate, as a robot's loop would have read it. What
-a learner takes has no NaN: a contact that is not there has `present` 0 and zeros.
+Frame k holds the last row at or before k/rate, like the reading of a robot's loop. Learners
+take no NaN: a missing contact has `present` 0 and zeros.
 """
 
 import json
@@ -34,14 +34,14 @@ _RATE = 50
 
 
 def frames_per_second(source: Source) -> int:
-    """As many as rows, but no more than learners take."""
+    """Returns the rows a second, but no more than learners take."""
     t = next(source.blocks(["t"]))["t"]
     rows = 1 / float(np.median(np.diff(t))) if len(t) > 1 else _RATE
     return max(1, min(_RATE, round(rows)))
 
 
 class Dataset:
-    """A dataset in the making, in a folder that is its own."""
+    """A dataset in the making, in a folder of its own."""
 
     def __init__(self, folder: Path, rate: int, task: str):
         self.folder, self.rate, self.task = folder, rate, task
@@ -52,9 +52,9 @@ class Dataset:
         self._first: Path | None = None
 
     def add(self, source: Source, progress: Progress) -> None:
-        """One results file more: an episode.
+        """Adds a results file as an episode.
 
-        **Raises:** `ValueError` where its contacts or images are not those of the first.
+        **Raises:** `ValueError` where the contacts or images differ from the first file's.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -108,7 +108,7 @@ class Dataset:
         self._frames += length
 
     def finish(self) -> None:
-        """Writes what the dataset says of itself."""
+        """Writes the dataset's description of itself."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -182,7 +182,7 @@ def _features(source: Source) -> dict[str, dict]:
 def _resampled(
     source: Source, rate: int, progress: Progress
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Frames of the rows, a block at a time."""
+    """Yields frames of the rows, a block at a time."""
     fields = [n for n in ("t", "contact_count", "residual", "flags") if n in source.names]
     fields += [n for n in (*_OF_CONTACT, "image") if n in source.names]
     begin, done, held = None, 0, None
@@ -220,7 +220,7 @@ def _frames(source: Source, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray
 
 
 def _nested(pa: Any, values: np.ndarray) -> Any:
-    """An array of n rows as a column of lists, or lists of lists."""
+    """Makes an array of n rows a column of lists, or lists of lists."""
     made = pa.array(np.ascontiguousarray(values).ravel())
     for size in values.shape[:0:-1]:
         made = pa.FixedSizeListArray.from_arrays(made, size)
@@ -229,7 +229,7 @@ def _nested(pa: Any, values: np.ndarray) -> Any:
 
 
 class _Statistics:
-    """Of one feature of one episode; quantiles are of at most some thousand frames."""
+    """Statistics of an episode's feature; quantiles use some thousand frames a block."""
 
     _MOST = 4096
 
@@ -260,7 +260,7 @@ class _Statistics:
 
 
 def _joined(each: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of all episodes, by how many frames they have, as LeRobot joins them."""
+    """Joins the episodes' statistics, weighted by frames, like LeRobot."""
     counts = np.array([one["count"][0] for one in each], float)
     arrays = {name: np.array([one[name] for one in each]) for name in each[0]}
     shape = (-1, *(1,) * (arrays["mean"].ndim - 1))

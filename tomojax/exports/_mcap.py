@@ -1,4 +1,4 @@
-"""MCAP with ROS 2's messages: for rosbag2's tools, Foxglove and learners. No ROS needed."""
+"""Writes MCAP with ROS 2's messages, without ROS: for rosbag2, Foxglove and learners."""
 
 import math
 import struct
@@ -76,7 +76,7 @@ def _nanoseconds(t: float) -> int:
 
 
 def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Each row's time, its state, and its image."""
+    """Yields each row's time, and its state and image."""
     finder = None
     for block in source.blocks(source.names, progress):
         t = block["t"].tolist()
@@ -139,7 +139,7 @@ def _cloud(contacts: list[dict]) -> dict[str, Any]:
 
 
 def _wrench(contacts: list[dict]) -> dict[str, Any]:
-    """Contacts press along −z: r × F of each has x and y alone."""
+    """Sums the wrench of contacts that press along −z: r × F has x and y alone."""
     known = [c for c in contacts if c["force"] == c["force"]]
     torque = {
         "x": -sum(c["y"] * c["force"] for c in known),

@@ -1,4 +1,4 @@
-"""Texts of the ROS 2 messages that are written; ours are those of MESSAGES.md."""
+"""Holds the texts of the ROS 2 messages; MESSAGES.md has tomojax's own messages."""
 
 import re
 from functools import cache
@@ -44,7 +44,7 @@ def _texts() -> dict[str, str]:
 
 
 def definition(name: str) -> str:
-    """A message's text, followed by those of the messages that it holds."""
+    """Returns a message's text, followed by the texts of the messages inside."""
     texts = _texts()
     found, due = [texts[name]], [name]
     known = {name}

@@ -1,4 +1,4 @@
-"""NetCDF-4 as xarray and the CF conventions know it: named dimensions, units, flags."""
+"""Writes NetCDF-4 for xarray, after the CF conventions: named dimensions, units, flags."""
 
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ def _variable(file: Any, name: str, dimensions: tuple, kind: Any, unit: str) -> 
 
 
 def _grids(file: Any, source: Source) -> None:
-    """Centres of pixels."""
+    """Writes the centres of pixels."""
     for name, axes in (("image", ("x", "y")), ("touch", ("fine_x", "fine_y"))):
         if name in source.names:
             for axis, values in zip(axes, source.pixels(name)):
@@ -97,5 +97,5 @@ def _events(file: Any, source: Source) -> None:
 
 
 def _fit(value: Any) -> Any:
-    """Lists as arrays; nothing that NetCDF has no attribute for."""
+    """Turns a list into an array, as NetCDF's attributes need."""
     return np.array(value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""What a picture of a whole file shows: how much touches, over time; and outlines."""
+"""Computes a file's overview for pictures: contacts' strength over time, and circles."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ _CORNERS, _RADIUS = 25, 3.0
 
 
 class Overview(NamedTuple):
-    """In bins of time, the lowest and highest sum over contacts."""
+    """The lowest and highest sum over contacts, in bins of time."""
 
     t: Float[np.ndarray, " b"]  # s
     low: Float[np.ndarray, " b"]
@@ -27,7 +27,7 @@ class Overview(NamedTuple):
 
 
 def overview(source: Source) -> Overview:
-    """Of forces where they are calibrated, else of conductances."""
+    """Sums forces where these are calibrated, conductances otherwise."""
     forces = "contact_force" in source.names
     name, unit = ("contact_force", 1.0) if forces else ("contact_conductance", 1e6)
     t = source.times()
@@ -52,7 +52,7 @@ def overview(source: Source) -> Overview:
 def rings(
     xy: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "m 2"]:
-    """Circles as one line with breaks; mm."""
+    """Returns circles as one line with breaks; mm."""
     turn = np.linspace(0, 2 * np.pi, _CORNERS)
     circle = np.stack([np.cos(turn), np.sin(turn)], 1)
     wide = np.where(np.isfinite(radius), radius, _RADIUS)

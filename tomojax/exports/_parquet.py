@@ -1,4 +1,4 @@
-"""Parquet: the columns of the CSV with images beside, typed, with their units."""
+"""Writes Parquet: the columns of the CSV, and images, with types and units."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from tomojax.exports._source import plain, Progress, Source, WORDS
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
-    """Writes rows, and beside them events. An image is a list of nx·ny numbers, by x."""
+    """Writes rows, and a file of events. An image is a list of nx·ny numbers, by x."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,4 +1,4 @@
-"""A stretch of a results file, as writers of other formats read it: in blocks of rows."""
+"""Reads a stretch of a results file in blocks of rows, for writers of other formats."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -43,10 +43,10 @@ WORDS = {
 
 
 class Source:
-    """Rows of a results file between two times; a context that closes it.
+    """Rows of a results file between two times; a context that closes the file.
 
     **Arguments:** `since` and `until` s after the file's first row.
-    **Raises:** `ValueError` for a file that holds no results, or no row between them.
+    **Raises:** `ValueError` for a file without results, or without a row in the stretch.
 
     **Example:**
 
@@ -80,40 +80,40 @@ class Source:
 
     @property
     def pitch(self) -> float:
-        """Of the electrodes, m; as `Sensor.mean_pitch`."""
+        """Returns the electrodes' pitch, m, the same as `Sensor.mean_pitch`."""
         return float(np.sqrt(np.prod(self.size) / len(self.electrode_xy)))
 
     def unit(self, name: str) -> str:
-        """Of a field; "1" for numbers without."""
+        """Returns a field's unit; "1" for numbers without a unit."""
         return str(self._file.unit(name).get("unit", "1"))
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Of one row of a field."""
+        """Returns the shape of one row of a field."""
         return self._file.stretch(name, self.start, self.start + 1).shape[1:]
 
     def kind(self, name: str) -> np.dtype:
-        """The type of a field's numbers."""
+        """Returns the type of a field's numbers."""
         return self._file.stretch(name, self.start, self.start + 1).dtype
 
     def pixels(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Centres of an image's pixels along x and y, m."""
+        """Returns the centres of an image's pixels along x and y, m."""
         x, y = (
             (np.arange(n) + 0.5) * side / n for n, side in zip(self.shape(name), self.size)
         )
         return x, y
 
     def times(self) -> np.ndarray:
-        """Of all rows, s."""
+        """Returns the times of all rows, s."""
         return self._file.stretch("t", self.start, self.stop)
 
     def row(self, name: str, k: int) -> Any:
-        """A field of the `k`th row."""
+        """Returns a field of the `k`th row."""
         return self._file.stretch(name, self.start + k, self.start + k + 1)[0]
 
     def blocks(
         self, names: list[str], progress: Progress = lambda done, total: None
     ) -> Iterator[dict[str, np.ndarray]]:
-        """Fields by name, a stretch of rows at a time."""
+        """Yields fields by name, a stretch of rows at a time."""
         width = sum(int(np.prod(self.shape(name))) for name in names)
         each = max(1, _BLOCK // max(1, width))
         for at in range(self.start, self.stop, each):
@@ -128,7 +128,7 @@ class Source:
             progress(end - self.start, self.rows)
 
     def events(self) -> list[Event]:
-        """Touch-down and lift-off, by the file's tracks where it has them; and marks."""
+        """Lists touch-downs and lift-offs, by the file's tracks if any, and marks."""
         found = self._tracked() if "contact_track" in self.names else self._found()
         nowhere = (float("nan"), float("nan"))
         first, last = (float(self.row("t", k)) for k in (0, self.rows - 1))
@@ -138,7 +138,7 @@ class Source:
         return sorted(found, key=lambda event: event.t)
 
     def marks(self) -> list[tuple[float, str]]:
-        """Moments that somebody marked while the recording was made: s, and words."""
+        """Lists moments that somebody marked during the recording: s, and words."""
         try:
             told = json.loads(self.attributes.get("marks", "[]"))
             return [(float(t), str(text)) for t, text in told]
@@ -182,7 +182,7 @@ class Source:
 
 
 def plain(attributes: dict[str, Any]) -> dict[str, Any]:
-    """Numbers, lists and texts; what JSON has no word for becomes text."""
+    """Makes attributes numbers, lists and texts; values unknown to JSON become text."""
     return {name: _plain(value) for name, value in attributes.items()}
 
 

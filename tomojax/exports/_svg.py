@@ -1,4 +1,4 @@
-"""SVG: the paths of contacts on the sheet, and how much touched, as a figure of a paper."""
+"""Writes SVG: contacts' paths on the sheet and their strength, as a figure of a paper."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ _POINTS = 20_000
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
-    """Draws one picture; contacts from touch-down to lift-off have one colour each."""
+    """Draws one picture; each contact has one colour from touch-down to lift-off."""
     from matplotlib.figure import Figure
 
     told = overview(source)
@@ -60,7 +60,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
 
 
 def _most(source: Source) -> int:
-    """The row with the largest conductance in all."""
+    """Returns the row with the largest sum of conductances."""
     totals = [
         np.nansum(block["contact_conductance"].astype(float), 1)
         for block in source.blocks(["contact_conductance"])

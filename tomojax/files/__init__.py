@@ -1,8 +1,8 @@
-"""Files from outside: whatever they hold, they are read, or one line says why not.
+"""Reads files from outside, whatever they hold, or says in one line why not.
 
-HDF5 and TDMS are read in a process of their own, with limits: their libraries may loop,
-crash or open other files on bytes that nobody has made by hand. The room knows nothing of
-recordings or results, and imports no JAX.
+HDF5, MCAP and TDMS are read in a process of their own, with limits. On damaged bytes, their
+libraries may loop, crash or open other files. The folder knows nothing of recordings or
+results, and imports no JAX.
 """
 
 from tomojax.files._npz import read_npz as read_npz

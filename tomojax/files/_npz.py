@@ -1,4 +1,4 @@
-"""Arrays in .npz files, with sizes judged before anything is unpacked."""
+"""Reads arrays of .npz files, and judges sizes before any array is unpacked."""
 
 import math
 import zipfile
@@ -20,10 +20,10 @@ _RATIO, _SLACK = 200, 1 << 24
 def read_npz(
     path: Path | str, what: str, needed: Iterable[str], more: Iterable[str] | None = ()
 ) -> dict[str, np.ndarray]:
-    """Arrays of numbers by name: all that are `needed`, and of `more` those there are;
-    None: whatever there is.
+    """Reads arrays of numbers by name: all that are `needed`, and `more` if the file has
+    them (None: every array).
 
-    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+    **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
     **Example:**
 
@@ -60,7 +60,7 @@ def read_npz(
 
 
 def _array(pack: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """One array; its shape is compared with its bytes before memory is asked for."""
+    """Reads one array; compares its shape with its bytes before memory is asked for."""
     with pack.open(member) as raw:
         version = np.lib.format.read_magic(raw)
         if version == (1, 0):

@@ -28,11 +28,11 @@ _WAIT = 120.0
 
 
 class OpenContainer:
-    """Attributes and datasets of a file from outside; a context that closes it.
+    """Attributes and datasets of a file from outside; a context that closes the file.
 
-    `attributes` by name (numbers, arrays and texts); `names` of its members; `growing`:
-    whether a writer has it open in SWMR mode, or had it at a crash; `whole_rows` by name:
-    how many rows of a dataset lie in such a file.
+    `attributes` by name (numbers, arrays and texts); `names` of the file's members.
+    `growing` tells whether a writer has the file open in SWMR mode, or had at a crash.
+    `whole_rows` by name: the number of a dataset's rows that lie in such a file.
 
     **Example:**
 
@@ -86,17 +86,17 @@ class OpenContainer:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Those that can be read."""
+        """Returns the attributes that can be read."""
         told = self._attributes.items()
         return {name: decode(one) for name, one in told if "refused" not in one}
 
     def attributes_of(self, name: str) -> dict[str, Any]:
-        """Of a member that can be read."""
+        """Returns the attributes of a member that can be read."""
         told = self._member(name).get("attributes", {}).items()
         return {key: decode(one) for key, one in told if "refused" not in one}
 
     def refused(self, name: str) -> str | None:
-        """Why an attribute or a member of that name cannot be read; None where it can."""
+        """Tells why an attribute or member of that name is unreadable; None if readable."""
         told = self._members.get(name) or self._attributes.get(name) or {}
         return told.get("refused")
 
@@ -110,11 +110,11 @@ class OpenContainer:
         return self._member(name).get("whole_rows")
 
     def stored(self, name: str) -> int:
-        """Bytes of it in the file."""
+        """Returns the bytes of a member in the file."""
         return self._member(name)["stored"]
 
     def place(self, name: str) -> int | None:
-        """Where it begins in the file, if it lies there in one piece."""
+        """Returns the member's offset in the file, if the member lies in one piece."""
         return self._member(name).get("place")
 
     def _member(self, name: str) -> dict[str, Any]:
@@ -131,10 +131,10 @@ class OpenContainer:
         stop: SupportsIndex | None = None,
         axis: int = 0,
     ) -> Any:
-        """A dataset, or a stretch along its first axis, or its last one (`axis` -1).
+        """Reads a dataset, or a stretch along its first axis, or its last axis (`axis` -1).
 
-        **Raises:** `OSError` for data that cannot be read, `ValueError` for more of them
-        than the machine holds.
+        **Raises:** `OSError` for data that cannot be read, `ValueError` for more data than
+        the machine holds.
         """
         shape, item = self.shape(name), self.dtype(name).itemsize
         if not shape:
@@ -161,10 +161,10 @@ class OpenContainer:
         return made
 
     def read_whole(self, name: str) -> np.ndarray:
-        """A dataset that is needed at once, of rows that lie in the file.
+        """Reads a whole dataset at once, for rows that lie in the file.
 
-        **Raises:** as `read`; `ValueError` for one that is much larger than what it is
-        stored in: a small file must not cost the machine's memory.
+        **Raises:** as `read`; `ValueError` for a dataset much larger than its stored bytes:
+        a small file must not cost the machine's memory.
         """
         shape, stop = self.shape(name), self.whole_rows(name)
         size = math.prod(shape) * self.dtype(name).itemsize
@@ -232,7 +232,7 @@ def open_container(
 ) -> OpenContainer:
     """Opens a file of datasets in a process of its own, with limits.
 
-    **Raises:** `OSError` with the library's words where it cannot open the file, and
+    **Raises:** `OSError` with the library's words for a file that the library cannot open;
     `ValueError` for a file that is damaged otherwise; `ModuleNotFoundError` without the
     library.
 
@@ -251,7 +251,7 @@ def open_container(
 
 
 def decode(told: dict[str, Any]) -> Any:
-    """What `encode` was given."""
+    """Restores the value that `encode` was given."""
     if "text" in told:
         return told["text"]
     if "texts" in told:
@@ -265,7 +265,7 @@ def decode(told: dict[str, Any]) -> Any:
 
 
 def memory() -> int:
-    """Of the machine, bytes."""
+    """Returns the machine's memory, bytes."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # not on every system
@@ -273,7 +273,7 @@ def memory() -> int:
 
 
 class _Readers:
-    """The process that forks for each file; begun with the first one."""
+    """The process that forks for each file; begun with the first file."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -282,7 +282,7 @@ class _Readers:
         self._owner = 0
 
     def connect(self, asked: dict[str, Any]) -> Connection | None:
-        """A connection to a new fork; None where the system has no such thing."""
+        """Returns a connection to a new fork; None where the system has no forks."""
         # Others have no such sockets (macOS), no limit of memory, or no fork (Windows).
         if sys.platform != "linux" or not hasattr(os, "fork") or not sys.executable:
             return None
@@ -317,7 +317,7 @@ class _Readers:
             )
 
     def close(self) -> None:
-        """Ends it, with the forks that nobody asks any more."""
+        """Ends the process, with the forks that nobody asks any more."""
         if self._control is not None:
             self._control.close()
             self._control = None

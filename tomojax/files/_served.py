@@ -1,7 +1,7 @@
-"""What is read of an HDF5 file from outside: plain datasets that lie in the file itself.
+"""Reads an HDF5 file from outside: plain datasets that lie in the file itself.
 
-Runs in the reader's process, see `reader`. No link, virtual dataset or external storage is
-followed, and sizes are compared with the bytes that are there before any are read.
+This file runs in the reader's process, see `reader`. No link, virtual dataset or external
+storage is followed. Sizes are compared with the file's bytes before any are read.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
@@ -33,7 +33,7 @@ _AGAIN = (0.02, 0.1, 0.3)
 
 
 class Refused(Exception):
-    """What a file has instead of what it should."""
+    """A fault of a file: the contents found in place of those expected."""
 
 
 class Hdf5:
@@ -69,7 +69,7 @@ class Hdf5:
         self.members = {name: self._member(name) for name in names}
 
     def about(self) -> dict[str, Any]:
-        """All that is known before a row is read."""
+        """Returns all that is known before a row is read."""
         told = self.attributes, self.members, self.growing
         return dict(zip(("attributes", "members", "growing"), told))
 
@@ -97,7 +97,7 @@ class Hdf5:
             return {"refused": f"what is damaged ({_line(error)})"}
 
     def _rows(self, dataset: Any) -> int | None:
-        """Rows along the first axis whose chunks lie in a file that may be cut off."""
+        """Counts rows along the first axis whose chunks lie in a file, perhaps cut off."""
         if not self.growing or dataset.chunks is None:
             return None
         whole, step = 0, dataset.chunks[0]
@@ -117,7 +117,7 @@ class Hdf5:
         return whole
 
     def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
-        """A stretch along the first or the last axis."""
+        """Reads a stretch along the first or the last axis."""
         dataset = self._datasets[name]
         if not dataset.ndim:
             return np.asarray(dataset[()])
@@ -125,7 +125,7 @@ class Hdf5:
 
 
 def _stored(found: Any, size: int, growing: bool) -> int:
-    """Bytes of a dataset in the file, of which a part may be cut off."""
+    """Returns a dataset's bytes in the file, of which a part may be cut off."""
     try:
         return min(found.get_storage_size(), size)
     except Exception:
@@ -135,7 +135,7 @@ def _stored(found: Any, size: int, growing: bool) -> int:
 
 
 def _require_own(found: Any, size: int, stored: int) -> None:
-    """**Raises:** `Refused` for data that do not lie in the file, or of no size of ours."""
+    """Refuses data outside the file, or of a wrong size. **Raises:** `Refused`."""
     plist = found.get_create_plist()
     layout = plist.get_layout()
     if layout == h5py.h5d.VIRTUAL:
@@ -190,7 +190,7 @@ def _attributes(item: Any) -> dict[str, Any]:
 
 
 def encode(value: Any) -> dict[str, Any]:
-    """A value as JSON has it; `OpenContainer` makes it anew."""
+    """Encodes a value for JSON; `decode` restores the value."""
     if isinstance(value, str):
         return {"text": value}
     if isinstance(value, bytes):

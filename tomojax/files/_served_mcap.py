@@ -1,7 +1,8 @@
-"""What is read of an MCAP file: messages of one type, as columns.
+"""Reads an MCAP file: messages of one type, as columns.
 
-Runs in the reader's process, see `reader`. The message is `tomojax_msgs/msg/Slot`, whose
-text is in `SLOT`: all of a file have one length, so that they are read as a table.
+This file runs in the reader's process, see `reader`. The message is
+`tomojax_msgs/msg/Slot`, whose text is in `SLOT`. A file's messages all have one length, so
+that they are read as a table.
 """
 
 import json
@@ -22,7 +23,7 @@ _SCHEMA = "tomojax_msgs/msg/Slot"
 
 
 class Mcap:
-    """A file's slots, as `Hdf5` has datasets; its metadata "tomojax" as attributes."""
+    """A file's slots in the form of `Hdf5`'s datasets; metadata "tomojax" as attributes."""
 
     def __init__(self, path: str, options: dict[str, Any]):
         from mcap.reader import make_reader, NonSeekingReader
@@ -53,7 +54,7 @@ class Mcap:
         }
 
     def _read(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
-        """Collects the slots; returns how they are encoded."""
+        """Collects the slots; returns the slots' encoding."""
         told = ""
         try:
             for schema, channel, message in reader.iter_messages(log_time_order=whole):
@@ -68,7 +69,7 @@ class Mcap:
         return told
 
     def _describe(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
-        """Takes what the file says of the rig."""
+        """Reads the file's description of the rig."""
         try:
             for metadata in reader.iter_metadata():
                 if metadata.name == "tomojax":
@@ -79,17 +80,17 @@ class Mcap:
         return ""
 
     def about(self) -> dict[str, Any]:
-        """All that is known before a row is read."""
+        """Returns all that is known before a row is read."""
         told = {"attributes": self.attributes, "members": self.members}
         return told | {"growing": False}
 
     def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
-        """A stretch of a column."""
+        """Reads a stretch of a column."""
         return self._columns[name][start:stop]
 
 
 def _attributes(told: dict[str, str]) -> dict[str, Any]:
-    """Values are JSON: numbers, lists and texts."""
+    """Reads attributes whose values are JSON: numbers, lists and texts."""
     found = {}
     for name, text in told.items():
         try:
@@ -101,7 +102,7 @@ def _attributes(told: dict[str, str]) -> dict[str, Any]:
 
 
 def _table(data: list[bytes]) -> dict[str, np.ndarray]:
-    """CDR's layout: each number is aligned to its size, from the fifth byte on."""
+    """Reads CDR's layout: each number is aligned to its size, from the fifth byte on."""
     first = data[0]
     if len({len(one) for one in data}) > 1 or len(first) < 16:
         raise Refused("slots of several lengths")

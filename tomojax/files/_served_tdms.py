@@ -1,6 +1,6 @@
-"""What is read of a TDMS file: the file's properties and its channels' numbers.
+"""Reads a TDMS file: the file's properties and its channels' numbers.
 
-Runs in the reader's process, see `reader`. A channel's name is "group/channel".
+This file runs in the reader's process, see `reader`. A channel's name is "group/channel".
 """
 
 from pathlib import Path
@@ -12,7 +12,7 @@ from tomojax.files._served import encode, Refused
 
 
 class Tdms:
-    """A file's properties and channels, as `Hdf5` has attributes and datasets."""
+    """A file's properties and channels in the form of `Hdf5`'s attributes and datasets."""
 
     def __init__(self, path: str, options: dict[str, Any]):
         from nptdms import TdmsFile
@@ -42,16 +42,16 @@ class Tdms:
                 self.members[name] = {"shape": [length], "dtype": kind.str}
 
     def about(self) -> dict[str, Any]:
-        """All that is known before a row is read."""
+        """Returns all that is known before a row is read."""
         told = {"attributes": self.attributes, "members": self.members}
         return told | {"growing": False}
 
     def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
-        """A stretch of a channel."""
+        """Reads a stretch of a channel."""
         return np.asarray(self._channels[name].read_data(start, stop - start))
 
 
 def _stored(channel: Any, kind: np.dtype) -> int:
-    """Bytes of a value in the file: scaled ones are of fewer than what is read."""
+    """Returns a value's bytes in the file, fewer than when read for scaled values."""
     raw = getattr(channel.data_type, "size", None)
     return int(raw) if raw else 1 if kind.itemsize else 0

@@ -1,9 +1,9 @@
-"""An HDF5 file that a SWMR writer has, or had, open: read as the file it is by now.
+"""Reads the present state of an HDF5 file that a SWMR writer has, or had, open.
 
-HDF5 itself opens such a file in SWMR mode alone, and there tries again and again, for
-longer each time, where a checksum is wrong: with one bit that is damaged, for ever. Here
-the superblock's own checksum is looked at first, and HDF5 is shown one that says the file
-is closed and as long as it is. Metadata that are damaged are then an error at once.
+HDF5 itself opens such a file in SWMR mode alone. HDF5 then retries a wrong checksum again
+and again, for longer each time: one damaged bit takes for ever. This module checks the
+superblock's own checksum first. HDF5 is shown a superblock of a closed file with the
+present length. Damaged metadata are then an error at once.
 """
 
 import io
@@ -15,7 +15,7 @@ _MASK = 0xFFFFFFFF
 
 
 def lookup3(data: bytes) -> int:
-    """Bob Jenkins' hash of bytes (`hashlittle`, 2006), HDF5's checksum of metadata."""
+    """Computes Bob Jenkins' hash (`hashlittle`, 2006), HDF5's checksum of metadata."""
     a = b = c = (0xDEADBEEF + len(data)) & _MASK
 
     def turned(x: int, by: int) -> int:
@@ -52,17 +52,17 @@ def lookup3(data: bytes) -> int:
 
 
 def growing(start: bytes) -> bool:
-    """Whether a writer has the file open, or had it at a crash, by its first bytes."""
+    """Tells by its first bytes whether a writer has a file open, or had at a crash."""
     return (
         start[:8] == _SIGNATURE and len(start) > 11 and start[8] >= 3 and start[11] & 4 > 0
     )
 
 
 class Growing(io.RawIOBase):
-    """The file as it is by now, with a superblock of a file that is closed.
+    """The file in its present state, with the superblock of a closed file.
 
-    **Raises:** `ValueError` for a superblock that is damaged; `OSError` where HDF5 asks
-    for bytes that are not there.
+    **Raises:** `ValueError` for a damaged superblock; `OSError` where HDF5 asks for missing
+    bytes.
     """
 
     def __init__(self, path: Path):

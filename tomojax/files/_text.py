@@ -1,4 +1,4 @@
-"""Small files of text: JSON, TOML, and tables of numbers."""
+"""Reads small files of text: JSON, TOML, and tables of numbers."""
 
 import json
 import tomllib
@@ -16,9 +16,9 @@ _SMALL, _TABLE = 1 << 24, 1 << 30
 
 
 def read_json(path: Path | str, what: str) -> Any:
-    """The content of a JSON file.
+    """Reads the content of a JSON file.
 
-    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+    **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
     **Example:**
 
@@ -37,9 +37,9 @@ def read_json(path: Path | str, what: str) -> Any:
 
 
 def read_toml(path: Path | str, what: str) -> dict[str, Any]:
-    """The content of a TOML file.
+    """Reads the content of a TOML file.
 
-    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+    **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
     **Example:**
 
@@ -53,9 +53,9 @@ def read_toml(path: Path | str, what: str) -> dict[str, Any]:
 
 
 def read_table(path: Path | str, what: str) -> Float[np.ndarray, "n columns"]:
-    """Numbers with commas between; NaN where a field is no number.
+    """Reads numbers with commas between; a field that is no number is NaN.
 
-    **Raises:** `ValueError`, one line: the file, `what` that means, and why.
+    **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
     **Example:**
 
@@ -90,7 +90,7 @@ def _parsed(path: Path | str, what: str, parse: Callable[[str], Any]) -> Any:
 
 
 def _require_file(path: Path, what: str, most: int) -> None:
-    """Of a FIFO or a device a reader would wait for ever."""
+    """Refuses all but plain files up to `most` bytes: a FIFO may be awaited for ever."""
     if not path.is_file():
         reason = "a folder" if path.is_dir() else "no such file"
         reason = "no plain file" if path.exists() and not path.is_dir() else reason

@@ -1,8 +1,8 @@
-"""The process that reads containers: `python -m tomojax.files.reader`.
+"""Runs the process that reads containers: `python -m tomojax.files.reader`.
 
-One waits for each process that opens files; for each file it forks itself, so that a file
-costs some milliseconds and not an interpreter's start. The fork has little memory, little
-time for each request, and can open nothing else once the file is open.
+One reader waits for each process that opens files. The reader forks itself for each file: a
+file costs some milliseconds, not an interpreter's start. The fork has little memory and
+little time for each request. The fork can open nothing else once the file is open.
 """
 
 import json
@@ -27,7 +27,7 @@ _KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.
 
 
 def main() -> None:
-    """Forks for each file that comes through standard input, a socket, until it closes."""
+    """Forks for each file that comes through standard input, until this socket closes."""
     # Ctrl-C is for the process that asks; forks that have ended are nobody's.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -84,13 +84,13 @@ def serve(connection: Connection, asked: dict[str, Any]) -> None:
 
 
 def _limit_time(part: int = 1) -> None:
-    """Beyond it the system ends the process, whatever loop that is in."""
+    """Sets a time limit: the system then ends the process, whatever loop runs."""
     signal.setitimer(signal.ITIMER_PROF, part * _WORK)
     signal.setitimer(signal.ITIMER_REAL, min(part, 1) * (_WAIT + part * _WORK))
 
 
 def _open_nothing_else() -> None:
-    """From here on no file, socket or library can be opened: a number is free for none."""
+    """Lets no further file, socket or library be opened: no file number is left free."""
     import resource
 
     free = os.dup(0)

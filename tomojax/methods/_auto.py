@@ -30,7 +30,7 @@ from tomojax.sensor import Calibration, Sensor
 
 
 class PreparedAuto(NamedTuple):
-    """For S slots with their good channels."""
+    """Arrays for S slots with their good channels."""
 
     errors: PreparedErrors
     source: PreparedSource
@@ -38,11 +38,10 @@ class PreparedAuto(NamedTuple):
 
 
 class Auto(AbstractMethod):
-    """Each frame is worked on by `points`; what that leaves unexplained by `source`; and
-    what is left then by `shape`.
+    """Fits each frame by `points`; unexplained frames by `source`; the rest by `shape`.
 
-    A model explains a frame whose misfit is at the noise: the converter's, with the
-    model's own error (`Errors`), to which `points`' tolerance belongs. λ is `source`'s.
+    A model explains a frame whose misfit is at the noise: the converter's, with the model's
+    own error (`Errors`). The tolerance is that of `points`; λ is `source`'s.
     """
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
@@ -64,7 +63,7 @@ class Auto(AbstractMethod):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Auto":
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         points = Points.of(sensor, shape)
         return cls(shape, points.cell, points, ShapeModel.of(sensor, shape))
 
@@ -75,7 +74,7 @@ class Auto(AbstractMethod):
 
     @property
     def source(self) -> Source:
-        """The rung between."""
+        """Returns the rung between `points` and `shape`."""
         return self.shapes.source
 
     @property
@@ -91,7 +90,7 @@ class Auto(AbstractMethod):
         return self.points.electrode_count
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """As `source`."""
+        """Returns the λ that `source` chooses."""
         return self.source.choose_lambda(frames)
 
     def scale(self) -> float:
@@ -115,7 +114,7 @@ class Auto(AbstractMethod):
     def larger(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        """Of what `points` does not explain."""
+        """Fits a frame that `points` does not explain."""
         explained, source = self._source(prepared, voltages, count)
         largest = partial(self._shape, prepared, voltages, count)
         return jax.lax.cond(explained, lambda: source, largest)
@@ -129,7 +128,7 @@ class Auto(AbstractMethod):
         images: bool,
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        """Estimates n frames; fits a larger model only to the frames that ask for one."""
         found = self.points.block(prepared.errors, voltages, grounds, count, images, films)
         rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
@@ -145,7 +144,7 @@ class Auto(AbstractMethod):
     def _source(
         self, prepared: PreparedAuto, voltages: Float[Array, "S M"], count: int
     ) -> tuple[Bool[Array, ""], Estimate]:
-        """`source`, and whether its image explains the slots, each with its own current."""
+        """Tells whether `source`'s image explains the slots; each has its own current."""
         estimate = self.source.estimate(prepared.source, voltages, count)
         frame = whitened(prepared.errors, voltages).frame
         coefficients = matmul(voltages.ravel(), prepared.source.operators)

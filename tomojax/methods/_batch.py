@@ -1,4 +1,4 @@
-"""Frames in, rows out: a method applied to many scans, or slots, of any grounds."""
+"""Applies a method to many scans, or slots, of any grounds: frames in, rows out."""
 
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -32,8 +32,9 @@ _KEPT = 128
 
 
 class Batch:
-    """A method at one λ, applied to frames; remembers what it prepared.
+    """A method at one λ, applied to frames; remembers its preparations.
 
+<<<<<<< HEAD
     **Arguments:** `method` of `tomojax.method`; `lam` λ (the
     method's own choice by default); `contacts` C; `images` False
     leaves them out; `threshold`: volts that no channel exceeds without a contact (the
@@ -41,6 +42,14 @@ class Batch:
     that all but the first may begin where that ends (1: none do), of a method that `films`;
     `devices` that share the frames (all of this process by default), by
     `jax.sharding` along the scan axis.
+=======
+    **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
+    leaves images out; `threshold`: volts that no channel exceeds without a contact (the
+    method's own by default). `film` counts frames in a row that follow each other closely
+    (1: none do). A method that `films` may begin all but the first where an earlier frame
+    ended. `devices` share the frames (all of this process by default), by `jax.sharding`
+    along the scan axis.
+>>>>>>> c91be6fe2e6d526eb6c1f915537233efa108dbe0
 
     **Example:**
 
@@ -86,9 +95,9 @@ class Batch:
         flags: Integer[np.ndarray, " n"] | None = None,
         lams: Float[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """Rows of n frames; `good` voltages are used, `flags` (bits) are added to.
+        """Returns rows of n frames; uses `good` voltages; adds to `flags` (bits).
 
-        `lams`: λ of each frame, instead of that of all.
+        `lams`: λ of each frame, instead of one λ for all.
 
         A frame without a good voltage has no contact, NaN in image and residual, and the
         bit NO_DATA.
@@ -143,14 +152,14 @@ class Batch:
         return rows
 
     def _parts(self, group: np.ndarray) -> list[np.ndarray]:
-        """A group in parts; a film stays whole."""
+        """Splits a group into parts; a film stays whole."""
         if self.film == 1:
             return _slices(group, self._most(group))
         which = group // self.film // _FILMS
         return np.split(group, np.flatnonzero(np.diff(which)) + 1)
 
     def _most(self, group: np.ndarray) -> int:
-        """Frames of a part; of what is not filled up each worker has its part."""
+        """Returns the frames of a part; workers share a group that no zeros fill up."""
         most, each = self.method.blocks[-1], -(-len(group) // _WORKERS)
         return most if self.method.padded else min(most, max(each, _LEAST))
 
@@ -170,15 +179,16 @@ class Batch:
         require(finite.all() or finite[good].all(), "voltages", "NaN where good", "volts")
 
     def empty(self, n: int) -> Rows:
-        """Rows of n frames that say nothing yet."""
+        """Makes rows of n frames that say nothing yet."""
         return empty_rows(n, self.method.sizes(self.contacts, self.images))
 
     def _nothing(
         self, voltages, good, looked: Looked, rows: Rows
     ) -> Bool[np.ndarray, " n"]:
-        """Fills in rows without data or contact; the others are for the method.
+        """Fills in rows without data or contact; marks the rows left for the method.
 
-        The ladder's lowest step: no contact, image 0, all of the voltages left over.
+        This is the ladder's lowest step: no contact, image 0, all of the voltages left
+        over.
         """
         used = voltages if good.all() else np.where(good, voltages, 0)
         data = looked.data
@@ -238,7 +248,7 @@ class Batch:
 
 
 def check_limits(lam: float, contacts: int, threshold: float) -> None:
-    """**Raises:** `ValueError` for a `Batch` that cannot be."""
+    """Checks a `Batch`'s numbers. **Raises:** `ValueError` for numbers out of range."""
     whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 16
     require(whole, "contacts", repr(contacts), "a whole number from 1 to 16")
     require(np.isfinite(lam) and lam > 0, "lam", lam, "a number above 0")
@@ -247,7 +257,7 @@ def check_limits(lam: float, contacts: int, threshold: float) -> None:
 
 
 def _groups(grounds, good, usable) -> Iterator[np.ndarray]:
-    """Frames with the same grounds and the same good channels."""
+    """Groups frames with the same grounds and the same good channels."""
     if not len(usable):
         return
     mixed = good.reshape(len(good), -1).view(np.uint8)
@@ -271,14 +281,14 @@ def _groups(grounds, good, usable) -> Iterator[np.ndarray]:
 
 
 def _slices(items: Any, size: int) -> list[Any]:
-    """Of `size` items, but for the last."""
+    """Cuts items into slices of `size`; the last slice may be shorter."""
     return [items[k : k + size] for k in range(0, len(items), size)]
 
 
 def frames_of(
     voltages: np.ndarray, grounds: np.ndarray, good: np.ndarray, most: int
 ) -> list[Frame]:
-    """Up to `most` frames, spread evenly."""
+    """Picks up to `most` frames, spread evenly."""
     step = max(1, -(-len(voltages) // most))
     return [
         Frame(np.where(g, v, 0), np.where(g.any(1), ground, 0), g)

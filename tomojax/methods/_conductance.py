@@ -1,4 +1,4 @@
-"""`conductance`: g ≥ 0 at every pixel, from the exact contact model and all slots."""
+"""`conductance`: finds g ≥ 0 at every pixel, from the exact contact model and all slots."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -82,14 +82,14 @@ _START = 1e-4
 
 
 class PreparedConductance(NamedTuple):
-    """For S slots with their good channels."""
+    """Arrays for S slots with their good channels."""
 
     source: PreparedSource  # for the start
     errors: PreparedErrors  # of the voltages
 
 
 class Fitted(NamedTuple):
-    """Of one frame."""
+    """A fit of one frame."""
 
     conductance: Float[Array, "nx ny"]  # S per pixel
     current: Float[Array, "nx ny"]  # A per pixel, the mean over the slots
@@ -101,12 +101,12 @@ class Fitted(NamedTuple):
 
 
 class Conductance(AbstractMethod):
-    """The likeliest g: ln g is smooth beforehand, as wide as decades. λ as for `points`.
+    """The likeliest g; beforehand ln g is smooth and spans decades. λ is that of `points`.
 
-    The start is `source`'s image. The sheet is solved once, on a mesh that resolves the
-    electrodes, for the resistances between pixels and electrodes; a frame needs factors
-    of the pixels in contact alone. Where an object is much better than the sheet, only
-    that it is so can be known: g there is a lower bound.
+    The start is `source`'s image. The sheet is solved once, for the resistances between
+    pixels and electrodes, on a mesh that resolves the electrodes. A frame needs factors of
+    the pixels in contact alone. An object may conduct much better than the sheet: g is then
+    a lower bound.
     """
 
     image_unit: ClassVar[str] = "S/m^2"  # pyright: ignore
@@ -130,7 +130,7 @@ class Conductance(AbstractMethod):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Conductance":
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`.
         if sensor.electrode_shunt is None:
             sensor = replace(sensor, electrode_shunt=1.0)
@@ -171,7 +171,7 @@ class Conductance(AbstractMethod):
         return self.source.electrode_count
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """The error of a sheet with nominal values."""
+        """Returns λ = 1: the error of a sheet with nominal values."""
         return 1.0
 
     def scale(self) -> float:
@@ -199,14 +199,14 @@ class Conductance(AbstractMethod):
         images: bool,
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """As `estimate`, frame by frame: each ends after steps of its own."""
+        """Estimates n frames one by one: each fit ends after steps of its own."""
         rows = [_row(self, prepared, v, count, images) for v in voltages]
         return jax.tree.map(lambda *r: np.stack(r), *rows)
 
     def fitted(
         self, prepared: PreparedConductance, voltages: Float[Array, "S M"]
     ) -> Fitted:
-        """The image, and how well it fits."""
+        """Fits the image to the voltages; returns the image and its misfit."""
         errors, z, v0 = prepared.errors, self.ground_resistance, self.drive_voltage
         frame = whitened(errors, voltages).frame
 
@@ -246,9 +246,9 @@ class Conductance(AbstractMethod):
     def described(
         self, fitted: Fitted, image: Float[Array, "nx ny"], count: int
     ) -> Estimate:
-        """Contacts are what imposes its potential on the sheet below it, blurred a little.
+        """Reads contacts off blurred regions that impose their potential on the sheet.
 
-        gρ/(1 + gρ) of each pixel: in proportion to g where that is small; metal is 1.
+        Each pixel has gρ/(1 + gρ): in proportion to g where g is small, 1 for metal.
         """
         share = fitted.conductance * self.sheet_resistance
         share = share / (1 + share)
@@ -286,7 +286,7 @@ class Conductance(AbstractMethod):
         )
 
     def _sites(self, values: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
-        """From pixels to their own sites and the electrodes' metal."""
+        """Splits pixels' values among the pixels' own sites and the electrodes' metal."""
         flat = values.ravel()
         return jnp.concatenate([flat * self.on_sheet, matmul(flat, self.metal)])
 

@@ -1,7 +1,7 @@
-"""What a step of the ladder of models is: the contract that each method keeps.
+"""Defines a step of the ladder of models: the contract that each method keeps.
 
-A method prepares once for a set of grounds and of good channels, and is then applied to
-many frames. Its file is all that a new one needs, and a line in `METHODS`.
+A method prepares once for a set of grounds and of good channels, and then fits many frames.
+A new method needs only a file of its own and a line in `METHODS`.
 """
 
 from abc import abstractmethod
@@ -29,7 +29,7 @@ _SHARED = 8
 
 
 class Rung(IntEnum):
-    """Which model a row is of.
+    """The model that a row comes from.
 
     **Example:**
 
@@ -46,7 +46,7 @@ class Rung(IntEnum):
 
 
 class Estimate(NamedTuple):
-    """What a method says of one frame.
+    """A method's results for one frame.
 
     **Example:**
 
@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """One scan, or one slot of it, as measured (NumPy).
+    """One scan, or one slot of a scan, as measured (NumPy).
 
     **Example:**
 
@@ -98,7 +98,7 @@ class Frame(NamedTuple):
 def rms(
     values: Float[Array, "*slots M"], used: Bool[Array, "*slots M"]
 ) -> Float[Array, ""]:
-    """Over the voltages that are used; 0 where none is."""
+    """Computes the rms over the voltages that are used; 0 where none are."""
     count = jnp.maximum(used.sum(), 1).astype(values.dtype)
     return jnp.sqrt((jnp.where(used, values, 0) ** 2).sum() / count)
 
@@ -106,12 +106,12 @@ def rms(
 def rms_by_electrode(
     misfit: Float[Array, "S M"], used: Bool[Array, "S M"]
 ) -> Float[Array, " M"]:
-    """Over the slots that are used; NaN where none is."""
+    """Computes each electrode's rms over the slots that are used; NaN where none are."""
     return jnp.sqrt(jnp.mean(misfit**2, 0, where=used))
 
 
 class AbstractMethod(eqx.Module):
-    """From the voltages of one frame to contacts and an image.
+    """A method: computes contacts and an image from the voltages of one frame.
 
     **Example:**
 
@@ -154,54 +154,54 @@ class AbstractMethod(eqx.Module):
     @property
     @abstractmethod
     def electrode_count(self) -> int:
-        """M."""
+        """Returns M, the number of electrodes."""
 
     @property
     @abstractmethod
     def drive_sign(self) -> Float[Array, ""]:
-        """The drive's direction: 1 or −1."""
+        """Returns the drive's direction: 1 or −1."""
 
     @property
     @abstractmethod
     def noise(self) -> Float[Array, ""]:
-        """Noise of a reading, V rms."""
+        """Returns the noise of a reading, V rms."""
 
     @property
     def threshold(self) -> Float[Array, ""]:
-        """V that no channel exceeds without a contact: such frames are not worked on."""
+        """Returns volts that no channel exceeds without a contact; skips lower frames."""
         return self.stands_out * self.noise
 
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
-        """Sizes of the fields of a row, by their names in `Rows`."""
+        """Returns the sizes of a row's fields, by the sizes' names in `Rows`."""
         if not images:
             return {"C": contacts}
         nx, ny = self.shape
         return {"C": contacts, "nx": nx, "ny": ny, "M": self.electrode_count}
 
     def calibrated(self, calibration: Calibration) -> "AbstractMethod":
-        """With the noise and the model's error that a calibration states, where used."""
+        """Returns the method with a calibration's noise and model error, where used."""
         return self
 
     @abstractmethod
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """λ for a recording, from a few of its frames with a contact."""
+        """Chooses λ for a recording, from a few of its frames with a contact."""
 
     @abstractmethod
     def scale(self) -> float:
-        """σ₁², which λ is relative to."""
+        """Returns σ₁², to which λ is relative."""
 
     @abstractmethod
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
-        """Arrays that serve every frame with these grounds (S,) and good channels (S, M).
+        """Prepares arrays for all frames with these grounds (S,) and good channels (S, M).
 
-        A slot without a good channel is not used. Host code, in float64.
+        A slot without a good channel is not used. This is host code, in float64.
         """
 
     @abstractmethod
     def estimate(
         self, prepared: Any, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        """Up to `count` contacts, an image and a residual, of one frame. Compiled.
+        """Returns up to `count` contacts, an image and a residual of one frame. Compiled.
 
         Channels that are not good come as 0.
         """
@@ -215,10 +215,10 @@ class AbstractMethod(eqx.Module):
         images: bool,
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """`estimate` of n frames, `judged`; a method may do it in several calls.
+        """Estimates n frames, `judged`; a method may need several calls.
 
-        The grounds are those prepared for, but where the method takes `any_grounds`.
-        `films`: the number of each frame's film, of a method that `films`.
+        The grounds are the prepared ones, unless the method takes `any_grounds`.
+        `films`: the number of each frame's film, for a method that `films`.
         """
         return _block(self, prepared, voltages, count, images)
 
@@ -243,7 +243,7 @@ def judged(
     voltages: Float[Array, "S M"],
     images: bool,
 ) -> Rows:
-    """A row of results, with images or without."""
+    """Makes a row of results, with images or without."""
     residual = estimate.residual
     contacts, flags = judge(
         estimate.contacts,
@@ -273,7 +273,7 @@ def judge(
     limit: float,
     noise: Float[Array, ""],
 ) -> tuple[Contacts, Int[Array, ""]]:
-    """Contacts and flags: nothing is said of a frame whose residual is no number.
+    """Returns contacts and flags; a frame whose residual is no number has no contact.
 
     `limit`: the part of the voltages' rms beyond which a residual is high; `noise` of a
     reading, V.
@@ -291,10 +291,10 @@ def judge(
 
 
 def cut_off(voltages: Float[Array, "*slots M"], noise: Float[Array, ""]) -> Bool[Array, ""]:
-    """Whether many channels of a slot share the highest value: a range that ended there.
+    """Tells whether many channels of a slot share the highest value: the range ended there.
 
-    Of a converter whose rails nobody told. An eighth of the channels do not read the same
-    by chance, if they read more than a few of its steps.
+    This serves a converter whose rails nobody told. An eighth of the channels do not read
+    the same by chance, if they read more than a few of the converter's steps.
     """
     size = jnp.abs(voltages)
     highest = size.max(-1, keepdims=True)

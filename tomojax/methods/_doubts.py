@@ -1,4 +1,4 @@
-"""What frames say against themselves, or too little of, before a method sees them."""
+"""Finds frames that contradict themselves or tell too little, before a method sees them."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ _SLOTS = 0.25
 
 
 class Looked(NamedTuple):
-    """What is seen of n frames at once."""
+    """A first look at n frames: their levels, doubts and counts of readings."""
 
     data: Bool[np.ndarray, " n"]  # whether a voltage is good
     height: Float[np.ndarray, " n"]  # the highest |V|
@@ -40,7 +40,7 @@ def look_at(
     """Checks levels and counts readings; `noise` of a reading, V.
 
     Bits: AGAINST_DRIVE and GROUND_NOT_LOWEST (see `level_bits`), and PLACE_UNCERTAIN where
-    there are too few readings for errors to show.
+    too few readings are there for errors to show.
     """
     whole = bool(good.all())
     high = (voltages if whole else np.where(good, voltages, -np.inf)).max(2)

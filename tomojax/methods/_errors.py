@@ -1,4 +1,4 @@
-"""What errors a frame's voltages have: the converter's noise, and the model's own."""
+"""Models the errors of a frame's voltages: the converter's noise, and the model's own."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -41,7 +41,7 @@ _LONGEST = 5
 
 
 class PreparedErrors(NamedTuple):
-    """For S slots with their good channels."""
+    """Errors of S slots with their good channels."""
 
     grounds: Int[Array, " S"]
     used: Bool[Array, "S M"]
@@ -56,7 +56,7 @@ class PreparedErrors(NamedTuple):
 
 
 class Whitened(NamedTuple):
-    """One frame, and its errors."""
+    """One whitened frame, and its errors."""
 
     frame: WhitenedFrame
     own: Float[Array, "S M"]  # σ of a channel's own error but for noise, V
@@ -65,7 +65,7 @@ class Whitened(NamedTuple):
 
 
 class Errors(eqx.Module):
-    """Of a rig with nominal values, or as a calibration states them."""
+    """Errors of a rig with nominal values, or errors that a calibration states."""
 
     electrode_xy: Float[Array, "M 2"]
     size: Float[Array, "2"]
@@ -76,21 +76,21 @@ class Errors(eqx.Module):
 
     @classmethod
     def of(cls, sensor: Sensor) -> "Errors":
-        """With nominal values."""
+        """Makes the errors of a rig with nominal values."""
         noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
         off = _OFF * sensor.electrode_diameter / sensor.mean_pitch
         one = jnp.ones((), sensor.dtype)
         return cls(sensor.electrode_xy, sensor.size, off, noise, one, one)
 
     def calibrated(self, calibration: Calibration) -> "Errors":
-        """As the calibration states them."""
+        """Returns the errors that the calibration states."""
         parts = calibration.error, calibration.own
         error, part = (jnp.asarray(a, self.error.dtype) for a in parts)
         noise = noise_as(calibration, self.noise)
         return replace(self, noise=noise, error=error, part=part)
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
-        """`lam` multiplies the variance of the model's error."""
+        """Prepares S slots' errors; `lam` multiplies the variance of the model's error."""
         used = _common(good)
         channels = np.asarray(used.any(0))
         slots = np.flatnonzero(used.any(1))
@@ -116,7 +116,7 @@ class Errors(eqx.Module):
         )
 
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
-        """What a step takes for the errors of one slot: of the waves the longest."""
+        """Returns one slot's errors for a `step`, with the sheet's longest waves alone."""
         ready = self.prepare(np.array([0]), good[None], 1.0)
         # In NumPy: each operation of JAX's would be a program to compile.
         ready = jax.tree.map(np.asarray, ready)
@@ -131,7 +131,7 @@ class Errors(eqx.Module):
         return jax.tree.map(jnp.asarray, found)
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:
-        """What neighbours' relative errors have in common, 1 σ of each wave."""
+        """Returns the relative errors that neighbours have in common, 1 σ of each wave."""
         return _smooth(places, self.size)
 
 
@@ -142,18 +142,18 @@ def _smooth(places: Float[Array, "n 2"], size: Float[Array, "2"]) -> Float[Array
 
 
 def noise_as(calibration: Calibration, nominal: Float[Array, ""]) -> Float[Array, ""]:
-    """Returns the noise that the calibration states, V; the nominal one without."""
+    """Returns the calibration's noise, V, or the nominal noise where none is stated."""
     told = calibration.noise
     return nominal if told is None else jnp.asarray(told, nominal.dtype)
 
 
 def noise_of(sensor: Sensor) -> Noise:
-    """Returns the errors of a slot of a rig with nominal values, every channel good."""
+    """Returns one slot's errors of a rig with nominal values, every channel good."""
     return Errors.of(sensor).in_slot(np.ones(sensor.electrode_count, bool))
 
 
 def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitened:
-    """A frame whose errors are independent and of size 1."""
+    """Whitens a frame: its errors become independent and of size 1."""
     used = _not_grounded(prepared)
     near = jnp.einsum("knm,sm->ksn", prepared.local, voltages, precision="highest")
     own = jnp.sqrt((prepared.own * voltages) ** 2 + (near**2).sum(0))
@@ -176,7 +176,7 @@ def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:
 def without_offset(
     prepared: PreparedErrors, misfit: Float[Array, "S M"]
 ) -> tuple[Float[Array, "S M"], Bool[Array, "S M"]]:
-    """Takes off what all channels of a slot are off, its ground's; and which are used."""
+    """Takes off the mean misfit of each slot, its ground's; tells the channels used."""
     used = _not_grounded(prepared)
     misfit = jnp.where(used, misfit, 0)
     count = jnp.maximum(used.sum(1, keepdims=True), 1).astype(misfit.dtype)
@@ -186,29 +186,29 @@ def without_offset(
 def misfit_cost(
     misfits: Float[Array, " S"], tolerance: Float[Array, ""]
 ) -> Float[Array, " S"]:
-    """Of each slot's |r|², Cauchy's loss: what does not fit at all counts little."""
+    """Returns Cauchy's loss of each slot's |r|²: a slot that fits badly counts little."""
     return tolerance * jnp.log1p(misfits / tolerance)
 
 
 def highest_cost(tolerance: Float[Array, ""]) -> Float[Array, ""]:
-    """The cost of a slot beyond which what is left of it is no error."""
+    """Returns the cost beyond which a slot's rest is more than an error."""
     return tolerance * float(np.log1p(_HIGH))
 
 
 def seen(
     prepared: PreparedErrors, frame: WhitenedFrame, costs: Float[Array, " S"]
 ) -> Bool[Array, ""]:
-    """Whether a fit of these costs explains more than noise and channels' zeros would."""
+    """Tells whether a fit of these costs explains more than noise and channels' zeros."""
     slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
     alone = misfit_cost((frame.whitened**2).sum(1), prepared.tolerance)
     return (alone - costs).sum() > _SEEN[0] + _SEEN[1] * slots
 
 
 def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
-    """Slots by the channels that are good in all of them.
+    """Marks the channels that are good in every slot that is kept.
 
-    One set of channels serves all slots; slots that have lost more than half of what the
-    best has are left out for it.
+    One set of channels serves all slots. Slots with no more than half of the best slot's
+    channels are left out.
     """
     each = good.sum(1)
     slots = each * 2 > each.max()
@@ -219,8 +219,8 @@ def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:
 def bends_and_slopes(
     xy: Float[np.ndarray, "M 2"], channels: Bool[np.ndarray, " M"]
 ) -> Float[np.ndarray, "3 M M"]:
-    """From voltages to how far each is from the plane through its neighbours', and to the
-    plane's slopes along x and y, per pitch."""
+    """Makes matrices from voltages to each one's distance from its neighbours' plane, and
+    to the plane's slopes along x and y, per pitch."""
     apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1)) + np.diag(np.full(len(xy), np.inf))
     pitch = np.median(apart.min(1))
     matrices = np.zeros((3, *apart.shape))

@@ -47,7 +47,7 @@ _RELATIVE = 1.8e-3
 
 
 class PreparedLinear(NamedTuple):
-    """For one ground set with its good channels."""
+    """Arrays for one ground set with its good channels."""
 
     operator: Float[Array, "SM r"]  # coefficients of φ from the voltages
     rows: Float[Array, "SM r"]  # and back
@@ -82,7 +82,7 @@ class Linear(AbstractMethod):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         pixels = pixels_of(sensor, shape)
         sensor = pixels.sensor
         route = "fem" if sensor.sheet_resistance.ndim else "series"
@@ -103,7 +103,7 @@ class Linear(AbstractMethod):
         noise: float = 0.0,
         polarity: float = 1.0,
     ) -> "Linear":
-        """Of any J (L, M, pixels); `noise` of a reading, V; `polarity` of the drive."""
+        """Makes the method of any J (L, M, pixels); `noise` V; `polarity` of the drive."""
         rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
@@ -133,10 +133,11 @@ class Linear(AbstractMethod):
         return float(np.linalg.norm(rows.reshape(-1, rows.shape[-1]), 2) ** 2)
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """Table I's λ, which makes *All* as wide as the paper's, whatever the frames.
+        """Returns Table I's λ for any frames: this λ makes *All* as wide as the paper's.
 
         `tomojax.reconstruct`'s own rule goes decades lower, for the least error of the
-        image: that has a peak at every electrode, and contacts cannot be read off it.
+        image. Such an image has a peak at every electrode: contacts cannot be read off the
+        image.
         """
         return _RELATIVE * self.scale()
 
@@ -159,7 +160,7 @@ class Linear(AbstractMethod):
     def image(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"]
     ) -> tuple[Array, Array]:
-        """φ per pixel (or element, for a J of elements) and its coefficients."""
+        """Returns φ per pixel (or element, for a J of elements) and its coefficients."""
         coefficients = matmul(voltages.ravel(), prepared.operator)
         return matmul(coefficients, self.basis[: len(coefficients)]), coefficients
 
@@ -185,7 +186,7 @@ class Linear(AbstractMethod):
     def _unexplained(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], contacts: Contacts
     ) -> Int[Array, ""]:
-        """Of a few of the slots; J(0)'s columns have T's shape, whatever the contact."""
+        """Flags contacts that do not explain some slots; J(0)'s columns have T's shape."""
         step = max(1, len(voltages) // _SOME)
         rows = prepared.rows.reshape(*voltages.shape, -1)[::step]
         used = prepared.used.reshape(voltages.shape)[::step]
@@ -199,7 +200,7 @@ class Linear(AbstractMethod):
 
 
 def _centred(values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]) -> Array:
-    """Without the mean over the channels that are used; 0 where not."""
+    """Subtracts the mean over the channels that are used; other channels become 0."""
     count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
     mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
     return jnp.where(used, values - mean, 0)
@@ -209,7 +210,7 @@ def _centred(values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]) -
 def _pixel_jacobian(
     pixels: Pixels, table: Resistances, grounds: Array
 ) -> Float[Array, "L M pixels"]:
-    """J(0), the mean over each pixel's elements; ground by ground, one held at a time."""
+    """Computes J(0), the mean over each pixel's elements; holds one ground at a time."""
     z, rho = pixels.sensor.ground_resistance, jnp.zeros((), pixels.sensor.dtype)
 
     def one(ground: Array) -> Array:

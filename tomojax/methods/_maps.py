@@ -1,4 +1,4 @@
-"""Maps from currents to a slot's voltages and back, made on the host in float64."""
+"""Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from tomojax.sensor import resistances
 
 
 def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
-    """T^l of every ground, volts per ampere into a pixel; float64 on the host."""
+    """Computes T^l of every ground, volts per ampere into a pixel; float64 on the host."""
     sensor = pixels.sensor
     route = "fem" if sensor.sheet_resistance.ndim else "series"
     table = resistances(sensor, route)
@@ -21,23 +21,22 @@ def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
 
 
 def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
-    """An orthonormal basis of all T^l: rows of every slot span the same M dimensions, and a
-    few slots show them all."""
+    """Computes an orthonormal basis of all T^l from a few slots: every slot's rows span the
+    same M dimensions."""
     some = maps[:: max(1, len(maps) // 4)].reshape(-1, maps.shape[-1])
     return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
 
 
 def without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
-    """From voltages to what they are beside their mean, of the good channels that are not
-    grounded.
+    """Makes the matrix that subtracts the mean of a slot's good, ungrounded channels.
 
     A ground path, or an electrode's own resistance to the sheet, is hardly known and lifts
-    all of them alike.
+    all of these channels alike.
     """
     used = good & (np.arange(len(good)) != ground)
     return np.diag(used.astype(float)) - np.outer(used, used) / max(1, used.sum())
 
 
 def tikhonov_operator(rows: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray]:
-    """(AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
+    """Returns (AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
     return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows

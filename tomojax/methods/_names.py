@@ -1,4 +1,4 @@
-"""The ladder's table of names: which method is which class."""
+"""Lists the ladder's methods by name, and makes a method by its name."""
 
 import numpy as np
 
@@ -33,18 +33,18 @@ def method(
     grid: int | None = None,
     calibration: Calibration | None = None,
 ) -> AbstractMethod:
-    """The method of that name on an image of `grid` × `grid` pixels.
+    """Makes the method of that name on an image of `grid` × `grid` pixels.
 
-    Four pixels a pitch by default, and 32 a side at least.
-    With a `calibration` on the sheet as it is; its zeros and gains are for who reads the
+    `grid` is four pixels a pitch by default, and 32 a side at least. A `calibration` gives
+    the sheet as measured. The calibration's zeros and gains are for the reader of the
     voltages.
 
-    "source" finds the current image of each slot, with nothing assumed of the contact;
+    "source" finds the current image of each slot and assumes nothing of the contact;
     "positive" is the same with an image that is nowhere negative;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
     "auto" takes the smallest of points, source and shape that explains a frame;
     "conductance" fits the contact's conductance at every pixel, in the exact model;
-    "shape" finds where an object touches, as a field of two levels, and how sure that is.
+    "shape" finds where an object touches, as a field of two levels, and how surely.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
 

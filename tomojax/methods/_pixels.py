@@ -1,4 +1,4 @@
-"""Pixels of an image as groups of a mesh's elements."""
+"""Groups a mesh's elements into the pixels of an image."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,14 +22,14 @@ class Pixels(NamedTuple):
     cell: Float[Array, "2"]
 
     def mean(self, values: jax.Array) -> Float[Array, "*before pixels"]:
-        """The mean over the elements of each pixel, of values (..., K)."""
+        """Computes the mean over each pixel's elements, of values (..., K)."""
         (nx, ny), (mx, my) = self.shape, self.sensor.divisions
         split = values.reshape(*values.shape[:-1], nx, mx // nx, ny, my // ny, 2)
         return split.mean((-4, -2, -1)).reshape(*values.shape[:-1], nx * ny)
 
 
 def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
-    """Pixels of `shape`, with the mesh refined until `cells` are no wider than a disc."""
+    """Makes pixels of `shape`; `cells` cells of the mesh are no wider than an electrode."""
     divisions = pixel_divisions(sensor, shape, cells)
     # A sheet with a value per element keeps the mesh that they are given on.
     if sensor.sheet_resistance.ndim:
@@ -44,7 +44,7 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
 def pixel_divisions(
     sensor: Sensor, shape: tuple[int, int], cells: int = 1
 ) -> tuple[int, int]:
-    """A mesh whose cells are parts of pixels; so many are no wider than an electrode."""
+    """Finds a mesh that divides pixels; `cells` cells are no wider than an electrode."""
     size = np.asarray(sensor.size, float)
     widest = float(sensor.electrode_diameter) / cells * (1 + 1e-5)
     finer = np.ceil(size / np.array(shape) / widest).astype(int)
@@ -56,11 +56,11 @@ def pixel_divisions(
 def site_table(
     sensor: Sensor, shape: tuple[int, int]
 ) -> tuple[Float[Array, "sites sites"], Float[Array, " pixels"], Float[Array, "pixels M"]]:
-    """Resistances between all pixels and electrodes, for `reduce_sites`.
+    """Computes resistances between all pixels and electrodes, for `reduce_sites`.
 
-    A pixel's current is even over its nodes but for those on metal. **Returns:** the
-    resistances (Ω), electrodes last; the part of a pixel's contact that is on no
-    electrode; and the parts that are on each.
+    A pixel's current is even over its nodes, except nodes on metal. **Returns:** the
+    resistances (Ω), electrodes last; the part of a pixel's contact on no electrode; and the
+    parts on each electrode.
     """
     fem, (mx, my) = sheet_on_mesh(sensor), (m // n for m, n in zip(sensor.divisions, shape))
 

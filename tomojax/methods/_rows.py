@@ -1,4 +1,4 @@
-"""The fields of a row of results: name, shape, type and unit of each, said here alone."""
+"""Defines the fields of a row of results: name, shape, type and unit of each."""
 
 from functools import cache
 from typing import Annotated, Any, get_args, get_type_hints, NamedTuple
@@ -11,14 +11,14 @@ from tomojax.kernels.flags import DOUBT as DOUBT, NO_ANSWER as NO_ANSWER
 
 
 class Column(NamedTuple):
-    """How a field is stored."""
+    """A field's stored type and unit."""
 
     kind: str  # NumPy's type
     unit: str
 
 
 class Field(NamedTuple):
-    """A field of `Rows`: the sizes of one row by name, and how it is stored."""
+    """A field of `Rows`: the names of its sizes, its stored type and its unit."""
 
     sizes: tuple[str, ...]
     kind: str
@@ -29,7 +29,7 @@ _Number = np.ndarray
 
 
 class Rows(NamedTuple):
-    """Results of n frames, as in the results file; C contacts each, strongest first.
+    """Results of n frames, as in the results file; C contacts a frame, strongest first.
 
     **Example:**
 
@@ -71,7 +71,7 @@ class Rows(NamedTuple):
 
     @classmethod
     def of(cls, contacts: Any, **others: Any) -> "Rows":
-        """Rows of `Contacts`, of one frame or n, and the fields beside them."""
+        """Makes rows from `Contacts`, of one frame or n, and the other fields."""
         named = {f"contact_{name}": value for name, value in contacts._asdict().items()}
         return cls(**named, **others)
 
@@ -88,7 +88,7 @@ class Rows(NamedTuple):
 
 @cache
 def fields_of_rows() -> dict[str, Field]:
-    """The fields of `Rows` in order, read off its annotations.
+    """Lists the fields of `Rows` in order, read off the annotations.
 
     **Example:**
 
@@ -106,9 +106,9 @@ def fields_of_rows() -> dict[str, Field]:
 
 
 def empty_rows(n: int, sizes: dict[str, int]) -> Rows:
-    """Rows that say nothing: NaN, and 0 in whole numbers.
+    """Makes rows that say nothing: NaN, and 0 in whole numbers.
 
-    `sizes` of the names in `Field.sizes`; a field whose size is not given is None.
+    `sizes` gives numbers to the names in `Field.sizes`; a field without its size is None.
 
     **Example:**
 

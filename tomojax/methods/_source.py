@@ -1,10 +1,10 @@
-"""`source`: the current that the object feeds into the sheet, slot by slot.
+"""`source`: finds the current that the object feeds into the sheet, slot by slot.
 
 V^l = T^l s^l holds exactly for any contact (DESIGN: one slot is linear in the injected
-current), and one slot has M − 1 of the M numbers that can be known of s. A scan's image
-is the mean of its slots' images: the slots' currents differ, their places do not. (One
-image fitted to all slots was off by 50 mm where a strong contact's currents differ;
-with each slot scaled to the same current, it was no better than the mean.)
+current). One slot tells M − 1 of the M numbers that can be known of s. A scan's image is
+the mean of its slots' images: the slots' currents differ, their places do not. (One image
+fitted to all slots was off by 50 mm where a strong contact's currents differ. Scaling each
+slot to the same current made the image no better than the mean.)
 """
 
 from dataclasses import replace
@@ -46,7 +46,7 @@ _SLOTS, _RELATIVE = 64, 1e-4
 
 
 class PreparedSource(NamedTuple):
-    """For S slots with their good channels."""
+    """Arrays for S slots with their good channels."""
 
     operators: Float[Array, "SM r"]  # coefficients of the mean image from the voltages
     through: Float[Array, "r r"]  # coefficients of the mean image from those of a source
@@ -71,10 +71,11 @@ class AbstractSource(AbstractMethod):
     source exactly (sLORETA: Pascual-Marqui, Methods Find. Exp. Clin. Pharmacol. 24D,
     2002); their currents are sums of s.
 
-    The image that is drawn is smooth beforehand: s = Gw, G a Gaussian, w as s above. What
-    is finer than the electrodes' pitch is not in the data, and λI puts it where it costs
-    least, at electrodes: of lone contacts the image's highest pixel was 13 mm off in one
-    of ten, against 4 mm with G; λI's is narrower (35 mm against 45).
+    The image that is drawn is smooth beforehand: s = Gw, G a Gaussian, w as s above. Detail
+    finer than the electrodes' pitch is not in the data. λI alone puts such detail where
+    detail costs least, at electrodes. The highest pixel of lone contacts was then 13 mm off
+    in one of ten, against 4 mm with G. The image of λI alone is narrower (35 mm against
+    45).
     """
 
     # Whether the image that is drawn is nowhere negative.
@@ -99,7 +100,7 @@ class AbstractSource(AbstractMethod):
 
     @classmethod
     def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`: they lower the
         # sheet's effective resistance, and currents are in proportion to that.
         if sensor.electrode_shunt is None:
@@ -120,9 +121,10 @@ class AbstractSource(AbstractMethod):
         noise: float = 0.0,
         polarity: float = 1.0,
     ) -> _S:
-        """Of any T^l; the image is smooth over `length`, in pixels; `noise` V.
+        """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
-        `polarity` of the drive: currents flow out of the object if it is 1, into it if −1.
+        `polarity` is the drive's: currents flow out of the object for 1, into the object
+        for −1.
         """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
@@ -169,7 +171,7 @@ class AbstractSource(AbstractMethod):
         return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """The λ that leaves the residual which nominal values would leave in any case."""
+        """Returns the λ that leaves the residual that nominal values leave in any case."""
         factors = np.asarray(self.factors, float)
         # A scan may begin before its contact: those slots have nothing to say.
         highest = [np.abs(frame.voltages).max() for frame in frames]
@@ -245,16 +247,16 @@ class AbstractSource(AbstractMethod):
         )
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
-        """The mean current image of the slots, A per pixel (or element of T)."""
+        """Computes the slots' mean current image, A per pixel (or element of T)."""
         coefficients = matmul(voltages.ravel(), prepared.operators)
         return self.polarity * matmul(coefficients, self.basis)
 
     def smooth_image(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
     ) -> Array:
-        """The image that is drawn, A per pixel in the drive's direction.
+        """Computes the image that is drawn, A per pixel in the drive's direction.
 
-        It is nowhere negative where `positive`.
+        The image of a `positive` method is nowhere negative.
         """
         coefficients = matmul(voltages.ravel(), prepared.imaging)
         if not self.positive:  # one product, where a Gaussian of each image takes longer
@@ -304,7 +306,7 @@ class AbstractSource(AbstractMethod):
 
 
 class Source(AbstractSource):
-    """The image as Tikhonov's solve leaves it.
+    """`source`: the image that Tikhonov's solve leaves.
 
     **Example:**
 
@@ -319,7 +321,7 @@ class Source(AbstractSource):
 
 
 class PositiveSource(AbstractSource):
-    """The same, with an image of currents that flow out of the object alone."""
+    """`positive`: `source` with an image of currents that flow out of the object alone."""
 
     positive: ClassVar[bool] = True  # pyright: ignore
     seconds_per_slot: ClassVar[float] = 5e-4

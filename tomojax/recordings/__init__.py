@@ -1,7 +1,7 @@
-"""Files of measured scans, and arrays like them: read in chunks, with their faults.
+"""Reads measured scans, from files or arrays, in chunks, and finds their faults.
 
-The room reads and judges voltages. It imports no JAX, so that `tomojax info` starts at
-once, and knows nothing of methods.
+The folder reads and judges voltages, and knows nothing of methods. The folder imports no
+JAX, so that `tomojax info` starts at once.
 """
 
 from tomojax.recordings._chunks import (

@@ -1,4 +1,4 @@
-"""A recording in chunks: how it is cut, and each chunk's frames with their faults."""
+"""Cuts a recording into chunks; reads each chunk's frames with their faults."""
 
 from typing import Literal, NamedTuple
 
@@ -41,7 +41,7 @@ class Chunk(NamedTuple):
 
 
 def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan") -> Chunk:
-    """Scans `start` to `stop` as frames, with their faults.
+    """Reads scans `start` to `stop` as frames, with their faults.
 
     **Example:**
 
@@ -91,7 +91,7 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
 
 
 def _after_gaps(recording: Recording, t0: np.ndarray, first: int) -> np.ndarray:
-    """Which of these scans come after lost ones, as listed or by their times."""
+    """Tells which scans come after lost scans, as listed or by their times."""
     after = np.zeros(len(t0), bool)
     listed = recording.rows_after_gaps() - first
     after[listed[(listed >= 0) & (listed < len(t0))]] = True

@@ -1,4 +1,4 @@
-"""Times where a rig's clock cannot be believed: by the scans' own numbers."""
+"""Makes times from the scans' numbers where a rig's clock cannot be believed."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -25,10 +25,10 @@ _JUMPS = 1000
 def mended_times(
     t0: Float[np.ndarray, " n"], numbers: Int[np.ndarray, " n"], interval: float
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"], tuple[str, ...]]:
-    """Start times that rise; which are not the clock's; and why, in sentences.
+    """Returns rising start times, the scans with new times, and the reasons as sentences.
 
-    **Arguments:** `t0` s, as read; `numbers` of the scans, lost ones count; `interval`
-    from scan to scan by f_switch, s. A sound clock's times are given back as they are.
+    **Arguments:** `t0` s, as read; `numbers` of the scans, counting lost scans; `interval`
+    from scan to scan by f_switch, s. The times of a sound clock stay unchanged.
     """
     if _sound(t0, interval):
         return t0, np.zeros(len(t0), bool), ()
@@ -54,7 +54,7 @@ def _sound(t0: np.ndarray, interval: float) -> bool:
 
 
 def _unwrapped(t0: np.ndarray, due: np.ndarray) -> tuple[np.ndarray, int]:
-    """Times of a clock that began anew, carried on; and how often it did."""
+    """Carries on the times of a clock that began anew; counts the new beginnings."""
     with np.errstate(invalid="ignore", over="ignore"):
         after = np.diff(t0) + _WRAP
         anew = (after >= 0) & (after < _WRAP / 2)
@@ -65,7 +65,7 @@ def _unwrapped(t0: np.ndarray, due: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _remade(times: np.ndarray, due: np.ndarray, interval: float) -> tuple[np.ndarray, str]:
-    """Times by the numbers where the clock's steps are none; and what was wrong."""
+    """Makes times by the scans' numbers where the clock steps wrongly; tells the fault."""
     there = np.flatnonzero(np.isfinite(times) & (np.abs(times) < 1e15))
     clock, at = times[there], due[there]
     steps = np.diff(clock)
@@ -106,7 +106,7 @@ def _remade(times: np.ndarray, due: np.ndarray, interval: float) -> tuple[np.nda
 def _stepped(
     clock: np.ndarray, due: np.ndarray, interval: float, rates: tuple[float, float]
 ) -> np.ndarray | None:
-    """The clock with its wrong steps put right; None where most are wrong."""
+    """Puts the clock's wrong steps right; returns None where most steps are wrong."""
     steps, usual = np.diff(clock), np.diff(due)
     good = (steps > 0) & (steps < _PAUSE + 1e3 * usual)
     good &= (steps >= rates[0] * usual) & (steps <= rates[1] * usual)
@@ -124,7 +124,7 @@ def _stepped(
 
 
 def _taken_back(jumps: np.ndarray, good: np.ndarray, interval: float) -> np.ndarray:
-    """Jumps forward that a fall of the same size takes back: neither is time."""
+    """Finds jumps forward that a fall of the same size takes back: neither is time."""
     found = np.zeros(len(jumps), bool)
     falls = np.flatnonzero(~good & (jumps < 0))
     ahead = np.flatnonzero(good & (jumps > 2 * interval))
@@ -139,7 +139,7 @@ def _taken_back(jumps: np.ndarray, good: np.ndarray, interval: float) -> np.ndar
 
 
 def _by_blocks(clock: np.ndarray, due: np.ndarray, interval: float) -> np.ndarray | None:
-    """Times by the numbers, held to the clock's median in blocks of scans."""
+    """Makes times by the scans' numbers, held to the clock's median in blocks of scans."""
     size = min(len(clock) // 3, max(_LEAST, round(_LONG / interval)))
     count = len(clock) // size
     cut = slice(0, count * size)
@@ -157,9 +157,10 @@ def _by_blocks(clock: np.ndarray, due: np.ndarray, interval: float) -> np.ndarra
 
 
 def mended_gaps(gaps: np.ndarray, scans: int) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Gaps in the order of their numbers, none before the one before it has ended.
+    """Puts gaps in the order of their numbers; each begins after the last gap's end.
 
-    How many scans were lost stays as it is told; what is not (g, 2) is left alone.
+    The number of lost scans stays as told. Gaps of a shape other than (g, 2) stay
+    unchanged.
     """
     if gaps.ndim != 2 or gaps.shape[1:] != (2,) or not len(gaps) or (gaps < 0).any():
         return gaps, ()

@@ -1,9 +1,9 @@
-"""What is wrong with measured scans: bits of `Flag` per slot, and which voltages to use.
+"""Finds faults of measured scans: bits of `Flag` per slot, and the voltages to use.
 
-Rules of a few lines each, local in time: whether a slot is faulty depends on nothing
-further away than `HALO` slots or one scan, so that chunks of a recording can be judged
-alone. They need the noise of a real converter: a channel or a scan that repeats itself
-to the last bit is not being read. A scene computed without noise would look stuck.
+Each rule has a few lines and is local in time. A slot's faults depend on nothing further
+away than `HALO` slots or one scan. So chunks of a recording can be judged alone. The rules
+need the noise of a real converter. A channel or a scan that repeats itself to the last bit
+is not being read. A scene computed without noise would look stuck.
 """
 
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ _BEYOND = 0.1
 
 
 class Faults(NamedTuple):
-    """Of n scans of S slots of M channels.
+    """Faults of n scans of S slots of M channels.
 
     **Example:**
 
@@ -50,12 +50,12 @@ def find_faults(
     repeats: bool = True,
     resolution: float = 0.0,
 ) -> Faults:
-    """Bad channels, slots and scans of a stretch of a recording.
+    """Finds bad channels, slots and scans of a stretch of a recording.
 
     **Arguments:** `voltages` V; `grounds` electrode numbers; `drive_voltage` V0;
     `rails` of the converter, V; `repeats` False does not look for stuck and dead channels
-    and scans (voltages without noise); `resolution`: of one code, V, if it is known. A
-    channel that noise moves by less than a code may repeat itself and be sound.
+    and scans (voltages without noise); `resolution`: of one code, V, if known. A sound
+    channel may repeat itself if noise moves the channel by less than a code.
 
     Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
     STUCK_SCAN.
@@ -108,7 +108,7 @@ def _bit(where: Any, flag: Flag) -> np.ndarray:
 
 
 def _repeated_scans(voltages: np.ndarray) -> Bool[np.ndarray, " n"]:
-    """Scans equal to the one before or after, and not because nothing ever changes."""
+    """Finds scans equal to a neighbour, unless nothing in the scans ever changes."""
     same = (voltages[1:] == voltages[:-1]).all((1, 2))
     found = np.zeros(len(voltages), bool)
     found[1:] |= same
@@ -123,9 +123,9 @@ def _repeated_scans(voltages: np.ndarray) -> Bool[np.ndarray, " n"]:
 def _unchanging(
     slots: Float[np.ndarray, "slots M"], resolution: float
 ) -> Bool[np.ndarray, "slots M"]:
-    """Values in a stretch of `HALO` steps without change, while most channels change.
+    """Finds values in `HALO` steps without change, while most channels change.
 
-    And some of those by more than one code: else it is the codes that stand still.
+    Some channels must change by more than one code: otherwise only the codes stand still.
     """
     found = np.zeros(slots.shape, bool)
     if len(slots) <= HALO:

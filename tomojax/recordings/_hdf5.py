@@ -1,4 +1,4 @@
-"""Recording version 1 in HDF5, and the same fields as variables of a MATLAB v7.3 file."""
+"""Reads recording version 1 from HDF5, or from the variables of a MATLAB v7.3 file."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -38,10 +38,10 @@ _MOST_ELECTRODES, _MOST_SLOTS = 4096, 1 << 16
 class Hdf5Recording(Recording):
     """A file of the form "Recording, version 1".
 
-    Also one that is still being written in HDF5's SWMR mode, or that a crash left so: the
-    scans that are there when it is opened, and before the end where it is cut off.
-    MATLAB's files have no attributes: there they are variables of the same names, and every
-    array has its axes in MATLAB's order.
+    A writer may still have the file open in HDF5's SWMR mode, or may have crashed. The
+    recording then has the whole scans that the file holds when opened. MATLAB's files have
+    no attributes, but variables of the same names. Every array of MATLAB has its axes in
+    MATLAB's order.
     """
 
     def __init__(self, path: Path, header: dict[str, Any] | None = None):
@@ -122,7 +122,7 @@ class Hdf5Recording(Recording):
         self._believe()
 
     def _told(self, field: Callable) -> Callable:
-        """What the header says, or should have said."""
+        """Returns a reader of fields: the given header's first, then the file's."""
         known = {*_NUMBERS, "size", "notes", "units", "schema", "schema_version"}
         unknown = sorted(self._header.keys() - known)
         require(not unknown, "header", unknown, f"some of {sorted(known)}")
@@ -133,7 +133,7 @@ class Hdf5Recording(Recording):
         return told
 
     def _believe(self) -> None:
-        """Times of a clock that can be believed, and elsewhere by the scans' numbers."""
+        """Keeps a clock's credible times; makes other times from the scans' numbers."""
         rows = self.rows_after_gaps()
         lost = np.zeros(self.scans + 1, np.int64)
         np.add.at(lost, np.minimum(rows, self.scans), self.gaps[:, 1])
@@ -143,7 +143,7 @@ class Hdf5Recording(Recording):
         self.mended += said
 
     def _load_times(self) -> None:
-        """The start of each scan, and how many scans are whole."""
+        """Reads the start of each scan; counts the whole scans."""
         self._t0 = np.ravel(self._file.read_whole("t0")).astype(float)
         if not self._growing:
             return
@@ -162,7 +162,7 @@ class Hdf5Recording(Recording):
         self.scans, self._t0 = last, self._t0[:last]
 
     def _load_marks(self) -> None:
-        """Moments that somebody marked. Where they are damaged, the rest is read anyway."""
+        """Reads moments that somebody marked; damaged marks are left out."""
         file, names = self._file, ("marks_t", "marks")
         if not all(name in file.names for name in names):
             return
@@ -196,18 +196,18 @@ class Hdf5Recording(Recording):
 
     @property
     def codes_to_volts(self) -> tuple[float, float]:
-        """`scale` and `offset`, V."""
+        """Returns `scale` and `offset`, V."""
         return self._scale, self._offset
 
     def start_times(self) -> np.ndarray:
         return self._t0
 
     def times(self, start: int, stop: int) -> np.ndarray:
-        """The start of scans, s."""
+        """Returns the start of scans, s."""
         return self._t0[start:stop]
 
     def read_codes(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """Codes (n, S, M) and grounds (n, S) as they are in the file."""
+        """Reads codes (n, S, M) and grounds (n, S) unchanged from the file."""
         try:
             codes = self._file.read("v", start, stop, self._axes)
             ground = self._file.read("ground", start, stop, self._axes)
@@ -229,7 +229,7 @@ class Hdf5Recording(Recording):
 
     @cached_property  # asked for with every chunk
     def interval(self) -> float:  # pyright: ignore (a property of its base)
-        """The usual one: a rig may rest between scans."""
+        """Returns the usual interval, s: a rig may rest between scans."""
         if self.scans < 2:
             return self.slots / self.rig.f_switch
         return float(np.median(np.diff(self._t0)))
@@ -245,7 +245,7 @@ _NO_GAPS = np.zeros((0, 2), int)
 
 
 def _printable(text: str) -> str:
-    """Without what would steer a terminal."""
+    """Replaces characters that would steer a terminal."""
     return "".join(c if c.isprintable() else "�" for c in text)
 
 
@@ -264,7 +264,7 @@ def _open(path: Path) -> OpenContainer:
 
 
 def _is_hdf5(raw: Any) -> bool:
-    """By the signature, at the start or behind a block of its user's (MATLAB's has 512)."""
+    """Finds HDF5's signature at the start or behind a user's block (MATLAB's has 512 B)."""
     at = 0
     while len(start := raw.read(8)) == 8:
         if start == b"\x89HDF\r\n\x1a\n":
@@ -306,7 +306,7 @@ def _variables(file: OpenContainer) -> Callable:
 
 
 def _number(field: Callable, name: str, count: int = 1, index: int = 0) -> float:
-    """One of `count` numbers."""
+    """Reads one of a field's `count` numbers."""
     value = field(name)
     try:
         number = np.asarray(value, float).ravel()

@@ -1,4 +1,4 @@
-"""Opens a recording, whichever form it has."""
+"""Opens a recording in any of its forms."""
 
 from pathlib import Path
 from typing import Any
@@ -8,15 +8,16 @@ from tomojax.recordings._recording import Recording
 
 
 def open_recording(path: Path | str, **options: Any) -> Recording:
-    """The recording in a file: version 1 (HDF5), MATLAB v7.3, TDMS, CSV, .npz or MCAP.
+    """Opens a recording: version 1 (HDF5), MATLAB v7.3, TDMS, CSV, .npz or MCAP.
 
-    CSV, .npz and MCAP are described by a file of the same name that ends in .toml, with the
-    names of recording version 1's attributes, and `rows`, `columns`, `pitch`, `slots`.
+    A file of the same name that ends in .toml describes CSV, .npz and MCAP. The description
+    has the names of recording version 1's attributes, and `rows`, `columns`, `pitch`,
+    `slots`.
 
-    **Arguments:** `options` are those of `TdmsRecording` for .tdms files; for others
-    `header`: what the file should have said, by name.
-    **Raises:** `ValueError`, one line with the file, the field, what came and what was
-    expected, also for a file that cannot be opened.
+    **Arguments:** `options` are `TdmsRecording`'s for .tdms files. Other files have the
+    option `header`: fields by name that replace the file's.
+    **Raises:** `ValueError`, one line with the file, the field, the value found and the
+    value expected; also for a file that cannot be opened.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""Recordings: measured scans with what the rig says of itself, read a stretch at a time."""
+"""Defines recordings: measured scans with a description of the rig, read in stretches."""
 
 import hashlib
 from abc import ABC, abstractmethod
@@ -48,7 +48,7 @@ class Scans(NamedTuple):
 
 @dataclass(frozen=True)
 class Rig:
-    """What a recording says of the sensor and the converter; SI.
+    """A recording's description of the sensor and the converter; SI.
 
     **Example:**
 
@@ -79,7 +79,7 @@ class Rig:
         f_switch: float = 10e3,
         rails: tuple[float, float] = (-np.inf, np.inf),
     ) -> "Rig":
-        """Of a homogeneous sensor, for voltages in memory."""
+        """Makes the rig of a homogeneous sensor, for voltages in memory."""
         numbers = {
             n: float(getattr(sensor, n))
             for n in PAPER
@@ -98,9 +98,9 @@ class Rig:
         )
 
     def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
-        """The sensor, on the coarsest mesh that its electrodes allow.
+        """Makes the sensor, on the coarsest mesh that its electrodes allow.
 
-        **Raises:** `ValueError` for electrodes that are too small for their sheet.
+        **Raises:** `ValueError` for electrodes that are too small for the sheet.
         """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
@@ -121,8 +121,8 @@ class Rig:
 class Recording(ABC):
     """Scans of a rig, in a file or in memory; a context that closes the file.
 
-    `scans`, `slots` (a scan), `electrodes`: its shape; `gaps` (n, 2): [scan number, scans
-    lost], where numbers count lost scans too.
+    The shape is `scans`, `slots` (a scan), `electrodes`. `gaps` (n, 2) has [scan number,
+    scans lost], where numbers count lost scans too.
 
     **Example:**
 
@@ -152,15 +152,15 @@ class Recording(ABC):
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
-        """Scans `start` to `stop`."""
+        """Reads scans `start` to `stop`."""
 
     def start_times(self) -> np.ndarray:
-        """Of all scans, s."""
+        """Returns the start times of all scans, s."""
         each = range(0, self.scans, _SOME)
         return np.concatenate([self.read(k, k + _SOME).t0 for k in each])
 
     def close(self) -> None:  # noqa: B027 (arrays have nothing to close)
-        """Nothing is read after this."""
+        """Closes the file; nothing is read after this."""
 
     def __enter__(self) -> "Recording":
         return self
@@ -170,16 +170,16 @@ class Recording(ABC):
 
     @property
     def interval(self) -> float:
-        """From the start of one scan to that of the next, s."""
+        """Returns the time from the start of a scan to the start of the next, s."""
         return self.slots / self.rig.f_switch
 
     def digest(self) -> str:
-        """SHA-256 of the file."""
+        """Computes the SHA-256 of the file."""
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
     def rows_after_gaps(self) -> np.ndarray:
-        """Rows just before which scans were lost."""
+        """Returns rows just before which scans were lost."""
         lost_before = np.concatenate([[0], np.cumsum(self.gaps[:, 1])[:-1]])
         return (self.gaps[:, 0] - lost_before).astype(int)
 
@@ -222,7 +222,7 @@ class ArrayRecording(Recording):
         return self._scans.t0
 
     def digest(self) -> str:
-        """SHA-256 of the arrays."""
+        """Computes the SHA-256 of the arrays."""
         digest = hashlib.sha256()
         for array in self._scans:
             digest.update(np.ascontiguousarray(array).data)
@@ -230,7 +230,7 @@ class ArrayRecording(Recording):
 
 
 def check(recording: Recording) -> None:
-    """What every form has to fulfil. **Raises:** `ValueError` naming the field."""
+    """Checks the rules for every form. **Raises:** `ValueError` naming the field."""
     rig, m = recording.rig, recording.electrodes
     for name in PAPER:
         value = getattr(rig, name)
@@ -260,7 +260,7 @@ def check(recording: Recording) -> None:
 
 
 def _cells(rig: Rig) -> np.ndarray:
-    """Of the coarsest mesh that resolves the electrodes, along both sides."""
+    """Counts cells along both sides of the coarsest mesh that resolves the electrodes."""
     size, diameter = np.array(rig.size), rig.electrode_diameter
     cells = np.ceil(size / diameter * (1 - 1e-9))
     least = float(np.sqrt(size.prod() / _MOST_CELLS))

@@ -1,4 +1,4 @@
-"""A sound recording of one that only a person can put right."""
+"""Repairs a recording that only a person can put right."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,13 +22,13 @@ def repair_recording(
     grounds: Sequence[int] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Writes what a recording means as a new file; the old one stays as it is.
+    """Writes a recording, put right, as a new file; the old file stays unchanged.
 
-    **Arguments:** `recording`: opened, with the `header` that it should have had, see
-    `open_recording`; its times are those that the reader has put right. `scans`: the first
-    and the one behind the last that are kept; `channels` (M,): the electrode that each
-    channel reads, and `grounds` (M,): the electrode that each line switches (−1: none), as
-    `check` writes them. Codes are copied, not rounded again.
+    **Arguments:** `recording`: opened with its right `header`, see `open_recording`; the
+    reader has put the times right. `scans`: the first scan to keep, and the scan behind the
+    last. `channels` (M,): the electrode that each channel reads. `grounds` (M,): the
+    electrode that each line switches (−1: none). `check` writes `channels` and `grounds`.
+    Codes are copied, not rounded again.
     **Raises:** `ValueError` for arguments that do not fit; `OSError` for a full disk.
 
     **Example:**
@@ -107,7 +107,7 @@ def _describe(file: h5py.File, recording: Hdf5Recording) -> None:
 
 
 def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> None:
-    """Keeps the marks of those scans; all of them where all scans are kept."""
+    """Keeps the marks of the kept scans; keeps all marks where all scans are kept."""
     t = recording.times(first, last)
     low = -np.inf if first == 0 else t[0]
     high = np.inf if last == recording.scans else t[-1] + recording.interval
@@ -118,7 +118,7 @@ def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> N
 
 
 def _gaps(recording: Hdf5Recording, first: int, last: int) -> np.ndarray:
-    """Those inside, by the numbers that scans have there."""
+    """Returns the gaps between the kept scans, by the new file's scan numbers."""
     rows, found, lost = recording.rows_after_gaps(), [], 0
     for row, gone in zip(rows.tolist(), recording.gaps[:, 1].tolist()):
         if first < row <= last:

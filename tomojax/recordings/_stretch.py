@@ -1,4 +1,4 @@
-"""A stretch of a recording, which is one itself."""
+"""Makes a stretch of a recording a recording itself."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class Stretch(Recording):
         return self._whole.interval
 
     def digest(self) -> str:
-        """Of the whole file."""
+        """Computes the SHA-256 of the whole file."""
         return self._whole.digest()
 
     def close(self) -> None:
@@ -44,10 +44,10 @@ class Stretch(Recording):
 
 
 def between(recording: Recording, since: float | None, until: float | None) -> Recording:
-    """The scans that start in a stretch of time; the recording itself without one.
+    """Returns the scans that start in a stretch of time; without one, the recording itself.
 
-    **Arguments:** `since` and `until` s after the first scan; None: its start, its end.
-    **Raises:** `ValueError` where no scan starts between them.
+    **Arguments:** `since` and `until` s after the first scan; None: the recording's ends.
+    **Raises:** `ValueError` where no scan starts in the stretch.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""Recordings as LabVIEW leaves them: one TDMS channel per electrode, in volts."""
+"""Reads recordings of LabVIEW: one TDMS channel per electrode, in volts."""
 
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,12 @@ _MOST_SLOTS = 1 << 16
 class TdmsRecording(Recording):
     """A group of channels with one value per slot.
 
-    **Arguments** (as text they come from the command line): `group` of the channels;
+    **Arguments** (the command line gives text): `group` of the channels;
     `channels`: names of the electrodes' channels with {} for the number; `ground`: the
     channel of ground numbers; `slots`: per scan, by default the file's property
-    `slots_per_scan`; `rail`: the converter's range ±V. Properties of the file with the
-    names of recording version 1's attributes say what the rig was; where one is missing
-    the paper's rig is meant: 64 electrodes of 5 mm on 160 mm × 160 mm.
+    `slots_per_scan`; `rail`: the converter's range ±V. File properties with the names of
+    recording version 1's attributes describe the rig. The paper's rig stands for missing
+    properties: 64 electrodes of 5 mm on 160 mm × 160 mm.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What a recording holds, for `tomojax info`."""
+"""Describes a recording, for `tomojax info`."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +11,7 @@ from tomojax.recordings._recording import Recording
 
 
 def summary(recording: Recording) -> dict:
-    """Its shape and its rig, units in the keys."""
+    """Describes the recording's shape and rig, with units in the keys."""
     rig = recording.rig
     grounds = recording.read(0, 1).grounds[0]
     last = recording.read(recording.scans - 1, recording.scans).t0[0]
@@ -38,7 +38,7 @@ def summary(recording: Recording) -> dict:
 def faults(
     recording: Recording, progress: Callable[[int, int], None] = lambda done, total: None
 ) -> list[dict]:
-    """For each kind of fault, in how many scans, where, and of which channels."""
+    """Lists each kind of fault: the number of scans, their places, and the channels."""
     size = max(1, CHUNK_SLOTS // 4 // recording.slots)
     starts = range(0, recording.scans, size)
     flags = np.zeros(recording.scans, np.uint32)
@@ -71,13 +71,13 @@ def faults(
 
 
 def _runs(where: np.ndarray, most: int = 5) -> list[list[int]]:
-    """[first, last] of the first stretches of neighbours."""
+    """Returns [first, last] of the first stretches of neighbours."""
     parts = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
     return [[int(p[0]), int(p[-1])] for p in parts[:most]]
 
 
 def text(path: Path, found: dict, rows: list[dict]) -> str:
-    """For people."""
+    """Formats the description for people."""
     lines = [
         f"{path}: can be read",
         f"  {found['scans']} scans of {found['slots']} slots of {found['electrodes']} "

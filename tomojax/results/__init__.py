@@ -1,9 +1,9 @@
-"""Recordings to results: a stream of chunks, results files, tracks, reports, plots.
+"""Turns recordings into results: a stream of chunks, results files, tracks, reports, plots.
 
-The room reads, applies a method and writes. It knows nothing of how a method works, nor of
-how grounds are designed.
+The folder reads, applies a method and writes. The folder knows nothing of how a method
+works, nor of how grounds are designed.
 
-The names of `__init__.pyi` are imported when they are first used: who reads a file alone
+The names of `__init__.pyi` are imported when they are first used: reading a file alone
 waits for no JAX.
 """
 

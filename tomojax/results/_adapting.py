@@ -1,8 +1,8 @@
-"""Zeros and gains followed along a recording: chunks in order, by one process.
+"""Follows zeros and gains along a recording: chunks in order, by one process.
 
-Each stretch of a chunk is corrected as the adapter has it by then, and the adapter learns
-from its rows. Beside OUT.partial lies what the adapter remembers after the chunks that are
-marked; in the results, what it had at the end of each chunk.
+The adapter corrects each stretch of a chunk with the zeros and gains so far. The adapter
+then learns from the stretch's rows. A file beside OUT.partial holds the adapter's memory
+after the marked chunks. The results hold zeros and gains at the end of each chunk.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ Solve = Any  # of a chunk's number and frames, to its rows and what is kept
 
 
 class Adapting:
-    """Applies `solve` to readings as a rig without drift would have given them."""
+    """Applies `solve` to readings of a recording, corrected for the rig's drift."""
 
     def __init__(
         self, recording: Recording, calibration: Calibration, model: Any, solve: Solve
@@ -30,12 +30,12 @@ class Adapting:
         self._before, self._solve, self.start = calibration, solve, 0
 
     def remembered(self) -> dict[str, np.ndarray]:
-        """What `resume` takes, as it is by now."""
+        """Returns the present state, for `resume`."""
         own = self._solve.remembered() if hasattr(self._solve, "resume") else {}
         return {**own, **self.adapter.state()}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
-        """Goes on from the state after a chunk; from the beginning where there is none."""
+        """Goes on from the state after a chunk; an empty state means the beginning."""
         if hasattr(self._solve, "resume"):
             self._solve.resume(kept)
         if kept:
@@ -62,6 +62,6 @@ class Adapting:
 
 
 def require_alone(share: tuple[int, int]) -> None:
-    """**Raises:** `ValueError` for several processes: drift is followed in order."""
+    """Refuses several processes: drift is followed in order. **Raises:** `ValueError`."""
     alone = "one process: --adapt follows a recording in order"
     require(share[1] == 1, "--processes", share[1], alone)

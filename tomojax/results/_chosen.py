@@ -1,4 +1,4 @@
-"""Of a recording's slots those that a design by place asks for, with its λ."""
+"""Chooses the slots of a recording that a design by place asks for, with the design's λ."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -17,22 +17,22 @@ _WITH_LAMBDA = "linear", "source"
 
 
 class Slots(NamedTuple):
-    """Frames of a chunk that use as many slots each."""
+    """Frames of a chunk that all use the same number of slots."""
 
     frames: Int[np.ndarray, " k"]
     slots: Int[np.ndarray, "k s"]  # of each frame, in order
 
     def of(self, values: np.ndarray) -> np.ndarray:
-        """The slots' part of values (n, S, …)."""
+        """Returns the slots' part of values (n, S, …)."""
         return values[self.frames[:, None], self.slots]
 
 
 class Chosen:
-    """The slots of each scan that a table has for where its contacts are.
+    """The slots of each scan that a table holds for the places of the scan's contacts.
 
-    `points` finds those in the two exploratory slots, as the paper's adaptive scan does;
-    the table's are looked up as a step does, several contacts in turn. A scan without a
-    contact keeps all. Of `method` "linear" and "source" the table's λ are used as well.
+    `points` finds the contacts in the two exploratory slots, like the paper's adaptive
+    scan. The table is looked up like in a step, several contacts in turn. A scan without a
+    contact keeps all slots. The methods "linear" and "source" also use the table's λ.
     **Raises:** `ValueError` for a table of another rig, and a scan that lacks a ground of
     the table or of the exploration.
     """
@@ -58,13 +58,13 @@ class Chosen:
 
     @property
     def median(self) -> float | None:
-        """λ/σ₁² of a place of the table."""
+        """Returns the median λ/σ₁² of the table's places."""
         return None if self.lam is None else float(np.median(self.lam))
 
     def __call__(
         self, chunk: Chunk, volts: Float[np.ndarray, "n S M"]
     ) -> tuple[list[Slots], Float[np.ndarray, " n"] | None]:
-        """The slots to use of a chunk's frames, and λ/σ₁² of each frame."""
+        """Returns the slots to use of a chunk's frames, and λ/σ₁² of each frame."""
         explores = np.isin(chunk.grounds, self.corners)
         order = np.argsort(~explores, 1, kind="stable")[:, : len(self.corners)]
         at = np.arange(len(order))[:, None], order

@@ -1,10 +1,10 @@
-"""Results, version 1 (HDF5), written so that nothing done is ever lost.
+"""Writes results, version 1 (HDF5), so that no finished chunk is ever lost.
 
 The file is laid out whole before the first row: every dataset contiguous at a fixed
-place. Rows are then written into it with plain writes, chunk by chunk, in any order and by
-any number of processes, and HDF5's own structures are never touched again: a process may
-be killed at any moment. Beside OUT.partial lies OUT.partial.done, one byte a chunk, set
-after the chunk is on disk. What is finished gets its name at the end.
+place. Plain writes then fill in rows, chunk by chunk, in any order, by any number of
+processes. HDF5's own structures are never touched again: a process may be killed at any
+moment. OUT.partial.done lies beside OUT.partial: one byte a chunk, set after the chunk is
+on disk. The finished file gets its own name at the end.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
@@ -36,7 +36,7 @@ def fields(
     rung: bool = False,
     force: bool = False,
 ) -> dict:
-    """Name: (shape of a row, type, unit); the last three only where they are told.
+    """Lists fields by name: (shape of a row, type, unit); the last three arguments add any.
 
     `sizes`: C contacts; with images also nx, ny and M electrodes.
     """
@@ -52,7 +52,7 @@ def fields(
 
 
 def adapted_fields(electrodes: int) -> dict:
-    """What `--adapt` logs for each chunk: name, shape of a row, type, unit."""
+    """Lists the fields that `--adapt` logs for each chunk: shape of a row, type, unit."""
     return {
         "adapted_t": ((), "<f8", "s"),
         "adapted_zero": ((electrodes,), "<f8", "V"),
@@ -62,7 +62,7 @@ def adapted_fields(electrodes: int) -> dict:
 
 @dataclass(frozen=True)
 class ResultsFile:
-    """A results file in the making: OUT.partial, and which of its chunks are done."""
+    """A results file in the making: OUT.partial, and the marks of finished chunks."""
 
     out: Path
     chunks: int
@@ -82,7 +82,7 @@ class ResultsFile:
         attributes: dict[str, Any],
         by_chunk: dict | None = None,
     ) -> None:
-        """Lays the file out; `by_chunk` as `layout`, with a row for each chunk.
+        """Lays the file out; `by_chunk` is like `layout`, with a row for each chunk.
 
         **Raises:** `ValueError` where the disk is too small.
         """
@@ -122,7 +122,7 @@ class ResultsFile:
             ) from None
 
     def done(self) -> np.ndarray:
-        """Which chunks are written; all, once another process has finished the file."""
+        """Returns the chunks that are written; all, once any process finished the file."""
         try:
             marks = self._done.read_bytes()
         except FileNotFoundError:
@@ -132,7 +132,7 @@ class ResultsFile:
         return np.frombuffer(marks, np.uint8) == 1
 
     def finished(self, chunk: int) -> bool:
-        """Whether that chunk is written by now."""
+        """Tells whether that chunk is written by now."""
         return bool(self.done()[chunk])
 
     @property
@@ -140,7 +140,7 @@ class ResultsFile:
         return self.partial.with_name(self.partial.name + ".state")
 
     def keep(self, **arrays: Any) -> None:
-        """Puts arrays beside the rows, in place of those before: at once or not at all."""
+        """Puts arrays beside the rows, replacing earlier arrays: at once or not at all."""
         new = self._state.with_name(self._state.name + ".new")
         try:
             with open(new, "wb") as file:
@@ -153,7 +153,7 @@ class ResultsFile:
             raise
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Reads what `keep` has put there last; nothing where it never did."""
+        """Reads the arrays that `keep` put there last, if any."""
         if not self._state.exists():
             return {}
         try:
@@ -162,7 +162,7 @@ class ResultsFile:
             raise ValueError(f"{error}; begin anew with --overwrite") from None
 
     def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
-        """Keeps other runs from this file; `shared`: but for those that share the work."""
+        """Keeps other runs from this file; `shared` admits runs that share the work."""
         return held(self._lock, shared)
 
     @property
@@ -170,25 +170,25 @@ class ResultsFile:
         return self.partial.with_name(self.partial.name + ".lock")
 
     def discard(self) -> None:
-        """Removes what an earlier run left."""
+        """Removes the files that an earlier run left."""
         names = (".new", ".done", "", ".state", ".state.new")
         for name in names:
             self.partial.with_name(self.partial.name + name).unlink(missing_ok=True)
 
     def finish(self) -> None:
-        """Gives OUT.partial its name."""
+        """Renames OUT.partial to OUT."""
         with contextlib.suppress(FileNotFoundError):  # another process was first
             self.partial.replace(self.out)
             self._done.unlink()
         self._state.unlink(missing_ok=True)
 
     def writer(self) -> "RowWriter":
-        """Writes into OUT.partial."""
+        """Returns a writer into OUT.partial."""
         return RowWriter(self.partial, self._done)
 
 
 class RowWriter:
-    """Rows to their places; chunks are marked once their rows are on disk."""
+    """A writer of rows to their places; marks chunks once their rows are on disk."""
 
     def __init__(self, partial: Path, done: Path):
         self._place = places(partial)
@@ -200,12 +200,12 @@ class RowWriter:
     def write(
         self, chunk: int, start: int, t: np.ndarray, rows: Rows, **more: np.ndarray
     ) -> None:
-        """Rows of a chunk, from row `start` on."""
+        """Writes rows of a chunk, from row `start` on."""
         self._put(start, {"t": t, **rows._asdict(), **more})
         self._unmarked.append(chunk)
 
     def log(self, chunk: int, values: dict[str, Any]) -> None:
-        """Writes what the file logs of a chunk; before its rows are."""
+        """Writes a chunk's entries in the log, before the chunk's rows."""
         self._put(chunk, {name: np.asarray(value)[None] for name, value in values.items()})
 
     def _put(self, start: int, values: dict[str, np.ndarray | None]) -> None:
@@ -219,7 +219,7 @@ class RowWriter:
             _write_all(self._data, some, offset + start * row)
 
     def mark(self) -> None:
-        """What is written so far is done."""
+        """Marks all chunks written so far as done."""
         os.fsync(self._data.fileno())
         for chunk in self._unmarked:
             _write_some(self._marks, b"\x01", chunk)
@@ -232,7 +232,7 @@ class RowWriter:
 
 
 def is_results(path: Path) -> bool:
-    """Whether a file holds results, of this version or another."""
+    """Tells whether a file holds results, of this version or another."""
     try:
         with open_container(path) as file:
             return file.attributes.get("schema") == SCHEMA
@@ -241,12 +241,12 @@ def is_results(path: Path) -> bool:
 
 
 def partial_path(out: Path) -> Path:
-    """Where a results file is made."""
+    """Returns the path of a results file in the making."""
     return out.with_name(out.name + ".partial")
 
 
 def nothing_left(out: Path) -> bool:
-    """Whether every row is written, named or not yet."""
+    """Tells whether every row is written, whether the file has its name or not."""
     partial = partial_path(out)
     if not partial.exists():
         return out.exists()
@@ -255,7 +255,7 @@ def nothing_left(out: Path) -> bool:
 
 
 def chunks_done(out: Path) -> int | None:
-    """How many chunks have been done so far; None of a file that is not in the making."""
+    """Counts the chunks done so far; None for a file that is not in the making."""
     try:
         return sum(_marks(partial_path(out)).read_bytes())
     except FileNotFoundError:
@@ -267,7 +267,7 @@ def _marks(partial: Path) -> Path:
 
 
 def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:
-    """A dataset in one piece whose place is fixed now; nothing is written into it."""
+    """Makes an empty dataset in one piece, whose place is fixed now."""
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_layout(h5py.h5d.CONTIGUOUS)
     plist.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -293,9 +293,9 @@ def _write_some(file: FileIO, values: memoryview | bytes, offset: int) -> int:
 
 
 def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:
-    """Before any work: OUT can be made, and nothing that is there would be lost.
+    """Checks before any work that OUT can be made and that no file there would be lost.
 
-    `resumes`: of work that goes on with OUT.partial.
+    `resumes`: whether this work can go on with OUT.partial.
     """
     require(out.parent.is_dir(), f"{out}", "no such folder", "a folder that exists")
     require(os.access(out.parent, os.W_OK), f"{out}", "no permission", "a writable folder")

@@ -1,8 +1,8 @@
-"""`follow` on a recording: slots in order, and what is remembered kept beside the rows.
+"""Runs `follow` on a recording: slots in order; the memory is kept beside the rows.
 
-Chunks depend on those before, so they are done in order by one process. Beside OUT.partial
-lies OUT.partial.state: what the step remembers after the chunks that are marked, so that a
-run that goes on says what one in a single go says.
+A chunk depends on the chunks before, so one process does chunks in order. OUT.partial.state
+lies beside OUT.partial: the step's memory after the marked chunks. So a resumed run gives
+the results of an uninterrupted run.
 """
 
 from typing import Any
@@ -46,12 +46,12 @@ class Following:
         return 1.0
 
     def remembered(self) -> dict[str, np.ndarray]:
-        """What `resume` takes, as it is by now."""
+        """Returns the present state, for `resume`."""
         numbers, whole = (np.asarray(a) for a in self.state)
         return {"numbers": numbers, "whole": whole}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
-        """Goes on from the state after a chunk; from the beginning where there is none."""
+        """Goes on from the state after a chunk; an empty state means the beginning."""
         if kept:
             self.start = int(kept["chunk"])
             self.state = Packed(kept["numbers"], kept["whole"])  # pyright: ignore
@@ -71,7 +71,7 @@ class Following:
         return rows, {"chunk": chunk + 1, **self.remembered()}
 
     def _lost(self, chunk: int, frames: Chunk) -> np.ndarray:
-        """Slots lost before each, one at least where scans are missing."""
+        """Counts the slots lost before each slot, one at least where scans are missing."""
         start, recording = chunk * self._size, self._recording
         before = frames.t[:1]
         if self._last is not None:
@@ -85,15 +85,15 @@ class Following:
 
 
 def require_alone(share: tuple[int, int]) -> None:
-    """**Raises:** `ValueError` for several processes: a slot needs those before it."""
+    """Refuses several processes: a slot needs earlier slots. **Raises:** `ValueError`."""
     alone = "one process: follow goes from slot to slot"
     require(share[1] == 1, "--processes", share[1], alone)
 
 
 def checked(file: ResultsFile, now: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What `file` has kept, judged by what a run remembers at its beginning.
+    """Reads the state that `file` kept; compares the state with a run's first, `now`.
 
-    **Raises:** `ValueError` for a state that is none of such a run's.
+    **Raises:** `ValueError` for a state of another kind of run.
     """
     kept = file.kept()
     if not kept:

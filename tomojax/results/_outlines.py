@@ -1,4 +1,4 @@
-"""Outlines of what touches, from a results file of `shape`: GeoJSON, or SVG."""
+"""Writes the outlines of touching objects, from results of `shape`: GeoJSON, or SVG."""
 
 import json
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ KINDS = (".geojson", ".json", ".svg")
 
 
 class Outline(NamedTuple):
-    """One object: where the probability of touch is a half or more.
+    """One object: a region where the probability of touch is a half or more.
 
     **Example:**
 
@@ -52,7 +52,7 @@ def outlines_of(
     size: Any,
     image: Float[np.ndarray, "nx ny"] | None = None,
 ) -> list[Outline]:
-    """The objects of one image of probabilities, the largest first.
+    """Finds the objects of one image of probabilities, the largest first.
 
     **Arguments:** `size` of the sheet, m; `image` S/m², for the conductance of each.
     **Raises:** `ValueError` for an image that is not finite, or no sheet's size.
@@ -107,7 +107,7 @@ def outlines_of(
 
 
 def _moments(rings: tuple) -> tuple[float, np.ndarray, np.ndarray]:
-    """Area, centroid and central second moments per area of rings, holes turned round."""
+    """Computes area, centroid and central second moments per area; holes run backwards."""
     area, first, second = 0.0, np.zeros(2), np.zeros((2, 2))
     for ring in rings:
         a, b = ring[:-1], ring[1:]
@@ -124,7 +124,7 @@ def _moments(rings: tuple) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def _within(outer, label, image, cell) -> float:
-    """The conductance of the region that an outline is of, S."""
+    """Computes the conductance of an outline's region, S."""
     if image is None:
         return float("nan")
     # Half a pixel inwards of the outline's pixels lies one of the region.
@@ -136,7 +136,7 @@ def _within(outer, label, image, cell) -> float:
 
 
 def check_outlines(path: Path, method: str, images: bool) -> None:
-    """**Raises:** `ValueError` where OUT cannot have outlines, before any work."""
+    """Checks before any work that OUT can have outlines. **Raises:** `ValueError`."""
     kind = path.suffix.lower()
     require(kind in KINDS, f"{path}", f"the ending {kind!r}", ", ".join(KINDS))
     fits = method == "shape" and images
@@ -145,10 +145,10 @@ def check_outlines(path: Path, method: str, images: bool) -> None:
 
 
 def write_outlines(results: Path, out: Path) -> int:
-    """Writes the outlines of all rows with a contact, and returns how many there are.
+    """Writes the outlines of all rows with a contact; returns the number of outlines.
 
-    GeoJSON (lengths in m on the sheet, not on the Earth) has for each object its row, time,
-    area, centroid, axes and conductance; SVG has a group for each row, in mm.
+    GeoJSON has each object's row, time, area, centroid, axes and conductance. Its lengths
+    are m on the sheet, not on the Earth. SVG has a group for each row, in mm.
     **Raises:** `ValueError` for results without probabilities of touch.
     """
     with LoadedResults(results) as file:

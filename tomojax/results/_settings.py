@@ -1,4 +1,4 @@
-"""What decides the rows of a results file, beside the recording."""
+"""Defines the settings that decide the rows of a results file, beside the recording."""
 
 import hashlib
 import json
@@ -39,19 +39,18 @@ _FILES = "calibration", "policy"
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the rows of a results file, beside the recording.
+    """The settings that decide the rows of a results file, beside the recording.
 
     `method` None is "auto", and "source" for a row per slot. `lam` None is the method's own
-    choice from the first frames with a contact; `grid` None
-    is 32 × 32 pixels, or 24 × 24 for a row per slot (places are then 2.3 instead of 1.6 mm
-    off on a recorded drag, at about one and a half times the speed); `chunk` None is
-    some seconds of work that fit the memory; `threshold` None is the method's own.
-    `calibration`: a file of `Calibration.save`; `tare`: channels' zeros from contact-free
-    slots, where there are; `policy`: a file of `save_policy`, whose slots alone are used,
-    with its λ; `films`: whether a row may begin at the contacts of one shortly before
-    (None: where rows follow each other closely enough, in a recording long enough to be
-    worth it); `adapt`: whether zeros and gains that drift are followed, see
-    `tomojax.calibration.Adapter`.
+    choice from the first frames with a contact. `grid` None is 32 × 32 pixels, or 24 × 24
+    for a row per slot. On a recorded drag, 24 × 24 pixels place contacts 2.3 mm off, not
+    1.6 mm, at 1.5 times the speed. `chunk` None is some seconds of work that fit the
+    memory; `threshold` None is the method's own. `calibration` is a file of
+    `Calibration.save`. `tare` takes channels' zeros from contact-free slots, where there
+    are any. `policy` is a file of `save_policy`, whose slots alone are used, with its λ.
+    `films` tells whether a row may begin at the contacts of a row shortly before. `films`
+    None is yes for a long recording whose rows follow each other closely. `adapt` follows
+    zeros and gains that drift, see `tomojax.calibration.Adapter`.
 
     **Example:**
 
@@ -86,11 +85,11 @@ class Settings:
 
     @property
     def pixels(self) -> int:
-        """Of a side of the image."""
+        """Returns the pixels along a side of the image."""
         return self.grid or (24 if self.rate == "slot" else 32)
 
     def check(self) -> None:
-        """**Raises:** `ValueError` naming the setting."""
+        """Checks the settings. **Raises:** `ValueError` naming the setting."""
         rates = ("slot", "scan")
         require(self.rate in rates, "rate", repr(self.rate), "'slot' or 'scan'")
         if self.method == "follow":
@@ -112,12 +111,12 @@ class Settings:
 
 
 def default_method(rate: str | None) -> str:
-    """`auto`; it does not make ten thousand rows a second, as a row per slot asks for."""
+    """Returns "auto"; "source" for a row per slot, where "auto" is too slow."""
     return "source" if rate == "slot" else "auto"
 
 
 def film_rows(recording: Recording, settings: Settings) -> int:
-    """Rows of a film: see `Batch`; 1 where each is worked on by itself."""
+    """Returns the rows of a film (see `Batch`); 1 where each row is fitted alone."""
     per_scan = recording.slots if settings.rate == "slot" else 1
     long = recording.scans * per_scan >= _WORTH
     asked = long if settings.films is None else settings.films
@@ -130,7 +129,7 @@ def film_rows(recording: Recording, settings: Settings) -> int:
 
 
 def chunk_scans(recording: Recording, settings: Settings) -> int:
-    """Scans of a chunk: whole films, so that no row depends on how many there are."""
+    """Returns the scans of a chunk: whole films, so that no row depends on the chunks."""
     film = film_rows(recording, settings)
     return -(-_asked_or_fitting(recording, settings) // film) * film
 
@@ -153,7 +152,7 @@ def _asked_or_fitting(recording: Recording, settings: Settings) -> int:
 
 
 def configuration(recording: Recording, settings: Settings, size: int) -> dict:
-    """What makes the rows what they are: two runs with the same make the same bytes."""
+    """Lists all that decides the rows: two runs with the same list make the same bytes."""
     given = {name: getattr(settings, name) for name in _FILES}
     digests = {f"{n}_sha256": _digest(n, path) for n, path in given.items() if path}
     return {
@@ -170,7 +169,7 @@ def configuration(recording: Recording, settings: Settings, size: int) -> dict:
 
 
 def calibration_of(recording: Recording, settings: Settings) -> Calibration:
-    """That of the settings, with zeros from the recording itself where it tells them."""
+    """Loads the settings' calibration, with zeros that the recording itself may tell."""
     given = settings.calibration
     calibration = Calibration.load(given, recording.electrodes) if given else Calibration()
     return tare(recording, calibration) if settings.tare else calibration
@@ -182,7 +181,7 @@ def choose_lambda(
     settings: Settings,
     calibration: Calibration,
 ) -> float:
-    """λ of the settings, or the method's choice from the first stretch with a contact."""
+    """Returns the settings' λ, or the method's choice from the first contact."""
     if settings.lam is not None:
         return settings.lam
     size = max(1, CHUNK_SLOTS // recording.slots)  # whatever the chunks are
@@ -201,7 +200,7 @@ def choose_lambda(
 
 
 def _digest_of_rig(recording: Recording) -> str:
-    """What makes voltages of the file's numbers may be told beside the file."""
+    """Digests the rig and the first scan: a rig may be described beside the recording."""
     first = recording.read(0, 1)
     told = [recording.slots, recording.gaps.tolist()]
     told += [np.asarray(value).tolist() for value in vars(recording.rig).values()]
@@ -218,7 +217,7 @@ def _digest(name: str, path: str) -> str:
 
 
 def require_same(config: dict, attributes: dict, path: Path) -> None:
-    """**Raises:** `ValueError` where results were begun with something else."""
+    """Refuses results that were begun with another `config`. **Raises:** `ValueError`."""
     own = "configuration" in attributes and "tracked" not in attributes
     require(own, f"{path}", "no results of reconstruct", "the file of a run to go on with")
     before = json.loads(attributes["configuration"])
@@ -234,7 +233,7 @@ def require_same(config: dict, attributes: dict, path: Path) -> None:
 
 
 def _shortened(was: Any, now: Any) -> tuple[Any, Any]:
-    """Of two tables what differs, of digests their beginnings."""
+    """Keeps the differences of two tables, and the beginnings of digests."""
     if isinstance(was, dict) and isinstance(now, dict):
         names = [name for name in now if was.get(name) != now[name]] or list(now)
         return tuple(  # pyright: ignore

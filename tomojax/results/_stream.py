@@ -1,8 +1,8 @@
-"""A recording of any length to a results file: read ahead, compute, write behind.
+"""Turns a recording of any length into a results file: reads ahead, writes behind.
 
-Chunks are judged, solved and written one by one; none depends on another, so that what a
-run leaves undone any later run, or another process, does with the same bytes. `follow` and
-`--adapt` go through them in order, see `_following` and `_adapting`.
+Chunks are judged, solved and written one by one; no chunk depends on another. A later run,
+or another process, writes the chunks left undone with the same bytes. `follow` and
+`--adapt` do chunks in order, see `_following` and `_adapting`.
 """
 
 import errno
@@ -51,11 +51,11 @@ def reconstruct_recording(
     share: tuple[int, int] = (0, 1),
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Images and contacts of every scan (or slot) of a recording, in a results file.
+    """Writes images and contacts of every scan (or slot) of a recording to a results file.
 
     **Arguments:** `resume` goes on with OUT.partial of a run that ended; `overwrite`
-    begins anew over it, and over OUT; `share` (i, n): this process is the i-th of n that
-    work on the same file; `progress` is told the chunks done and their number.
+    begins anew over OUT.partial and OUT; `share` (i, n): this process is the i-th of n that
+    work on the same file; `progress` is called with the chunks done and the number of all.
     **Returns:** the path of the finished file.
     **Raises:** `ValueError`; `KeyboardInterrupt` leaves OUT.partial to be resumed.
 
@@ -114,7 +114,7 @@ def _reconstruct(
     overwrite: bool,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Makes the file, or goes on with it."""
+    """Makes the file, or goes on with OUT.partial."""
     from tomojax.results import _adapting, _following
 
     alone, follows = share == (0, 1), settings.method == "follow"
@@ -222,7 +222,7 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
 
 
 def _wait_for(path: Path, seconds: float = 600.0) -> None:
-    """The first process lays the file out."""
+    """Waits until the first process has laid the file out."""
     end = monotonic() + seconds
     while not path.exists():
         require(
@@ -232,9 +232,9 @@ def _wait_for(path: Path, seconds: float = 600.0) -> None:
 
 
 def _work(recording, settings, calibration, solve, file, writer, todo, progress) -> None:
-    """Chunks `todo`: one is read and one written while one is computed.
+    """Does chunks `todo`: reads a chunk and writes a chunk while computing a third.
 
-    `solve` gives a chunk's rows, and what is to be kept beside them once they are marked.
+    `solve` gives a chunk's rows, and a state to keep once the rows are marked.
     """
     size = chunk_scans(recording, settings)
     per_scan = recording.slots if settings.rate == "slot" else 1
@@ -291,7 +291,7 @@ def _work(recording, settings, calibration, solve, file, writer, todo, progress)
 def _solved(
     settings, calibration, chosen, batch: Batch, chunk: int, frames: Chunk
 ) -> tuple[Rows, None]:
-    """Rows of a chunk; from the slots alone that a table has chosen, where there is one."""
+    """Computes a chunk's rows; a table, if given, chooses the slots."""
     _, voltages, grounds, good, flags = frames
     volts = calibration.voltages(voltages)
     if chosen is None:
@@ -310,7 +310,7 @@ def _solved(
 
 
 def _read_ahead(reader, read, todo) -> Iterator[tuple[int, Any]]:
-    """Each of `todo` with what is read of it, the next one being read meanwhile."""
+    """Yields each chunk of `todo` with its data; reads the next chunk meanwhile."""
     coming = [(c, reader.submit(read, c)) for c in todo[:2]]
     for following in [*todo[2:], None, None][: len(todo)]:
         chunk, result = coming.pop(0)

@@ -1,4 +1,4 @@
-"""Contacts followed over time: which is which, and what all of its slots say of it."""
+"""Follows contacts over time: joins each contact's rows and combines them."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ _DRIFTS = ((0.0, 0.0), (5e-4, 0.003), (1.5e-3, 0.01), (5e-3, 0.03), (1.5e-2, 0.1
 
 
 class Tracks(NamedTuple):
-    """n rows of up to C contacts, NaN-padded, strongest first.
+    """Tracks: n rows of up to C contacts, NaN-padded, strongest first.
 
     **Example:**
 
@@ -55,7 +55,7 @@ class Tracks(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """Rows with C places; in one of them a contact stays from its first row to its last."""
+    """Rows with C places; a contact keeps one place from its first row to its last."""
 
     number: Integer[np.ndarray, "n C"]  # of the contact; 0: none
     source: Integer[np.ndarray, "n C"]  # which contact of the row; −1: not seen
@@ -72,18 +72,18 @@ def track(
     drift: tuple[float, float] | None = None,
     pitch: float = 0.020,
 ) -> Tracks:
-    """Place and conductance of each contact from all rows that show it.
+    """Finds each contact's place and conductance from all rows that show the contact.
 
-    A Kalman filter of a state that stands still, or drifts, and begins anew where it has
-    changed; ln g has one of its own. For what stands still the standard deviation falls
-    as 1/√n, and a step shows at once.
+    A Kalman filter follows a state that stands still, or drifts, and begins anew at a step.
+    The filter of ln g is separate. The standard deviation of a still contact falls as 1/√n,
+    and a step shows at once.
 
     **Arguments:** `rows` of `points` or `auto` (their contacts come with covariances);
-    `drive_voltage` V; `sheet_resistance` Ω/sq; `smooth`: rows after count as well as
-    those before; `hold`: rows that a contact may be missing from and still be there (a
-    feeble one is not seen under every ground); `least`: rows that have to show a contact
-    (what fewer show are ghosts); `drift`: standard deviations per row of
-    place (m) and ln g, those that are likeliest by default; `pitch` of the electrodes, m.
+    `drive_voltage` V; `sheet_resistance` Ω/sq; `smooth`: later rows count as well as
+    earlier rows; `hold`: rows that a present contact may be missing from (a feeble contact
+    is not seen under every ground). `least`: rows that have to show a contact (fewer rows
+    show a ghost). `drift`: standard deviations per row of place (m) and ln g, the likeliest
+    by default; `pitch` of the electrodes, m.
     **Raises:** `ValueError` for rows without covariances and values out of range.
 
     **Example:**
@@ -147,7 +147,7 @@ def _check(rows, drive_voltage, sheet_resistance, hold, least, drift, pitch) -> 
 
 
 def _follow(rows: Rows, hold: int, least: int, within: float) -> _Paths:
-    """Contacts of each row joined to the nearest of those before, the nearest first."""
+    """Joins the contacts of each row to the nearest contacts before, the nearest first."""
     n, most = rows.contact_xy.shape[:2]
     number, source = np.zeros((n, most), int), np.full((n, most), -1)
     places, widths = np.zeros((most, 2)), np.zeros(most)
@@ -186,7 +186,7 @@ def _follow(rows: Rows, hold: int, least: int, within: float) -> _Paths:
 
 
 def _picked(values: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """Of each path, what its row says; of the row before where it is not seen."""
+    """Picks each path's values from its row, or from an earlier row in a gap."""
     rows = np.where(source >= 0, np.arange(len(source))[:, None], -1)
     rows = np.maximum(np.maximum.accumulate(rows, 0), 0)
     which = np.maximum(np.take_along_axis(source, rows, 0), 0)
@@ -195,7 +195,7 @@ def _picked(values: np.ndarray, source: np.ndarray) -> np.ndarray:
 
 
 def _height_noise(g, current, drive_voltage: float, sheet_resistance: float) -> np.ndarray:
-    """Variance of ln g: of V0 − u by the model's error, of the current by noise."""
+    """Computes ln g's variance: the model's error of V0 − u, and the current's noise."""
     current = np.maximum(np.abs(current), 1e-15)
     below = np.maximum(np.abs(drive_voltage) * g / current - 1, 0)  # u/(V0 − u)
     noise = _NOISE * abs(drive_voltage) / sheet_resistance / current
@@ -203,7 +203,7 @@ def _height_noise(g, current, drive_voltage: float, sheet_resistance: float) -> 
 
 
 def _centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """About their middle, so that float32 has its digits where they are needed."""
+    """Subtracts the median, so that float32 has its digits where they are needed."""
     middle = np.median(values, (0, 1))
     return (values - middle).astype(np.float32), middle
 
@@ -217,7 +217,7 @@ def _likeliest(
     drifts: Float[Array, " k"],
     smooth: bool,
 ) -> Levels:
-    """With the drift by which all measurements are likeliest."""
+    """Filters the paths with the drift that makes all measurements likeliest."""
     unit = jnp.eye(z.shape[-1], dtype=z.dtype)
     paths = jax.vmap(filter_levels, (1, 1, 1, 1, None), 1)
     drift = drifts[0]
@@ -230,7 +230,7 @@ def _likeliest(
 
 
 def _arranged(rows: Rows, paths: _Paths, place, height) -> Tracks:
-    """Strongest first, as rows are."""
+    """Makes tracks with the strongest contact first, as in rows."""
     number, nan = paths.number, np.nan
     present = number > 0
     n, most = number.shape
@@ -291,7 +291,7 @@ class Touch(NamedTuple):
 
 
 def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:
-    """Every contact of a recording, in order; `t` the rows' times, s.
+    """Lists every contact of a recording, in order; `t` the rows' times, s.
 
     **Example:**
 

@@ -1,7 +1,7 @@
-"""Several processes on one results file, joined by `jax.distributed`.
+"""Joins several processes on one results file by `jax.distributed`.
 
-What is done is kept in the file's own marks: the processes need no word of each other to go
-on, and a killed one may come back.
+The file's own marks tell the chunks done. The processes need no word of each other to go
+on, and a killed process may come back.
 """
 
 import socket
@@ -27,9 +27,9 @@ def join(
     out: Path,
     resume: bool,
 ) -> tuple[int, int]:
-    """(this process, how many): a share for `reconstruct_recording`; (0, 1) alone.
+    """Returns (this process, their number), for `reconstruct_recording`; (0, 1) alone.
 
-    **Raises:** `ValueError` where one of the three is missing or nobody answers.
+    **Raises:** `ValueError` where one of three options is missing, or nobody answers.
     """
     given = {"coordinator": coordinator, "processes": processes, "process": process}
     if all(value is None for value in given.values()):
@@ -63,7 +63,7 @@ def join(
 
 
 def leave(share: tuple[int, int], out: Path) -> None:
-    """Process 0 goes last: whoever finds it gone is aborted by JAX."""
+    """Leaves the group, process 0 last: JAX aborts a process that finds process 0 gone."""
     import jax
 
     if not jax.distributed.is_initialized():  # alone, or nothing was left to do
@@ -89,7 +89,7 @@ def _left(out: Path, process: int) -> Path:
 
 
 def _answers(host: str, port: int, out: Path | None) -> bool:
-    """Whether process 0 is there; False once the file is finished."""
+    """Tells whether process 0 is there; False once the file is finished."""
     end = monotonic() + _PATIENCE
     while monotonic() < end:
         if out and nothing_left(out):

@@ -1,4 +1,4 @@
-"""Pictures of a results file."""
+"""Draws pictures of a results file."""
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
 # (h5py does not say whether a name is a group or a dataset)
@@ -16,7 +16,7 @@ _POINTS = 20_000  # more than a picture shows
 
 
 def timeline(path: Path) -> Figure:
-    """Places and currents of the contacts over time, the path on the sheet, and flags."""
+    """Draws contacts' places and currents over time, the path on the sheet, and flags."""
     with LoadedResults(path) as file:
         step = max(1, -(-file.rows // _POINTS))
         t, xy, current, flags, residual = (
@@ -77,7 +77,7 @@ def timeline(path: Path) -> Figure:
 
 
 def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
-    """Of two standard deviations, about some of the places (m, m²: xx, yy, xy)."""
+    """Draws ellipses of two standard deviations about some places (m, m²: xx, yy, xy)."""
     from matplotlib.patches import Ellipse
 
     known = np.flatnonzero(np.isfinite(covariance).all(-1))
@@ -98,7 +98,8 @@ def _strongest(file: LoadedResults) -> int:
 def still(figure: Figure, moving: list):
     """Draws all but the artists `moving`; returns the canvas and its pixels.
 
-    Matplotlib lays a figure out anew for each drawing, in 0.4 s: here it does so once.
+    Matplotlib lays a figure out anew for each drawing, in 0.4 s; this function does so
+    once.
     """
     canvas = FigureCanvasAgg(figure)
     for _ in range(2):  # the second layout starts from the sizes that the first one found

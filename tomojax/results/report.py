@@ -1,4 +1,4 @@
-"""What a results file says in a few lines."""
+"""Summarizes a results file in a few lines."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ _ROWS = 1 << 20  # read at once
 
 
 def summary(path: Path) -> dict:
-    """Counts of contacts and of flags, units in the keys; `rows` has the stretches."""
+    """Counts contacts and flags, with units in the keys; `rows` has the stretches."""
     with LoadedResults(path) as file:
         for name in ("contact_count", "flags", "residual", "contact_xy", "contact_current"):
             require(name in file.names, f"{path}: {name}", "none", "this dataset")
@@ -56,7 +56,7 @@ def summary(path: Path) -> dict:
 
 
 def _collect(stretches: list, count, file, t, part: slice, previous: int, most=12) -> None:
-    """The first stretches with contact: when, and where the strongest was on average."""
+    """Collects the first stretches with contact: times, and the median of the strongest."""
     if len(stretches) >= most:
         return
     touched = np.concatenate([[previous > 0], count > 0])
@@ -82,7 +82,7 @@ def _collect(stretches: list, count, file, t, part: slice, previous: int, most=1
 
 
 def text(found: dict, path: Path) -> str:
-    """For people."""
+    """Formats a summary for people."""
     lines = [
         f"{found['rows_in_all']} rows over {found['duration_s']:.4g} s, {found['method']}, "
         f"λ = {found['lam']:.3g} ({found['lam_relative']:.1e}·σ₁²), "

@@ -1,4 +1,4 @@
-"""A results file's contacts followed over time: another file, a table, a picture."""
+"""Follows a results file's contacts over time: writes a file, a table, a picture."""
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
 # (h5py does not say whether a name is a group or a dataset)
@@ -41,9 +41,9 @@ def track_results(
     until: float | None = None,
     **options: Any,
 ) -> tuple[Tracks, list[Touch]]:
-    """`track` of a results file, or of a stretch of it, written to another; its touches.
+    """Runs `track` on a results file or a stretch; writes another file; returns touches.
 
-    **Raises:** `ValueError` naming the file and what is wrong with it.
+    **Raises:** `ValueError` naming the file and its fault.
     """
     same = out.exists() and path.exists() and path.samefile(out)
     require(not same, f"{out}", "the results file", "another name")
@@ -99,7 +99,7 @@ def _rows(file: LoadedResults, part: slice) -> Rows:
 
 
 def text(found: list[Touch], most: int = 30) -> str:
-    """The touches as a table."""
+    """Formats the touches as a table."""
     head = "  start s    end s     ms    rows    x mm    y mm      µS"
     lines = [
         f"{touch.start:9.4f} {touch.end:8.4f} {1e3 * (touch.end - touch.start):6.1f} "
@@ -113,7 +113,7 @@ def text(found: list[Touch], most: int = 30) -> str:
 
 
 def picture(path: Path, out: Path) -> Any:
-    """Places and conductances before and after, and the ellipses of the places."""
+    """Draws places and conductances before and after, and the places' ellipses."""
     from matplotlib.figure import Figure
 
     from tomojax.results.plots import ellipses

@@ -1,7 +1,7 @@
 """The step of a robot: one slot in, contacts and the next ground out, compiled once.
 
-The room holds policies and their tables too. It knows nothing of files of slots, nor of the
-rig that a slot comes from.
+The folder holds policies and their tables too. The folder knows nothing of files of slots,
+nor of the rig that a slot comes from.
 """
 
 from tomojax.step._make import make_step as make_step

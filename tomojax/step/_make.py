@@ -1,4 +1,4 @@
-"""Makes steps: a sensor, a method and policies by their names."""
+"""Makes steps from a sensor, a method and policies by their names."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -30,18 +30,19 @@ def make_step(
     highest: float | None = None,
     tables: dict[str, AbstractPolicy] | None = None,
 ) -> Step:
-    """A compiled step: one slot after another to contacts and the next ground.
+    """Makes a compiled step: from one slot after another to contacts and the next ground.
 
-    **Arguments:** `method` "follow", which carries a few contacts on from slot to slot, or
-    one of `tomojax.method`, on each slot alone; `policy` or several, to `switch` between:
-    the patterns ("around", "cop_line" and "point" after two corner slots each),
-    "around_contacts" (*Around* by the contacts' places) and "information" (each time the
-    slot that is expected to say most of the places); `tables`: policies of your own by
-    name, such as a `Lookup`; `contacts` at most;
-    `f_switch` slots/s: how far a contact may move in one; `lam` λ (the method's own
-    without a recording); `cheaper`: a method that answers slots that are `hurried`;
-    `calibration`: of the rig, its zeros and gains are taken off what is read;
-    `good` (M,): channels that are used; `highest`: |V| that no channel can have.
+    **Arguments:** `method` is "follow" or one of `tomojax.method`. "follow" carries a few
+    contacts on from slot to slot; other methods see each slot alone. `policy` is a name, or
+    several to `switch` between. The patterns "around", "cop_line" and "point" begin with
+    two corner slots each. "around_contacts" is *Around* by the contacts' places.
+    "information" grounds the slot that is expected to say most of the places. `tables`
+    holds your own policies by name, such as a `Lookup`. `contacts` is the highest number of
+    contacts. `f_switch` (slots/s) limits how far a contact moves in one slot. `lam` is λ
+    (by default the method's own without a recording). `cheaper` names a method that answers
+    slots that are `hurried`. `calibration` is the rig's: its zeros and gains are taken off
+    the readings. `good` (M,) marks the channels that are used. `highest` is |V| that no
+    channel can have, V.
     **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
     wrong shape.
 

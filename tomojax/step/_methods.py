@@ -1,4 +1,4 @@
-"""What a step does with one slot: follow contacts between slots, or look at it alone."""
+"""Computes contacts from a slot: follows them between slots, or sees each slot alone."""
 
 from abc import abstractmethod
 from typing import Any, NamedTuple
@@ -43,7 +43,7 @@ _LEFT = 0.65
 
 
 class Told(NamedTuple):
-    """What is said of one slot."""
+    """The results of one slot."""
 
     contacts: Contacts
     residual: Float[Array, ""]  # V rms
@@ -51,27 +51,27 @@ class Told(NamedTuple):
 
 
 class AbstractStepMethod(eqx.Module):
-    """From one slot after another to contacts, with what it remembers of those before."""
+    """A method of a step: finds contacts slot by slot, with a memory of earlier slots."""
 
     @property
     @abstractmethod
     def residual_limit(self) -> float:
-        """As of `AbstractMethod`."""
+        """Returns the limit that `AbstractMethod` defines."""
 
     @property
     @abstractmethod
     def noise(self) -> Float[Array, ""]:
-        """Of a reading, V rms."""
+        """Returns the noise of a reading, V rms."""
 
     @abstractmethod
     def image(
         self, memory: Any, voltages: Float[Array, " M"], ground: Int[Array, ""]
     ) -> Float[Array, "nx ny"]:
-        """Of a slot that it was called with, in the method's unit."""
+        """Computes the image of a slot seen before, in the method's unit."""
 
     @abstractmethod
     def first(self) -> Any:
-        """What is remembered before the first slot."""
+        """Returns the memory before the first slot."""
 
     @abstractmethod
     def __call__(
@@ -82,11 +82,11 @@ class AbstractStepMethod(eqx.Module):
         ground: Int[Array, ""],
         elapsed: Float[Array, ""],
     ) -> tuple[Any, Told]:
-        """One slot later, `elapsed` slots after the last; voltages 0 where not `used`."""
+        """Takes a slot, `elapsed` slots after the last; voltages are 0 where not `used`."""
 
 
 class Follow(AbstractStepMethod):
-    """`points`, carried on from slot to slot: see `kernels._follow`."""
+    """`points` carried on from slot to slot: see `kernels._follow`."""
 
     count: int = eqx.field(static=True)
     points: Points
@@ -102,7 +102,7 @@ class Follow(AbstractStepMethod):
         good: Bool[np.ndarray, " M"],
         f_switch: float = 10e3,
     ) -> "Follow":
-        """Up to `count` contacts, from the channels that are `good`, at so many slots/s."""
+        """Makes `follow` for `count` contacts, `good` channels and `f_switch` slots/s."""
         candidates = _candidates(points.sheet, points.candidates)
         errors, dtype = points.errors.in_slot(good), points.cell.dtype
         slot_time = jnp.asarray(1 / f_switch, dtype)
@@ -177,7 +177,7 @@ class Follow(AbstractStepMethod):
 
 @jax.jit
 def _candidates(sheet: Sheet, places: Float[Array, "K 2"]) -> Candidates:
-    """Usual contacts at these places."""
+    """Computes the voltages of usual contacts at these places."""
     none = jnp.zeros((), places.dtype)
     tangent = jax.vmap(tangents, (None, 0, None))(sheet, places, none)
     potential = tangent[:, 0]
@@ -185,7 +185,7 @@ def _candidates(sheet: Sheet, places: Float[Array, "K 2"]) -> Candidates:
 
 
 class EachSlot(AbstractStepMethod):
-    """A method of the ladder on each slot by itself; nothing is remembered."""
+    """A method of the ladder on each slot alone, without a memory."""
 
     count: int = eqx.field(static=True)
     method: AbstractMethod
@@ -196,7 +196,7 @@ class EachSlot(AbstractStepMethod):
     def of(
         cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
     ) -> "EachSlot":
-        """Prepared for every ground, with the channels that are `good`."""
+        """Prepares the method for every ground, with the channels that are `good`."""
         grounds = np.arange(method.electrode_count)[:, None]
         each = [method.prepare(ground, good[None], lam) for ground in grounds]
         prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)

@@ -12,12 +12,12 @@ _CALLS += ("cholesky", "eigh", "eig", "svd", "qr", "lu", "triangular_solve", "ho
 
 
 def one_function(f: Callable) -> Callable:
-    """Returns `f`, to be called while something around it is compiled, as one function.
+    """Returns `f` as one function, to be called while a function around `f` is compiled.
 
-    On a processor XLA makes a task of each operation else: some hundred tasks a step, of a
-    third of a microsecond at least each. The marks are XLA's own, of loops that it takes
-    for small ones; an XLA that does not know them compiles the tasks, as it does where `f`
-    needs a library.
+    Otherwise XLA makes a task of each operation on a processor: some hundred tasks a step.
+    Each task takes a third of a microsecond at least. The marks are XLA's own, for loops
+    that XLA takes for small loops. An XLA without these marks compiles the tasks. So does
+    any XLA where `f` needs a library.
     """
     inner = jax.jit(f)
 

@@ -1,4 +1,4 @@
-"""Many small arrays as two: each costs a compiled call a microsecond, whatever its size."""
+"""Packs many small arrays as two: each array costs a compiled call a microsecond."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 
 class Packed(NamedTuple):
-    """A pytree's numbers: two arrays, to be saved and restored as such.
+    """A pytree's numbers: two arrays, to be saved and restored unchanged.
 
     **Example:**
 
@@ -25,7 +25,7 @@ class Packed(NamedTuple):
 
 
 class Packing:
-    """How a pytree is packed: by an `example` with its shapes and types."""
+    """The packing of a pytree: an `example` gives shapes and types."""
 
     def __init__(self, example: Any, dtype: Any):
         leaves, self._tree = jax.tree.flatten(example)
@@ -41,7 +41,7 @@ class Packing:
             self._where.append(where)
 
     def pack(self, tree: Any) -> Packed:
-        """Compiled."""
+        """Packs a pytree into two arrays; compiled."""
         numbers, whole = [jnp.zeros(0, self._dtype)], [jnp.zeros(0, jnp.int32)]
         for (number, *_), leaf in zip(self._where, jax.tree.leaves(tree)):
             if number:
@@ -51,7 +51,7 @@ class Packing:
         return Packed(jnp.concatenate(numbers), jnp.concatenate(whole))
 
     def unpack(self, packed: tuple[Any, Any]) -> Any:
-        """What was packed, compiled or, from NumPy's arrays, in NumPy's."""
+        """Unpacks the pytree: compiled, or in NumPy for NumPy's arrays."""
         numbers, whole = packed
         leaves = []
         for number, first, last, shape, dtype, kept in self._where:

@@ -1,6 +1,7 @@
-"""Which electrode to ground next, from what is known by then: policies of a step.
+"""Policies of a step choose the next electrode to ground from the slots so far.
 
-A policy lays out a stretch of ground conditions; when they are through it is asked again.
+A policy lays out a stretch of ground conditions. After the stretch, the policy is asked
+again.
 """
 
 from abc import abstractmethod
@@ -29,7 +30,7 @@ _PLACES = 32
 
 
 class Seen(NamedTuple):
-    """What a policy may go by."""
+    """The facts that a policy may use."""
 
     explored: Float[Array, "2 M"]  # voltages under the two corner grounds, V
     contacts: Contacts
@@ -37,17 +38,17 @@ class Seen(NamedTuple):
     ground: Int[Array, ""]  # of the last slot
 
     def onwards(self, length: int) -> Int[Array, " L"]:
-        """The electrodes after the last ground, in order.
+        """Returns the electrodes after the last ground, in order.
 
-        Where there is another contact it is found by grounds next to each other: three in
-        a row have to show it at one place. Grounds far from each other find half as many.
+        Grounds next to each other find a further contact: three in a row must show the
+        contact at one place. Grounds far from each other find half as many contacts.
         """
         turn = jnp.arange(1, length + 1, dtype=self.ground.dtype)
         return (self.ground + turn) % self.explored.shape[1]
 
 
 class Plan(NamedTuple):
-    """Ground conditions laid out, and how far they are through."""
+    """Ground conditions laid out, and the number of those done."""
 
     policy: Int[Array, ""]  # which of the step's
     grounds: Int[Array, " M"]
@@ -58,17 +59,17 @@ class Plan(NamedTuple):
 
 
 class AbstractPolicy(eqx.Module):
-    """`explores`: whether each stretch begins with the two corner slots."""
+    """A policy; `explores` tells whether each stretch begins with the two corner slots."""
 
     explores: eqx.AbstractClassVar[bool]
 
     @abstractmethod
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
-        """The next L ground conditions, L of 1 to M; compiled."""
+        """Returns the next L ground conditions, L of 1 to M; compiled."""
 
 
 class Fixed(AbstractPolicy):
-    """The same ground conditions over and over."""
+    """A policy that repeats the same ground conditions."""
 
     explores: ClassVar[bool] = False  # pyright: ignore
     grounds: Int[Array, " L"]
@@ -78,7 +79,7 @@ class Fixed(AbstractPolicy):
 
 
 class Adaptive(AbstractPolicy):
-    """The paper's: two corner slots, then *Around*, *CoP line* or *Point*."""
+    """The paper's policies: two corner slots, then *Around*, *CoP line* or *Point*."""
 
     explores: ClassVar[bool] = True  # pyright: ignore
     scan: AdaptiveScan
@@ -90,9 +91,9 @@ class Adaptive(AbstractPolicy):
 class Lookup(AbstractPolicy):
     """A table by place: L ground conditions for each; several contacts take turns.
 
-    Without a contact `idle` (L,) is grounded; one electrode after another where the
-    contacts do not explain what is measured, as there may be one more. `lam`, of designs
-    for images: the λ of each place, of σ₁²; a step has its own.
+    Without a contact, `idle` (L,) is grounded. One electrode after another is grounded
+    where the contacts do not explain the voltages: a contact may be missing. Designs for
+    images have `lam`: the λ of each place, relative to σ₁². A step has its own λ.
 
     **Example:**
 
@@ -134,11 +135,11 @@ class Lookup(AbstractPolicy):
 
 
 class Information(AbstractPolicy):
-    """One slot at a time: the ground whose slot is expected to say most of the places.
+    """One slot at a time: the ground whose slot should say most of the contacts' places.
 
-    The largest Σ_c ln|P_c⁻¹ + J_c(l)| over grounds l, P the covariance of a contact's
-    place and J(l) what a slot says of it, looked up by place. The next electrode where the
-    contacts do not explain what is measured, as of `Lookup`.
+    The ground l has the largest Σ_c ln|P_c⁻¹ + J_c(l)|. P is the covariance of a contact's
+    place; J(l) is a slot's information on the place, looked up by place. The next electrode
+    is grounded where the contacts do not explain the voltages, as by `Lookup`.
     """
 
     explores: ClassVar[bool] = False  # pyright: ignore
@@ -167,9 +168,10 @@ class Information(AbstractPolicy):
 
 
 def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
-    """The policy of that name: a pattern's, "around_contacts" or "information".
+    """Makes the policy of that name: a pattern's, "around_contacts" or "information".
 
-    `follow`, of the sensor, is where "information" has its tables from; else not used.
+    `follow`, of the sensor, gives "information" its tables; other policies do not use
+    `follow`.
     """
     require(name in POLICIES, "policy", repr(name), f"one of {', '.join(POLICIES)}")
     if name in ADAPTIVE:
@@ -185,7 +187,7 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
 
 
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
-    """*Around* a small contact anywhere: its grounds by place."""
+    """Makes a table by place: *Around*'s grounds for a small contact."""
     grid = cell_centres((_PLACES, _PLACES))
     places = jnp.asarray(grid * np.asarray(sensor.size), sensor.dtype)
 
@@ -202,7 +204,7 @@ def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
 
 
 def _information(follow: Any) -> Float[Array, "K M 3"]:
-    """What a slot of each ground says of a usual contact's place, 1/m²."""
+    """Computes each ground's information on a usual contact's place, 1/m²."""
     sheet, noise = follow.points.sheet, follow.errors
     tangent, unit = follow.candidates.tangent, sheet.unit
     # A current that makes a tenth of the drive, so that noise is the lesser part.

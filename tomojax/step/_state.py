@@ -1,4 +1,4 @@
-"""What goes into a step, what it remembers and what it says."""
+"""The input, the memory and the output of a step."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from tomojax.step._policies import Plan
 
 
 class Slot(NamedTuple):
-    """What came of one ground condition."""
+    """The readings of one ground condition."""
 
     voltages: Any  # (M,) V; NaN where a channel gave nothing
     ground: Any  # the electrode that was grounded, whichever was asked for
@@ -18,7 +18,7 @@ class Slot(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What a step says.
+    """The results of a step.
 
     **Example:**
 
@@ -39,7 +39,7 @@ class Output(NamedTuple):
 
 
 class Read(NamedTuple):
-    """A slot as it can be used."""
+    """A slot, corrected and checked."""
 
     voltages: Float[Array, " M"]  # corrected, V; 0 where not used
     used: Bool[Array, " M"]
@@ -50,14 +50,14 @@ class Read(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Whether contacts leave something unexplained, kept from slot to slot."""
+    """A doubt that contacts explain all voltages, kept from slot to slot."""
 
     stretch: Bool[Array, ""]  # in a slot of this stretch of grounds
     held: Int[Array, ""]  # slots that an earlier doubt still counts in
 
 
 class Remembered(NamedTuple):
-    """All that a step remembers; outside, packed into two arrays."""
+    """The whole memory of a step; callers hold the memory packed into two arrays."""
 
     memory: Any
     cheaper: Any

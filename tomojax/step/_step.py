@@ -29,12 +29,12 @@ _BLOCK = 4096
 class Step:
     """A method and a policy as one compiled function of a state and a slot.
 
-    `state` is where to begin: two arrays, to be saved and restored as such.
+    `state` is the first state: two arrays, to be saved and restored unchanged.
     `step(state, voltages, ground)` gives the state after that slot and an `Output` in
-    NumPy's arrays. What comes is converted and checked for its shape; nothing else
-    of it can raise or compile anew: what is wrong with it is in the flags. `replay` is the
-    same under `lax.scan`, for slots that are there already; `image(state)` the image after
-    a slot, on request. Made by `make_step`.
+    NumPy's arrays. The input is converted and checked for its shape. Nothing else in the
+    input can raise or compile anew: flags tell of wrong input. `replay` runs recorded slots
+    in one compiled loop. `image(state)` gives the image after a slot, on request.
+    `make_step` makes a step.
 
     **Example:**
 
@@ -87,7 +87,7 @@ class Step:
         lost: int | np.integer = 0,
         hurried: bool = False,
     ) -> tuple[Packed, Output]:
-        """The state after a slot, and what is said of it."""
+        """Returns the state after a slot, and the slot's results."""
         slot = self._slot(voltages, ground, lost, hurried)
         state, said = self._compiled(state, *slot)
         return state, self._output(said)
@@ -95,7 +95,7 @@ class Step:
     def replay(
         self, state: Packed, voltages: Any, grounds: Any, lost: Any = None
     ) -> tuple[Packed, Output]:
-        """As many calls as there are rows in `voltages` (n, M); outputs have n rows."""
+        """Runs a step for each row of `voltages` (n, M); outputs have n rows."""
         v = np.asarray(voltages, self.dtype)
         fits = v.ndim == 2 and v.shape[1] == self.electrode_count
         require(fits, "voltages", f"shape {v.shape}", f"(n, {self.electrode_count})")
@@ -116,11 +116,11 @@ class Step:
         return state, self._output(Packed(numbers, whole))  # pyright: ignore
 
     def image(self, state: Packed) -> Float[Array, "nx ny"]:
-        """Of the last slot's, in the method's unit; NaN where nothing is to be seen."""
+        """Returns the last slot's image, in the method's unit; NaN for an unusable slot."""
         return self._image(state)
 
     def switch(self, state: Packed, policy: str) -> Packed:
-        """The state with another of the step's policies, from the next slot on."""
+        """Returns the state with another of the step's policies, from the next slot on."""
         names = ", ".join(self.policies)
         require(policy in self.policies, "policy", repr(policy), f"one of {names}")
         remembered = self._packing.unpack(state)
@@ -151,7 +151,7 @@ class Step:
         return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
 
     def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
-        """One slot; while it is traced it notes how what it says is packed."""
+        """Runs one slot; notes while tracing how the output is packed."""
         self.traces += 1
         slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
         remembered, said = self._run(self._packing.unpack(state), slot)
@@ -160,7 +160,7 @@ class Step:
         return self._packing.pack(remembered), self._said.pack(said)
 
     def _replayed(self, state: Packed, volts: Array, whole: Array, count: Array) -> tuple:
-        """The first `count` of the slots; what is said of the others is 0."""
+        """Runs the first `count` slots; the outputs of the other slots are 0."""
         said = jax.eval_shape(self._each, state, volts[0], whole[0])[1]
         said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), said)
 
@@ -196,7 +196,7 @@ class Step:
         return Remembered(memory, cheaper, plan, doubt, last, used), output
 
     def _checked(self, slot: Slot) -> Read:
-        """Corrects the voltages, and says which channels can be used."""
+        """Corrects the voltages, and tells which channels can be used."""
         finite = jnp.isfinite(slot.voltages)
         volts: Array = slot.voltages
         size: Array = jnp.where(finite, jnp.abs(volts), 0)
@@ -218,7 +218,7 @@ class Step:
         return Read(voltages, used, ground, elapsed, known & enough, bits)
 
     def _against(self, voltages: Array, used: Array, ground: Array) -> Int[Array, ""]:
-        """What cannot be, see `level_bits`."""
+        """Flags levels that cannot be, see `level_bits`."""
         towards: Array = voltages * self._drive_sign
         high = jnp.where(used, towards, -jnp.inf).max()
         low = jnp.where(used, towards, jnp.inf).min()
@@ -229,7 +229,7 @@ class Step:
     def _told(
         self, state: Remembered, slot: Slot, read: Read
     ) -> tuple[Any, Any, Told, Array]:
-        """Memories after the slot, what is said of it, and whether in a hurry."""
+        """Returns the memories after the slot, the slot's results and whether hurried."""
         asked = read.voltages, read.used, read.ground, read.elapsed
         if self._cheaper is None:
             memory, told = self._method(state.memory, *asked)
@@ -244,7 +244,7 @@ class Step:
         return memory, cheaper, told, slot.hurried
 
     def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
-        """Contacts and flags; none of a slot that cannot be used."""
+        """Returns contacts and flags; an unusable slot has no contact and no flag."""
         contacts, residual, bits = told
         limit, noise = self._method.residual_limit, self._method.noise
         contacts, bits = judge(contacts, residual, bits, read.voltages, limit, noise)
@@ -255,10 +255,10 @@ class Step:
     def _doubted(
         self, doubt: Doubt, contacts: Contacts, bits: Array, ok: Array
     ) -> tuple[Doubt, Array]:
-        """The doubt after a slot, and whether the slot is told of with it.
+        """Returns the doubt after a slot, and whether the slot is flagged with the doubt.
 
-        Slots of a stretch see a hidden contact or not: what one has shown holds for all,
-        and for longer where no contact can be added that would explain it.
+        Some slots of a stretch see a hidden contact, others do not: one slot's doubt holds
+        for all. The doubt holds for longer while every contact place is taken.
         """
         high = (bits & Flag.HIGH_RESIDUAL.value) > 0
         left = jnp.maximum(doubt.held - ok.astype(jnp.int32), 0)
@@ -272,7 +272,7 @@ class Step:
         return jnp.where(corner[:, None], read.voltages, plan.explored)
 
     def _planned(self, plan: Plan, seen: Seen) -> tuple[Plan, Array]:
-        """The plan for the next slot, and whether a new stretch begins with that."""
+        """Returns the plan for the next slot, and whether a new stretch begins there."""
         at, m = plan.at + 1, self.electrode_count
         corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
 
@@ -305,7 +305,7 @@ class Step:
 
 
 def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:
-    """Of flags that are apart from each other, those that are on."""
+    """Sums the bits of the flags that are on; each flag appears once."""
     each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in flags]
     return jnp.stack(each).sum(dtype=jnp.int32)
 

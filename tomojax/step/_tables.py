@@ -1,4 +1,4 @@
-"""Tables of ground conditions by place, as files."""
+"""Writes and reads tables of ground conditions by place."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tomojax.step._policies import Lookup
 
 
 def save_policy(policy: Lookup, path: Path | str) -> None:
-    """A table as an .npz file: `table`, `idle`, `size` (m), and `lam` where it has one.
+    """Writes a table as an .npz file: `table`, `idle`, `size` (m), and `lam` if any.
 
     **Example:**
 
@@ -33,9 +33,9 @@ def save_policy(policy: Lookup, path: Path | str) -> None:
 
 
 def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
-    """What `save_policy` has written, for that `sensor`.
+    """Reads a file that `save_policy` has written, for that `sensor`.
 
-    **Raises:** `ValueError` for a file that is none, or of another sensor.
+    **Raises:** `ValueError` for a file that holds no table, or a table of another sensor.
 
     **Example:**
 

@@ -1,6 +1,6 @@
-"""What a set of ground conditions is good for, as figures of weights over slots.
+"""Rates a set of ground conditions for a purpose, as figures of weights over slots.
 
-The room rates a set. It never imports a search.
+The folder never imports a search.
 """
 
 from tomojax.design.objectives._contacts import contact_columns as contact_columns

@@ -1,4 +1,4 @@
-"""A contact: what it makes of a slot, as `points` sees it, and what an image of it is."""
+"""Computes a contact's voltages in a slot, in the model of `points`, and ideal images."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from tomojax.kernels.contacts import green_of, in_slot, Sheet, SIZE_WIDTH, tange
 def contact_current(
     sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
 ) -> Float[Array, ""]:
-    """V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A: R_kk the disc's own."""
+    """Computes V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A; R_kk is the disc's own."""
     raw = tangents(sheet, place, size)[0]
     radius = sheet.size * jnp.exp(SIZE_WIDTH * size)
     own = green_of(sheet, place[None], radius[None])(place)[0]
@@ -23,7 +23,7 @@ def contact_current(
 def contact_columns(
     sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
 ) -> Float[Array, "4 M"]:
-    """A disc's voltages, V, and how moves (per unit) and its size change them."""
+    """Computes a disc's voltages, V, and their change by moves (per unit) and by size."""
     raw = tangents(sheet, place, size)
     current = contact_current(sheet, place, size, resistance, ground)
     return current * in_slot(sheet, raw[None], ground)[0]
@@ -32,7 +32,7 @@ def contact_columns(
 def blobs(
     shape: tuple[int, int], cell: Float[Array, "2"], places: Float[Array, "P 2"], width: Any
 ) -> Float[Array, "P pixels"]:
-    """Images of Gaussians at `places`, of σ = `width`, m, and of length 1."""
+    """Makes images of Gaussians at `places`, of σ = `width`, m, and of length 1."""
     sides = [
         jnp.exp(
             -((((jnp.arange(n, dtype=d.dtype) + 0.5) * d - at[:, None]) / width) ** 2) / 2

@@ -1,8 +1,9 @@
-"""Designs by simulation: the error of images of contacts on rigs that are not nominal.
+"""Rates designs by simulation: the error of contacts' images on rigs that are not nominal.
 
-What reconstructs knows nominal values; the voltages are of sheets that vary, electrodes
-off their places, channels with gains and noise. Not convex in the weights, so there is no
-bound; λ and the length over which an image is smooth are found together with the grounds.
+The reconstruction knows nominal values. The voltages come from sheets that vary, electrodes
+off their places, and channels with gains and noise. The error is not convex in the weights:
+no bound exists. The design finds λ and the length over which an image is smooth together
+with the grounds.
 """
 
 from collections.abc import Sequence
@@ -28,9 +29,10 @@ _FIRST = 1e-5
 class ImageError(AbstractObjective):
     """1 − cos² of the angle between each scene's image and a Gaussian at its contact.
 
-    φ = GGᵀBᵀc, Tikhonov's under a prior that is smooth over ℓ (G a Gaussian), of the slots
-    with their weights; differentiable in the weights, ln λ and ln ℓ, by the rule of the
-    linear solve. 0 is an image like the contact, 1 one that has nothing of it.
+    φ = GGᵀBᵀc is Tikhonov's image of the weighted slots, under a prior that is smooth over
+    ℓ (G a Gaussian). The image is differentiable in the weights, ln λ and ln ℓ, by the rule
+    of the linear solve. An error of 0 is an image like the contact; an image without the
+    contact has 1.
 
     **Example:**
 
@@ -65,7 +67,7 @@ class ImageError(AbstractObjective):
         width: float,
         smooth: bool = False,
     ) -> "ImageError":
-        """Through the images of `method`; contacts are Gaussians of `width` (σ), m."""
+        """Makes the error of `method`'s images; contacts are Gaussians of σ `width`, m."""
         rank = 128
         factors, basis = method.factors[..., :rank], method.basis[:rank]
         grams = jnp.einsum("lmr,lms->lrs", factors, factors, precision="highest")
@@ -93,7 +95,7 @@ class ImageError(AbstractObjective):
         return replace(self, rights=self.rights[k], targets=self.targets[k])
 
     def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
-        """φ of every scene, from one set of slots."""
+        """Computes φ of every scene, from one set of slots."""
         return self.images_of(weights, self.rights)
 
     def images_of(self, weights: Array, rights: Array) -> Float[Array, "P pixels"]:

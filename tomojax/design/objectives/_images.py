@@ -1,4 +1,4 @@
-"""Images of contacts near a place, on rigs that are not nominal: how far off, how wide."""
+"""Rates images of contacts near a place, on rigs that are not nominal: error and width."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -24,10 +24,10 @@ _NEAR, _AROUND, _SIZES, _RIGS, _WIDTH = 12, 1 / 6, np.sqrt(2), 16, 0.6
 class SimulatedImage(AbstractObjective):
     """√(mean of squared errors of place) + 0.6·(mean half-value width) of images, m.
 
-    Of `linear`'s images of contacts that hold the sheet at V0, several around each place.
-    What spoils those is seldom noise: J(0) knows nothing of how much current each slot
-    draws, and sets differ most in how far that takes the image. Not convex in the weights:
-    there is no bound.
+    The images are `linear`'s, of contacts that hold the sheet at V0, several around each
+    place. Noise seldom spoils such images: J(0) knows nothing of the current that each slot
+    draws. Sets differ most in how far these currents move the image. The figure is not
+    convex in the weights: no bound exists.
     """
 
     images: ImageError  # of P·n scenes
@@ -70,7 +70,7 @@ def simulated_image(
     conductance: float,
     pitch: float,
 ) -> SimulatedImage:
-    """Of contacts within a sixth of the `pitch` of `places`, of radii about `radius`."""
+    """Simulates contacts within a sixth `pitch` of `places`, of radii about `radius`."""
     # The sequence's first is the corner.
     drawn = qmc.Halton(3, scramble=False).random(len(places) * _NEAR + 1)[1:]
     off = _AROUND * pitch * (2 * drawn[:, :2] - 1)

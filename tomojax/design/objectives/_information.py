@@ -1,7 +1,8 @@
-"""What a set of ground conditions is good for: figures of weights over slots.
+"""Rates a set of ground conditions: figures of weights over slots.
 
-Each slot l counts w_l times. What it tells adds up, F = F₀ + Σ_l w_l F_l, and every figure
-here is convex in w: `relax` finds the least there is, which no set of slots can beat.
+Each slot l counts w_l times. The slots' information adds up, F = F₀ + Σ_l w_l F_l. Every
+figure in this file is convex in w: `relax` finds the least figure, which no set of slots
+can beat.
 """
 
 from abc import abstractmethod
@@ -22,8 +23,8 @@ Criterion = Literal["place", "a", "d", "worst", "rigs"]
 class AbstractObjective(eqx.Module):
     """P figures of a weighting, the lower the better.
 
-    `convex` in the weights: then there is a bound. `swaps` are looked at for an exchange,
-    those that the slope says most of; without it all.
+    A figure `convex` in the weights has a bound. `swaps` limits an exchange to the swaps
+    that the slope promises most of; None tries all swaps.
 
     **Example:**
 
@@ -46,21 +47,21 @@ class AbstractObjective(eqx.Module):
     @property
     @abstractmethod
     def unit(self) -> str:
-        """Of the figures."""
+        """Returns the figures' unit."""
 
     @property
     @abstractmethod
     def worst(self) -> bool:
-        """Whether the highest figure counts."""
+        """Tells whether the highest figure counts."""
 
     @property
     @abstractmethod
     def slots(self) -> int:
-        """L, the ground conditions that there are to choose from."""
+        """Returns L, the number of ground conditions to choose from."""
 
     @abstractmethod
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
-        """The figures of weights w ≥ 0; of a set where they are 0 and 1."""
+        """Returns the figures of weights w ≥ 0; weights of 0 and 1 are a set."""
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -68,21 +69,22 @@ class AbstractObjective(eqx.Module):
 
     @abstractmethod
     def alone(self, k: Array) -> "AbstractObjective":
-        """The objective of figure k only."""
+        """Returns the objective of figure k only."""
 
     def value(self, weights: Float[Array, " L"]) -> Float[Array, ""]:
-        """The one number that is to be made small."""
+        """Returns the one number that a design makes small."""
         figures = self(weights)
         return figures.max() if self.worst else figures.mean()
 
 
 class PlaceInformation(AbstractObjective):
-    """How well `points` can tell a contact's place: what Cramér and Rao allow.
+    """The least error of a contact's place by `points`, after Cramér and Rao.
 
-    F_l = JᵀN⁻¹J of place and size, with the slot's current free; its currents are those
-    that the ground really draws, N the errors of `points` or what is stated. Figures in m:
-    "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4), "a" its variance, m².
-    `directions` are what of the unknowns counts: x and y, or the distance of two contacts.
+    F_l = JᵀN⁻¹J of place and size, with the slot's current free. The currents are those
+    that the ground really draws; N has the errors of `points`, or stated errors. Figures in
+    m: "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4). "a" is the variance C_xx +
+    C_yy, m². `directions` are the unknowns that count: x and y, or the distance of two
+    contacts.
     """
 
     criterion: str = eqx.field(static=True)
@@ -119,13 +121,13 @@ class PlaceInformation(AbstractObjective):
 
 
 class ImageVariance(AbstractObjective):
-    """How well an image is known where a contact may be: its posterior variance there.
+    """The posterior variance of an image where a contact may be.
 
-    φ ~ N(0, σ²/λ) and errors of variance σ²: λuᵀ(H + λI)⁻¹u with H = Σ_l w_l c_l² A_lᵀA_l
-    and u a contact in the image's basis, |u| = 1: of what any slots could tell of it, the
-    part that these leave open. c_l² is how much more current the contact feeds in slot l
-    than in the mean of all ("source"; Eq. 3's J has that in it). "d": the geometric mean
-    over the directions that the contacts span.
+    For φ ~ N(0, σ²/λ) and errors of variance σ², the variance is λuᵀ(H + λI)⁻¹u with H =
+    Σ_l w_l c_l² A_lᵀA_l. The contact in the image's basis is u, |u| = 1. The variance is
+    the part that these slots leave open of all that slots could tell. The current of slot l
+    relative to the slots' mean is c_l ("source"; Eq. 3's J contains c_l).
+    "d" is the geometric mean over the directions that the contacts span.
 
     **Example:**
 

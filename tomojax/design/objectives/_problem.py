@@ -1,4 +1,4 @@
-"""What a design makes small, from a sensor, a method and where contacts may be."""
+"""Makes a design's objective from a sensor, a method and the contacts' places."""
 
 from typing import Any, get_args, Literal
 
@@ -49,10 +49,11 @@ _RELATIVE, _RANK, _BLOB = 1e-6, 2, 0.4
 def design_places(
     sensor: Sensor, region: Numbers | None = None, count: int = 64
 ) -> Float[Array, "count 2"]:
-    """Places for contacts, m, evenly over a region (x₀, y₀, x₁, y₁): Halton's.
+    """Spreads places for contacts, m, evenly over a region (x₀, y₀, x₁, y₁), by Halton.
 
-    By default all of the sheet but a margin of half the electrodes' pitch.
-    **Raises:** `ValueError` for an empty region, one off the sheet, and a `count` below 1.
+    The default region is the sheet without a margin of half the electrodes' pitch.
+    **Raises:** `ValueError` for a region that is empty or off the sheet, and a `count`
+    below 1.
 
     **Example:**
 
@@ -92,24 +93,26 @@ def design_objective(
     conductance: float | None = None,
     grid: int = 32,
 ) -> AbstractObjective:
-    """What a design makes small, over contacts at `places` (P, 2), m.
+    """Makes a design's objective, over contacts at `places` (P, 2), m.
 
     **Arguments:**
 
-    - `method` "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
+    - `method`: "points" (`PlaceInformation`), or "linear" and "source" (`ImageVariance`, on
       `grid` × `grid` pixels).
-    - `criterion`: "rigs", what is seen on 16 simulated rigs that are not nominal: the error
-      of place ("points", `SimulatedPlaceError`), or that and the width of images ("linear",
-      `SimulatedImage`); "place", the expected error of a contact's place (of an image the
-      same as "a"); "a", the mean variance; "d", the volume of what stays unknown; "worst",
-      the largest of all places.
-    - `lam`: λ of an image; by default where the converter's noise alone limits it.
+    - `criterion`: "rigs", the errors on 16 simulated rigs that are not nominal. "points"
+      counts errors of place (`SimulatedPlaceError`); "linear" adds the width of images
+      (`SimulatedImage`). "place", the expected error of a contact's place (of an image the
+      same as "a"); "a", the mean variance; "d", the volume that stays unknown; "worst", the
+      largest of all places.
+    - `lam`: λ of an image; by default the λ where the converter's noise alone limits
+      images.
     - `noise`: a standard deviation, V; one for each channel (M,); or their covariance
-      (M, M), V². By default what `points` takes for a rig with nominal values; of images
-      the same for all channels, and of any noise but its relative values are in λ.
-    - `radius`, m, and `conductance`, S, of a contact (1e-4 by default); in an image a
-      Gaussian of that width, but by "rigs" a disc, by default of 2 mm and 1 S, which holds
-      the sheet at V0.
+      (M, M), V². "points" takes the errors of a rig with nominal values by default. Images
+      take the same noise for all channels by default. Only relative values of an image's
+      noise count: λ has the size.
+    - `radius`, m, and `conductance`, S, of a contact: by default usual for `points`, and
+      1e-4 S. Images have a Gaussian of σ `radius`, by default 0.4 pitches. "rigs" of
+      "linear" has a disc, by default of 0.1 pitches and 1 S, which holds the sheet at V0.
 
     **Raises:** `ValueError` for places off the sheet or none, unknown names, λ ≤ 0, and a
     noise that is NaN, not symmetric or not positive.
@@ -181,7 +184,7 @@ def design_objective(
 
 
 def _precision(sensor: Sensor, noise: Numbers) -> Float[Array, "M M"]:
-    """N⁻¹."""
+    """Returns N⁻¹ of the noise, 1/V²."""
     m = sensor.electrode_count
     given = float_array("noise", noise, sensor.dtype)
     require_shape("noise", given, (), (m,), (m, m))
@@ -207,7 +210,7 @@ def image_objective(
     width: float,
     shares: Float[Array, "P L"] | None = None,
 ) -> ImageVariance:
-    """Of the image of any J. Contacts are Gaussians of `width` (σ), m."""
+    """Makes the objective of any J's images. Contacts are Gaussians of `width` (σ), m."""
     rank = _RANK * method.electrode_count
     factors, basis = method.factors[..., :rank], method.basis[:rank]
     seen = factors
@@ -224,7 +227,7 @@ def image_objective(
 
 
 def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
-    """Orthonormal rows of what the columns span, but for what none has a tenth of."""
+    """Returns orthonormal rows of the columns' span, for singular values above a tenth."""
     _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
     return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
 
@@ -232,7 +235,7 @@ def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
 def _contact(
     sheet: Sheet, radius: float | None, conductance: float
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Its size as `points` counts it, and its resistance."""
+    """Returns a contact's size as `points` counts sizes, and the contact's resistance."""
     dtype = sheet.size.dtype
     usual = sheet.size if radius is None else jnp.asarray(radius, dtype)
     return jnp.log(usual / sheet.size) / SIZE_WIDTH, jnp.asarray(1 / conductance, dtype)
@@ -246,7 +249,7 @@ def _of_points(
     size: Float[Array, ""],
     resistance: Float[Array, ""],
 ) -> PlaceInformation:
-    """`noise` is that of `points`, or N⁻¹."""
+    """Makes the objective of `points`; `noise` is that of `points`, or N⁻¹."""
     m = len(sheet.field.electrodes)
 
     def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
@@ -268,7 +271,7 @@ def _of_points(
 
 
 def place_prior(unit: Array) -> Float[Array, "3 3"]:
-    """What is known beforehand of place (per unit) and size."""
+    """Returns the prior information on place (per unit) and size."""
     known = jnp.full_like(unit, 1 / _PLACE_KNOWN**2)
     return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
 
@@ -279,7 +282,7 @@ def exploratory_voltages(
     radius: float | None = None,
     conductance: float = 1e-4,
 ) -> Float[Array, "P 2 M"]:
-    """What contacts make under the two exploratory grounds, V: `exploration`'s.
+    """Computes contacts' voltages, V, under the two exploratory grounds (`exploration`).
 
     **Example:**
 

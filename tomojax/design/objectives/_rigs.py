@@ -1,4 +1,4 @@
-"""Rigs that are nearly as they say: what designs by simulation take for the truth."""
+"""Simulates rigs that are nearly nominal: the truth for designs by simulation."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -29,7 +29,7 @@ _SHEET, _OFF, GAIN, _WAVES = 0.02, 0.015, 5e-4, 4
 
 
 def varied(sensor: Sensor, key: Array) -> Sensor:
-    """A rig that is nearly so: its sheet in long waves, its electrodes' places."""
+    """Varies a rig: its sheet in long waves, and its electrodes' places."""
     sheet, places = jax.random.split(key)
     middles = centroids(sensor.divisions, sensor.size).astype(sensor.dtype)
     orders = np.indices((_WAVES, _WAVES)).reshape(2, -1).T
@@ -47,15 +47,14 @@ def varied(sensor: Sensor, key: Array) -> Sensor:
 
 
 class Difference(NamedTuple):
-    """What a rig's resistances have more than nominal ones, by elements: the mesh's own
-    errors cancel."""
+    """A rig's resistances less nominal ones, by elements: the mesh's own errors cancel."""
 
     electrodes: Float[Array, "M M"]
     elements: Float[Array, "M K"]
 
 
 def differences(sensor: Sensor, keys: Array) -> Iterator[Difference]:
-    """Of a rig for each of the keys."""
+    """Yields the difference of a rig for each of the keys."""
     nominal = resistances(sensor, "fem")
     for key in keys:
         table = resistances(varied(sensor, key), "fem")
@@ -67,7 +66,7 @@ def differences(sensor: Sensor, keys: Array) -> Iterator[Difference]:
 def disc_shares(
     sensor: Sensor, places: Float[np.ndarray, "P 2"], radius: float
 ) -> Float[Array, "K P"]:
-    """Of each disc's current what enters each element; of a small one the nearest."""
+    """Computes elements' shares of each disc's current; a small disc feeds the nearest."""
     middles = np.asarray(centroids(sensor.divisions, sensor.size))
     apart = np.hypot(*(middles[:, None] - places).transpose(2, 0, 1))
     inside = (apart <= np.maximum(radius, apart.min(0) * (1 + 1e-9))).astype(float)
@@ -101,21 +100,22 @@ def simulate_scenes(
     rigs: int = 4,
     seed: int = 0,
 ) -> SimulatedScenes:
-    """Contacts (discs, m and S) at `places` on `rigs` that are not as `sensor` says.
+    """Simulates contacts (discs, m and S) at `places` on `rigs` that differ from `sensor`.
 
-    Each has a sheet that varies by 2 % rms in waves of half a side and longer, electrodes
-    off by 75 µm, gains off by 0.05 %, and a 16-bit converter with 0.3 mV of noise. Rigs
-    take turns over the places. A contact of 1 S holds the sheet at V0, as in Eq. 1.
+    Each rig's sheet varies by 2 % rms in waves of half a side and longer. Electrodes are
+    off by 1.5 % of their diameter (75 µm of 5 mm), gains by 0.05 %. The 16-bit converter
+    has 0.3 mV of noise for a drive of 4.5 V. Rigs take turns over the places. A contact of
+    1 S holds the sheet at V0, as in Eq. 1.
 
-    Contacts draw their current evenly, or as metal does, from an even sheet in closed
-    form; what a rig has more is by elements. (On a mesh alone a contact that holds the
-    sheet at V0 holds all nodes that it touches, and is larger by an element.) Metal that
+    Contacts draw their current evenly, or as metal does, from an even sheet in closed form.
+    A rig's difference is computed by elements. On a mesh alone, a contact that holds the
+    sheet at V0 holds all touched nodes: such a contact is larger by an element. Metal that
     touches the grounded electrode leaves the sheet no current.
 
-    **Arguments:** `places` (P, 2), or (P, C, 2) of C contacts at once; `radius` one, or
-    one for each scene (P,).
+    **Arguments:** `places` (P, 2), or (P, C, 2) of C contacts at once; one `radius`, or a
+    radius for each scene (P,).
     **Raises:** `ValueError` for other shapes, places off the sheet, radii and conductances
-    that are not above 0, and a number of rigs outside 1 to the scenes'.
+    not above 0, and `rigs` outside 1 to the scenes' number.
 
     **Example:**
 
@@ -169,8 +169,8 @@ def exact_on_rig(
     electrodes: Float[Array, "M M"],
     conductance: Array | float,
 ) -> Float[Array, "n L M"]:
-    """Voltages of contacts at V0 behind 1/`conductance`; `there` and `electrodes` are
-    what the resistances R_m(x_c) and R_mn have more than the sheet's."""
+    """Computes voltages of contacts at V0 behind 1/`conductance`; `there` and `electrodes`
+    are the rig's R_m(x_c) and R_mn less the sheet's."""
     each = sheet.field.electrodes + electrodes
     own = jnp.diagonal(each) + sheet.ground_resistance  # R_ll + z
     columns = own[:, None] - each  # V per A into the sheet, but for the contacts' places

@@ -1,8 +1,8 @@
-"""Errors of place on rigs that are not nominal, of any set of slots, without a fit each.
+"""Computes errors of place on rigs that are not nominal, for any slots, without fits.
 
-What `points` takes for independent errors of slots is mostly the sheet's, which all slots
-share. To first order a contact is found off its place by F⁻¹ Σ_l w_l h_l, h_l the score
-of slot l: what the voltages of a rig, less nominal ones, pull it by.
+`points` takes slots' errors for independent; mostly they are the sheet's, which all slots
+share. To first order a contact is found off its place by F⁻¹ Σ_l w_l h_l. The score h_l of
+slot l is the pull of a rig's voltages, less nominal voltages.
 """
 
 from dataclasses import replace
@@ -28,8 +28,8 @@ _RIGS = 16
 class SimulatedPlaceError(AbstractObjective):
     """The rms error of a contact's place over simulated rigs, m.
 
-    √(mean_r |F⁻¹ Σ_l w_l h_lr|²), F = F₀ + Σ_l w_l F_l as in `PlaceInformation`. Not convex
-    in the weights: there is no bound.
+    The error is √(mean_r |F⁻¹ Σ_l w_l h_lr|²), F = F₀ + Σ_l w_l F_l as in
+    `PlaceInformation`. The error is not convex in the weights: no bound exists.
     """
 
     information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
@@ -63,7 +63,7 @@ def simulated_place_error(
     resistance: Array,
     prior: Float[Array, "3 3"],
 ) -> SimulatedPlaceError:
-    """Of discs at `places` on rigs as `simulate_scenes` has them."""
+    """Makes the objective of discs at `places` on rigs like those of `simulate_scenes`."""
     m, noise = sensor.electrode_count, noise_of(sensor)
     inside = disc_shares(sensor, np.asarray(places), float(sheet.size))
     keys = jax.random.split(jax.random.key(0), _RIGS)
@@ -94,7 +94,7 @@ def simulated_place_error(
 def score(
     columns: Float[Array, "n M"], seen: Float[Array, "n M"], off: Float[Array, "R M"]
 ) -> tuple[Float[Array, "k k"], Float[Array, "R k"]]:
-    """F_l and h_l of a slot's `columns` J (the first the current's, whatever fits) and
+    """Computes F_l and h_l of a slot's `columns` J (the first is the free current's) and
     errors `off`, V; `seen` is J·N⁻¹."""
     gram, right = matmul(columns, seen.T), matmul(off, seen.T)
     share = gram[1:, 0] / gram[0, 0]

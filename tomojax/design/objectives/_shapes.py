@@ -1,4 +1,4 @@
-"""How well a set of grounds tells shapes: what stays unknown of `shape`'s field."""
+"""Rates how well a set of grounds tells shapes: the variance left of `shape`'s field."""
 
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -19,10 +19,10 @@ _PIXELS, _WAVES = 2.5, 48
 
 
 class ShapeInformation(AbstractObjective):
-    """The variance that slots leave of a shape, as a part of that beforehand.
+    """The variance that slots leave of a shape, as a part of the prior variance.
 
-    Of shapes drawn from the field's own prior: the mean of the diagonal of
-    (I + Σ_l w_l F_l)⁻¹ over the longest waves, F_l = JᵀN⁻¹J of slot l at that shape.
+    Shapes are drawn from the field's own prior. The figure is the mean diagonal of (I + Σ_l
+    w_l F_l)⁻¹ over the longest waves, with F_l = JᵀN⁻¹J of slot l.
 
     **Example:**
 
@@ -57,10 +57,9 @@ class ShapeInformation(AbstractObjective):
 
 
 def shape_objective(sensor: Sensor, shapes: int = 8, seed: int = 0) -> ShapeInformation:
-    """What `design` makes small for `--method shape`: over shapes drawn by `seed`.
+    """Makes the objective of `--method shape`, over shapes drawn by `seed`.
 
-    Their conductance per area is that at which current enters an object within a pitch of
-    its rim.
+    The shapes conduct so well that current enters within a pitch of their rim.
     **Raises:** `ValueError` for a number of shapes below 1.
 
     **Example:**

@@ -1,7 +1,7 @@
 """The method `points`: a few compact contacts, as many as the voltages ask for.
 
-`sheet_of` has what a fit is told of the sheet. The room fits frames; it knows nothing of
-the other methods.
+`sheet_of` prepares the sheet for a fit. The folder fits frames and knows nothing of the
+other methods.
 """
 
 from tomojax.methods.points._found import fitting_of as fitting_of

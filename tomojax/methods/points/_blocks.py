@@ -1,4 +1,4 @@
-"""Many frames up the ladder: a larger model is fitted only to those that ask for it."""
+"""Climbs the ladder with many frames; fits larger models only to frames that need them."""
 
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ _CALL, _LEAST_MOST = 1024, (16, 128)
 
 
 class Frames(NamedTuple):
-    """Frames of a batch, and what they are fitted with."""
+    """Frames of a batch, and the method and preparation that fit them."""
 
     method: Any
     prepared: Any
@@ -27,7 +27,7 @@ class Frames(NamedTuple):
 
 
 def call_size(slots: int) -> int:
-    """Frames of a compiled call."""
+    """Returns the number of frames of a compiled call."""
     return int(np.clip(_CALL // slots, *_LEAST_MOST))
 
 
@@ -38,10 +38,10 @@ def called(
     given: Any = (),
     *static: int,
 ) -> Any:
-    """Runs a program for some frames, in calls of one size; its results in NumPy's arrays.
+    """Runs a program for some frames, in calls of one size; returns NumPy arrays.
 
     **Arguments:** `given` has an entry for each of `rows`; `static` arguments come last.
-    A call is filled up with voltages that no start is good for: those frames end at once.
+    Frames of NaN fill up a call: these frames end at once.
     """
     size = call_size(frames.voltages.shape[1])
     whole: Any = None
@@ -59,9 +59,9 @@ def called(
 
 
 def begun(frames: Frames, program: Kept, given: Any = (), *static: int) -> Any:
-    """Lets a program compile that will be `called`, or may be; shapes of its results.
+    """Lets a program compile that may be `called` later; returns its results' shapes.
 
-    Of `given` what counts is the shape of an entry.
+    Only the shape of an entry of `given` counts.
     """
     size = call_size(frames.voltages.shape[1])
     empty = lambda a: np.zeros((size, *a.shape[1:]), a.dtype)  # noqa: E731
@@ -73,7 +73,7 @@ def begun(frames: Frames, program: Kept, given: Any = (), *static: int) -> Any:
 
 
 def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
-    """Writes what was found of some frames; begins a whole that is None."""
+    """Writes the results of some frames into `whole`; None makes a new `whole`."""
     if whole is None:
         whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), new)
     for old, values in zip(jax.tree.leaves(whole), jax.tree.leaves(new)):

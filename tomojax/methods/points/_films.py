@@ -1,4 +1,4 @@
-"""Films: rows that follow each other closely. The others begin where their first ends."""
+"""Fits films: frames in close succession, whose fits begin where the first frame's ends."""
 
 from typing import Any, NamedTuple
 
@@ -33,16 +33,16 @@ _MORE = 0.5
 
 
 class Again(NamedTuple):
-    """A fit that began at the first of its film."""
+    """A fit that began at the fit of its film's first frame."""
 
     found: Found
     sound: Bool[Array, ""]  # whether each contact is needed, and enough is explained
 
 
 def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
-    """Fits each film's first frame as `searched` does, and the others from there.
+    """Fits each film's first frame by `searched`; the film's other frames begin there.
 
-    What the first frame's model does not explain as well is searched as well.
+    A frame that the first frame's model explains less well is searched too.
     """
     n = len(films)
     _, firsts, film = np.unique(films, return_index=True, return_inverse=True)
@@ -69,7 +69,7 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
 
 
 def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
-    """Whether `size` discs were found; of 0, a bar or a ring."""
+    """Tells whether `size` discs were found; a `size` of 0 stands for a bar or a ring."""
     curve = ((found.extent**2).sum((1, 2)) > 0) | (found.ring.sum(1) > 0)
     return (np.where(curve, 0, found.count) == size) & (found.count > 0) & ~found.high
 
@@ -110,7 +110,7 @@ def _explained(found: Found) -> Bool[Array, ""]:
 
 
 def _needed(scene: Fitting, ended: Ended) -> Float[Array, " C"]:
-    """χ² per slot that each disc explains, the others' currents being what fits best."""
+    """Computes χ² per slot that each disc explains; refits the other discs' currents."""
     # Once more what the fit ended with: in one program it is computed once.
     explained = DISCS.explain(scene.method.sheet, scene.frame, ended.parameters)
     gram = jnp.einsum(

@@ -1,4 +1,4 @@
-"""One fit of `points` to one frame: from its starts to the lowest cost."""
+"""Fits `points` to one frame: from the fit's starts to the lowest cost."""
 
 import functools
 from collections.abc import Callable
@@ -41,14 +41,14 @@ _TOGETHER, _LEAST_MOST = 64, (4, 16)
 
 
 def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n CP"]:
-    """Usual contacts there."""
+    """Returns starts with usual contacts at `places`."""
     lengths = places / scene.method.sheet.unit
     usual = ((0, 0), (0, 0), (0, model.DISC - 2))
     return jnp.pad(lengths, usual).reshape(len(places), -1)
 
 
 class Kind(NamedTuple):
-    """A model: what it explains of a frame, and the limits of its parameters."""
+    """A model: the part of a frame that the model explains, and its parameters' limits."""
 
     explain: Callable[..., model.Explained]
     limits: Callable[..., Limits]
@@ -67,9 +67,9 @@ def best_fit(
     starts: Float[Array, "n P"],
     below: Float[Array, " S"] | None = None,
 ) -> tuple[Found, Ended]:
-    """The best of the fits from `starts`, and how it ended.
+    """Returns the best of the fits from `starts`, and that fit's end.
 
-    Slots' costs `below`, if any, are asked for: what does not reach them may end early.
+    `below` holds slots' costs: a fit that stays above these costs may end early.
     """
     if below is None:
         below = jnp.full(len(scene.voltages), jnp.inf, starts.dtype)
@@ -88,9 +88,9 @@ def best_fit(
 def _lowest(
     scene: Fitting, kind: Kind, starts: Float[Array, "n P"], below: Float[Array, " S"]
 ) -> Float[Array, " P"]:
-    """Parameters of the lowest cost: of each start a few steps, and the best to its end.
+    """Finds the parameters of the lowest cost: tries each start, then ends the best fit.
 
-    Of many slots a few stand for all, until what is lowest there is known.
+    A few of many slots stand for all, until the lowest cost of these few is known.
     """
     frame, sheet, some = scene.frame, scene.method.sheet, scene.prepared.compared
     # No start is good for a frame without voltages, as fill a call up: it ends at once.
@@ -117,7 +117,7 @@ def _lowest(
 
 
 def _usual(frame: WhitenedFrame) -> Float[Array, ""]:
-    """What errors leave of a frame, usually."""
+    """Returns the misfit that errors usually leave of a frame."""
     return LEFT * (frame.scale > 0).sum().astype(frame.scale.dtype)
 
 
@@ -139,9 +139,10 @@ def _cost_of(kind: Kind) -> Callable[..., Normal]:
 
 @_lowest.def_jvp
 def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    """p' = −(∂g/∂p)⁻¹·∂g, g the slope of the cost that is 0 there.
+    """Differentiates the fit: p' = −(∂g/∂p)⁻¹·∂g; g, the cost's slope, is 0 there.
 
-    Only who differentiates pays: the search's loop cannot be, in reverse.
+    Only callers who differentiate pay for this solve. The search's loop cannot be
+    differentiated in reverse.
     """
     scene, kind, starts, below = primals
     at = _lowest(scene, kind, starts, below)

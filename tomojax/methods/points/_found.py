@@ -1,4 +1,4 @@
-"""A frame that is fitted, and what is known of its contacts when a fit ends."""
+"""Tells a frame's contacts and their uncertainty when a fit ends."""
 
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ LEFT, _UNUSUAL = 0.37, 4.0
 
 
 class Found(NamedTuple):
-    """Contacts of one frame as they were fitted, `count` of at most C."""
+    """Fitted contacts of one frame, `count` of at most C."""
 
     cost: Float[Array, ""]  # per slot
     usual: Float[Array, ""]  # of it, with as many channels
@@ -49,7 +49,7 @@ class Found(NamedTuple):
 
 
 class Fitting(NamedTuple):
-    """One frame, and what it is fitted with."""
+    """One frame, with the method and the errors for its fit."""
 
     method: Any
     prepared: PreparedErrors
@@ -64,12 +64,12 @@ class Fitting(NamedTuple):
 def fitting_of(
     method, prepared: PreparedErrors, voltages: Float[Array, "S M"], most: int
 ) -> Fitting:
-    """A frame, whitened."""
+    """Whitens a frame for its fit."""
     return Fitting(method, prepared, *whitened(prepared, voltages), voltages, most)
 
 
 def look_of(scene: Fitting) -> Look:
-    """The candidates beside some slots of the frame."""
+    """Whitens the candidates' voltages, and the frame's, in the compared slots."""
     some, sheet = scene.prepared.compared, scene.method.sheet
     ee, grounds = sheet.field.electrodes, scene.frame.grounds[some]
     offset = jnp.diagonal(ee)[grounds][:, None] - ee[grounds]
@@ -139,12 +139,12 @@ def _still(tree: Any) -> Any:
 def _uncertainty(
     scene: Fitting, ended: Ended, count: int
 ) -> tuple[Float[Array, "C 3"], Float[Array, " C"], Bool[Array, ""]]:
-    """Covariance of the places, variance of the sizes, and whether errors are unusual.
+    """Returns the places' covariance, the sizes' variance, and whether errors are unusual.
 
-    N⁻¹(ΣGᵀσ²G + κ²Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by voltages: noise is
-    another in each slot, the model's errors e_k are the same ones. So more slots average
-    the one and not the other. κ² ≥ 1: how much more is left of the voltages than nominal
-    values leave.
+    The covariance is N⁻¹(ΣGᵀσ²G + κ²Σ_k(Σ_s G_sᵀe_sk)(…)ᵀ)N⁻¹, G the slopes of the fit by
+    voltages. Noise differs in each slot; the model's errors e_k are the same in all slots.
+    More slots average noise, not the model's errors. The factor κ² ≥ 1 tells how much more
+    of the voltages is left than nominal values leave.
     """
     normal, parameters = ended.normal, ended.parameters
     frame = scene.frame
@@ -183,9 +183,9 @@ def _uncertainty(
 
 
 def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C"]:
-    """V0 − u at each contact in the mean over the slots, V, as its neighbours correct it.
+    """Returns V0 − u at each contact, V, the mean over the slots, corrected for errors.
 
-    What the channels have in common is there too, as the fit has found it.
+    The fit has found the errors that channels have in common; the contact shares them.
     """
     prepared, sheet = scene.prepared, scene.method.sheet
     # What is left ends with the common errors, in standard deviations, see `whiten`.

@@ -1,4 +1,4 @@
-"""The steps of `points`: one disc; then more discs, a bar or a ring, while that gains."""
+"""Climbs the steps of `points`: one disc; more discs, a bar or a ring, if these gain."""
 
 from collections.abc import Callable
 from functools import partial
@@ -49,7 +49,7 @@ _BAR, _RING, _NARROWEST = 1.3, 3.5, 1.2
 
 
 class Ladder(NamedTuple):
-    """The best so far, and the most discs so far: three may do what no ring does."""
+    """The best fit so far, and the fit of most discs: three discs may beat any ring."""
 
     best: Found
     one: Found  # disc
@@ -61,7 +61,7 @@ class Ladder(NamedTuple):
 
 
 def _due(ladder: Ladder, size: int) -> Any:
-    """Whether `size` discs are worth a try: the next step, with that much to gain."""
+    """Tells whether `size` discs are worth a try: the next step, with enough to gain."""
     # A promise that is no number is no reason not to try.
     worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
@@ -70,14 +70,14 @@ def _due(ladder: Ladder, size: int) -> Any:
 
 
 def _enough_for(size: int) -> float:
-    """The promise for which `size` discs are worth a try."""
+    """Returns the promise for which `size` discs are worth a try."""
     return _PROMISE * GAIN * (size - 1)
 
 
 def _asked(ladder: Ladder) -> Any:
-    """Whether a bar or a ring is worth a try: one disc does not do, nor do two.
+    """Tells whether a bar or a ring is worth a try: neither one disc nor two will do.
 
-    Two long ones may do for a bar.
+    Two long discs may stand for a bar, which is then tried.
     """
     two = (ladder.discs.count == 2) & _explains(ladder.discs)
     square = (ladder.discs.parameters[:2, 3:5] ** 2).sum(-1)
@@ -85,7 +85,7 @@ def _asked(ladder: Ladder) -> Any:
 
 
 def _explains(found: Found) -> Any:
-    """Whether less is left beyond what is usual than a larger model has to gain."""
+    """Tells whether the cost beyond the usual is less than a larger model has to gain."""
     return found.cost < found.usual + GAIN
 
 
@@ -94,7 +94,7 @@ def _shaped(found: Found) -> Any:
 
 
 def first(scene: Fitting) -> Ladder:
-    """One disc, from the best candidates."""
+    """Fits one disc, from the best candidates."""
     at, candidates = look_of(scene), scene.method.candidates
     scores = explained(_alone(scene, at), at.own)
     best = best_places(scores, candidates, _spacing(candidates), _STARTS)
@@ -106,18 +106,18 @@ def first(scene: Fitting) -> Ladder:
 
 
 def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
-    """Each candidate's column times what was measured, in the drive's direction."""
+    """Multiplies each candidate's column by the voltages, in the drive's direction."""
     forward = jnp.sign(scene.method.sheet.drive_voltage)
     return forward * along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
 
 
 def _spacing(candidates: Float[Array, "K 2"]) -> Float[Array, ""]:
-    """Candidates nearer to each other are of one peak."""
+    """Returns the distance below which candidates belong to one peak, m."""
     return 1.5 * (candidates[1, 1] - candidates[0, 1])
 
 
 def seen_at_all(scene: Fitting, found: Found) -> Found:
-    """No contact where none is the better explanation: noise and channels' zeros."""
+    """Removes the contact where noise and channels' zeros are the better explanation."""
     used = scene.prepared.used
     towards = found.current[0] * jnp.sign(scene.method.sheet.drive_voltage)
     there = seen(scene.prepared, scene.frame, found.misfits) & (towards > 0)
@@ -132,7 +132,7 @@ def seen_at_all(scene: Fitting, found: Found) -> Found:
 
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
-    """`size` discs, where they gain enough."""
+    """Fits `size` discs, and keeps them where they gain enough."""
     best, one, discs, _, rival, pair, asked = ladder
     new, ended = _more_discs(scene, discs, rival, size)
     if size == 2:
@@ -150,9 +150,9 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
-    """A bar or a ring in the place of two discs, where it fits better yet.
+    """Fits a bar or a ring in the place of two discs, and keeps the better fit.
 
-    Tried as well where two were too near each other to be believed.
+    The step also runs where two discs lay too near each other to be believed.
     """
     one = ladder.one
 
@@ -171,7 +171,7 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
 
 
 def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
-    """What follows the first disc: whether a frame asks for it, and the step."""
+    """Lists the steps after the first disc: whether a frame asks for one, and the step."""
     found: list[tuple[Callable, Callable]] = []
     for size in range(2, count + 1):
         found.append((partial(_due, size=size), partial(_larger, size=size)))
@@ -183,10 +183,10 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
 def _promise(
     scene: Fitting, discs: Found, ended: Ended, size: int
 ) -> tuple[Float[Array, ""], Float[Array, "2"]]:
-    """The gain of the best candidate for one more disc, per slot compared, and its place.
+    """Returns the best candidate for one more disc: gain per compared slot, and place.
 
-    The discs that there are may move a little then: each candidate is told apart from
-    the slopes of their fit. Much less work than to fit it.
+    The present discs may move a little then: a candidate counts beside the slopes of their
+    fit. This is much less work than a fit.
     """
     candidates = scene.method.candidates
     if size >= scene.most:
@@ -204,20 +204,20 @@ def _promise(
 
 
 def _score(found: Found) -> Array:
-    """Cost, with what `_gains` asks of each contact beyond the first, and of a shape."""
+    """Returns the cost plus the gain that `_gains` asks of further contacts or a shape."""
     extra = jnp.where(_shaped(found), 1, jnp.asarray(_extra(found.count)))
     return found.cost + GAIN * extra.astype(found.cost.dtype)
 
 
 def _extra(count: Any) -> Any:
-    """How often `_gains` asks for a gain, from one disc to `count`."""
+    """Returns how often `_gains` asks for a gain, from one disc to `count`."""
     return count * (count - 1) // 2
 
 
 def _more_discs(
     scene: Fitting, discs: Found, rival: Float[Array, "2"], size: int
 ) -> tuple[Found, Ended]:
-    """One more than there are; two also from pairs of candidates."""
+    """Fits one more disc; two discs also start from pairs of candidates."""
     candidates = scene.method.candidates
     # As usual ones: what is missing has made those that there are long.
     beside = jnp.concatenate([discs.place[: size - 1], rival[None]])
@@ -233,16 +233,16 @@ def _more_discs(
 
 
 def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, " S"]:
-    """The slots' costs of a fit that gains so much; what was known beforehand in them."""
+    """Returns slots' costs of a fit that gains `less`; the prior's cost is in each."""
     slots = scene.prepared.used.any(1).astype(old.cost.dtype)
     known = old.cost - old.misfits.sum() / jnp.maximum(slots.sum(), 1)
     return (old.misfits + known - less) * slots
 
 
 def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
-    """Two places for one long disc, ± h along it: as much of a moment, h² = 2·(a² − b²)/8.
+    """Puts two places on one long disc, ± h, of the same moment: h² = 2·(a² − b²)/8.
 
-    At least half of a usual pair's distance apart, as a long disc is what two look like.
+    h is at least half the least distance of two discs: two discs look like a long disc.
     """
     sheet = scene.method.sheet
     long = discs.parameters[0, 3:5]
@@ -256,7 +256,7 @@ def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
 def _own_columns(
     scene: Fitting, discs: Found, size: int, grounds: Int[Array, " s"]
 ) -> Float[Array, "C s M"]:
-    """What the discs make per ampere."""
+    """Computes the voltages that the discs make per ampere."""
     sheet = scene.method.sheet
     each = jax.vmap(field_at, (None, 0, 0))
     own = each(sheet.field, discs.place[:size], discs.radius[:size])
@@ -264,11 +264,11 @@ def _own_columns(
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
-    """Whether each slot fits better by enough, in the mean.
+    """Tells whether the slots fit better by enough, in the mean.
 
-    Of which no slot may make out much more than its part: a contact shows in every slot,
-    and what only one asks for is near that slot's ground, where the sheet is not known
-    well enough.
+    No slot may make up much more than its part of the gain: a contact shows in every slot.
+    A contact that only one slot asks for is near that slot's ground, where the sheet is not
+    known well enough.
     """
     # Where the model's error is larger than thought, so is what a ghost would gain; what is
     # left beyond the tolerance is no error but a contact that is missing.
@@ -280,13 +280,13 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
 
 
 def _believed(scene: Fitting, found: Found, size: int) -> Found:
-    """At infinite cost where two discs are one, or one is a ghost."""
+    """Sets an infinite cost where two discs lie too near each other, or one is too weak."""
     sound = apart_and_strong(scene, found, size)
     return found._replace(cost=jnp.where(sound, found.cost, jnp.inf))
 
 
 def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
-    """Whether no two discs are one, and none is a ghost."""
+    """Tells whether all discs lie apart, and all are strong enough."""
     place = found.place[:size]
     current = jnp.sign(scene.method.sheet.drive_voltage) * found.current[:size]
     apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
@@ -298,7 +298,7 @@ def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]
 
 
 def _bars(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
-    """Where a bar's fit begins; a second start would be NaN: there is none."""
+    """Returns the start of a bar's fit; the second row is NaN, no start."""
     pair = ladder.pair
     middle, half = pair.mean(0), (pair[1] - pair[0]) / 2
     start = bar_at(jnp.concatenate([middle, _BAR * half]) / scene.method.sheet.unit)
@@ -306,7 +306,7 @@ def _bars(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
 
 
 def _rings(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
-    """Where a ring's fits begin."""
+    """Returns the starts of a ring's fits."""
     sheet, pair = scene.method.sheet, ladder.pair
     half = jnp.sqrt(((pair[1] - pair[0]) ** 2).sum() + 1e-12) / 2
     around = jnp.stack([ladder.one.place[0], pair.mean(0)])
@@ -316,19 +316,19 @@ def _rings(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
 
 
 def bar_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
-    """A bar's parameters of which the first are known."""
+    """Returns a bar's parameters: the `known` numbers, then zeros."""
     return jnp.pad(known, (0, CURVE.parameters - len(known)))
 
 
 def ring_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
-    """A ring's."""
+    """Returns a ring's parameters, the first of which are `known`."""
     return bar_at(known).at[-1].set(1)
 
 
 def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
-    """Whether a bar is longer than wide, a ring wider than what a disc looks like.
+    """Tells whether a bar is longer than wide, or a ring wider than a disc looks.
 
-    Else a disc says so with less.
+    Otherwise a disc explains the frame with fewer parameters.
     """
     long = (curve.extent[0] ** 2).sum() >= curve.radius[0] ** 2
     wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size

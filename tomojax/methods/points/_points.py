@@ -1,4 +1,4 @@
-"""`points`: a few compact contacts, fitted; as many as the voltages ask for."""
+"""`points`: fits a few compact contacts, as many as the voltages ask for."""
 
 from dataclasses import replace
 from functools import partial
@@ -30,9 +30,9 @@ _CANDIDATES = 2.5
 
 
 class Points(AbstractMethod):
-    """Contacts as discs, or one bar or ring, with a current of their own in each slot.
+    """Contacts as discs, or one bar or ring, each with its own current in each slot.
 
-    The model grows while it gains: one disc, two discs or a bar or a ring, three discs, …
+    The model grows while the fit gains: one disc; two discs, a bar or a ring; three discs.
     Slots share places and sizes, not currents. λ multiplies the variance of the model's
     error: 1 for nominal values.
 
@@ -64,7 +64,7 @@ class Points(AbstractMethod):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         sheet = sheet_of(sensor)
         size = np.asarray(sensor.size)
         across = np.ceil(_CANDIDATES * size / sensor.mean_pitch * (1 - 1e-5)).astype(int)
@@ -94,7 +94,7 @@ class Points(AbstractMethod):
         return self.potentials.shape[1]
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """The error of a sheet with nominal values."""
+        """Returns λ = 1: the error of a sheet with nominal values."""
         return 1.0
 
     def scale(self) -> float:
@@ -123,7 +123,7 @@ class Points(AbstractMethod):
         images: bool,
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """As `estimate`; a larger model is fitted only to the frames that ask for it."""
+        """Estimates n frames; fits a larger model only to the frames that ask for one."""
         volts, grounds = np.asarray(voltages), np.asarray(grounds)
         frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
         if films is None:

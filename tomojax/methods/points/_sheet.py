@@ -1,4 +1,4 @@
-"""What a fit of compact contacts is told of the sheet."""
+"""Prepares the sheet's potentials and lengths for fits of compact contacts."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ USUAL, UNIT = 0.3, 0.05
 
 
 def sheet_of(sensor: Sensor) -> Sheet:
-    """Computes the electrodes' potentials and lengths that suit the sensor."""
+    """Computes the electrodes' potentials, and lengths that suit the sensor."""
     pitch, field = sensor.mean_pitch, make_field(sensor)
     usual = jnp.asarray(USUAL * pitch, sensor.dtype)
     narrow = jnp.asarray(NARROW * USUAL * pitch, sensor.dtype)
@@ -31,5 +31,5 @@ def sheet_of(sensor: Sensor) -> Sheet:
 
 @jax.jit  # as one program to compile
 def _beside(field: Field, narrow: Array, resistance: Array) -> tuple[Array, Array]:
-    """The table for narrow contacts, and the sheet's mean resistance."""
+    """Computes the table for narrow contacts, and the sheet's mean resistance."""
     return thin_of(field, narrow), jnp.exp(jnp.mean(jnp.log(resistance)))

@@ -1,7 +1,7 @@
-"""`shape`: the likeliest shape of what touches, and how sure it is.
+"""`shape`: the likeliest shape of the touching object, and how sure the shape is.
 
-The model fits a frame, a description reads contacts off it, and the method keeps the
-contract of the ladder. The room knows nothing of other rungs but `source`.
+The model fits a frame, the description reads contacts off the fit, and the method keeps the
+ladder's contract. The folder knows no other rung than `source`.
 """
 
 from tomojax.methods.shapes._described import described as described

@@ -29,7 +29,7 @@ _RIM = 0.25
 def described(
     model: ShapeModel, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
 ) -> Estimate:
-    """Contacts are what touches and hangs together."""
+    """Reads each contact off a connected region that touches; sets the flags."""
     touch = fitted.fit.touch.reshape(model.shape)
     doubt = (fitted.touch * (1 - fitted.touch)).sum()
     vague = doubt > _VAGUE * fitted.touch.sum()

@@ -1,4 +1,4 @@
-"""`shape`: where an object touches, as a field of two levels, in the exact model."""
+"""`shape`: finds where an object touches, as a field of two levels, in the exact model."""
 
 from dataclasses import replace
 from typing import ClassVar
@@ -19,7 +19,7 @@ from tomojax.sensor import Calibration, Sensor
 class ImageShape(AbstractMethod):
     """The likeliest shape: g = level·logistic(f), f a Gaussian field beforehand.
 
-    The image is g, S/m²; rows have the probability that a pixel touches beside it.
+    The image is g, S/m²; rows also have the probability that a pixel touches.
 
     **Example:**
 
@@ -51,7 +51,7 @@ class ImageShape(AbstractMethod):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ImageShape":
-        """On an image of `shape` pixels."""
+        """Makes the method for an image of `shape` pixels."""
         model = ShapeModel.of(sensor, shape)
         return cls(shape, model.cell, model)
 
@@ -71,7 +71,7 @@ class ImageShape(AbstractMethod):
         return self.model.source.electrode_count
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """The error of a sheet with nominal values."""
+        """Returns λ = 1: the error of a sheet with nominal values."""
         return 1.0
 
     def scale(self) -> float:
@@ -89,7 +89,7 @@ class ImageShape(AbstractMethod):
     ) -> Estimate:
         """Fits the shape; the image can be differentiated by the voltages.
 
-        Each place's level stays as it is in that derivative.
+        The derivative holds each place's level constant.
         """
         nothing = self.model.nothing_before()
         fitted = self.model.fitted(prepared, voltages, nothing, follow=True)
@@ -104,7 +104,7 @@ class ImageShape(AbstractMethod):
         images: bool,
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
-        """As `estimate`, frame by frame; a film's frames go on from the one before."""
+        """Estimates frames one by one; a film's frame goes on from the frame before."""
         rows, nothing, before = [], self.model.nothing_before(), None
         for k, v in enumerate(voltages):
             follows = films is not None and k > 0 and films[k] == films[k - 1]

@@ -1,4 +1,4 @@
-"""The model of `shape`: a field of two levels on the image's pixels, and its fit."""
+"""Fits the model of `shape`: a field of two levels on the image's pixels."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -71,7 +71,7 @@ _DROP, _START = 0.1, 1e-4
 
 
 class PreparedShape(NamedTuple):
-    """For S slots with their good channels."""
+    """Arrays for S slots with their good channels."""
 
     source: PreparedSource  # for the start
     errors: PreparedErrors
@@ -88,7 +88,7 @@ class Before(NamedTuple):
 
 
 class FittedShape(NamedTuple):
-    """One frame."""
+    """A shape fitted to one frame."""
 
     fit: ShapeFit
     level: Float[Array, "nx ny"]  # S/m² of what touches
@@ -105,10 +105,10 @@ class FittedShape(NamedTuple):
 
 
 class ShapeModel(eqx.Module):
-    """What fits a shape to a frame.
+    """The fit of a shape to a frame.
 
-    A coarse fit, whose level is far above what is there, starts from nothing; each place's
-    level is then read off it, and a fine fit ends it.
+    A coarse fit, whose level is far above the object's, starts from nothing. Each place's
+    level is then read off the coarse fit. A fine fit follows.
     """
 
     shape: tuple[int, int] = eqx.field(static=True)
@@ -130,7 +130,7 @@ class ShapeModel(eqx.Module):
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ShapeModel":
-        """On an image of `shape` pixels."""
+        """Makes the model for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`.
         if sensor.electrode_shunt is None:
             sensor = replace(sensor, electrode_shunt=1.0)
@@ -157,7 +157,7 @@ class ShapeModel(eqx.Module):
         )
 
     def calibrated(self, calibration: Calibration) -> "ShapeModel":
-        """As the calibration states its errors."""
+        """Returns the model with the calibration's errors and ground path."""
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
         errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
         resistance = self.ground_resistance + ground
@@ -169,7 +169,7 @@ class ShapeModel(eqx.Module):
         good: Bool[np.ndarray, "S M"],
         lam: float,
     ) -> PreparedShape:
-        """For slots with these grounds and good channels."""
+        """Prepares arrays for slots with these grounds and good channels."""
         start = self.source.prepare(grounds, good, _START * self.source.scale())
         errors = self.errors.prepare(grounds, good, lam)
         xy = np.asarray(self.errors.electrode_xy, float)[grounds]
@@ -179,7 +179,7 @@ class ShapeModel(eqx.Module):
         return PreparedShape(start, errors, jnp.asarray(some), ready)
 
     def nothing_before(self) -> Before:
-        """For a frame that none came before."""
+        """Returns the start of a frame that no frame came before."""
         dtype = self.cell.dtype
         w = jnp.zeros(self.field.waves.shape[2], dtype)
         return Before(w, jnp.zeros(self.shape, dtype), jnp.asarray(jnp.inf, dtype))
@@ -191,7 +191,7 @@ class ShapeModel(eqx.Module):
         before: Before,
         follow: bool = False,
     ) -> FittedShape:
-        """The image, and how well it fits; `follow`: with its derivative."""
+        """Fits the image and tells its misfit; `follow` adds the image's derivative."""
         given = self._told(prepared.some, voltages[prepared.fitted])
         told: Told = jax.lax.stop_gradient(given)
         still = jax.lax.stop_gradient(voltages)
@@ -230,16 +230,16 @@ class ShapeModel(eqx.Module):
         return self._judged(prepared.errors, voltages, fit, images, ahead)
 
     def every_slot(self) -> PreparedErrors:
-        """The errors of all grounds' voltages, every channel good. Host code."""
+        """Prepares the errors of all grounds' voltages, every channel good. Host code."""
         count = self.source.electrode_count
         return self.errors.prepare(np.arange(count), np.ones((count, count), bool), 1.0)
 
     def slopes_at(
         self, errors: PreparedErrors, w: Float[Array, " K"]
     ) -> Float[Array, "L W K"]:
-        """What each slot's whitened voltages tell of the field at `w`: their slopes by it.
+        """Returns the slopes of each slot's whitened voltages by the field, at `w`.
 
-        The object conducts as much that current enters it within a pitch of its rim.
+        The object conducts so well that current enters within a pitch of its rim.
         """
         count = self.source.electrode_count
         level = jnp.prod(self.cell) / (self.sheet_resistance * self.pitch**2)
@@ -270,7 +270,7 @@ class ShapeModel(eqx.Module):
         images: dict[str, Array],
         ahead: Before,
     ) -> FittedShape:
-        """What the fit makes of all slots."""
+        """Compares the fit with the voltages of all slots."""
         z, v0, slots = self.ground_resistance, self.drive_voltage, errors.used.any(1)
         n = jnp.maximum(slots.sum(), 1).astype(voltages.dtype)
         contact = fit.at.contact
@@ -298,7 +298,7 @@ class ShapeModel(eqx.Module):
     def _level(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
     ) -> Float[Array, ""]:
-        """That of `source`'s image, S/m²."""
+        """Returns the level of `source`'s image, S/m²."""
         current = self.source.image(prepared, voltages)
         v0 = self.drive_voltage
         # What is under a contact is hardly higher than the highest electrode.
@@ -310,7 +310,7 @@ class ShapeModel(eqx.Module):
     def _coarse(
         self, told: Told, blurred: Float[Array, ""]
     ) -> tuple[Float[Array, " K"], Float[Array, "nx ny"]]:
-        """The field to begin with, and the level that is told from it, S/m²."""
+        """Returns the fine fit's first field, and the level of the coarse fit, S/m²."""
         field, sites = self.coarse_field, self.coarse
         area = jnp.prod(self.cell) * self.fine.on_sheet.size / sites.on_sheet.size
         level = _HIGH * blurred
@@ -327,7 +327,7 @@ class ShapeModel(eqx.Module):
 def _far_apart(
     xy: Float[np.ndarray, "S 2"], used: Bool[np.ndarray, " S"], most: int
 ) -> Int[np.ndarray, " s"]:
-    """Slots that are used, `most` at most: each ground far from those before it."""
+    """Chooses up to `most` used slots, each ground far from the grounds before."""
     slots = np.flatnonzero(used) if used.any() else np.arange(len(used))
     if len(slots) <= most:
         return slots

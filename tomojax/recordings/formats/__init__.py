@@ -1,4 +1,4 @@
-"""Recordings in the formats of other tools.
+"""Reads recordings in the formats of other tools.
 
 Each module reads one kind of file into a `Recording`.
 """

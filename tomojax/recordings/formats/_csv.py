@@ -1,4 +1,4 @@
-"""Recordings as CSV: a line for each slot, with its ground and a column per electrode."""
+"""Reads recordings as CSV: a line for each slot, with ground and a column per electrode."""
 
 import re
 import warnings
@@ -20,13 +20,14 @@ _OTHERS |= {"ground": "ground", "number": "number"}
 
 
 def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
-    """The recording in a CSV file.
+    """Opens the recording in a CSV file.
 
-    The first line names the columns: `ground`, and if the rig tells them `t` (s) and
-    `number` (of the slot, lost ones count); all others are electrodes in order, in volts,
-    or codes where `scale` is told. Separators are commas, semicolons or tabs; a comma may
-    be decimal beside the other two. What is no number becomes NaN, and is flagged.
-    **Raises:** `ValueError` for what is no such table.
+    The first line names the columns: `ground`, and optionally `t` (s) and `number` (of the
+    slot, counting lost slots). All other columns are electrodes in order, in volts, or in
+    codes where `scale` is told. Separators are commas, semicolons or tabs. Commas may be
+    decimal where semicolons or tabs separate. A field that is no number becomes NaN, and is
+    flagged.
+    **Raises:** `ValueError` for a file that is no such table.
     """
     size = path.stat().st_size
     require(size <= _MOST, "file", f"{size} bytes", f"up to {_MOST} of CSV, or HDF5")
@@ -63,7 +64,7 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
 
 
 def _head(file: TextIO) -> tuple[list[str], str]:
-    """Names of the columns, and what is between them."""
+    """Reads the columns' names, and finds the separator."""
     line = ""
     while not line or line.startswith("#"):
         line = file.readline(1 << 20)

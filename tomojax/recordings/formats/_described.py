@@ -1,4 +1,4 @@
-"""What a rig is, as somebody tells of it beside numbers that do not say."""
+"""Makes a rig from a description given beside files that do not describe the rig."""
 
 from pathlib import Path
 from typing import Any
@@ -34,13 +34,13 @@ _ROUNDED = 1e-4  # of a rail, as rounding of codes may leave it
 
 
 def sidecar(path: Path) -> dict[str, Any]:
-    """What PATH.toml says beside the file PATH.csv; nothing where there is none."""
+    """Reads the description PATH.toml beside PATH.csv; empty where none exists."""
     beside = path.with_suffix(".toml")
     return read_toml(beside, "no description of a rig") if beside.exists() else {}
 
 
 def check_keys(told: dict[str, Any], name: str) -> None:
-    """**Raises:** `ValueError` for a key that nothing would be made of."""
+    """Checks the keys. **Raises:** `ValueError` for a key without a use."""
     unknown = sorted(told.keys() - KEYS)
     require(not unknown, name, unknown, f"some of {sorted(KEYS)}")
 
@@ -48,11 +48,11 @@ def check_keys(told: dict[str, Any], name: str) -> None:
 def rig_of(
     told: dict[str, Any], electrodes: int, codes: np.dtype | None, f_switch: float | None
 ) -> tuple[Rig, tuple[str, ...]]:
-    """The rig, and in sentences what was assumed.
+    """Makes the rig; returns the rig, and the assumptions as sentences.
 
-    `codes`: the type of whole numbers that `scale` makes volts of; `f_switch` by the
+    `codes`: the type of whole numbers that `scale` turns into volts; `f_switch` by the
     file's times, Hz.
-    **Raises:** `ValueError` for what is missing: only 64 electrodes have a usual rig.
+    **Raises:** `ValueError` for missing values: only 64 electrodes have a usual rig.
     """
     said = []
     told = dict(told)
@@ -82,7 +82,7 @@ def rig_of(
 
 
 def number(told: dict[str, Any], name: str) -> float:
-    """One number of what was told, which may be text."""
+    """Reads one number of the description, which may be text."""
     try:
         found = float(np.asarray(told[name], float).reshape(()))
     except (TypeError, ValueError):
@@ -92,7 +92,7 @@ def number(told: dict[str, Any], name: str) -> float:
 
 
 def numbers(told: dict[str, Any], name: str) -> np.ndarray:
-    """An array of what was told; a text has commas."""
+    """Reads an array of the description; a text has commas."""
     value = told[name]
     try:
         found = np.asarray(value.split(",") if isinstance(value, str) else value, float)
@@ -105,7 +105,7 @@ def numbers(told: dict[str, Any], name: str) -> np.ndarray:
 def _places(
     told: dict[str, Any], electrodes: int, said: list[str]
 ) -> tuple[tuple[float, float], np.ndarray]:
-    """The sheet's size and the electrodes' places, m."""
+    """Returns the sheet's size and the electrodes' places, m."""
     if "electrode_xy" in told:
         xy = numbers(told, "electrode_xy").reshape(-1, 2)
         require("size" in told, "size", "none", "the sheet's, m")
@@ -128,7 +128,7 @@ def _places(
 
 
 def _range(told: dict, codes: np.dtype | None) -> tuple[tuple[float, float], float]:
-    """The lowest and highest voltage that can be read, and one code's, V."""
+    """Returns the lowest and highest readable voltage, and the voltage of one code, V."""
     resolution = number(told, "resolution") if "resolution" in told else 0.0
     if "scale" in told:
         resolution = abs(scaled(told)[0])
@@ -146,6 +146,6 @@ def _range(told: dict, codes: np.dtype | None) -> tuple[tuple[float, float], flo
 
 
 def scaled(told: dict[str, Any]) -> tuple[float, float]:
-    """V per code, and V at 0."""
+    """Returns V per code, and V at code 0."""
     offset = number(told, "offset") if "offset" in told else 0.0
     return number(told, "scale"), offset

@@ -1,4 +1,4 @@
-"""Recordings as MCAP: a message `tomojax_msgs/msg/Slot` each slot, as ROS 2 records."""
+"""Reads recordings as MCAP: a message `tomojax_msgs/msg/Slot` each slot, as from ROS 2."""
 
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,11 @@ from tomojax.recordings.formats._memory import MemoryRecording
 
 
 def open_mcap(path: Path, told: dict[str, Any]) -> MemoryRecording:
-    """The recording in an MCAP file.
+    """Opens the recording in an MCAP file.
 
     The message has the device's time, s, the slot's number, its ground, and the volts of
-    all electrodes. What the rig is, is told by the file's metadata record "tomojax" (of
-    each key a value in JSON), or by a file .toml beside.
+    all electrodes. The file's metadata record "tomojax" (a JSON value for each key), or a
+    .toml file beside, describes the rig.
     **Raises:** `ValueError` for a file without such messages.
     """
     try:

@@ -1,4 +1,4 @@
-"""A recording that is read whole: slots one after another, cut into scans."""
+"""Holds a recording that is read whole: slots one after another, cut into scans."""
 
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,11 @@ _MOST_SLOTS = 1 << 16
 
 
 class MemoryRecording(Recording):
-    """Slots of a file that has been read, with what was told of the rig.
+    """Slots of a file that has been read, with a description of the rig.
 
     **Arguments:** `values` volts, or codes where `told` has a `scale`; `ground` of each
-    slot; `t` of each slot, s, or None; `number` of each slot, lost ones count; `codes`: the
-    type of codes that come as other numbers, NaN among them.
+    slot; `t` of each slot, s, or None; `number` of each slot, counting lost slots; `codes`:
+    the type of codes that come as other numbers, NaN among these.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class MemoryRecording(Recording):
         check(self)
 
     def _cut(self, volts, ground, t, number) -> None:
-        """Slots into scans; a slot that is not there has no voltages and no ground."""
+        """Cuts slots into scans; a missing slot has no voltages and no ground."""
         s, n = self.slots, len(volts)
         self.gaps = np.zeros((0, 2), int)
         if number is None:
@@ -115,7 +115,7 @@ class MemoryRecording(Recording):
 
 
 def _rate(t: np.ndarray | None) -> float | None:
-    """Slots a second by their times."""
+    """Computes slots a second from the slots' times."""
     if t is None or len(t) < 2:
         return None
     step = float(np.nanmedian(np.diff(t)))
@@ -125,7 +125,7 @@ def _rate(t: np.ndarray | None) -> float | None:
 def _slots(
     told: dict, ground: np.ndarray, number: np.ndarray | None
 ) -> tuple[int, tuple[str, ...]]:
-    """Slots of a scan, as told, or by the period of the grounds."""
+    """Returns the slots of a scan, as described, or by the period of the grounds."""
     if "slots" in told:
         value = told["slots"]
         try:

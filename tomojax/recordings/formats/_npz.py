@@ -1,4 +1,4 @@
-"""Recordings as NumPy's .npz: arrays of the names that recording version 1 has."""
+"""Reads recordings as NumPy's .npz: arrays with the names of recording version 1."""
 
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ _MORE = ("t0", "gaps", *sorted(KEYS - {"notes", "units", "schema"}))
 
 
 def open_npz(path: Path, told: dict[str, Any]) -> MemoryRecording:
-    """The recording in an .npz file.
+    """Opens the recording in an .npz file.
 
-    `v` (scans, slots, M) volts, or codes where there is a `scale`; `ground` (scans, slots)
-    or (slots,); if the rig tells it `t0` (scans,), s, and `gaps` (n, 2). Other numbers have
+    `v` (scans, slots, M) has volts, or codes where there is a `scale`; `ground` is (scans,
+    slots) or (slots,). `t0` (scans,), s, and `gaps` (n, 2) are optional. Other numbers have
     the names of recording version 1's attributes.
     **Raises:** `ValueError` for arrays that do not fit each other.
     """

@@ -1,6 +1,6 @@
-"""Results files from outside, judged before anything is made of them.
+"""Opens results files from outside, and judges each before any use.
 
-The room opens and checks. It writes nothing, and knows nothing of methods but their rows.
+The folder opens and checks. The folder writes nothing and knows only the rows of methods.
 """
 
 from tomojax.results.loading._load import (

@@ -1,4 +1,4 @@
-"""A results file from outside: what it says is judged before anything is made of it."""
+"""Loads a results file from outside, and judges its contents before any use."""
 
 import json
 from pathlib import Path
@@ -20,9 +20,9 @@ _ROUNDING, _LEAST = 1e-3, 1e-15
 
 
 class LoadedResults:
-    """An open results file; a context that closes it.
+    """An open results file, and a context that closes the file.
 
-    `attributes` and `names` as the file has them; `rows`: how many.
+    `attributes` and `names` are the file's; `rows` is the number of rows.
     **Raises:** `ValueError`, one line that names the file and the field.
     """
 
@@ -70,18 +70,18 @@ class LoadedResults:
 
     @property
     def names(self) -> list[str]:
-        """Of datasets that can be read."""
+        """Returns the names of datasets that can be read."""
         return [n for n in self._file.names if self._file.refused(n) is None]
 
     def number(self, name: str) -> float:
-        """An attribute that is one number above 0, or below."""
+        """Returns an attribute that is one number above 0, or below."""
         value = self.attributes.get(name)
         one = isinstance(value, np.number) and bool(np.isfinite(value)) and value != 0
         require(one, f"{self.path}: {name}", str(value)[:40], "one number")
         return float(value)  # pyright: ignore
 
     def size(self) -> np.ndarray:
-        """The sheet's, m."""
+        """Returns the sheet's size, m."""
         size = np.asarray(self.attributes.get("size"))
         fine = size.shape == (2,) and size.dtype.kind == "f"
         fine = fine and bool(np.isfinite(size).all() and (size > 0).all())
@@ -89,7 +89,7 @@ class LoadedResults:
         return size
 
     def electrode_xy(self) -> np.ndarray:
-        """The electrodes' places (M, 2), m."""
+        """Returns the electrodes' places (M, 2), m."""
         xy = np.asarray(self.attributes.get("electrode_xy"))
         fine = xy.ndim == 2 and xy.shape[1] == 2 and len(xy) > 0 and xy.dtype.kind in "iuf"
         fine = fine and bool(np.isfinite(xy).all())
@@ -97,7 +97,7 @@ class LoadedResults:
         return xy
 
     def read(self, name: str) -> np.ndarray:
-        """A dataset, whose values are judged where they can be wrong."""
+        """Reads a dataset, and checks values that can be wrong."""
         try:
             values = self._file.read_whole(name)
             _check_values(name, values, self.contacts)
@@ -110,7 +110,7 @@ class LoadedResults:
     def stretch(
         self, name: str, start: int | np.integer, stop: int | np.integer
     ) -> np.ndarray:
-        """Rows `start` to `stop` of a dataset."""
+        """Reads rows `start` to `stop` of a dataset."""
         try:
             return self._file.read(name, int(start), int(stop))
         except (OSError, ValueError) as error:
@@ -118,7 +118,7 @@ class LoadedResults:
             raise ValueError(f"{self.path}: {told}") from None
 
     def thinned(self, name: str, step: int) -> np.ndarray:
-        """Every so many rows of a dataset."""
+        """Reads every `step`-th row of a dataset."""
         each = step * max(1, _ROWS // step)
         starts = range(0, self.rows, each)
         return np.concatenate(
@@ -126,7 +126,7 @@ class LoadedResults:
         )
 
     def unit(self, name: str) -> dict[str, Any]:
-        """Attributes of a dataset."""
+        """Returns the attributes of a dataset."""
         return self._file.attributes_of(name)
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ def _check_values(name: str, values: np.ndarray, contacts: int) -> None:
 
 
 def attributes(path: Path) -> dict[str, Any]:
-    """Of a results file, or one in the making."""
+    """Reads the attributes of a results file, or of a file in the making."""
     with LoadedResults(path) as opened:
         found = opened.attributes
     try:
@@ -170,9 +170,9 @@ def attributes(path: Path) -> dict[str, Any]:
 
 
 def places(path: Path) -> dict[str, tuple[int, np.dtype, tuple[int, ...]]]:
-    """Where each dataset of a file in the making lies: offset, type, shape of a row.
+    """Finds each dataset in a file in the making: offset, type, shape of a row.
 
-    **Raises:** `ValueError` where one does not lie in one piece, or over another.
+    **Raises:** `ValueError` where a dataset is not in one piece, or overlaps another.
     """
     try:
         with open_container(path) as file:
