@@ -34,22 +34,12 @@ _KEPT = 128
 class Batch:
     """A method at one λ, applied to frames; remembers its preparations.
 
-<<<<<<< HEAD
-    **Arguments:** `method` of `tomojax.method`; `lam` λ (the
-    method's own choice by default); `contacts` C; `images` False
-    leaves them out; `threshold`: volts that no channel exceeds without a contact (the
-    method's own by default); `film`: frames in a row that follow each other so closely
-    that all but the first may begin where that ends (1: none do), of a method that `films`;
-    `devices` that share the frames (all of this process by default), by
-    `jax.sharding` along the scan axis.
-=======
-    **Arguments:** `method` of `tomojax.method`; `lam` λ; `contacts` C; `images` False
-    leaves images out; `threshold`: volts that no channel exceeds without a contact (the
+    **Arguments:** `method` of `tomojax.method`; `lam` λ (the method's own choice by
+    default); `contacts` C; `images` False leaves images out; `threshold`: volts that no channel exceeds without a contact (the
     method's own by default). `film` counts frames in a row that follow each other closely
     (1: none do). A method that `films` may begin all but the first where an earlier frame
     ended. `devices` share the frames (all of this process by default), by `jax.sharding`
     along the scan axis.
->>>>>>> c91be6fe2e6d526eb6c1f915537233efa108dbe0
 
     **Example:**
 
