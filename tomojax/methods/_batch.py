@@ -35,11 +35,11 @@ class Batch:
     """A method at one λ, applied to frames; remembers its preparations.
 
     **Arguments:** `method` of `tomojax.method`; `lam` λ (the method's own choice by
-    default); `contacts` C; `images` False leaves images out; `threshold`: volts that no channel exceeds without a contact (the
-    method's own by default). `film` counts frames in a row that follow each other closely
-    (1: none do). A method that `films` may begin all but the first where an earlier frame
-    ended. `devices` share the frames (all of this process by default), by `jax.sharding`
-    along the scan axis.
+    default); `contacts` C; `images` False leaves images out; `threshold`: volts that no
+    channel exceeds without a contact (the method's own by default). `film` counts frames in
+    a row that follow each other closely (1: none do). A method that `films` may begin all
+    but the first where an earlier frame ended. `devices` share the frames (all of this
+    process by default), by `jax.sharding` along the scan axis.
 
     **Example:**
 
