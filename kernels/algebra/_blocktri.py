@@ -32,8 +32,7 @@ class BlockTriFactor(NamedTuple):
 
 
 def matmul(a: Array, b: Array) -> Array:
-    """Multiplies a·b at full precision: recent GPUs would otherwise round float32 to TF32.
-    """
+    """Multiplies a·b at full precision: recent GPUs would else round float32 to TF32."""
     return jnp.matmul(a, b, precision="highest")
 
 

@@ -46,8 +46,7 @@ def level_update(
     there: Bool[Array, ""],
     drift: Float[Array, "d d"],
 ) -> Level:
-    """Updates the state by one measurement; without one (`there` False) only adds the
-    drift.
+    """Updates the state by one measurement; where not `there`, only adds the drift.
 
     **Arguments:** `noise`: the measurement's covariance; `drift`: the growth of the state's
     covariance per measurement. The new covariance is Joseph's form, (I − K)P(I − K)ᵀ +

@@ -91,8 +91,7 @@ def _unsmoothed(prior: SmoothPrior, y: Array) -> Array:
 
 
 def near_positive(prior: SmoothPrior, values: Float[Array, "nx ny"]) -> Array:
-    """Finds a w whose image is about `values`; values below the level count as the level.
-    """
+    """Finds a w whose image is about `values`; values below the level count as level."""
     raised = jnp.log(jnp.maximum(values, jnp.exp(prior.level))) - prior.level
 
     # Damped, as the smoothing has no inverse in floating point.
