@@ -218,8 +218,7 @@ def _onward(run: _Descent, starts: Array, few: int, most: int, enough: Array) ->
 
 
 def _compacting(turn: Callable[..., _Descent], together: int) -> Callable[..., _Descent]:
-    """Repeats turns until all frames have ended; each takes `together` unfinished frames.
-    """
+    """Repeats turns until all frames have ended; each has `together` unfinished frames."""
 
     @custom_vmap
     def run(state, *given):

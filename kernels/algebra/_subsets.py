@@ -14,8 +14,7 @@ _HALVINGS = 60
 
 
 def project_weights(values: Float[Array, " M"], n: Float[Array, ""]) -> Float[Array, " M"]:
-    """Finds the weights nearest to `values`: min(max(v − τ, 0), 1), τ such that Σw = `n`.
-    """
+    """Finds the weights nearest to `values`: min(max(v − τ, 0), 1), τ so that Σw = `n`."""
 
     def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
