@@ -50,8 +50,7 @@ def along(at: Look, weighed: Float[Array, "*n s M"]) -> Float[Array, "*n s K"]:
 
 
 def explained(along: Float[Array, "s K"], own: Float[Array, "s K"]) -> Float[Array, " K"]:
-    """Sums (c·v)²/|c|² over slots of a current in the drive's direction, as objects feed.
-    """
+    """Sums (c·v)²/|c|² over slots whose current has the drive's direction."""
     return _part(along, own).sum(0)
 
 
