@@ -2,8 +2,9 @@
 
 v ~ N(0, τ²AAᵀ + s²I + a²Σ_l 1_l1_lᵀ + g²Σ_i v_i v_iᵀ). The terms are an image of
 independent elements, white noise, an offset of all of slot l, and a gain error of electrode
-i. The electrode's voltages in all slots are v_i. The four variances are the likeliest, found
-by the MM algorithm for variance components (Zhou et al., J. Comput. Graph. Stat. 28, 2019).
+i. The electrode's voltages in all slots are v_i. The four variances are the likeliest,
+found by the MM algorithm for variance components (Zhou et al., J. Comput. Graph. Stat. 28,
+2019).
 """
 
 from typing import NamedTuple

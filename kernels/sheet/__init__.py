@@ -1,6 +1,6 @@
-"""The sheet's physics: mesh, electrodes, tables of resistances, slots, exact contacts.
+"""Computes the sheet's physics: mesh, electrodes, resistances, slots, exact contacts.
 
-The room turns a sheet into resistances and resistances into voltages. It knows nothing of
+This room turns a sheet into resistances and resistances into voltages. It knows nothing of
 images, of noise or of how contacts are found.
 """
 
