@@ -1,6 +1,6 @@
-"""The rig and what touches it: sensors, shapes, converters, exact voltages.
+"""Describes the rig and what touches it: sensors, shapes, converters, exact voltages.
 
-The room states what is there and computes what would be measured. It knows nothing of how
+This room states what is there and computes what would be measured. It knows nothing of how
 contacts are found.
 """
 
