@@ -77,8 +77,7 @@ class Plane:
 
     @cached_property
     def between(self) -> Float[np.ndarray, "M M"]:
-        """Computes potentials at electrodes of sources at electrodes; a disc's at its rim.
-        """
+        """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
         apart = self.xy[:, None] - self.xy[None]
         rim = np.array([self.diameter / 2, 0.0])
         table = self.green(self.xy[:, None], self.xy[None])
