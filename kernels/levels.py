@@ -2,8 +2,8 @@
 
 A touching object feeds current into the sheet, and only the grounded electrode takes
 current out. So every voltage has the direction of the drive, and the grounded electrode has
-the lowest voltage (the maximum principle). This holds for any sheet, contacts and ground
-path. The functions take arrays of NumPy and of JAX.
+the lowest voltage (the maximum principle). The principle holds for any sheet, contacts and
+ground path. The functions take arrays of NumPy and of JAX.
 """
 
 from typing import Any

@@ -1,6 +1,7 @@
 """Solves equations, filters series and searches for minima: compiled functions of arrays.
 
-This room holds no physics: a matrix here may stand for anything. It imports no other room.
+This room holds no physics: a matrix here may stand for anything. The room imports no other
+room.
 """
 
 from tomojax.kernels.algebra._adam import adam as adam

@@ -177,8 +177,8 @@ def _secant(
 ) -> Float[Array, "P P"]:
     """Updates the part of the curvature that JᵀWJ leaves out (symmetric, of rank one).
 
-    The update follows from how the gradient changed. If parameters are hardly told apart,
-    the missing part is as large as JᵀWJ, and steps without the missing part swing.
+    The update follows from how the gradient changed. If parameters are hardly
+    distinguishable, this part is as large as JᵀWJ, and steps without this part swing.
     """
     missing = change - jnp.matmul(matrix + bent, move, precision="highest")
     along = missing @ move

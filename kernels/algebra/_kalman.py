@@ -1,10 +1,10 @@
 """Filters a value that stands still or changes: Kalman's filter that restarts when it must.
 
-The state does not move (or drifts, as a random walk): n measurements tell the state √n
-times as well as one. A test on the mean innovations over the last 1, 4, 16 and 64
-measurements tells whether the state moved. If one mean cannot be noise, the state restarts
+The state does not move (or drifts, as a random walk): n measurements determine the state √n
+times better than one. A test on the mean innovations over the last 1, 4, 16 and 64
+measurements shows whether the state moved. If one mean cannot be noise, the state restarts
 from that mean. So the filter follows a sudden step within one measurement, and a slow
-change once it shows.
+change once the change shows.
 """
 
 from typing import NamedTuple

@@ -75,7 +75,7 @@ def least_squares(
     Rows s of the residuals that do not fit at all count little (Cauchy's loss). So a slot
     whose ground lies under the contact does not spoil the other slots. `tolerance` is δ².
     Each of several starts has `few` steps, and the best start goes on for at most `most`.
-    One loop does all of this, because the loop's body takes seconds to compile.
+    One loop runs all starts, because the loop's body takes seconds to compile.
     """
     n, count = starts.shape
     unit = jnp.eye(count, dtype=starts.dtype)

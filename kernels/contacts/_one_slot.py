@@ -90,7 +90,7 @@ def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
 
 
 def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
-    """Computes R_ll + z − R_il: volts per ampere are this plus R_i(x) − R_l(x)."""
+    """Computes R_ll + z − R_il, the part of volts per ampere beside R_i(x) − R_l(x)."""
     ee = sheet.field.electrodes
     z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[ground]
     return ee[ground, ground] + z - ee[ground]
@@ -99,7 +99,7 @@ def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
 def in_slot(
     sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
 ) -> Float[Array, "C 4 M"]:
-    """Computes volts per ampere with that ground, and how a move changes them."""
+    """Computes volts per ampere under one ground, and how a move changes the volts."""
     relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
     return relative.at[:, 0].add(from_ground(sheet, ground))
 

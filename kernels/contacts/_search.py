@@ -172,7 +172,7 @@ def _gains(
     beside: Float[Array, "C M"],
     normal: Float[Array, "C C"],
 ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-    """Computes how much each candidate explains: of the rest beside contacts, and of all.
+    """Computes how much each candidate explains: of what contacts leave, and of all.
 
     A candidate's column is R_i − R_l + f_i, so every product with the column is one with R.
     """

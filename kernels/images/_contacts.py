@@ -136,7 +136,8 @@ def _nearest(
 ) -> Bool[Array, " pixels"]:
     """Finds the pixels nearest to a peak of label k; the lower label takes ties.
 
-    All of this is arithmetic on each pixel alone, so that XLA fuses it into later steps.
+    Each pixel's result is arithmetic on that pixel alone, so that XLA fuses it into later
+    steps.
     """
     nx, ny = shape
     own = below = above = jnp.full(len(places), jnp.inf, places.dtype)

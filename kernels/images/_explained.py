@@ -27,7 +27,7 @@ def point_sources(
 def unexplained(
     columns: Float[Array, "S C q"], seen: Float[Array, "S q"]
 ) -> Float[Array, ""]:
-    """Computes √(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): the part beside contacts' columns.
+    """Computes √(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): the part that contacts leave.
 
     Each of S slots has its own a. The result is 1 where all columns are 0.
     """

@@ -41,7 +41,7 @@ class Peaks(NamedTuple):
 def find_peaks(
     image: Float[Array, "nx ny"], count: int, lowest: Float[Array, ""] | float = 0.0
 ) -> Peaks:
-    """Finds up to `count` peaks: highest among nine squares of 2 × 2 pixels around them.
+    """Finds up to `count` peaks, each the highest of 3 × 3 squares of 2 × 2 pixels.
 
     Peaks exceed `lowest` and 0.4 of the highest. Peaks with no saddle between them are one
     contact.

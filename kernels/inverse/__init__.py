@@ -1,7 +1,7 @@
 """Solves the paper's Eq. 3: Tikhonov solves, bases of a Jacobian's rows, rules for λ.
 
-This room takes any Jacobian. It knows nothing of a Jacobian's origin, nor of what an image
-shows.
+This room takes any Jacobian. The room knows nothing of a Jacobian's origin, nor of what an
+image shows.
 """
 
 from tomojax.kernels.inverse._basis import (

@@ -42,7 +42,7 @@ def electrode_currents(
 
     The currents are R_ee⁺ΣV. Voltages are harmonic between contacts, so high currents are
     under the object. The grounded electrodes appear as sinks. The paper weighs the
-    electrodes of a region equally; these weights see its shape between electrodes.
+    electrodes of a region equally; the currents show the region's shape between electrodes.
     """
     # Voltages have a free constant, R_ee none of its own: a constant is added to it.
     m = len(resistances)
@@ -101,7 +101,7 @@ def _box(inside: Bool[Array, " M"], xy: Float[Array, "M 2"]) -> tuple[Array, Arr
 
 
 def _principal_direction(weight: Array, xy: Array) -> tuple[Array, Array]:
-    """Computes the longer principal axis's angle, 0 if there is none, and whether it is."""
+    """Computes the longer principal axis's angle (0 if none), and whether one exists."""
     w = weight / weight.sum()
     away = xy - w @ xy
     xx, yy, cross = w @ away[:, 0] ** 2, w @ away[:, 1] ** 2, w @ (away[:, 0] * away[:, 1])

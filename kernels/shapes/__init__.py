@@ -1,7 +1,7 @@
 """Fits the shapes of contacts to voltages: a field says where an object touches.
 
 Nearly everywhere an object either touches or does not. This room knows the sheet and the
-errors of voltages. It knows nothing of rigs, files or what an image is used for.
+errors of voltages. The room knows nothing of rigs, files or what an image is used for.
 """
 
 from tomojax.kernels.shapes._field import (

@@ -37,10 +37,11 @@ _NARROWEST = 0.65
 def _own_excess(width: Array, radius: Array, shape: Shape, size: Array) -> Array:
     """Computes 2πσ·(own resistance of a disc − that of the feed on the mesh).
 
-    The result is ln s + ½(2 ln 2 − γ) − ln a − (dx² + dy²)/(64 s²) − 0.0012 (h/s)⁴. This
-    adds the width's difference and the first two terms of the mesh's error. The stencil's
-    symbol is k² − (k_x⁴dx² + k_y⁴dy²)/12 + …. So the stencil carries short waves too easily
-    and overstates the own resistance by (1/σ)·∫|f̂|²(k_x⁴dx² + k_y⁴dy²)/(12k⁴) + ….
+    The result is ln s + ½(2 ln 2 − γ) − ln a − (dx² + dy²)/(64 s²) − 0.0012 (h/s)⁴. The
+    terms are the width's difference and the first two terms of the mesh's error. The
+    stencil's symbol is k² − (k_x⁴dx² + k_y⁴dy²)/12 + …. So the stencil carries short waves
+    too easily and overstates the own resistance by (1/σ)·∫|f̂|²(k_x⁴dx² + k_y⁴dy²)/(12k⁴) +
+    ….
     """
     square = cell_sides(shape, size) ** 2
     mesh = square.sum() / (64 * width**2) + 0.0011936 * (square**2).mean() / width**4

@@ -228,8 +228,8 @@ def fem_contact(
 
     The sheet is pinned at one node (not at an electrode, so that every ground is treated
     alike). The right-hand sides are: electrodes and their dipoles; the object at 1 V; the
-    pinned node at 1 V. The last two fields add up to one everywhere. Each is used where it
-    is the smaller, so that neither weak nor strong contacts lose digits.
+    pinned node at 1 V. The last two fields add up to one everywhere. Each field is used
+    where it is the smaller one, so that neither weak nor strong contacts lose digits.
     """
     n, m = fem.feeds.shape
     at_nodes, direct = contact[:n], contact[n:]

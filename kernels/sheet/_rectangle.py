@@ -1,15 +1,15 @@
 """Computes the Green's function of a homogeneous rectangle: its cosine series, summed.
 
 For −Δ G = ρ(δ − 1/(ab)) with insulated edges the double cosine series is summed over one
-index to hyperbolic functions. These are expanded in exponentials and summed over the other
-index, which leaves logarithms (θ_j = π(x ∓ x')/a, b ≥ a, q = exp(−2πb/a)):
+index to hyperbolic functions. The hyperbolic functions, expanded in exponentials and summed
+over the other index, leave logarithms (θ_j = π(x ∓ x')/a, b ≥ a, q = exp(−2πb/a)):
 
     G = ρ·{ [b/3 + (y² + y'²)/2b − max(y, y')]/a − (1/4π)·Σ ln(1 − 2r cos θ + r²) }
 
 The sum is over both θ and r ∈ {e^{−π|y−y'|/a}, e^{−π(y+y')/a}, q/…, q/…}·q^j, j = 0, 1, ….
 Each j gains a factor of exp(−2π) or better, so six terms reach 1e-16. Sources are discs:
-outside a disc the field is that of a point, inside it is the rim's. Floating electrodes
-answer with dipoles, as in `_electrodes`.
+outside a disc the field is that of a point, inside the value is the rim's. Floating
+electrodes answer with dipoles, as in `_electrodes`.
 """
 
 from collections.abc import Callable
@@ -40,8 +40,9 @@ def rectangle_green(
     """Computes G(x, x') at 1 Ω per square; the source is a disc of radius `rim`, m.
 
     Within the rim the value is the rim's. If `solid`, the value is that of an evenly
-    charged disc less its mean: ln a − (1 − d²/a²)/2 for ln d. Its slope is the field of a
-    disc's dipole, d/a² inside. Its own second slope is 1/(2πa²), as it must be.
+    charged disc less its mean: ln a − (1 − d²/a²)/2 for ln d. The slope of this value is
+    the field of a disc's dipole, d/a² inside. The dipole's own second slope is 1/(2πa²), as
+    it must be.
     """
     turned = size[0] > size[1]
     a, b = jnp.min(size), jnp.max(size)

@@ -152,8 +152,9 @@ def voltage_sensitivity(
     """Computes ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
 
     ψ_i^l is the potential with unit current entering at electrode i, ground l in place and
-    the object at 0 V. It is X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with
-    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
+    the object at 0 V. Its value at k is X_ki − t_il·X_kl +
+    c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with t_il = (p·Q_il + f_i·f_l)/d_l and
+    d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
     """
     share, lift = _answers(contact, grounds, ground_resistance)
     potential = (

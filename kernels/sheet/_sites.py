@@ -3,8 +3,8 @@
 A site is a part of the sheet that current enters in fixed shares (a pixel, say), or an
 electrode's metal. R between all sites is computed once for a sheet. A contact then needs
 one factor of its strong sites. Weak sites also take from each other's current, to second
-order in how weak they are. Voltages leave that out; fields, which slopes are made of, are
-those of the strong sites alone.
+order in how weak they are. Voltages leave this effect out. Fields, which give the slopes,
+are those of the strong sites alone.
 """
 
 from functools import partial

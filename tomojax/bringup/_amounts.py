@@ -174,7 +174,7 @@ def drive_of(work: Work) -> tuple[float, float]:
 
 
 def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
-    """Reports a drive that is another than told; returns the drive and its 1 σ too, V."""
+    """Reports a drive other than the stated one; returns the drive and its 1 σ too, V."""
     found, error = drive_of(work)
     seen = np.quantile(work.volts[:, work.usable], 0.999)
     if not np.isfinite(found) or work.left > _BAD or found < _BELOW * seen:

@@ -59,7 +59,7 @@ class Checked(NamedTuple):
 
     `unjudged`: parts that could not be judged, and what a recording must hold for them.
     `channels`: the electrode that each channel reads. `grounds`: the electrode that each
-    ground line switches; −1 for none, the line's own number where nothing tells.
+    ground line switches; −1 for none, the line's own number if unknown.
 
     **Example:**
 

@@ -36,7 +36,7 @@ def cycles(wrong: dict[int, int]) -> list[tuple[int, ...]]:
 
 
 def best_image(plane: Plane, electrode: np.ndarray, of: np.ndarray) -> tuple[str, Order]:
-    """Finds the symmetry that explains most of what reads or grounds, or "identity"."""
+    """Finds the symmetry that explains most channels or lines, or "identity"."""
     every = symmetries(plane)
     right = {name: int((image[of] == electrode).sum()) for name, image in every.items()}
     best = max(right, key=lambda name: (right[name], name == "identity"))

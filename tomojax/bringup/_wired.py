@@ -28,7 +28,7 @@ _MANY, _FEW_SURE = 200, 0.95
 
 
 def judge_wires(reading: Reading, corners: Any) -> Lines:
-    """Names faults of wires; turns the reading to true places where corners tell them.
+    """Names faults of wires; turns the reading to true places if corners show them.
 
     **Raises:** `ValueError` if all contacts are in one place.
     """

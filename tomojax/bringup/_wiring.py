@@ -80,7 +80,7 @@ def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
 
 
 def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Lists orders of channels to begin with: as told, and those of a plug or a loop."""
+    """Lists orders of channels to begin with: as stated, and those of a plug or a loop."""
     m = np.arange(plane.count)
     found = {"as told": m, "one on": np.roll(m, -1), "one back": np.roll(m, 1)}
     grid = lattice(plane)
@@ -129,7 +129,7 @@ def order_of(
     always: int | None = None,
     enough: float = 0.01,
 ) -> Order:
-    """Finds the order of channels in which contacts fit; `usable` channels tell."""
+    """Finds the order of channels in which contacts fit; only `usable` channels count."""
     n, m = volts.shape
     rng = np.random.default_rng(1)
     some = np.sort(rng.choice(n, min(n, _SOME), replace=False))

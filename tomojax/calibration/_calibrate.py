@@ -185,7 +185,7 @@ def _step(
     """Computes Gauss and Newton's step, the values' covariance, and the step's prior.
 
     Errors that frames share, the shapes of contacts above all, do not average out as noise
-    does. The scatter of frames along each direction tells what they really know of that
+    does. The scatter of frames along each direction shows what frames really know of that
     direction. If that is less than the number of frames says, the prior counts for more.
     """
     root = np.linalg.cholesky(np.linalg.inv(unknowns.prior))

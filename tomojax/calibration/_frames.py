@@ -1,4 +1,4 @@
-"""Computes what frames with one contact each tell of the rig, the contact eliminated."""
+"""Computes what frames with one contact each say of the rig, the contact eliminated."""
 
 from typing import Any, NamedTuple
 

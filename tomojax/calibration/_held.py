@@ -26,7 +26,7 @@ class HeldCalibration(eqx.Module):
 
     θ(V) = argmin min_c Σ_k w_k Σ_s δ²·ln(1 + |r_ks|²/δ²) + priors. A frame's residual is
     r = C^(−1/2)[(V − offset)/gain − A(θ − θ*) − V(c)]. V(c) are its contact's voltages on
-    the calibrated rig θ*; A are their slopes by sheet, grounds and electrodes. A, the
+    the calibrated rig θ*; A are slopes of V by sheet, grounds and electrodes. A, the
     errors C and the weights w are held; contacts are at rest. `values` is differentiable
     in the voltages by the implicit function theorem, in float64. `values` solves for all
     values and contacts at once, which suits a few hundred frames.

@@ -18,9 +18,9 @@ _KEPT = 0.5
 def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
     """Lists the values that were found and 1 σ of each kind, lengths in mm.
 
-    The certainty of electrodes' places has two parts. An affine map of all electrodes
-    (shift, turn, stretch) is hardly told by a rub without a ruler. The other part is left
-    without this map. `not_told` names moves that these frames tell hardly or not at all.
+    The certainty of electrodes' places has two parts. One part is an affine map of all
+    electrodes (shift, turn, stretch), which a rub without a ruler hardly shows. The other
+    part is all else. `not_told` names moves that these frames show hardly or not at all.
     """
     calibration, m = found.calibration, sensor.electrode_count
     touched = squares_touched(sensor, found.places)
@@ -75,7 +75,7 @@ def text(sensor: Sensor, found: Calibrated) -> str:
 
 
 def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Names moves of many values together that the frames hardly tell.
+    """Names moves of many values together that the frames hardly show.
 
     A move d is named if dᵀCd, its variance now, is more than half of dᵀP⁻¹d, its variance
     before any frame.

@@ -1,7 +1,7 @@
 """Implements the paper's own method: ground patterns, Eq. 3, figures of merit.
 
-This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. It knows nothing of
-the ladder of methods, nor of files.
+This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. The room knows
+nothing of the ladder of methods, nor of files.
 """
 
 from tomojax.paper._merit import (

@@ -120,7 +120,7 @@ class Calibration:
         return 1 + np.asarray(self.sheet) @ np.asarray(modes)
 
     def sensor(self, sensor: Sensor, divisions: tuple[int, int]) -> Sensor:
-        """Makes the sensor with sheet and electrodes as they are, on a mesh of `divisions`.
+        """Makes the sensor with calibrated sheet and electrodes, on a mesh of `divisions`.
 
         **Raises:** `ValueError` for a calibration of another number of electrodes.
         """

@@ -49,7 +49,7 @@ def make_field(sensor: Sensor) -> Field:
 
 
 def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
-    """Returns the sensor, an even one, the table's cells, and the step of those kept."""
+    """Returns the sensor, an even one, the finer table's cells, and kept cells' stride."""
     # Metal discs where the sensor leaves it open.
     if sensor.electrode_shunt is None:
         sensor = replace(sensor, electrode_shunt=1.0)

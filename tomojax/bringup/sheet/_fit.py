@@ -2,7 +2,7 @@
 
 The fit does not believe the commanded ground, but finds the electrode that drains the
 sheet. Mirrored or turned channels fit as well as sound ones, with the ground mirrored or
-turned: physics does not tell. Slots are fitted alone, so that no length of a scan matters.
+turned: physics cannot tell. Slots are fitted alone, so that no length of a scan matters.
 """
 
 from typing import NamedTuple

@@ -19,7 +19,7 @@ _LONGEST = 1 << 15
 
 
 class Silence(NamedTuple):
-    """Zeros, noise and hum of M channels; NaN where nothing tells."""
+    """Zeros, noise and hum of M channels; NaN where unknown."""
 
     slots: int
     zero: Float[np.ndarray, " M"]  # V

@@ -36,7 +36,7 @@ class Slots(NamedTuple):
 
     @property
     def drive(self) -> float:
-        """Returns the drive as told, V."""
+        """Returns the stated drive, V."""
         return abs(self.rig.drive_voltage)
 
     def runs(self, which: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
@@ -47,7 +47,7 @@ class Slots(NamedTuple):
 
 
 def slots_of(recording: Recording) -> Slots:
-    """Reads a recording, and tells touched slots from quiet ones."""
+    """Reads a recording, and distinguishes touched slots from quiet ones."""
     rig = recording.rig
     scans = recording.read(0, recording.scans)
     m = recording.electrodes
@@ -67,8 +67,8 @@ def slots_of(recording: Recording) -> Slots:
 def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
     """Tells which slots are quiet and which are touched; slots between are neither.
 
-    Half of the channels tell, over a window: a contact on the grounded electrode leaves the
-    others low for a slot.
+    The channels' median over a window decides: a contact on the grounded electrode leaves
+    the other channels low for a slot.
     """
     level = np.median(volts, 1)
     low = level[np.abs(level) < _LOW * drive]

@@ -103,7 +103,7 @@ def before_of(
 ) -> Float[np.ndarray, "n M"]:
     """Returns each electrode's voltage in the slot before, as fitted; NaN where unknown.
 
-    Readings do not serve: a channel that lingers tells an older slot. A grounded
+    Readings do not serve: a channel that lingers shows an older slot. A grounded
     electrode's voltage is its current times the usual resistance of a ground path.
     """
     n, m = volts.shape
@@ -127,11 +127,11 @@ def old_part(
     older: np.ndarray,
     usable: np.ndarray,
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
-    """Computes how much of the slot before a channel still shows, if it was grounded then.
+    """Computes how much of the slot before a channel shows, if its electrode was grounded.
 
-    No other reading tells the part as well: (V − P)/(V_before − P) with V_before near 0.
+    No other reading shows the part as well: (V − P)/(V_before − P) with V_before near 0.
     `older`: the electrode that was grounded in the slot before, −1 where none is known.
-    **Returns:** the part in each slot, NaN where it is not told, and the electrode.
+    **Returns:** the part in each slot, NaN where unknown, and the electrode.
     """
     n = len(volts)
     e = np.where(older >= 0, older, 0)

@@ -127,8 +127,8 @@ def _floor(some: Some, least: float) -> float:
     """Estimates the level that the lowest channels of touched slots share.
 
     A ground path lifts these channels in proportion to a slot's current. The current rises
-    with the slot's highest voltage less the lowest. An offset lifts all of them by the
-    same.
+    with the slot's highest voltage less the lowest. An offset lifts all these channels
+    equally.
     """
     low, span = some.low, some.high - some.low
     floor = float(np.median(low))

@@ -1,6 +1,7 @@
 """Follows a calibration over time: drift of zeros and gains, and whether it still fits.
 
-The folder follows a rig with the calibration's own model. It finds no new sheet or places.
+The folder follows a rig with the calibration's own model. The folder finds no new sheet or
+places.
 """
 
 from tomojax.calibration.drift._adapter import (

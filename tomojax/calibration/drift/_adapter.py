@@ -1,7 +1,7 @@
 """Follows zeros and gains that drift slowly, by what contacts and silence leave.
 
 Zeros follow slots without a contact. Zeros do not depend on the ground, and a contact's
-voltages do: this tells a light touch from a zero. Gains follow lone contacts that move. A
+voltages do: so a light touch differs from a zero. Gains follow lone contacts that move. A
 contact that is held still repeats the model's error at its place. So such a contact counts
 once, and counts again only after contacts in other squares.
 """
@@ -101,18 +101,18 @@ class Adapter:
 
     @property
     def calibration(self) -> Calibration:
-        """Returns the calibration as it is by now."""
+        """Returns the present calibration."""
         offset, gain = self.offset, self.gain
         return replace(self.begun, offset=tuple(offset.tolist()), gain=tuple(gain.tolist()))
 
     @property
     def offset(self) -> Float[np.ndarray, " M"]:
-        """Returns zeros by now, V."""
+        """Returns the present zeros, V."""
         return self._offset + self.zeros.value
 
     @property
     def gain(self) -> Float[np.ndarray, " M"]:
-        """Returns gains by now."""
+        """Returns the present gains."""
         return self._gain * np.exp(self.gains.value)
 
     @property
@@ -122,7 +122,7 @@ class Adapter:
         return far | (np.abs(self.gains.value) >= (1 - 1e-6) * _FARTHEST_GAIN)
 
     def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
-        """Corrects readings for zeros and gains by now, in the readings' dtype."""
+        """Corrects readings for the present zeros and gains, in the readings' dtype."""
         offset, gain = (a.astype(readings.dtype) for a in (self.offset, self.gain))
         return (readings - offset) / gain
 
@@ -274,7 +274,7 @@ def silence(
     noise: float,
     codes: float = 0.0,
 ) -> bool:
-    """Tells whether slots' means are free of the ground; in a touch they are not."""
+    """Tells whether slots' means are independent of the ground; in a touch they are not."""
     steps = np.abs(np.diff(slots, axis=0))
     own = 1.4826 * float(np.nanmedian(steps)) / np.sqrt(2)
     own = float(np.clip(own, max(0.1 * noise, 0.3 * codes), 2 * noise))

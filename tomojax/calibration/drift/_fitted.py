@@ -1,4 +1,4 @@
-"""Fits one disc to each frame, and tells what channels leave: for drift, and for `info`."""
+"""Fits one disc to each frame, and returns what channels leave: for drift and `info`."""
 
 from typing import Any, NamedTuple
 

@@ -32,7 +32,7 @@ def still_fits(
     `zeros_chi2`: contact-free slots' means beside the calibration's zeros, over what is
     known of both; `contacts_chi2`: residuals of lone contacts, over their usual size;
     `gains_off_percent`: by how much gains seem to be off, rms, without the part that all
-    share. None where the recording does not tell. `fits`: whether both χ² are below four.
+    share. None stands for unknown. `fits`: whether both χ² are below four.
 
     **Raises:** `ValueError` for a calibration of another number of electrodes.
 
