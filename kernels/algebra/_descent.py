@@ -48,7 +48,7 @@ class Normal(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The highest value of each parameter, and its longest step."""
+    """The highest value and the longest step of each parameter."""
 
     highest: Float[Array, " P"]
     longest: Float[Array, " P"]

@@ -25,7 +25,7 @@ _SHORTEST, _LONGEST = 1 / 32, 2.0
 
 
 class SmoothPrior(NamedTuple):
-    """ln g = level + A·w·Bᵀ with w (nx, ny) normal beforehand, of variance 1."""
+    """The prior ln g = level + A·w·Bᵀ, with w (nx, ny) normal, of variance 1."""
 
     along: Float[Array, "nx nx"]
     across: Float[Array, "ny ny"]

@@ -84,7 +84,7 @@ def first_covariance(dtype) -> Float[Array, "3 3"]:
 
 
 class Search(NamedTuple):
-    """Contacts that appear."""
+    """The result of a search for contacts that appear."""
 
     new: Bool[Array, " C"]
     there: Bool[Array, " C"]

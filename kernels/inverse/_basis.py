@@ -34,7 +34,7 @@ def slot_factors(
 
 
 class ReducedSlots(NamedTuple):
-    """J^l ≈ A_l B, with the blocks that add over slots."""
+    """The reduced rows J^l ≈ A_l B, with the blocks that add over slots."""
 
     basis: Float[Array, "r K"]  # B, orthonormal rows
     factors: Float[Array, "L M r"]  # A_l = J^l Bᵀ

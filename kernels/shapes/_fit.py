@@ -57,7 +57,7 @@ class Told(NamedTuple):
 
 
 class Evaluated(NamedTuple):
-    """The model at some w."""
+    """The model's state at some w."""
 
     rest: Float[Array, "S W"]
     contact: ContactReduction

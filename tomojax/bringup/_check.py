@@ -1,4 +1,4 @@
-"""Finds out what is wrong with a new rig, from a recording of it."""
+"""Finds out what is wrong with a new rig, from one of its recordings."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple

@@ -118,7 +118,7 @@ class Reading:
         self.order = order_of(*given, enough=_RIGHT)
 
     def again(self) -> None:
-        """Fits once more in the order that is known."""
+        """Fits once more, in the known order of channels."""
         order = self.order.electrode
         back = np.argsort(order)
         weight = np.broadcast_to(self.usable[back].astype(float), self.volts.shape)

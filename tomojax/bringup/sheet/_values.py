@@ -145,7 +145,7 @@ def old_part(
 
 
 class Pairs(NamedTuple):
-    """Neighbours, and how much more their voltages differ than on an even sheet."""
+    """Neighbours, and the excess of their voltages' difference over an even sheet's."""
 
     first: np.ndarray
     second: np.ndarray

@@ -249,7 +249,7 @@ class Adapter:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from a `state`."""
+        """Restores a `state`, to go on from there."""
         self.zeros = Drift(*state["adapted_zeros"])
         self.gains = Drift(*state["adapted_gains"])
         self.time = float(state["adapted_time"])

@@ -26,7 +26,7 @@ class Drift(NamedTuple):
 
     @classmethod
     def of(cls, variance: Float[np.ndarray, " M"], rate: float, age: float) -> "Drift":
-        """Begins at 0, known as well as `variance` says, `age` hours ago."""
+        """Begins at 0, as well known as `variance` says, `age` hours ago."""
         none = 0 * variance
         older = variance + (rate * age) ** 2
         return cls(none, none, older, none, none + rate**2, none)
