@@ -1,6 +1,7 @@
-"""Arrays in, arrays out: the sheet's physics as compiled, differentiable functions.
+"""Computes the sheet's physics with compiled, differentiable functions of arrays.
 
-Nothing here holds state, reads files or checks values; `tomojax` does. Each room has a face
-of its own (`tomojax.kernels.sheet`, `.inverse`, `.contacts`, `.images`, `.scan`, and under
-them `.algebra`); `tomojax.kernels.flags` is what all of them say of a frame.
+Functions here hold no state, read no files and check no values; `tomojax` does all three.
+Each room exports its own functions (`tomojax.kernels.sheet`, `.inverse`, `.contacts`,
+`.images`, `.scan`, and under them `.algebra`). `tomojax.kernels.flags` names the faults
+that all rooms report for a frame.
 """

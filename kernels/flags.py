@@ -1,10 +1,10 @@
-"""What compiled code says of a frame instead of raising: bits of one integer."""
+"""Names the faults that compiled code reports for a frame, as bits of one integer."""
 
 import enum
 
 
 class Level(enum.IntEnum):
-    """How much a flag takes from a row.
+    """How much a flag lowers the trust in a row of results.
 
     **Example:**
 
@@ -20,7 +20,7 @@ class Level(enum.IntEnum):
 
 
 class Flag(enum.IntFlag):
-    """Bits of a flag; `level` says how much they take from a row.
+    """Bits of a flag; `level` says how much the bits lower the trust in a row of results.
 
     **Example:**
 
@@ -60,7 +60,7 @@ class Flag(enum.IntFlag):
 
     @property
     def level(self) -> Level:
-        """The highest of its bits' levels."""
+        """Returns the highest level among the flag's bits."""
         if self & NO_ANSWER:
             return Level.NO_ANSWER
         return Level.DOUBT if self & DOUBT else Level.INFORMATION

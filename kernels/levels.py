@@ -1,9 +1,9 @@
-"""What a slot's voltages say of its wiring without any model of the contact.
+"""Checks a slot's wiring by its voltages, without any model of the contact.
 
-An object that touches feeds current into the sheet, and the grounded electrode alone takes
-it out: so every voltage is in the direction of the drive, and the grounded electrode has
-the lowest of all (the maximum principle), whatever the sheet, the contacts and the ground
-path are. NumPy's arrays and JAX's are both taken.
+A touching object feeds current into the sheet, and only the grounded electrode takes
+current out. So every voltage has the direction of the drive, and the grounded electrode has
+the lowest voltage (the maximum principle). The principle holds for any sheet, contacts and
+ground path. The functions take arrays of NumPy and of JAX.
 """
 
 from typing import Any
@@ -21,11 +21,11 @@ TELLS, _LOWEST = 20.0, 6.0
 
 
 def level_bits(low: Any, high: Any, at_ground: Any, noise: Any, xp: Any) -> Any:
-    """Bits of what cannot be, of each slot: AGAINST_DRIVE and GROUND_NOT_LOWEST.
+    """Flags each slot whose levels are impossible: AGAINST_DRIVE, GROUND_NOT_LOWEST.
 
-    **Arguments:** the lowest and the highest voltage of a slot's good channels, and that of
-    the grounded electrode (−∞ where that channel is not good), V in the direction of the
-    drive; `noise` of a reading, V; `xp`: `numpy` or `jax.numpy`.
+    **Arguments:** `low`, `high`: the lowest and highest voltage of a slot's good channels,
+    V in the direction of the drive. `at_ground`: the grounded electrode's voltage, V (−∞
+    where that channel is not good). `noise` of a reading, V; `xp`: `numpy` or `jax.numpy`.
     """
     against = (-low > high) & (-low > TELLS * noise)
     span = high - low

@@ -1,6 +1,7 @@
-"""Solves, filters and searches of arrays, compiled.
+"""Solves equations, filters series and searches for minima: compiled functions of arrays.
 
-The room has no physics: a matrix here may be of anything. It imports no other room.
+This room holds no physics: a matrix here may stand for anything. The room imports no other
+room.
 """
 
 from tomojax.kernels.algebra._adam import adam as adam

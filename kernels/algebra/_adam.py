@@ -1,4 +1,4 @@
-"""Descent by slopes that are drawn, or change, from step to step."""
+"""Descends a cost by slopes that are drawn at random, or change, from step to step."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,8 +14,8 @@ _MEAN, _SQUARE = 0.9, 0.99
 def adam(slope: Callable[[Any, Any], Any], start: Any, given: Any, rate: float) -> Any:
     """Descends from `start` by Adam (Kingma and Ba, ICLR 2015), compiled.
 
-    **Arguments:** `slope` of parameters and of what a step is `given` (a leading axis has
-    one entry a step); `rate` the length of a step.
+    **Arguments:** `slope`: a function of the parameters and of a step's entry of `given`
+    (the leading axis of `given` has one entry a step); `rate` the length of a step.
     **Returns:** parameters after the last step.
     """
 

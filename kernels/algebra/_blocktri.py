@@ -1,8 +1,8 @@
-"""Symmetric positive definite block-tridiagonal systems, as scans over the blocks.
+"""Solves symmetric positive definite block-tridiagonal systems, as scans over the blocks.
 
-On a structured mesh the nodes of one mesh line couple to the next line alone. With n
-lines of b nodes a factor costs n·b³ operations and n·b² numbers, against (n·b)³ and
-(n·b)² for a dense one, and a scan compiles once for any n.
+On a structured mesh the nodes of one mesh line couple to the next line alone. A factor of n
+lines of b nodes costs n·b³ operations and n·b² numbers. A dense factor costs (n·b)³ and
+(n·b)². A scan compiles once for any n.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ class BlockTri(NamedTuple):
 class BlockTriFactor(NamedTuple):
     """Cholesky factor of a `BlockTri`: L_i on the diagonal, W_i at (i, i - 1).
 
-    Kept as L_i⁻¹, so that a substitution is products alone, one of them in the scan.
-    W_0 is zero and stands here so that scans run over arrays of one length.
+    `inverse` holds L_i⁻¹: a substitution is then products alone, and only one product is in
+    the scan. W_0 is zero and is stored so that scans run over arrays of one length.
     """
 
     inverse: Float[Array, "n b b"]
@@ -32,7 +32,7 @@ class BlockTriFactor(NamedTuple):
 
 
 def matmul(a: Array, b: Array) -> Array:
-    """a·b at full precision: recent GPUs would otherwise round float32 to TF32."""
+    """Multiplies a·b at full precision: recent GPUs would else round float32 to TF32."""
     return jnp.matmul(a, b, precision="highest")
 
 
@@ -41,14 +41,14 @@ def _transposed(a: Array) -> Array:
 
 
 def factor(matrix: BlockTri, row_sums: Float[Array, " nodes"]) -> BlockTriFactor:
-    """Cholesky factor: L_i L_iᵀ = S_i = D_i − W_i W_iᵀ, W_i = E_{i−1} L_{i−1}⁻ᵀ.
+    """Factors by Cholesky: L_i L_iᵀ = S_i = D_i − W_i W_iᵀ, W_i = E_{i−1} L_{i−1}⁻ᵀ.
 
-    `row_sums` is A·1, from where it is known without cancellation. An untouched sheet
-    leaks no current, and every rounding of S_i that breaks that is a leak to ground:
-    in float32 those cost three digits. So the diagonal of S_i is set from its row sums
-    r_i = a_i − W_i L_{i−1}⁻¹ r_{i−1} (a_i of A; all terms are positive), as in the
-    elimination of Grassmann, Taksar and Heyman (Oper. Res. 33, 1107, 1985).
-    A matrix that is not positive definite gives NaN from the failing block on.
+    `row_sums` is A·1, from where A·1 is known without cancellation. An untouched sheet
+    leaks no current, but a rounding error of S_i acts as a leak to ground. In float32 such
+    leaks cost three digits. So the row sums of S_i set its diagonal: r_i = a_i − W_i
+    L_{i−1}⁻¹ r_{i−1}, a_i those of A. All terms are positive, as in the elimination of
+    Grassmann, Taksar and Heyman (Oper. Res. 33, 1107, 1985). A matrix that is not positive
+    definite gives NaN from the failing block on.
     """
     d, e = matrix
     n, b, _ = d.shape
@@ -76,10 +76,10 @@ def factor(matrix: BlockTri, row_sums: Float[Array, " nodes"]) -> BlockTriFactor
 
 
 def solve(chol: BlockTriFactor, rhs: Float[Array, "nodes m"]) -> Float[Array, "nodes m"]:
-    """A⁻¹·rhs for m right-hand sides from the factor.
+    """Computes A⁻¹·rhs for m right-hand sides from the factor.
 
-    y_i = L_i⁻¹r_i − (L_i⁻¹W_i)y_{i−1}, then x_i = L_i⁻ᵀy_i − (W_{i+1}L_i⁻¹)ᵀx_{i+1}; what
-    does not wait for the block before is one batched product outside the scan.
+    y_i = L_i⁻¹r_i − (L_i⁻¹W_i)y_{i−1}, then x_i = L_i⁻ᵀy_i − (W_{i+1}L_i⁻¹)ᵀx_{i+1}. Terms
+    that do not depend on the neighbouring block are one batched product outside the scan.
     """
     n, b, _ = chol.inverse.shape
     below = jnp.concatenate([chol.lower[1:], jnp.zeros_like(chol.lower[:1])])
@@ -102,10 +102,10 @@ def solve(chol: BlockTriFactor, rhs: Float[Array, "nodes m"]) -> Float[Array, "n
 
 
 def inverse_band(chol: BlockTriFactor) -> BlockTri:
-    """The blocks of A⁻¹ at the places where A has its own (Takahashi's recursion).
+    """Computes the blocks of A⁻¹ where A has blocks of its own (Takahashi's recursion).
 
-    With G_i = W_{i+1} L_i⁻¹: Z_{i+1,i} = −Z_{i+1,i+1} G_i and
-    Z_{ii} = (L_i L_iᵀ)⁻¹ + G_iᵀ Z_{i+1,i+1} G_i, from the last block back.
+    Let G_i = W_{i+1} L_i⁻¹. From the last block back, Z_{i+1,i} = −Z_{i+1,i+1} G_i and
+    Z_{ii} = (L_i L_iᵀ)⁻¹ + G_iᵀ Z_{i+1,i+1} G_i.
     """
 
     def step(z_next: Array, blocks: tuple) -> tuple[Array, tuple]:

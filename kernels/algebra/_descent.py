@@ -1,8 +1,9 @@
-"""Levenberg and Marquardt's descent on normal equations that the model itself adds up.
+"""Descends by Levenberg and Marquardt's method on normal equations that the model adds up.
 
-For models that know their slopes: what is passed on from step to step is a few numbers,
-never the residuals. One loop serves all starts of all frames, and holds the model once:
-what it holds takes seconds to compile. Frames that are done leave it.
+The method serves models that compute their own slopes: only a few numbers pass from step to
+step, never the residuals. One loop serves all starts of all frames and contains the model
+once, because each copy of the model takes seconds to compile. Finished frames leave the
+loop.
 """
 
 from collections.abc import Callable
@@ -47,14 +48,14 @@ class Normal(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The highest value of each parameter, and its longest step."""
+    """The highest value and the longest step of each parameter."""
 
     highest: Float[Array, " P"]
     longest: Float[Array, " P"]
 
 
 class _Descent(NamedTuple):
-    """The run from one start, and the best of those before."""
+    """The run from the present start, and the best result of the earlier starts."""
 
     parameters: Float[Array, " P"]
     normal: Normal
@@ -78,13 +79,13 @@ def descend(
     enough: Float[Array, ""] | float,
     *given: Any,
 ) -> tuple[Float[Array, " P"], Float[Array, ""]]:
-    """The parameters of the lowest cost, and that cost.
+    """Finds the parameters of the lowest cost, and that cost.
 
-    **Arguments:** `model` from parameters of about unit size, and `given`, to `Normal`;
-    it closes over no array. Each start has `few` steps; the best goes on for `most`, or
-    until nothing is gained, or costs `below` are out of reach. A start whose cost is less
-    than `enough` by then is the best: no other is tried. A start of NaN is none, and
-    where the first is there is no descent.
+    **Arguments:** `model`: from parameters of about unit size, and `given`, to `Normal`;
+    `model` closes over no array. Each start has `few` steps. The best start goes on for
+    `most` steps, until nothing is gained, or until costs `below` are out of reach. A start
+    that reaches a cost less than `enough` within `few` steps is taken for the best: no
+    other start is tried. A start of NaN is skipped; a first start of NaN means no descent.
     Under `vmap`, `together` frames are worked on at once.
     """
     n, count = starts.shape
@@ -174,10 +175,10 @@ def _secant(
     move: Float[Array, " P"],
     change: Float[Array, " P"],
 ) -> Float[Array, "P P"]:
-    """What JᵀWJ leaves out, from how the gradient changed (symmetric, of rank one).
+    """Updates the part of the curvature that JᵀWJ leaves out (symmetric, of rank one).
 
-    Where parameters are hardly told apart it is as large as what is in it, and steps
-    without it swing.
+    The update follows from how the gradient changed. If parameters are hardly
+    distinguishable, this part is as large as JᵀWJ, and steps without this part swing.
     """
     missing = change - jnp.matmul(matrix + bent, move, precision="highest")
     along = missing @ move
@@ -189,9 +190,9 @@ def _secant(
 
 @partial(jax.jit, static_argnums=(2, 3))
 def _onward(run: _Descent, starts: Array, few: int, most: int, enough: Array) -> _Descent:
-    """From a start that has had its steps to the next, and from the last to the best.
+    """Moves from a finished start to the next start, and from the last to the best.
 
-    One that is good enough goes on as it is.
+    A start whose cost is good enough goes on as it is.
     """
     n = len(starts)
     last = run.start >= n
@@ -217,7 +218,7 @@ def _onward(run: _Descent, starts: Array, few: int, most: int, enough: Array) ->
 
 
 def _compacting(turn: Callable[..., _Descent], together: int) -> Callable[..., _Descent]:
-    """Turn after turn until all have ended; of a batch, `together` that have not."""
+    """Repeats turns until all frames have ended; each has `together` unfinished frames."""
 
     @custom_vmap
     def run(state, *given):

@@ -1,10 +1,10 @@
-"""A value that stands still or changes: Kalman's filter that begins anew when it must.
+"""Filters a value that stands still or changes: Kalman's filter that restarts when it must.
 
-The state is one that does not move (or drifts, as a random walk): of n measurements it
-knows √n times more than of one. Whether it did move is asked of the mean innovations over
-the last 1, 4, 16 and 64 measurements: where one of them cannot be noise, the state begins
-anew from what these say. So a step is followed within the measurement that shows it, and
-what is slow is followed as soon as it shows.
+The state does not move (or drifts, as a random walk): n measurements determine the state √n
+times better than one. A test on the mean innovations over the last 1, 4, 16 and 64
+measurements shows whether the state moved. If one mean cannot be noise, the state restarts
+from that mean. So the filter follows a sudden step within one measurement, and a slow
+change once the change shows.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ _GATE = 25.0
 
 
 class Level(NamedTuple):
-    """What is known of d values."""
+    """The state that the filter knows of d values."""
 
     mean: Float[Array, " d"]
     covariance: Float[Array, "d d"]
@@ -33,7 +33,7 @@ class Level(NamedTuple):
 
 
 def no_level(size: int, dtype) -> Level:
-    """Nothing known of `size` values."""
+    """Returns the state before any measurement of `size` values."""
     zero = jnp.zeros(size, dtype)
     lags = jnp.zeros((len(HORIZONS), size), dtype)
     return Level(zero, jnp.zeros((size, size), dtype), lags, jnp.zeros((), dtype))
@@ -46,10 +46,11 @@ def level_update(
     there: Bool[Array, ""],
     drift: Float[Array, "d d"],
 ) -> Level:
-    """One measurement later; without one (`there` False) only the drift is added.
+    """Updates the state by one measurement; where not `there`, only adds the drift.
 
-    **Arguments:** `noise` the measurement's covariance; `drift` what the state's own
-    grows by. The covariance is Joseph's form, (I − K)P(I − K)ᵀ + KRKᵀ.
+    **Arguments:** `noise`: the measurement's covariance; `drift`: the growth of the state's
+    covariance per measurement. The new covariance is Joseph's form, (I − K)P(I − K)ᵀ +
+    KRKᵀ.
     """
     # What is not there must not spoil what is known: NaN times 0 is NaN.
     eye = jnp.eye(len(measured), dtype=measured.dtype)
@@ -84,7 +85,7 @@ def level_update(
 
 
 def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Array:
-    """ln of a measurement's; what is a change, or the first, is as unlikely as the gate."""
+    """Computes ln of a measurement's likelihood; changes and firsts count as the gate."""
     spread = level.covariance + drift + noise
     off = measured - level.mean
     unlikely = jnp.vdot(off, solve_positive(spread, off[:, None])[:, 0])
@@ -95,7 +96,7 @@ def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Ar
 
 
 class Levels(NamedTuple):
-    """After each of n measurements."""
+    """The states after each of n measurements."""
 
     mean: Float[Array, "n d"]
     covariance: Float[Array, "n d d"]
@@ -109,7 +110,7 @@ def filter_levels(
     begins: Bool[Array, " n"],
     drift: Float[Array, "d d"],
 ) -> Levels:
-    """`level_update` from the first to the last; anew, with nothing known, at `begins`."""
+    """Runs `level_update` over all measurements; forgets all at each of `begins`."""
     nothing = no_level(measured.shape[1], measured.dtype)
 
     def step(level: Level, one: tuple) -> tuple[Level, Levels]:
@@ -129,11 +130,12 @@ def smooth_levels(
     begins: Bool[Array, " n"],
     drift: Float[Array, "d d"],
 ) -> Levels:
-    """Of each measurement what those before and after it say.
+    """Estimates the state at each measurement from the measurements before and after.
 
-    The filter forwards and backwards, added as independent but for the measurement
-    itself, which both have. Where they disagree the state has changed nearby, and the one
-    holds that is nearer to the measurement: the other comes from beyond the change.
+    The function adds the filter's forward and backward runs as independent, and subtracts
+    the measurement that both runs contain. Runs that disagree show a change of the state
+    nearby. Then the run nearer to the measurement counts: the other run comes from beyond
+    the change.
     """
     forward = filter_levels(measured, noise, there, begins, drift)
     z, r, here = measured[::-1], noise[::-1], there[::-1]

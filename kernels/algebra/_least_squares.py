@@ -1,7 +1,8 @@
-"""Levenberg and Marquardt's least squares for a few parameters and many residuals.
+"""Fits a few parameters to many residuals: Levenberg and Marquardt's least squares.
 
-Optimistix has this too: four times slower here and ten times longer to compile, since
-its step is a QR of all residuals, and values and slopes are two traces of the model.
+Optimistix offers the same, but four times slower here and ten times longer to compile. Each
+step of Optimistix is a QR of all residuals, and traces the model twice for values and
+slopes.
 """
 
 from collections.abc import Callable
@@ -21,9 +22,9 @@ _LONGEST, _ENOUGH, _HOPELESS = 2.0, 1e-6, 1e5
 def solve_positive(
     matrix: Float[Array, "*batch n n"], right: Float[Array, "*batch n k"]
 ) -> Float[Array, "*batch n k"]:
-    """A⁻¹B of a few unknowns, A symmetric and positive: Gauss and Jordan's elimination.
+    """Solves A⁻¹B, A small, symmetric and positive: Gauss and Jordan's elimination.
 
-    For small n faster than LAPACK, which is called for each of a batch.
+    For small n this is faster than LAPACK, which is called once for each matrix of a batch.
     """
 
     def eliminate(k: Array, both: Array) -> Array:
@@ -41,7 +42,7 @@ def solve_positive(
 
 
 class LeastSquares(NamedTuple):
-    """Where it ended, and what the model and its slopes are there."""
+    """The end of a fit: parameters, and the model's values and slopes there."""
 
     parameters: Float[Array, " P"]
     cost: Float[Array, ""]
@@ -69,12 +70,12 @@ def least_squares(
     most: int,
     few: int = 0,
 ) -> LeastSquares:
-    """min Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² over parameters of about unit size.
+    """Minimises Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² over parameters of about unit size.
 
-    Rows s of the residuals that do not fit at all count little (Cauchy's loss): a slot
-    whose ground lies under the contact does not spoil the others. `tolerance` δ². Of
-    several starts each has `few` steps, and the best goes on for at most `most`: one loop
-    for all of it, as what it holds takes seconds to compile.
+    Rows s of the residuals that do not fit at all count little (Cauchy's loss). So a slot
+    whose ground lies under the contact does not spoil the other slots. `tolerance` is δ².
+    Each of several starts has `few` steps, and the best start goes on for at most `most`.
+    One loop runs all starts, because the loop's body takes seconds to compile.
     """
     n, count = starts.shape
     unit = jnp.eye(count, dtype=starts.dtype)

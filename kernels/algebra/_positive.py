@@ -1,4 +1,4 @@
-"""Least squares for an image of positive values: g = e^y, y smooth beforehand."""
+"""Fits an image of positive values by least squares: g = e^y, y smooth beforehand."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ _SHORTEST, _LONGEST = 1 / 32, 2.0
 
 
 class SmoothPrior(NamedTuple):
-    """ln g = level + A·w·Bᵀ with w (nx, ny) normal beforehand, of variance 1."""
+    """The prior ln g = level + A·w·Bᵀ, with w (nx, ny) normal, of variance 1."""
 
     along: Float[Array, "nx nx"]
     across: Float[Array, "ny ny"]
@@ -33,7 +33,7 @@ class SmoothPrior(NamedTuple):
 
 
 class PositiveFit(NamedTuple):
-    """Where it ended."""
+    """The end of a fit."""
 
     values: Float[Array, "nx ny"]
     cost: Float[Array, ""]  # of the data
@@ -42,7 +42,7 @@ class PositiveFit(NamedTuple):
 
 
 class Run(NamedTuple):
-    """The best so far, and what is tried next."""
+    """The best w so far, and the step that is tried next."""
 
     w: Float[Array, "nx ny"]
     move: Float[Array, "nx ny"]
@@ -59,9 +59,9 @@ def smooth_prior(
     width: float,
     level: Float[Array, ""],
 ) -> SmoothPrior:
-    """A Gaussian of standard deviation `length` (in pixels) as the root of the covariance.
+    """Builds the covariance's root from a Gaussian of standard deviation `length`, pixels.
 
-    `width`: the standard deviation of ln g; `level`: its mean.
+    `width`: the standard deviation of ln g; `level`: the mean of ln g.
     """
     along, across = (gaussian(n, s) for n, s in zip(shape, length))
     along, across = (
@@ -71,13 +71,13 @@ def smooth_prior(
 
 
 def gaussian(count: int, length: Float[Array, ""]) -> Float[Array, "n n"]:
-    """exp(−(i − j)²/(2·length²))."""
+    """Returns exp(−(i − j)²/(2·length²))."""
     apart = jnp.asarray(np.arange(count)[:, None] - np.arange(count), length.dtype)
     return jnp.exp(-((apart / length) ** 2) / 2)
 
 
 def positive_values(prior: SmoothPrior, w: Float[Array, "nx ny"]) -> Array:
-    """g. Clipped where float32 ends: e^±60 of the level."""
+    """Returns g, clipped where float32 ends: e^±60 of the level."""
     return jnp.exp(prior.level + jnp.clip(_smoothed(prior, w), -60, 60))
 
 
@@ -86,12 +86,12 @@ def _smoothed(prior: SmoothPrior, w: Array) -> Array:
 
 
 def _unsmoothed(prior: SmoothPrior, y: Array) -> Array:
-    """The transpose of `_smoothed`."""
+    """Applies the transpose of `_smoothed`."""
     return matmul(matmul(prior.along.T, y), prior.across)
 
 
 def near_positive(prior: SmoothPrior, values: Float[Array, "nx ny"]) -> Array:
-    """A w whose image is about `values`; what is below the level is at it."""
+    """Finds a w whose image is about `values`; values below the level count as level."""
     raised = jnp.log(jnp.maximum(values, jnp.exp(prior.level))) - prior.level
 
     # Damped, as the smoothing has no inverse in floating point.
@@ -111,15 +111,15 @@ def positive_least_squares(
     tolerance: Array | float,
     most: int,
 ) -> PositiveFit:
-    """min over w of Σ_s δ²·ln(1 + |r_s(g)|²/δ²) + |w|², by Gauss and Newton's steps.
+    """Minimises Σ_s δ²·ln(1 + |r_s(g)|²/δ²) + |w|² over w, by Gauss and Newton's steps.
 
-    Rows s that do not fit at all count little (Cauchy's loss). Where the model was
-    evaluated last, at g₀, residuals are taken for linear in
-    (g − g₀)(1 + g₀R)/(1 + gR): what one value changes that saturates by 1/R. Least
-    squares of that cost products with the slopes alone, and bring most of what
-    evaluations of the model would. **Arguments:** `model`: from g to residuals and to a
-    state; `slopes`: from that state to the linear map from changes of g to those of the
-    residuals; `own` R; `start` w; `tolerance` δ²; `most` evaluations of the model.
+    Rows s that do not fit at all count little (Cauchy's loss). Between evaluations of the
+    model at g₀, residuals count as linear in (g − g₀)(1 + g₀R)/(1 + gR): the effect of one
+    value saturates by 1/R. Such a step costs products with the slopes alone, and gains most
+    of what evaluations of the model would.
+    **Arguments:** `model`: from g to residuals and to a state; `slopes`: from that state to
+    the linear map from changes of g to changes of the residuals; `own` R; `start` w;
+    `tolerance` δ²; `most` evaluations of the model.
     """
 
     def cost_of(rest: Array, w: Array) -> Array:
@@ -171,10 +171,10 @@ def descended(
     most: int,
     enough: float,
 ) -> Run:
-    """Moves while that lowers the cost by more than a part; halves what does not.
+    """Moves while each move lowers the cost by more than a part; halves a failed move.
 
-    **Arguments:** `evaluated`: cost and state at w; `move_from` w and state; `most`
-    evaluations.
+    **Arguments:** `evaluated`: cost and state at w; `move_from`: the move from w and state;
+    `most` evaluations; `enough`: the gain, as a part of the cost, that ends the descent.
     """
 
     def step(run: Run) -> Run:
@@ -210,7 +210,7 @@ def descended(
 def _conjugate(
     normal: Callable[[Array], Array], downhill: Float[Array, "nx ny"]
 ) -> Float[Array, "nx ny"]:
-    """The solution of normal(x) = downhill, nearly: by conjugate gradients."""
+    """Solves normal(x) = downhill approximately, by conjugate gradients."""
     tiny = jnp.finfo(downhill.dtype).tiny
 
     def inner(_: Array, state: tuple) -> tuple:

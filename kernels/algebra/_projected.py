@@ -1,4 +1,4 @@
-"""Least squares for values that are nowhere negative, by projected gradients."""
+"""Fits values that are nowhere negative by least squares, with projected gradients."""
 
 import jax.numpy as jnp
 from jax import lax
@@ -17,10 +17,11 @@ def not_negative(
     normal: Float[Array, "r r"],
     damping: Float[Array, ""],
 ) -> Float[Array, " n"]:
-    """The w ≥ 0 nearest to Tikhonov's, as the voltages and λ measure it.
+    """Finds the w ≥ 0 nearest to Tikhonov's, as the voltages and λ measure nearness.
 
-    (Bw − c)ᵀN(Bw − c) + λ|w − BᵀBw|² by accelerated projected gradients (FISTA: Beck and
-    Teboulle, SIAM J. Imaging Sci. 2, 183, 2009). A drive below 0 V turns the sign.
+    (Bw − c)ᵀN(Bw − c) + λ|w − BᵀBw|² is minimised by accelerated projected gradients
+    (FISTA: Beck and Teboulle, SIAM J. Imaging Sci. 2, 183, 2009). A drive below 0 V turns
+    the sign.
     """
     forward = jnp.where(w.sum() < 0, -1, 1).astype(w.dtype)
     c = forward * coefficients

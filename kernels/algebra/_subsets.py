@@ -1,7 +1,6 @@
-"""Sets of n out of M: weights that relax them, and sets drawn at random.
+"""Relaxes sets of n out of M to weights, and draws such sets at random.
 
-The weights are those of the capped simplex, 0 ≤ w ≤ 1 and Σw = n: the convex hull of all
-sets of n.
+The weights form the capped simplex, 0 ≤ w ≤ 1 and Σw = n: the convex hull of all sets of n.
 """
 
 import jax
@@ -15,7 +14,7 @@ _HALVINGS = 60
 
 
 def project_weights(values: Float[Array, " M"], n: Float[Array, ""]) -> Float[Array, " M"]:
-    """The weights nearest to `values`: min(max(v − τ, 0), 1) with the τ of sum `n`."""
+    """Finds the weights nearest to `values`: min(max(v − τ, 0), 1), τ so that Σw = `n`."""
 
     def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends
@@ -29,27 +28,28 @@ def project_weights(values: Float[Array, " M"], n: Float[Array, ""]) -> Float[Ar
 
 
 def least_weights(slope: Float[Array, " M"], n: int) -> Float[Array, " M"]:
-    """The set (weights 0 and 1) of the `n` smallest: where a linear function is least."""
+    """Returns the set (weights 0 and 1) of the `n` smallest, least of a linear function."""
     chosen = jnp.argsort(slope)[:n]
     return jnp.zeros_like(slope).at[chosen].set(1)
 
 
 def heaviest(weights: Float[Array, " M"], n: int) -> Float[Array, " M"]:
-    """The set of the `n` largest."""
+    """Returns the set (weights 0 and 1) of the `n` largest weights."""
     return least_weights(-weights, n)
 
 
 def subset_marginals(logits: Float[Array, " M"], n: int) -> Float[Array, " M"]:
-    """How probable each is to be in a set of `n`, p(S) ∝ exp Σ_{e in S} θ_e.
+    """Computes each member's probability to be in a set of `n`, p(S) ∝ exp Σ_{e in S} θ_e.
 
-    ∂/∂θ of ln Σ_S exp Σ θ, an elementary symmetric polynomial; they are weights, and any
-    weights inside the capped simplex are those of some θ.
+    The probabilities are ∂/∂θ of ln Σ_S exp Σ θ, an elementary symmetric polynomial. They
+    are weights of the capped simplex, and every inner point of the simplex belongs to some
+    θ.
     """
     return jax.grad(lambda t: _log_sums(t, n)[-1, n])(logits)
 
 
 def draw_subset(key: Array, logits: Float[Array, " M"], n: int) -> Float[Array, " M"]:
-    """A set (weights 0 and 1) of `n` of that probability, exactly."""
+    """Draws a set (weights 0 and 1) of `n` with p(S) of `subset_marginals`, exactly."""
     sums = _log_sums(lax.stop_gradient(logits), n)
     uniform = jax.random.uniform(key, logits.shape, logits.dtype)
 
@@ -66,17 +66,18 @@ def draw_subset(key: Array, logits: Float[Array, " M"], n: int) -> Float[Array, 
 
 
 def drawn_weights(key: Array, logits: Float[Array, " M"], n: int) -> Float[Array, " M"]:
-    """`draw_subset`, with the derivatives of `subset_marginals`.
+    """Draws a set by `draw_subset`, with the derivatives of `subset_marginals`.
 
-    SIMPLE (Ahmed, Zeng, Niepert, van den Broeck: ICLR 2023): what follows sees a set, its
-    gradient is passed on to the probabilities. Unbiased where what follows is linear.
+    This is SIMPLE (Ahmed, Zeng, Niepert, van den Broeck: ICLR 2023): later functions see a
+    set, and their gradient passes to the probabilities. Linear functions get an unbiased
+    gradient.
     """
     drawn, marginals = draw_subset(key, logits, n), subset_marginals(logits, n)
     return drawn + marginals - lax.stop_gradient(marginals)
 
 
 def _log_sums(logits: Float[Array, " M"], n: int) -> Float[Array, "rows sums"]:
-    """ln Σ over the sets of j of the first m, exp Σθ: row m, column j."""
+    """Sums exp Σθ over the sets of j of the first m, and takes ln: row m, column j."""
     least = -1e30  # ln 0, of which differences are numbers
     first = jnp.full(n + 1, least, logits.dtype).at[0].set(0)
 

@@ -1,10 +1,10 @@
-"""Products in twice the working precision, as the sum of two floats (high, low).
+"""Multiplies in twice the working precision, as the sum of two floats (high, low).
 
-An ill-conditioned solve is refined with residuals that its own precision cannot hold.
-Where the hardware or the process has float32 only, this is that precision. Dekker's
-splitting and Knuth's sum (Numer. Math. 18, 1971; TAOCP 2, 4.2.2), but with the factors
-cut by a bit mask: the four part products are then exact, so that a compiler which fuses
-multiplications and additions changes nothing.
+Residuals that float32 cannot hold refine an ill-conditioned solve. Two floats hold such
+residuals where the hardware or the process has float32 only. The methods are Dekker's
+splitting and Knuth's sum (Numer. Math. 18, 1971; TAOCP 2, 4.2.2), with factors cut by a bit
+mask. The four part products are then exact, so a compiler that fuses multiplications and
+additions changes nothing.
 """
 
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ def _two_sum(a: Array, b: Array) -> TwoFloat:
 
 
 def multiply(a: Array, b: TwoFloat) -> TwoFloat:
-    """a·b, elementwise."""
+    """Multiplies a·b, elementwise."""
     (a1, a2), (b1, b2) = _split(a), _split(b[0])
     middle, low = _two_sum(a1 * b2, a2 * b1)
     high, low_too = _two_sum(a1 * b1, middle)
@@ -55,7 +55,7 @@ def widen(a: Array) -> TwoFloat:
 
 
 def matvec(matrix: Float[Array, "n k"], x: TwoFloat) -> TwoFloat:
-    """matrix·x with the sum taken pairwise, all of it in two floats."""
+    """Multiplies matrix·x in two floats, with the sum taken pairwise."""
     high, low = multiply(matrix, x)
     count = high.shape[-1]
     half = 1 << max(count - 1, 0).bit_length()

@@ -1,4 +1,4 @@
-"""Two ways to one result, of which the dearer is taken where it is needed."""
+"""Computes one result in two ways, and takes the costlier way only where it is needed."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,13 +12,13 @@ from jax.custom_batching import custom_vmap
 def where_needed(
     whole: Callable[..., Any], simple: Callable[..., Any], together: int = 128
 ) -> Callable[..., Any]:
-    """From (needed, *arrays) to `whole(*arrays)` where needed, else `simple(*arrays)`.
+    """Makes a function (needed, *arrays): `whole(*arrays)` where needed, else `simple`.
 
-    Both return arrays of the same shapes, and the same values where it is not needed.
-    Under `vmap` a condition costs all frames both ways. Here all go the simple way, then
-    those in need the whole way, `together` at once.
+    Both functions return arrays of the same shapes, and the same values where `needed` is
+    False. A plain condition under `vmap` costs all frames both ways. Here all frames go the
+    simple way, then those in need go the whole way, `together` at once.
 
-    The functions take all arrays as arguments: they close over none that are traced.
+    The functions take all arrays as arguments: they close over no traced array.
     """
 
     @custom_vmap

@@ -1,6 +1,6 @@
-"""A few compact contacts, fitted to voltages: in one frame, or from slot to slot.
+"""Fits a few compact contacts to voltages: in one frame, or from slot to slot.
 
-The room knows the sheet and the errors of voltages. It knows nothing of images.
+This room knows the sheet and the errors of voltages. The room knows nothing of images.
 """
 
 from tomojax.kernels.contacts._candidates import (

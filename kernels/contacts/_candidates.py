@@ -1,4 +1,4 @@
-"""Where contacts may be: the best places of a coarse grid, for a fit to start from."""
+"""Ranks the places of a coarse grid where contacts may be, for a fit to start from."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from tomojax.kernels.contacts._whiten import whitened_columns, WhitenedFrame
 
 
 class Look(NamedTuple):
-    """K candidates beside some slots of a frame, each by an ampere there.
+    """K candidates beside some slots of a frame; each candidate feeds one ampere.
 
     All frames share the products with one table.
     """
@@ -25,7 +25,7 @@ class Look(NamedTuple):
 def look(
     potential: Float[Array, "K M"], offset: Float[Array, "s M"], frame: WhitenedFrame
 ) -> Look:
-    """Weighs the candidates: cᵀC⁻¹c, C the errors' covariance."""
+    """Weighs each candidate's column c: cᵀC⁻¹c, C the errors' covariance."""
     weight, scale = frame.scale**2, frame.scale[:, None]
     # As free as a slot's offset is, its mean says nothing: without it less cancels.
     total = jnp.maximum(weight.sum(1, keepdims=True), jnp.finfo(weight.dtype).tiny)
@@ -39,23 +39,23 @@ def look(
 
 
 def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s M"]:
-    """C⁻¹v."""
+    """Computes C⁻¹v, C the errors' covariance."""
     count = volts.shape[-1]
     return whitened_columns(at.frame, volts)[..., :count] * at.frame.scale
 
 
 def along(at: Look, weighed: Float[Array, "*n s M"]) -> Float[Array, "*n s K"]:
-    """Each candidate's column times weighed volts."""
+    """Multiplies each candidate's column by weighed volts."""
     return _columns_times(weighed, at.potential, at.offset)
 
 
 def explained(along: Float[Array, "s K"], own: Float[Array, "s K"]) -> Float[Array, " K"]:
-    """Σ_s (c·v)²/|c|², of currents in the drive's direction: what an object feeds."""
+    """Sums (c·v)²/|c|² over slots whose current has the drive's direction."""
     return _part(along, own).sum(0)
 
 
 def own_beside(at: Look, known: Float[Array, "C s M"]) -> Float[Array, "s K"]:
-    """|c|² of what is left of each candidate beside known columns, V/A; 0 of hardly any."""
+    """Computes each candidate's |c|² beside known columns, V/A; 0 if hardly any is left."""
     heavy = weighed_volts(at, known)
     gram = jnp.einsum("csm,dsm->scd", heavy, known, precision="highest")
     trace = jnp.trace(gram, axis1=1, axis2=2)[:, None, None]
@@ -71,7 +71,7 @@ def best_places(
     apart: Array | float,
     count: int,
 ) -> Int[Array, " count"]:
-    """The candidates of the highest scores, `apart` from each other."""
+    """Picks the candidates of the highest scores, more than `apart` from each other."""
     chosen = []
     for _ in range(count):
         k = jnp.argmax(scores)
@@ -88,10 +88,11 @@ def best_pairs(
     apart: Float[Array, ""],
     count: int,
 ) -> Int[Array, "count 2"]:
-    """The pairs that explain most, one of each among `first`, one after another.
+    """Picks the pairs that explain most, with one member among `first`, pair after pair.
 
-    Both currents positive in each slot; pairs whose places are both nearer than `apart` to
-    one that is chosen are passed over. `alone` is each candidate `along` what is measured.
+    In a slot without two positive currents, the better member counts alone. A pair is
+    passed over if both its places are within `apart` of a chosen pair's places. `alone` is
+    each candidate `along` the measured voltages.
     """
     columns = at.potential[first][:, None] + at.offset
     gram = along(at, weighed_volts(at, columns))  # (n, s, K)
@@ -142,12 +143,13 @@ def gains_beside(
     normal: Float[Array, "P P"],
     right: Float[Array, " P"],
 ) -> Float[Array, " K"]:
-    """By how much each candidate lowers |rest|² while P parameters may move as well.
+    """Computes how much each candidate lowers |rest|² while P parameters may move as well.
 
-    `left`, `slopes`: each candidate `along` what is left, and along its slopes; `own` of
-    `own_beside`; `normal` and `right` of the slopes, with what is left. Each has a current
-    of its own in each slot; the parameters are shared by the slots: with e its gain by
-    currents alone less what parameters do to that, eᵀ(1 − BN⁻¹Bᵀ)⁻¹e.
+    `left`, `slopes`: each candidate `along` the rest, and along its slopes; `own`: from
+    `own_beside`; `normal`, `right`: products of the slopes with each other and with the
+    rest. Each candidate has a current of its own in each slot; all slots share the
+    parameters. The gain is eᵀ(1 − BN⁻¹Bᵀ)⁻¹e. Here e is the candidate's part of the rest in
+    each slot, less the part that the parameters explain.
     """
     scale = jnp.where(own > 0, jax.lax.rsqrt(jnp.where(own > 0, own, 1)), 0)
     slopes = (slopes * scale).transpose(2, 1, 0)  # (K, s, P)

@@ -1,9 +1,9 @@
-"""One long contact as a curve of points: a bar, or the rim of something round and wide.
+"""Models one long contact as a curve of points: a bar, or the rim of a wide round object.
 
-Its current along the curve is what an even contact of some conductance lets flow: metal
-has one potential, so that more flows at ends and, in each slot, towards the ground. What
-is uneven beside that is a sum of a few modes, other ones in each slot. Slopes leave out
-how those shares change with place and shape: modes make up for it.
+The current along the curve is that of an even contact of some conductance. Metal has one
+potential: more current flows at the ends and, in each slot, towards the ground. A few modes
+add uneven currents, different in each slot. The slopes leave out how the points' shares
+change with place and shape; the modes make up for this.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ _LONGEST = 6.0, 6.0, 6.0, 6.0, 0.7, 1.0, 1.0, 0.0
 
 
 class _Shape(NamedTuple):
-    """Where the points lie, and what flows at each, of a bar or of a ring."""
+    """The points of a bar or of a ring: their places, and the current at each point."""
 
     at: Float[Array, "N 2"]
     weights: Float[Array, " N"]
@@ -59,9 +59,9 @@ class _Shape(NamedTuple):
 
 
 def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "8"]) -> Explained:
-    """A bar, with Legendre's modes; or a rim, with cos and sin of the angle and its double.
+    """Models a bar with Legendre's modes, or a rim with cos and sin of one and two angles.
 
-    One model of both: as a program it takes seconds to compile.
+    One model serves both shapes, because each model takes seconds to compile.
     """
     is_ring = parameters[-1] > 0.5
     moving = jax.jacfwd(lambda p: _shape_of(sheet, p, is_ring).at)(parameters)
@@ -81,7 +81,7 @@ def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "8"]) -> 
 
 
 def limits_of_curve(sheet: Sheet) -> Limits:
-    """A bar is at most as wide as the table's largest disc. See `_LONGEST`."""
+    """Returns limits: a bar's width ends at the table's largest disc. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
     highest = jnp.where(jnp.arange(CURVE) == 4, largest, jnp.inf)
     highest = highest.at[6].set((_MOST_TAPER - _TAPER) / _TAPER)
@@ -134,7 +134,7 @@ def _curve(
     known: Float[Array, "p P"],
     parameters: Float[Array, " P"],
 ) -> Explained:
-    """Points that move with the parameters; `about` begins what is `Fitted`."""
+    """Explains a frame by points that move by parameters; `about` begins a `Fitted`."""
     dtype, slots = parameters.dtype, len(frame.grounds)
     at, weights, tapered, modes = shape
     rows = jax.vmap(thin_rows_at, (None, None, 0))(sheet.thin, sheet.field.size, at)
@@ -180,7 +180,7 @@ def _made(weights: Float[Array, "i N"], rows: Float[Array, "N j"]) -> Float[Arra
 def _in_slots(
     sheet: Sheet, frame: WhitenedFrame, potential: Float[Array, "S K M"], total: Array
 ) -> Float[Array, "S K M"]:
-    """Volts in each slot, of which each has potentials of its own."""
+    """Computes volts in each slot; each slot has potentials of its own."""
 
     def one(potential: Array, ground: Array) -> Float[Array, "K M"]:
         z = sheet.ground_resistance
@@ -195,10 +195,11 @@ def _even(
     at_ground: Float[Array, "N S"],
     less: Sequence[Float[Array, " N"]],
 ) -> list[Float[Array, "N S"]]:
-    """Shares of a slot's current that flow at each point of an even contact.
+    """Computes the shares of a slot's current that flow at each point of an even contact.
 
-    (G + r)q = a + I·R_l(x), from V0 − u = r·q, whatever V0 is; Σq = I. And how they change
-    with r `less` by each of some amounts d: G's inverse times d·q, Σ = 0.
+    (G + r)q = a + I·R_l(x) follows from V0 − u = r·q for any V0, with Σq = I. The function
+    also returns how the shares change with r `less` by each of some amounts d: (G + r)⁻¹
+    times d·q, with sum 0.
     """
     mean = jnp.trace(among) / len(own)
     # Points nearer to each other than they are wide would make it singular.

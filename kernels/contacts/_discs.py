@@ -1,9 +1,9 @@
-"""Contacts about as long as wide: what they make of a frame, and how that would change.
+"""Models contacts about as long as wide: the voltages they make in a frame, and slopes.
 
-Slopes are from the table's own derivatives, whitened, and added up to normal equations
-slot by slot. How far a contact leans depends on its place, its radius, its current and
-the other contacts. The slopes hold the first two; the gradient of a large metal contact is
-off by what is left out.
+Slopes are the table's own derivatives, whitened, and added up to normal equations slot by
+slot. A contact's current leans to one side, depending on the contact's place, radius and
+current, and on the other contacts. The slopes include place and radius only; so the
+gradient of a large metal contact is slightly off.
 """
 
 import jax
@@ -37,10 +37,10 @@ _LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0
 
 
 def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) -> Explained:
-    """Contacts about as long as wide; each leans to where its current flows, as metal.
+    """Explains a frame by contacts about as long as wide; each leans as metal does.
 
-    A disc of radius a whose contact is better than the sheet below it is polarised: its
-    current's centre moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
+    A disc of radius a is polarised if its contact conducts better than the sheet below. The
+    current's centre then moves by 2πa²κ/ρ·E/I, κ = I₂/I₀(√(gρ/π)) from 0 to 1.
     """
     parameters = parameters.reshape(-1, DISC)
     count = len(parameters)
@@ -90,14 +90,14 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
 
 
 def limits_of(sheet: Sheet) -> Limits:
-    """A disc is at most the largest that the table has. See `_LONGEST`."""
+    """Returns limits: a disc is at most the table's largest disc. See `_LONGEST`."""
     largest = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
     highest = jnp.where(jnp.arange(DISC) == 2, largest, jnp.inf)
     return Limits(highest, jnp.asarray(_LONGEST, highest.dtype))
 
 
 def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Array, Array]:
-    """Tangents of radii and of slopes at the grounds, by x, y and radius.
+    """Returns tangents of radii and of slopes at the grounds, by x, y and radius.
 
     R is harmonic: R_xx = −R_yy = (R_xx − R_yy)/2.
     """
@@ -111,7 +111,7 @@ def _moving(radius: Float[Array, " C"], at: Float[Array, "C 8 S"]) -> tuple[Arra
 def _bent(
     shift: Float[Array, "S C 2"], each: Float[Array, "S C 7 W"]
 ) -> Float[Array, "S C 3 W"]:
-    """Slopes of s·∇R by x, y and radius; the shift s stays as it is."""
+    """Computes slopes of s·∇R by x, y and radius; the shift s stays as it is."""
     x, y = shift[..., :1], shift[..., 1:]
     unlike, mixed = each[:, :, 3], each[:, :, 4]
     by_radius = x * each[:, :, 5] + y * each[:, :, 6]
@@ -121,7 +121,7 @@ def _bent(
 def _columns(
     sheet: Sheet, frame: WhitenedFrame, rows: Float[Array, "C 8 M"]
 ) -> tuple[Float[Array, "S R M"], Float[Array, "S R W"]]:
-    """Volts per ampere of each disc, then their derivatives disc by disc; whitened too."""
+    """Computes each disc's volts per ampere, then their derivatives; whitened too."""
     count, _, m = rows.shape
     flat = jnp.concatenate([rows[:, 0], rows[:, 1:].reshape(-1, m)])
     grounds, ee = frame.grounds, sheet.field.electrodes
@@ -135,7 +135,7 @@ def _columns(
 def _chain(
     sheet: Sheet, parameters: Float[Array, "C 5"], radius: Float[Array, " C"]
 ) -> Float[Array, "C 5"]:
-    """Derivatives of place, radius and moments by the parameters that they come from."""
+    """Computes derivatives of place, radius and moments by the underlying parameters."""
     size, raw = sheet.field.size, parameters[:, :2] * sheet.unit
     mirrored = jnp.where(jnp.abs(raw) % (2 * size) > size, -1, 1) * jnp.sign(raw)
     by_size = SIZE_WIDTH * radius
@@ -144,7 +144,7 @@ def _chain(
 
 
 def _priors(parameters: Float[Array, "C 5"]) -> tuple[Array, Array]:
-    """Sizes and lengths beside what is known of them, and the slopes of that."""
+    """Measures sizes and lengths against their priors, and returns the slopes too."""
 
     def one(p: Float[Array, "5"]) -> Float[Array, "3"]:
         return jnp.concatenate([p[2:3], longness(p[3:5])])
@@ -158,7 +158,7 @@ def _priors(parameters: Float[Array, "C 5"]) -> tuple[Array, Array]:
 def _within(
     sheet: Sheet, place: Float[Array, "C 2"], radius: Float[Array, " C"]
 ) -> Float[Array, "C C"]:
-    """ρ/2π where a place lies within the rim of another disc, or its own; else 0."""
+    """Returns ρ/2π where a place lies within another disc's rim, or its own; else 0."""
     rim = radius * float(np.exp(-0.25))
     square = ((place[:, None] - place) ** 2).sum(-1)
     return jnp.where(square < rim**2, sheet.sheet_resistance / (2 * np.pi), 0)
@@ -171,7 +171,7 @@ def _lean(
     drop: Float[Array, "S C"],
     pull: Float[Array, "S C 2"],
 ) -> Float[Array, "S C 2"]:
-    """The distance from each contact's middle to the middle of its current, m."""
+    """Computes the distance from each contact's middle to the middle of its current, m."""
     least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
     forward = jnp.sign(sheet.drive_voltage)
     mean_drop = jnp.maximum((forward * drop).mean(0), least)

@@ -1,6 +1,6 @@
-"""Normal equations of contacts: currents that fit, and what parameters can still do.
+"""Builds normal equations of contacts: best currents, and slopes by the parameters.
 
-In each slot currents are what fits best; places and sizes are shared by the slots.
+In each slot the currents are the best fit; all slots share places and sizes.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from tomojax.kernels.contacts._points import Fitted
 
 
 class Explained(NamedTuple):
-    """What C columns make of a frame of S slots; all whitened but `fitted`."""
+    """A frame of S slots, explained by C columns; all whitened but `fitted`."""
 
     rest: Float[Array, "S W"]  # measured less what they make
     column: Float[Array, "S C W"]  # of each, per ampere
@@ -24,10 +24,11 @@ class Explained(NamedTuple):
 
 
 def normal_of(found: Explained, tolerance: Float[Array, ""]) -> Normal:
-    """Cost Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|², δ² `tolerance`, and its equations.
+    """Computes the cost Σ_s δ²·ln(1 + |r_s|²/δ²) + |priors|² and its equations.
 
-    Slots that do not fit at all count little (Cauchy's loss). Currents follow what moves:
-    of the slopes what they do not explain, whose change by parameters is left out.
+    `tolerance` is δ². Slots that do not fit at all count little (Cauchy's loss). The
+    currents adapt when parameters move, so only the part of the slopes beyond the currents
+    counts. The change of that part with the parameters is left out.
     """
     misfit = (found.rest**2).sum(1) / tolerance
     weight = 1 / (1 + misfit)
@@ -48,7 +49,7 @@ def normal_of(found: Explained, tolerance: Float[Array, ""]) -> Normal:
 
 
 def free_slopes(found: Explained) -> Float[Array, "S P W"]:
-    """Slopes of what is left by parameters, the currents being what fits best."""
+    """Computes the slopes of the rest by parameters, where currents stay the best fit."""
     gram = jnp.einsum("scw,sdw->scd", found.column, found.column, precision="highest")
     along = jnp.einsum("scw,spw->scp", found.column, found.tangent, precision="highest")
     share = solve_positive(regular(gram), along)
@@ -66,7 +67,7 @@ def regular(gram: Float[Array, "S C C"]) -> Float[Array, "S C C"]:
 def currents_of(
     column: Float[Array, "S C W"], measured: Float[Array, "S W"]
 ) -> Float[Array, "S C"]:
-    """Each slot's currents: least squares, all whitened."""
+    """Fits each slot's currents by least squares, all whitened."""
     gram = jnp.einsum("scw,sdw->scd", column, column, precision="highest")
     right = jnp.einsum("scw,sw->sc", column, measured, precision="highest")
     return solve_positive(regular(gram), right[..., None])[..., 0]

@@ -1,4 +1,4 @@
-"""Potentials of electrodes anywhere on the sheet: a table, averaged over discs."""
+"""Interpolates electrodes' potentials anywhere on the sheet, averaged over discs."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,8 @@ _NEAREST = 4
 class Field(NamedTuple):
     """R_e(x, a): the potential at electrode e per ampere fed into a disc of radius a at x.
 
-    Which is also the mean over the disc of what a current fed into e makes. The table
-    covers the sheet from edge to edge; `values` for the A `radii`.
+    R_e is also the mean over the disc of the potential that an ampere fed into e makes. The
+    table covers the sheet from edge to edge, with `values` for each of the A `radii`.
     """
 
     values: Float[Array, "nx ny A M"]  # Ω
@@ -26,10 +26,11 @@ class Field(NamedTuple):
 def field_at(
     field: Field, place: Float[Array, "2"], radius: Float[Array, ""]
 ) -> Float[Array, " M"]:
-    """R_e(x, a), Ω, of all electrodes; cubic in x, and in a² through four radii next to a.
+    """Interpolates R_e(x, a), Ω, of all electrodes: cubic in x, and in a² by four radii.
 
-    Once differentiable in x; slopes by a are of the radii that it lies among. Radii beyond
-    the table's are taken as its last; beyond the edges the sheet is mirrored.
+    The result is once differentiable in x; slopes by a come from the four radii next to a.
+    Radii beyond the table's last radius count as the last. The sheet is mirrored beyond its
+    edges.
     """
     low, nodes = radii_about(field, radius)
     part, nearby = nearby_of(field.values, field.size, place, low, _NEAREST)
@@ -42,10 +43,10 @@ def field_at(
 def radii_about(
     field: Field, radius: Float[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, " a"]]:
-    """The first of the table's radii that one is interpolated from, and their squares.
+    """Finds the first of the table's radii to interpolate from, and squares of all four.
 
-    Beside an electrode R bends where a disc's rim crosses it: a polynomial through radii
-    that are far away is off by a third of a millimetre there.
+    Beside an electrode R bends where a disc's rim crosses the electrode. A polynomial
+    through radii that are far away is off by a third of a millimetre there.
     """
     last = len(field.radii) - _NEAREST
     low = jnp.clip((field.radii < radius).sum() - _NEAREST // 2, 0, last)
@@ -58,12 +59,12 @@ def rows_at(
     radius: Float[Array, ""],
     moment: Float[Array, "2"],
 ) -> Float[Array, "8 M"]:
-    """R_e of a contact that may be longer than wide, and its derivatives, row by row.
+    """Computes R_e of a contact that may be longer than wide, and derivatives, row by row.
 
-    R + ½m₁(R_xx − R_yy) + m₂R_xy; its derivatives by x, y, radius and both moments; and of
-    those by x and y the derivatives by radius. `moment`: (xx − yy)/2 and xy of the
-    current's second moments about its centre, m². Of their sum nothing is seen but beside
-    electrodes: R is harmonic.
+    The first row is R + ½m₁(R_xx − R_yy) + m₂R_xy. Five rows are derivatives by x, y,
+    radius and both moments. The last two rows are the derivatives by radius of the rows by
+    x and y. `moment`: (xx − yy)/2 and xy of the current's second moments about its centre,
+    m². The sum xx + yy shows only beside electrodes, because R is harmonic.
     """
     low, nodes = radii_about(field, radius)
     part, nearby = nearby_of(field.values, field.size, place, low, _NEAREST)
@@ -93,7 +94,7 @@ def rows_at(
 
 
 def thin_of(field: Field, radius: Float[Array, ""]) -> Float[Array, "nx ny M"]:
-    """The table for one radius: beside electrodes, what is smaller makes the same."""
+    """Interpolates the table at one radius; narrower contacts have the same values."""
     low, nodes = radii_about(field, radius)
     near = jax.lax.dynamic_slice_in_dim(field.values, low, _NEAREST, 2)
     by_size = lagrange(nodes, radius**2)
@@ -103,7 +104,7 @@ def thin_of(field: Field, radius: Float[Array, ""]) -> Float[Array, "nx ny M"]:
 def thin_rows_at(
     thin: Float[Array, "nx ny M"], size: Float[Array, "2"], place: Float[Array, "2"]
 ) -> Float[Array, "3 M"]:
-    """R_e of a table for one radius, and its derivatives by x and y, row by row."""
+    """Interpolates R_e of one radius's table, and derivatives by x and y, row by row."""
     part, nearby = nearby_of(thin[:, :, None], size, place, jnp.zeros((), int), 1)
     per = ((jnp.asarray(thin.shape[:2], place.dtype) - 1) / size)[:, None]
     along, slope = cubic(part), cubic_slope(part) * per
@@ -121,7 +122,7 @@ def nearby_of(
 ) -> tuple[Float[Array, "2"], Float[Array, "16 a M"]]:
     """Finds the place within its cell, and the table's sixteen points around it.
 
-    Of their radii `count` from `low` on.
+    Each point comes with `count` radii, from `low` on.
     """
     nx, ny, _, m = values.shape
     cells = jnp.array([nx - 1, ny - 1], place.dtype)
@@ -145,7 +146,7 @@ def mirrored(index: Array, last: int) -> Array:
 
 
 def cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Catmull and Rom's weights of four neighbours."""
+    """Returns Catmull and Rom's weights of four neighbours."""
     t = part[:, None]
     terms = [
         ((2 - t) * t - 1) * t,
@@ -157,20 +158,20 @@ def cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
 
 
 def cubic_slope(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Their derivatives by `part`."""
+    """Returns the derivatives of `cubic` by `part`."""
     t = part[:, None]
     terms = [(4 - 3 * t) * t - 1, (9 * t - 10) * t, (8 - 9 * t) * t + 1, (3 * t - 2) * t]
     return jnp.concatenate(terms, 1) / 2
 
 
 def cubic_bend(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Their second derivatives."""
+    """Returns the second derivatives of `cubic` by `part`."""
     t = part[:, None]
     return jnp.concatenate([2 - 3 * t, 9 * t - 5, 4 - 9 * t, 3 * t - 1], 1)
 
 
 def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " A"]:
-    """Weights of the polynomial through values at `nodes`."""
+    """Returns weights of the polynomial through values at `nodes`."""
     own = jnp.eye(len(nodes), dtype=bool)
     above = jnp.where(own, 1, at - nodes[None])
     below = jnp.where(own, 1, nodes[:, None] - nodes[None])
@@ -180,7 +181,7 @@ def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " 
 def lagrange_and_slope(
     nodes: Float[Array, " A"], at: Float[Array, ""]
 ) -> tuple[Float[Array, " A"], Float[Array, " A"]]:
-    """The same weights, and their derivatives by `at`."""
+    """Returns the weights of `lagrange`, and their derivatives by `at`."""
     own = jnp.eye(len(nodes), dtype=bool)
     below = jnp.where(own, 1, nodes[:, None] - nodes)
     ratio = jnp.where(own, 1, (at - nodes) / below)
@@ -196,7 +197,7 @@ def slot_columns(
     ground_resistance: Float[Array, "..."],
     total: Float[Array, "*#batch"] | float = 1.0,
 ) -> Float[Array, "*batch S M"]:
-    """T^l = R_i − R_l + total·(R_ll + z − R_il): voltages per ampere, of each slot.
+    """Computes T^l = R_i − R_l + total·(R_ll + z − R_il): each slot's volts per ampere.
 
     `potential` is R(x, a), or a mix of several whose weights add up to `total`.
     """

@@ -1,9 +1,9 @@
-"""A few contacts followed from slot to slot: one linear least squares for each slot.
+"""Follows a few contacts from slot to slot: one linear least squares for each slot.
 
-What is known of places and sizes is a mean and a covariance; a slot is taken with its
-slopes at the mean, its currents are what fits best. What appears or jumps is found in the
-slot that shows it, see `_search`.
-Fixed sizes and few, small operations: each costs a microsecond or so, whatever its size.
+A mean and a covariance hold the known places and sizes. Each slot is fitted with the slopes
+at the mean and the best currents. `_search` finds contacts that appear or jump, in the slot
+that shows them. Sizes are fixed and operations are few: each costs about a microsecond,
+whatever its size.
 """
 
 import jax
@@ -64,7 +64,7 @@ def follow(
     elapsed: Float[Array, ""],
     noise: Noise,
 ) -> tuple[Followed, Float[Array, " M"]]:
-    """One slot later, and what the voltages are beside the contacts', V.
+    """Returns the contacts one slot later, and the voltages beside the contacts' own, V.
 
     **Arguments:** `voltages` 0 where not `used`; `elapsed` since the last slot, s.
     """
@@ -131,7 +131,7 @@ def _left(
     weights: Weights,
     rest: Float[Array, " M"],
 ) -> Float[Array, ""]:
-    """χ² of each channel, the mean over some slots; anew where a contact is."""
+    """Averages χ² of each channel over some slots; starts anew with a new contact."""
     channels = jnp.maximum((weights.each > 0).sum(), 1).astype(rest.dtype)
     now = matmul(rest, weighed(weights, rest[None])[0]) / channels
     share = jnp.where(new.any() | (known.left == 0), 1, 1 / _LATELY)
@@ -144,7 +144,7 @@ def _update(
     weights: Weights,
     voltages: Float[Array, " M"],
 ) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
-    """By how much each moves (C, 3), what is known then and by this slot, and currents."""
+    """Returns moves (C, 3), the covariance then and by this slot alone, and currents."""
     count = len(columns)
     base = columns[:, 0]
     tangent = columns[:, 1:].reshape(3 * count, -1)
@@ -190,7 +190,7 @@ def _update(
 
 
 def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
-    """How far a contact's current is from its centre, in units: see `_points`."""
+    """Computes how far a contact's current is from its centre, in units: see `_points`."""
     radius = radius_of(sheet, known.size)
     moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
     total = known.current.sum()
@@ -211,7 +211,7 @@ def _conductance(
     ground: Int[Array, ""],
     offset: Float[Array, ""],
 ) -> Float[Array, " C"]:
-    """I/(V0 − u), S: see `_points.drops`; `offset` V, what the ground lifts all by."""
+    """Computes I/(V0 − u), S: see `_points.drops`; the ground lifts all by `offset`, V."""
     radius = radius_of(sheet, now.size)
     own_ground = jnp.diagonal(sheet.field.electrodes) + sheet.ground_resistance
     among = jax.vmap(green_of(sheet, now.place, radius))(now.place)

@@ -1,6 +1,6 @@
-"""One slot's voltages: what errors they have, and what a contact makes of them.
+"""Computes the errors of one slot's voltages, and the voltages that a contact makes.
 
-For code that takes one slot at a time: few, small operations.
+The functions serve code that takes one slot at a time: few, small operations.
 """
 
 from functools import partial
@@ -23,7 +23,7 @@ from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
 
 
 class Noise(NamedTuple):
-    """What errors a slot's voltages have: as in `Errors`, its longest waves alone."""
+    """The errors of a slot's voltages: as in `Errors`, with the longest waves alone."""
 
     converter: Float[Array, ""]  # V
     own: Float[Array, ""]  # a channel's, as a part of its voltage
@@ -41,13 +41,13 @@ class Weights(NamedTuple):
 
 
 def radius_of(sheet: Sheet, size: Array) -> Array:
-    """A contact's radius, m, of what is told of its size."""
+    """Computes a contact's radius, m, from its size parameter."""
     return jnp.minimum(sheet.size * jnp.exp(SIZE_WIDTH * size), sheet.field.radii[-1])
 
 
 @partial(jax.jit, inline=True)  # traced once for all contacts
 def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array, "4 M"]:
-    """R(x, a), Ω, and its derivatives by place (per unit) and size."""
+    """Computes R(x, a), Ω, and its derivatives by place (per unit) and size."""
     field: Field = sheet.field
     low, nodes = radii_about(field, radius_of(sheet, size))
     part, nearby = nearby_of(field.values, field.size, place, low, len(nodes))
@@ -71,7 +71,7 @@ def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array
 def slot_weights(
     noise: Noise, voltages: Float[Array, " M"], used: Bool[Array, " M"]
 ) -> Weights:
-    """The inverse covariance of a slot's errors; those in common by Woodbury's formula."""
+    """Inverts the covariance of a slot's errors; common errors by Woodbury's formula."""
     near = matmul(noise.local, voltages)
     own = (noise.own * voltages) ** 2 + (near**2).sum(0)
     variance = noise.converter**2 + own
@@ -90,7 +90,7 @@ def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
 
 
 def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
-    """R_ll + z − R_il: what voltages per ampere are beside R_i(x) − R_l(x)."""
+    """Computes R_ll + z − R_il, the part of volts per ampere beside R_i(x) − R_l(x)."""
     ee = sheet.field.electrodes
     z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[ground]
     return ee[ground, ground] + z - ee[ground]
@@ -99,16 +99,16 @@ def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
 def in_slot(
     sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
 ) -> Float[Array, "C 4 M"]:
-    """Voltages per ampere with that ground, and how a move changes them."""
+    """Computes volts per ampere under one ground, and how a move changes the volts."""
     relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
     return relative.at[:, 0].add(from_ground(sheet, ground))
 
 
 def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:
-    """a·b, a column or a row at a time.
+    """Multiplies a·b, a column or a row at a time.
 
-    For a whole product XLA calls a library; of these it makes one function together with
-    what is around them, where it is let to (see `Step`).
+    For a whole product XLA calls a library. XLA fuses columns or rows with the operations
+    around them into one function, where the caller lets it (see `Step`).
     """
     if b.shape[1] <= a.shape[0]:
         return jnp.stack([matmul(a, b[:, j]) for j in range(b.shape[1])], 1)
@@ -120,7 +120,7 @@ def inverse_of(values: Array) -> Array:
 
 
 def regular(normal: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """With a diagonal that nothing makes singular."""
+    """Adds to the diagonal, so that the matrix is not singular."""
     eps = 16 * jnp.finfo(normal.dtype).eps
     diagonal = jnp.diagonal(normal)
     more = eps * diagonal.sum() + jnp.where(diagonal > 0, 0, 1)
@@ -130,7 +130,7 @@ def regular(normal: Float[Array, "n n"]) -> Float[Array, "n n"]:
 def solve_small(
     matrix: Float[Array, "*batch n n"], right: Float[Array, "*batch n k"]
 ) -> Float[Array, "*batch n k"]:
-    """A⁻¹B of a few unknowns, unrolled: a loop's turn costs more than the work."""
+    """Solves A⁻¹B of a few unknowns, unrolled: a loop's turn costs more than the work."""
     n = matrix.shape[-1]
     both = jnp.concatenate([matrix, right], -1)
     for k in range(n):

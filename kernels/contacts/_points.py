@@ -1,7 +1,7 @@
-"""A few compact contacts as sources of current: what they make, and how well it fits.
+"""Describes a few compact contacts as sources of current: parameters, slopes and drops.
 
-In each slot the contacts' currents are what fits best (a small linear problem of its own:
-variable projection); places and sizes are shared by all slots of a frame.
+In each slot the contacts' currents are the best fit (a small linear problem of its own:
+variable projection). All slots of a frame share places and sizes.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ LEAST_DROP = 0.01
 
 
 class Sheet(NamedTuple):
-    """What the contacts are on."""
+    """The sheet that the contacts touch, and the units of a fit."""
 
     field: Field
     thin: Float[Array, "nx ny M"]  # the same for a curve's points, see `thin_of`
@@ -48,7 +48,7 @@ class Sheet(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """Contacts that fit, C of them."""
+    """C contacts that fit a frame."""
 
     place: Float[Array, "C 2"]  # m
     extent: Float[Array, "C 2"]  # from the middle to the end of a bar, m; else 0
@@ -60,12 +60,12 @@ class Fitted(NamedTuple):
 
 
 def round_disc(place: Float[Array, "2"], size: Float[Array, ""]) -> Float[Array, "5"]:
-    """Parameters of a contact that is as long as wide."""
+    """Returns parameters of a contact that is as long as wide."""
     return jnp.concatenate([place, size[None], jnp.zeros(DISC - 3, place.dtype)])
 
 
 def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]:
-    """Places (C, 2) and radii (C,), m; beyond an edge is mirrored to this side of it."""
+    """Returns places (C, 2) and radii (C,), m; mirrors a place beyond an edge back."""
     size = sheet.field.size
     place = parameters[:, :2] * sheet.unit
     place = size - jnp.abs(size - jnp.abs(place) % (2 * size))
@@ -74,9 +74,10 @@ def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]
 
 
 def longness(long: Float[Array, "*C 2"]) -> Float[Array, "*C 2"]:
-    """What is known beforehand of how long a contact is: round, or not, but not a bar.
+    """Weighs how long a contact is by the prior: round, or longer, but not a bar.
 
-    Its square is q²/(1 + q²/τ²) + (q/m)⁴: as q² near 0, about τ² then, a wall from m on.
+    The square of the result is q²/(1 + q²/τ²) + (q/m)⁴: q² near 0, then about τ², and a
+    wall from m on.
     """
     square = (long**2).sum(-1, keepdims=True)
     wall = square / LONGEST**4
@@ -84,7 +85,7 @@ def longness(long: Float[Array, "*C 2"]) -> Float[Array, "*C 2"]:
 
 
 def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:
-    """What currents (S, C) make, V."""
+    """Computes the voltages that currents (S, C) make, V."""
     return jnp.einsum("csm,sc->sm", columns, current, precision="highest")
 
 
@@ -98,7 +99,7 @@ def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
 def slope_of(
     sheet: Sheet, place: Float[Array, "C 2"], radius: Float[Array, " C"]
 ) -> Float[Array, "C C 2"]:
-    """∇ at each place of what an ampere into each of the discs makes, Ω/m."""
+    """Computes ∇ at each place of the potential of one ampere into each disc, Ω/m."""
     rim = radius * float(np.exp(-0.25))
     slope = rectangle_slope(place[:, None], place, rim, sheet.field.size)
     return sheet.sheet_resistance * slope
@@ -111,10 +112,10 @@ def drops(
     at_ground: Float[Array, "S C"],
     current: Float[Array, "S C"],
 ) -> Float[Array, "S C"]:
-    """V0 − u at each contact, V.
+    """Computes V0 − u at each contact, V.
 
-    u = Σ_c I_c[G(x, x_c) − R_l(x_c)] − I·R_l(x) + I(R_ll + z), I the slot's total; `among`
-    is G and `at_ground` R_l(x_c).
+    u = Σ_c I_c[G(x, x_c) − R_l(x_c)] − I·R_l(x) + I(R_ll + z), I the slot's total current;
+    `among` is G and `at_ground` is R_l(x_c).
     """
     total = current.sum(1, keepdims=True)
     z = jnp.broadcast_to(sheet.ground_resistance, sheet.field.electrodes.shape[:1])
@@ -127,22 +128,22 @@ def drops(
 def hardly_told(
     sheet: Sheet, conductance: Float[Array, " C"], of_size: Float[Array, " C"]
 ) -> Bool[Array, " C"]:
-    """Whether a contact so nearly imposes its potential that its conductance is not told.
+    """Finds contacts that nearly impose their potential, so that g is hardly known.
 
-    g = I/(V0 − u), and a contact's own part of u is Iρ/2π·ln(1/a): σ of ln g is gρ/2π times
-    that of ln a. `of_size`: the variance of the size, of what is known beforehand.
+    g = I/(V0 − u), and a contact's own part of u is Iρ/2π·ln(1/a). So σ of ln g is gρ/2π
+    times σ of ln a. `of_size`: the variance of the size, in units of the prior's variance.
     """
     per_size = SIZE_WIDTH * sheet.sheet_resistance / (2 * np.pi)
     return jnp.abs(conductance) * per_size * jnp.sqrt(of_size) > _VAGUE
 
 
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:
-    """2πa²κ/ρ: the dipole that a field makes of a disc of that conductance, A·m per V/m."""
+    """Computes 2πa²κ/ρ: the dipole of a conducting disc in a field, A·m per V/m."""
     kappa = metallic(sheet, conductance)
     return 2 * np.pi * radius**2 * kappa / sheet.sheet_resistance
 
 
 def metallic(sheet: Sheet, conductance: Array | float) -> Array:
-    """κ = I₂/I₀(√(gρ/π)), to 2 %: 0 of a contact that draws evenly, 1 of metal."""
+    """Computes κ = I₂/I₀(√(gρ/π)), to 2 %: 0 for an evenly drawing contact, 1 for metal."""
     strength = conductance * sheet.sheet_resistance / np.pi  # gρ/π
     return strength / (strength + 8 + 0.8 * jnp.sqrt(strength + 1e-9))

@@ -1,6 +1,6 @@
-"""Contacts that appear, in one slot: a table of candidates is looked through.
+"""Finds contacts that appear in one slot, in a table of candidates.
 
-Fixed sizes and few, small operations: each costs a microsecond or so, whatever its size.
+Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
 from typing import NamedTuple
@@ -35,7 +35,7 @@ _ELSEWHERE, _EXPLAINED = 0.5, 0.1
 
 
 class Candidates(NamedTuple):
-    """Usual contacts at K places: potentials of electrodes, squared, and tangents there."""
+    """Usual contacts at K places: electrodes' potentials, with squares and tangents."""
 
     place: Float[Array, "K 2"]  # m
     potential: Float[Array, "K M"]  # Ω
@@ -44,7 +44,7 @@ class Candidates(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """What is known of C contacts."""
+    """The state of C contacts that are followed."""
 
     there: Bool[Array, " C"]
     place: Float[Array, "C 2"]  # m
@@ -60,7 +60,7 @@ class Followed(NamedTuple):
 
 
 def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
-    """No contact yet of up to `count`, on a sheet of `size`."""
+    """Returns the state without any contact of up to `count`, on a sheet of `size`."""
     dtype = size.dtype
     zero, whole = jnp.zeros(count, dtype), jnp.zeros(count, jnp.int32)
     first = jnp.broadcast_to(first_covariance(dtype), (count, 3, 3))
@@ -84,7 +84,7 @@ def first_covariance(dtype) -> Float[Array, "3 3"]:
 
 
 class Search(NamedTuple):
-    """Contacts that appear."""
+    """The result of a search for contacts that appear."""
 
     new: Bool[Array, " C"]
     there: Bool[Array, " C"]
@@ -103,7 +103,7 @@ def search(
     voltages: Float[Array, " M"],
     ground: Int[Array, ""],
 ) -> Search:
-    """Whether one contact alone explains the slot better, or one more is asked for."""
+    """Tells whether one contact alone explains the slot better, or one more is needed."""
     # To look for contacts a common offset will do.
     scale = 1 / (1 + matmul(weights.common[0] ** 2, inverse_of(weights.each)))
     plain = Weights(weights.each, weights.common[:1], weights.common[:1] * scale)
@@ -172,9 +172,9 @@ def _gains(
     beside: Float[Array, "C M"],
     normal: Float[Array, "C C"],
 ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
-    """What each candidate explains of the rest beside the contacts, and of all alone.
+    """Computes how much each candidate explains: of what contacts leave, and of all.
 
-    Its column is R_i − R_l + f_i, so that every product with it is one with R.
+    A candidate's column is R_i − R_l + f_i, so every product with the column is one with R.
     """
     w = plain.each
     more = jnp.stack([w, w * offset])

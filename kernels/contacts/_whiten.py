@@ -1,4 +1,4 @@
-"""Voltages freed of what their errors have in common, and currents that fit them."""
+"""Frees voltages of common errors, and fits currents to the whitened voltages."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from tomojax.kernels.algebra import solve_positive
 
 
 class WhitenedFrame(NamedTuple):
-    """What S slots measured, whitened: errors are independent and of size 1. W = M + q."""
+    """The whitened voltages of S slots: errors are independent and of size 1. W = M + q."""
 
     grounds: Int[Array, " S"]
     whitened: Float[Array, "S W"]
@@ -24,12 +24,12 @@ def whiten(
     own: Float[Array, "S M"],
     common: Float[Array, "S q M"],
 ) -> WhitenedFrame:
-    """Errors of each channel's own, of size `own` (V; 0 where not used), and common ones.
+    """Whitens voltages: errors of each channel, `own` (V; 0: not used), and common ones.
 
-    Of each of these `common` is what one standard deviation makes, V. Together they have
-    the covariance C = diag(own²) + BᵀB, and |whitened|² = VᵀC⁻¹V: the last q values are
-    the common errors that are most likely, in standard deviations, and the first M what
-    is left then. It costs 2q/M of what a matrix for each slot would.
+    `common` holds the voltages that one standard deviation of each common error makes, V.
+    The errors' covariance is C = diag(own²) + BᵀB, and |whitened|² = VᵀC⁻¹V. The last q
+    values are the likeliest common errors, in standard deviations; the first M values are
+    the rest. This costs 2q/M of the work that a matrix for each slot takes.
     """
     scale = jnp.where(own > 0, 1 / jnp.where(own > 0, own, 1), 0)
     common = common * scale[:, None]
@@ -44,7 +44,7 @@ def whiten(
 
 
 def whitened_columns(frame: WhitenedFrame, columns: Float[Array, "*C S M"]) -> Array:
-    """Columns as the frame's voltages are."""
+    """Whitens columns in the way that the frame's voltages are whitened."""
     scaled = columns * frame.scale
     found = jnp.einsum("sqm,...sm->...sq", frame.filter, scaled, precision="highest")
     shared = jnp.einsum("sqm,...sq->...sm", frame.common, found, precision="highest")
@@ -54,7 +54,7 @@ def whitened_columns(frame: WhitenedFrame, columns: Float[Array, "*C S M"]) -> A
 def whitened_rows(
     frame: WhitenedFrame, columns: Float[Array, "S K M"]
 ) -> Float[Array, "S K W"]:
-    """The same of K columns slot by slot."""
+    """Whitens K columns slot by slot, as `whitened_columns` does."""
     scaled = columns * frame.scale[:, None]
     found = jnp.einsum("skm,sqm->skq", scaled, frame.filter, precision="highest")
     shared = jnp.einsum("skq,sqm->skm", found, frame.common, precision="highest")
@@ -64,7 +64,7 @@ def whitened_rows(
 def whitened_slopes(
     frame: WhitenedFrame, slopes: Float[Array, "S M P"]
 ) -> Float[Array, "S W P"]:
-    """The same of slopes by P parameters."""
+    """Whitens slopes by P parameters, as `whitened_columns` does."""
     scaled = slopes * frame.scale[:, :, None]
     found = jnp.matmul(frame.filter, scaled, precision="highest")
     shared = jnp.matmul(jnp.swapaxes(frame.common, 1, 2), found, precision="highest")
@@ -72,7 +72,7 @@ def whitened_slopes(
 
 
 def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S P W"]) -> Float[Array, "S P M"]:
-    """From slopes of something by whitened voltages to those by voltages: the transpose."""
+    """Turns slopes by whitened voltages into slopes by voltages: the transpose."""
     count = frame.scale.shape[1]
     rest, found = slope[..., :count], slope[..., count:]
     back = jnp.einsum("spm,sqm->spq", rest, frame.common, precision="highest")
@@ -83,7 +83,7 @@ def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S P W"]) -> Float[Arra
 def currents(
     frame: WhitenedFrame, columns: Float[Array, "C S N"], ridge: Array | float = 0.0
 ) -> tuple[Float[Array, "S C"], Float[Array, "S N"]]:
-    """Each slot's currents, and what is left: least squares, all whitened."""
+    """Fits each slot's currents by least squares, all whitened; returns the rest too."""
     normal = jnp.einsum("csm,dsm->scd", columns, columns, precision="highest")
     right = jnp.einsum("csm,sm->sc", columns, frame.whitened, precision="highest")
     trace = jnp.trace(normal, axis1=1, axis2=2)

@@ -1,6 +1,7 @@
-"""What an image shows: contacts read off it, and figures of merit; and contacts drawn.
+"""Reads contacts off an image, rates images by figures of merit, and draws contacts.
 
-The room takes pixels. It knows nothing of grounds, nor of the method that made an image.
+This room takes pixels. The room knows nothing of grounds, nor of the method that made an
+image.
 """
 
 from tomojax.kernels.images._contacts import (

@@ -1,7 +1,7 @@
-"""Contacts read off an image: how many, where, how large, how much current.
+"""Reads contacts off an image: how many, where, how large, how much current.
 
-Fixed sizes and no gradient: an image is ranked and cut, not fitted. What it costs are
-passes over all pixels.
+Sizes are fixed and there is no gradient: an image is ranked and cut, not fitted. Most of
+the time goes to passes over all pixels.
 """
 
 from functools import cache
@@ -33,14 +33,14 @@ class Contacts(NamedTuple):
 
 
 def no_contacts(count: int, dtype) -> Contacts:
-    """None of `count`."""
+    """Returns no contact, with room for `count`."""
     nan = jnp.full(count, jnp.nan, dtype)
     xy, covariance = (jnp.full((count, n), jnp.nan, dtype) for n in (2, 3))
     return Contacts(jnp.zeros((), jnp.uint8), xy, nan, nan, nan, nan, covariance)
 
 
 def largest_variance(covariance: Float[Array, "*contacts 3"]) -> Float[Array, "*contacts"]:
-    """Of a place, along the direction in which it is known least, m²; of xx, yy, xy."""
+    """Computes a place's variance in its least known direction, m², from xx, yy, xy."""
     a, b, c = jnp.moveaxis(covariance, -1, 0)
     return (a + b) / 2 + jnp.sqrt(((a - b) / 2) ** 2 + c**2)
 
@@ -55,17 +55,17 @@ def read_contacts(
     lowest: Float[Array, ""] | float = 0.0,
     reach: tuple[int, int] = (2, 2),
 ) -> Contacts:
-    """The contacts of an image of which `current` (A per pixel) is what they carry.
+    """Reads contacts off an image; `current` (A per pixel) is the current they carry.
 
     Each contact has a peak of `find_peaks`, or several; each pixel belongs to the nearest
-    peak. A contact's current is the sum over its pixels; its place and moments are weighed
-    by what exceeds `level` of its highest pixel. With `at_peak` the image is a statistic,
-    and the place of a contact of one peak is read around that peak, see `place_around`.
+    peak. A contact's current is the sum over its pixels. The part of the image above
+    `level` of the highest pixel weighs place and moments. If `at_peak`, the image is a
+    statistic, and `place_around` reads the place of a contact of one peak around that peak.
     Without `current`, contacts come highest first and carry NaN.
 
-    **Arguments:** `cell` (dx, dy), m; `count` C; `lowest`: what a peak has to exceed, in
-    the unit of the image (its noise); `reach`: pixels around a peak that its place is read
-    from.
+    **Arguments:** `cell` (dx, dy), m; `count` C; `lowest`: the level that a peak has to
+    exceed, in the unit of the image (its noise); `reach`: pixels around a peak that its
+    place is read from.
     """
     peaks = find_peaks(image, count, lowest)
     read = _reading(count, level, reach if at_peak else None, current is not None)
@@ -84,10 +84,10 @@ def read_contacts(
 
 @cache
 def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: bool):
-    """(C, 7) sums of each contact, weight times `powers` and current (or without it the
-    height of the peak); and the places of peaks, in pixels.
+    """Makes the function that sums over each contact, and places peaks, in pixels.
 
-    One contact is the whole image. With several, each costs passes over all pixels.
+    The (C, 7) sums are weight times `powers`, and current (or else the height of the peak).
+    One contact is the whole image. Each of several contacts costs passes over all pixels.
     """
 
     def place(image: Array, i: Array, j: Array) -> Float[Array, "2"]:
@@ -125,7 +125,7 @@ def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: b
 
 
 def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
-    """1, u, v, u², v², uv of each pixel, from the middle of the image."""
+    """Returns 1, u, v, u², v², uv of each pixel, from the middle of the image."""
     nx, ny = shape
     u, v = np.indices((nx, ny)).reshape(2, -1) - np.array([[nx - 1], [ny - 1]]) / 2
     return jnp.asarray(np.stack([np.ones(nx * ny), u, v, u * u, v * v, u * v], 1), dtype)
@@ -134,9 +134,10 @@ def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
 def _nearest(
     shape, places: Float[Array, "pixels 6"], i, j, label, k
 ) -> Bool[Array, " pixels"]:
-    """The pixels nearest to a peak of label k; to the lower label where equally near.
+    """Finds the pixels nearest to a peak of label k; the lower label takes ties.
 
-    All of it is arithmetic on each pixel alone, to be fused into what uses it.
+    Each pixel's result is arithmetic on that pixel alone, so that XLA fuses it into later
+    steps.
     """
     nx, ny = shape
     own = below = above = jnp.full(len(places), jnp.inf, places.dtype)
@@ -156,7 +157,7 @@ def _nearest(
 def described(
     rows: Float[Array, "C 7"], shape: tuple[int, int], cell: Float[Array, "2"]
 ) -> Contacts:
-    """From sums of `powers` and of current to contacts."""
+    """Turns sums of `powers` and of current into contacts."""
     weight, u, v, uu, vv, uv, current = rows.T
     weight = jnp.where(weight > 0, weight, jnp.nan)
     u, v = u / weight, v / weight
@@ -179,7 +180,7 @@ def described(
 
 
 def strongest_first(found: Contacts, first: Bool[Array, " C"]) -> Contacts:
-    """Those that are `first`, by their current's size, and how many."""
+    """Sorts the contacts that are `first` by their current's size, and counts them."""
     # A few contacts: to count the stronger ones is quicker than to sort.
     key = jnp.where(first, jnp.abs(found.current), -jnp.inf)
     turn = jnp.arange(len(key))

@@ -1,4 +1,4 @@
-"""Fitted contacts as rows of results and as an image."""
+"""Turns fitted contacts into rows of results and into an image."""
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +18,10 @@ def points_as_contacts(
     conductance: Float[Array, " C"],
     covariance: Float[Array, "C 3"],
 ) -> Contacts:
-    """The first `count` as contacts, strongest first.
+    """Turns the first `count` fitted contacts into `Contacts`, strongest first.
 
-    The radius is that of the disc with the contact's second moments: |e|²/3 along a bar
-    and a²/4 across, R²/2 of a ring.
+    The radius is that of the disc with the contact's second moments: |e|²/3 along a bar and
+    a²/4 across, R²/2 of a ring.
     """
     there = jnp.arange(len(radius)) < count
     reach = (extent**2).sum(-1)
@@ -43,10 +43,10 @@ def points_image(
     cell: Float[Array, "2"],
     shape: tuple[int, int],
 ) -> Float[Array, "nx ny"]:
-    """Current density, A/m²: a Gaussian with each contact's second moments, all inside.
+    """Draws current density, A/m²: a Gaussian with each contact's second moments.
 
-    Or a rim with a Gaussian's profile. No narrower than a pixel, so that its sum is the
-    current wherever it lies.
+    A ring is a rim with a Gaussian's profile. No Gaussian is narrower than a pixel. All of
+    a contact's current is inside the image, wherever the contact lies.
     """
     x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * side for n, side in zip(shape, cell))
     across = jnp.maximum(radius**2 / 4, jnp.max(cell) ** 2)[:, None, None]

@@ -1,4 +1,4 @@
-"""How much of what an image shows the contacts that were read off it explain."""
+"""Measures how much of an image is explained by the contacts that were read off it."""
 
 from collections.abc import Callable
 from functools import cache
@@ -18,7 +18,7 @@ def point_sources(
     shape: tuple[int, int],
     cell: Float[Array, "2"],
 ) -> Float[Array, "C r"]:
-    """The columns of `basis` where contacts are, between pixels linear; 0 for none."""
+    """Interpolates the columns of `basis` at contacts, between pixels linearly; 0: none."""
     columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape))(contacts.xy)
     there = jnp.arange(len(columns)) < contacts.count.astype(int)
     return jnp.where(there[:, None], columns, 0)
@@ -27,9 +27,9 @@ def point_sources(
 def unexplained(
     columns: Float[Array, "S C q"], seen: Float[Array, "S q"]
 ) -> Float[Array, ""]:
-    """√(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): what is seen, beside the contacts' columns.
+    """Computes √(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): the part that contacts leave.
 
-    Each of S slots has a of its own. 1 where no column is other than 0.
+    Each of S slots has its own a. The result is 1 where all columns are 0.
     """
 
     def one(p: Float[Array, "C q"], d: Float[Array, " q"]) -> Float[Array, ""]:
@@ -43,13 +43,13 @@ def unexplained(
 def amplitudes(
     columns: Float[Array, "C r"], seen: Float[Array, " r"]
 ) -> Float[Array, " C"]:
-    """Fits the factor of each column, so that their sum is what is seen; 0 without one."""
+    """Fits a factor to each column, so that the columns add up to `seen`; 0 for none."""
     fit = solve_small(regular(matmul(columns, columns.T)), matmul(columns, seen)[:, None])
     return fit[:, 0]
 
 
 def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
-    """The column at a place in pixels; the nearest at the edge."""
+    """Interpolates the column at a place in pixels; beyond the edge takes the nearest."""
     last = jnp.asarray(shape, pixel.dtype) - 1
     pixel = jnp.clip(jnp.nan_to_num(pixel), 0, last)
     low = jnp.minimum(jnp.floor(pixel), last - 1)
@@ -62,7 +62,7 @@ def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array
 
 @cache
 def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
-    """Fits contacts as point sources to an image: their currents, and what they leave."""
+    """Makes a fit of contacts as point sources: their currents, and what they leave."""
 
     def whole(
         contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array

@@ -1,8 +1,8 @@
-"""Figures of merit of an image on pixels (nx, ny) of size `cell` (dx, dy), m.
+"""Computes figures of merit of an image on pixels (nx, ny) of size `cell` (dx, dy), m.
 
-For one image; all can be batched, and those that are sums or interpolations can be
-differentiated (half width, place, image error, separation, amplitude, ringing); those
-that count pixels (resolution, shape deformation) have no gradient.
+Each function takes one image and can be batched. Sums and interpolations have a gradient
+(half width, place, image error, separation, amplitude, ringing). Figures that count pixels
+have none (resolution, shape deformation).
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 class GreitFigures(NamedTuple):
     """GREIT's figures (Adler et al., Physiol. Meas. 30 S35, 2009) of a point-like target.
 
-    They are taken on the image's quarter set: the pixels above a quarter of the maximum.
+    The figures are taken on the quarter set: the pixels above a quarter of the maximum.
     """
 
     amplitude: Float[Array, ""]  # AR: sum of the image over the sum of the target
@@ -28,16 +28,16 @@ class GreitFigures(NamedTuple):
 def pixel_places(
     shape: tuple[int, ...], cell: Float[Array, "2"]
 ) -> tuple[Float[Array, " nx"], Float[Array, " ny"]]:
-    """Centres of the pixels along x and y, m."""
+    """Returns centres of the pixels along x and y, m."""
     x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * d for n, d in zip(shape, cell))
     return x, y
 
 
 def half_width(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, ""]:
-    """Half the width at half the maximum, m: the mean over the four directions ±x, ±y.
+    """Measures half the width at half the maximum, m: the mean over ±x and ±y.
 
-    From the highest pixel outwards to where the image, linearly interpolated, falls to
-    half; to the image's edge where it does not.
+    Each direction starts at the highest pixel and ends where the image, linearly
+    interpolated, falls to half, or else at the image's edge.
     """
     peak = jnp.unravel_index(jnp.argmax(image), image.shape)
     top = image[peak]
@@ -52,7 +52,7 @@ def half_width(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[A
 
 
 def _distance_to_half(line: Float[Array, " n"], start: Array) -> Float[Array, ""]:
-    """Pixels from `start` (where the line is 1) upwards to the first fall to 1/2."""
+    """Counts pixels from `start` (where the line is 1) up to the first fall to 1/2."""
     index = jnp.arange(len(line))
     below = (index > start) & (line <= 0.5)
     after = jnp.argmax(below)
@@ -67,13 +67,13 @@ def _distance_to_half(line: Float[Array, " n"], start: Array) -> Float[Array, ""
 def half_area_radius(
     image: Float[Array, "nx ny"], cell: Float[Array, "2"]
 ) -> Float[Array, ""]:
-    """Radius of the circle with the area above half the maximum, m: another half width."""
+    """Computes the radius of a circle with the area above half the maximum, m."""
     area = _area(image >= image.max() / 2, cell)
     return jnp.sqrt(area / jnp.pi)
 
 
 def image_place(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Where the contact is: the centre of what exceeds half the maximum, m."""
+    """Finds the contact: the centre of all that exceeds half the maximum, m."""
     weight = jnp.maximum(image - image.max() / 2, 0)
     return _centre(weight, cell)
 
@@ -91,10 +91,10 @@ def _area(inside: Bool[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[Array,
 def image_error(
     image: Float[Array, "nx ny"], truth: Float[Array, "nx ny"]
 ) -> Float[Array, ""]:
-    """‖a·image − truth‖/‖truth‖ with the best factor a: 0 is the truth, 1 is nothing.
+    """Computes ‖a·image − truth‖/‖truth‖ with the best a: 0 is the truth, 1 is nothing.
 
-    Free of scale, since Eq. 3's image has the unit of its Jacobian's column and λ
-    shrinks it. 1 also where the image is orthogonal to the truth.
+    The error has no scale: Eq. 3's image has the unit of its Jacobian's column, and λ
+    shrinks the image. The error is also 1 where the image is orthogonal to the truth.
     """
     dot = jnp.sum(image * truth)
     cosine = dot**2 / (jnp.sum(image**2) * jnp.sum(truth**2))
@@ -108,11 +108,11 @@ def two_point_dip(
     other: Float[Array, "2"],
     samples: int = 65,
 ) -> Float[Array, ""]:
-    """How deep the image falls between two true places: 1 − valley / lower of the peaks.
+    """Measures the image's fall between two true places: 1 − valley / lower peak.
 
-    Along the line through both, a quarter of their distance beyond each; each peak is
-    the highest value in its half. 0 is one blob, 1 is full separation; Rayleigh's
-    criterion is 0.19.
+    The image is read along the line through both, a quarter of their distance beyond each.
+    Each peak is the highest value in its half. 0 is one blob, 1 is full separation;
+    Rayleigh's criterion is 0.19.
     """
     along = jnp.linspace(-0.25, 1.25, samples).astype(image.dtype)
     places = one + along[:, None] * (other - one)
@@ -130,7 +130,7 @@ def two_point_dip(
 def greit_figures(
     image: Float[Array, "nx ny"], target: Float[Array, "nx ny"], cell: Float[Array, "2"]
 ) -> GreitFigures:
-    """AR, PE, RES, SD and RNG; `target` is the true image, of which only sums count."""
+    """Computes AR, PE, RES, SD and RNG; of the true image `target` only sums count."""
     signed = image * jnp.sign(image.flatten()[jnp.argmax(jnp.abs(image))])
     quarter = signed >= signed.max() / 4
     area = _area(quarter, cell)

@@ -1,4 +1,4 @@
-"""Finds the peaks of an image, and which of them are one contact."""
+"""Finds the peaks of an image, and groups the peaks of one contact."""
 
 from typing import NamedTuple
 
@@ -24,26 +24,26 @@ class Peaks(NamedTuple):
 
     @property
     def first(self) -> Bool[Array, " C"]:
-        """Whether it is the first of its contact."""
+        """Tells whether each peak is the first of its contact."""
         return self.group == jnp.arange(len(self.group))
 
     @property
     def alone(self) -> Bool[Array, " C"]:
-        """Whether it is a contact of one peak."""
+        """Tells whether each peak is the only one of its contact."""
         return self.first & (self.sizes == 1)
 
     @property
     def sizes(self) -> Int[Array, " C"]:
-        """Peaks of each contact."""
+        """Counts the peaks of each contact."""
         return (self.group[:, None] == jnp.arange(len(self.group))).sum(0)
 
 
 def find_peaks(
     image: Float[Array, "nx ny"], count: int, lowest: Float[Array, ""] | float = 0.0
 ) -> Peaks:
-    """Up to `count` peaks: highest in a square of 2 × 2 pixels and in the eight around it.
+    """Finds up to `count` peaks, each the highest of 3 × 3 squares of 2 × 2 pixels.
 
-    They exceed `lowest` and 0.4 of the highest. Those with no saddle between them are one
+    Peaks exceed `lowest` and 0.4 of the highest. Peaks with no saddle between them are one
     contact.
     """
     squares = _squares(image)
@@ -74,12 +74,12 @@ def find_peaks(
 
 
 def _once(values: Array) -> Array:
-    """XLA would else work them out again in each pass that uses them."""
+    """Stops XLA from computing values again in each pass that uses them."""
     return lax.optimization_barrier(values)  # pyright: ignore
 
 
 def _squares(image: Float[Array, "nx ny"]) -> Array:
-    """The highest of each 2 × 2 pixels."""
+    """Takes the highest of each 2 × 2 pixels."""
     odd = [(0, n % 2) for n in image.shape]
     if any(more for _, more in odd):
         image = jnp.pad(image, odd, constant_values=-jnp.inf)
@@ -90,14 +90,14 @@ def _squares(image: Float[Array, "nx ny"]) -> Array:
 
 
 def _around(values: Array) -> Array:
-    """The highest of each and its eight neighbours."""
+    """Takes the highest of each value and its eight neighbours."""
     wide = jnp.pad(values, 1, constant_values=-1)
     rows = _once(jnp.maximum(jnp.maximum(wide[:-2], wide[2:]), wide[1:-1]))
     return jnp.maximum(jnp.maximum(rows[:, :-2], rows[:, 2:]), rows[:, 1:-1])
 
 
 def _highest_of(image: Array, i: Array, j: Array) -> tuple[Array, Array, Array]:
-    """The highest of four pixels from (i, j) on, inside the image."""
+    """Finds the highest of four pixels from (i, j) on, inside the image."""
     nx, ny = image.shape
     rows = jnp.minimum(i[:, None] + jnp.array([0, 0, 1, 1], i.dtype), nx - 1)
     columns = jnp.minimum(j[:, None] + jnp.array([0, 1, 0, 1], j.dtype), ny - 1)
@@ -109,7 +109,7 @@ def _highest_of(image: Array, i: Array, j: Array) -> tuple[Array, Array, Array]:
 
 
 def _joined(image, i, j, height, there) -> Int[Array, " C"]:
-    """For each peak the first that it is one contact with."""
+    """Finds for each peak the first peak of the same contact."""
     count = len(i)
     linked = jnp.eye(count, dtype=bool)
     for a in range(count):

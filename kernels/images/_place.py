@@ -1,4 +1,4 @@
-"""The place of a contact in an image that measures how well a source there would fit."""
+"""Places a contact in an image that measures how well a source at each pixel would fit."""
 
 from functools import cache
 
@@ -25,9 +25,9 @@ def place_around(
 ) -> Float[Array, "2"]:
     """Averages the places x_k around a peak (i, j), in pixels: Σ w_k x_k / Σ w_k.
 
-    A source at x_k explains the part (z_k/z_max)² of what the highest pixel does, if z is
-    a statistic such as sLORETA's, so that w_k = exp(−(1 − (z_k/z_max)²)/2ε²). Beside an
-    edge of the sheet z is flat over half a pitch: its highest place is as good as any.
+    Let z be a statistic such as sLORETA's. A source at x_k then explains (z_k/z_max)² of
+    what the highest pixel explains, so w_k = exp(−(1 − (z_k/z_max)²)/2ε²). Beside an edge
+    of the sheet z is flat over half a pitch: the highest place is as good as any.
 
     **Arguments:** `reach`: pixels around a peak that are looked at, along x and y.
     """
@@ -48,7 +48,7 @@ def place_around(
 
 
 def _nodes(reach: tuple[int, int]) -> np.ndarray:
-    """Pixels around a peak, beside it."""
+    """Lists the pixels around a peak, relative to the peak."""
     sides = [np.arange(-r, r + 1) for r in reach]
     return np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
 
@@ -57,8 +57,10 @@ def _nodes(reach: tuple[int, int]) -> np.ndarray:
 def _finer(
     reach: tuple[int, int],
 ) -> tuple[Float[np.ndarray, "fine nodes"], Float[np.ndarray, "fine 3"]]:
-    """From the pixels around a peak to places that are closer together, by cubic splines;
-    and those places beside the peak, in pixels, with a 1."""
+    """Returns cubic splines from pixels around a peak to finer places, and these places.
+
+    The places are relative to the peak, in pixels, with a 1.
+    """
     from scipy.interpolate import CubicSpline  # half a second, which most commands save
 
     sides = [CubicSpline(k, np.eye(len(k)))(r * _AT) for r in reach

@@ -1,4 +1,4 @@
-"""Contacts as connected regions of an image that is dark between them."""
+"""Reads contacts as connected regions of an image that is dark between them."""
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +20,10 @@ def read_regions(
     count: int,
     level: float,
 ) -> Contacts:
-    """Regions of pixels (8 neighbours) above `level` of the highest, `count` at most.
+    """Reads up to `count` regions of pixels (8 neighbours) above `level` of the highest.
 
-    A region's place and moments are weighed by the image; what it carries is the sum of
-    `current` over it. The regions are those that carry most.
+    The image weighs a region's place and moments. A region carries the sum of `current`
+    over its pixels. The regions that carry most are kept.
     """
     inside = (image > level * image.max()) & (image > 0)
     label = _labels(inside).ravel()
@@ -37,7 +37,7 @@ def read_regions(
 
 
 def _labels(inside: Array) -> Int[Array, "nx ny"]:
-    """A number above 0 for each connected region, 0 outside."""
+    """Numbers each connected region from 1; 0 is outside."""
     own = jnp.where(inside, 1 + jnp.arange(inside.size).reshape(inside.shape), 0)
 
     def spread(state: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
-"""The paper's Eq. 3: Tikhonov solves, bases of a Jacobian's rows, rules for λ.
+"""Solves the paper's Eq. 3: Tikhonov solves, bases of a Jacobian's rows, rules for λ.
 
-The room takes any Jacobian. It knows nothing of where a Jacobian comes from, nor of what an
+This room takes any Jacobian. The room knows nothing of a Jacobian's origin, nor of what an
 image shows.
 """
 

@@ -1,8 +1,8 @@
-"""The reduced form of the slots' rows: J^l ≈ A_l B with r rows in B instead of K columns.
+"""Reduces the slots' rows: J^l ≈ A_l B with r rows in B instead of K columns.
 
-All slot maps T share one row space, spanned by the differences of the electrodes' fields
-and by a constant (T^l_ik = R_ik − R_lk + const_il): there r = M, exactly. Any other J has
-its singular vectors. In an orthonormal B the sums A_lᵀA_l are r × r and add over slots: a
+All slot maps T share one row space, which the differences of the electrodes' fields and a
+constant span (T^l_ik = R_ik − R_lk + const_il). There r = M, exactly. Any other J uses its
+singular vectors. In an orthonormal B the sums A_lᵀA_l are r × r and add over slots. A
 ground set, a weight or λ then costs a sum of r × r blocks and one small factorisation.
 """
 
@@ -18,7 +18,7 @@ from tomojax.kernels.sheet import Resistances
 
 
 def slot_basis(table: Resistances) -> Float[Array, "M K"]:
-    """Orthonormal rows B that span the rows of T^l for every ground l (rank M)."""
+    """Builds orthonormal rows B that span the rows of T^l for every ground l (rank M)."""
     ek = table.elements
     # The constant has the size of the fields: QR does not rank, but float32 rounds.
     constant = jnp.full_like(ek[:1], jnp.sqrt(jnp.mean(ek**2)))
@@ -29,12 +29,12 @@ def slot_basis(table: Resistances) -> Float[Array, "M K"]:
 def slot_factors(
     maps: Float[Array, "L M K"], basis: Float[Array, "r K"]
 ) -> Float[Array, "L M r"]:
-    """A_l = T^l Bᵀ, so that T^l = A_l B; for another J the best A_l in that basis."""
+    """Computes A_l = T^l Bᵀ, so that T^l = A_l B; for another J the best A_l for B."""
     return matmul(maps, basis.T)
 
 
 class ReducedSlots(NamedTuple):
-    """J^l ≈ A_l B, with the blocks that add over slots."""
+    """The reduced rows J^l ≈ A_l B, with the blocks that add over slots."""
 
     basis: Float[Array, "r K"]  # B, orthonormal rows
     factors: Float[Array, "L M r"]  # A_l = J^l Bᵀ
@@ -42,10 +42,11 @@ class ReducedSlots(NamedTuple):
 
 
 def row_basis(maps: Float[Array, "L M K"], rank: int) -> Float[Array, "r K"]:
-    """Orthonormal rows B that hold the `rank` largest singular vectors of all of J.
+    """Finds orthonormal rows B that hold the `rank` largest singular vectors of all of J.
 
-    A randomised range finder with two power iterations (Halko, Martinsson, Tropp, SIAM
-    Review 53, 2011): within a tenth of what the best basis of that rank leaves.
+    The method is a randomised range finder with two power iterations (Halko, Martinsson,
+    Tropp, SIAM Review 53, 2011). B leaves at most a tenth more than the best basis of that
+    rank.
     """
     rows = maps.reshape(-1, maps.shape[-1])
     sketch = jax.random.normal(jax.random.key(0), (len(rows), rank), rows.dtype)
@@ -57,7 +58,7 @@ def row_basis(maps: Float[Array, "L M K"], rank: int) -> Float[Array, "r K"]:
 
 
 def reduce_slots(maps: Float[Array, "L M K"], basis: Float[Array, "r K"]) -> ReducedSlots:
-    """The factors and blocks of J^l in `basis`."""
+    """Computes the factors and blocks of J^l in `basis`."""
     factors = slot_factors(maps, basis)
     grams = matmul(jnp.swapaxes(factors, 1, 2), factors)
     return ReducedSlots(basis, factors, grams)
@@ -70,11 +71,11 @@ def solve_reduced(
     regularisation: Float[Array, ""],
     weights: Float[Array, " S"] | None = None,
 ) -> Float[Array, " r"]:
-    """c with φ ≈ Bᵀc: (Σ_s w_s A_sᵀA_s + λI) c = Σ_s w_s A_sᵀv_s.
+    """Solves for c with φ ≈ Bᵀc: (Σ_s w_s A_sᵀA_s + λI) c = Σ_s w_s A_sᵀv_s.
 
-    A sum of blocks has the square of J's condition. It is for float64, and for λ above
-    about 1e-5·σ₁² in float32, where it ends as Cholesky does: NaN. `tikhonov` of the
-    selected factors is the accurate way. λ ≤ 0 gives NaN.
+    A sum of blocks has the square of J's condition. The solve serves float64, and λ above
+    about 1e-5·σ₁² in float32. Below that λ Cholesky fails in float32 and gives NaN.
+    `tikhonov` of the selected factors is the accurate way. λ ≤ 0 gives NaN.
     """
     if weights is None:
         weights = jnp.ones_like(voltages[:, 0])

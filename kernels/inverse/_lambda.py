@@ -1,8 +1,8 @@
-"""How much to regularise: λ from the data, by criteria over a logarithmic grid.
+"""Chooses how much to regularise: λ from the data, by criteria over a logarithmic grid.
 
-All are arithmetic on one thin singular value decomposition A = U diag(σ) Vᵀ of the
-selected rows, which serves every λ and every frame. β = Uᵀv, f = λ/(σ² + λ); the
-residual is r = (I − H)v with I − H = U f Uᵀ + (I − UUᵀ).
+All criteria are arithmetic on one thin singular value decomposition A = U diag(σ) Vᵀ of the
+selected rows. The decomposition serves every λ and every frame. Let β = Uᵀv and f = λ/(σ² +
+λ). The residual is r = (I − H)v with I − H = U f Uᵀ + (I − UUᵀ).
 """
 
 from typing import Literal, NamedTuple
@@ -44,14 +44,14 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(rows: Float[Array, "S M K"]) -> Spectrum:
-    """U and σ of the selected slots' rows (of J_s, or of their reduced factors)."""
+    """Computes U and σ of the selected slots' rows (of J_s, or of reduced factors)."""
     slots, electrodes, columns = rows.shape
     u, s, _ = jnp.linalg.svd(rows.reshape(-1, columns), full_matrices=False)
     return Spectrum(u.reshape(slots, electrodes, -1), s)
 
 
 def lambda_grid(s: Spectrum, per_decade: int = 4) -> Float[Array, " G"]:
-    """λ/σ₁² from 10 down to where the dtype holds nothing: 1e-11, or 1e-7 in float32."""
+    """Lists λ from 10·σ₁² to where the dtype ends: 1e-11·σ₁², or 1e-7·σ₁² in float32."""
     lowest = -11 if s.singular.dtype == jnp.float64 else -7
     exponents = jnp.linspace(lowest, 1, per_decade * (1 - lowest) + 1)
     return s.singular[0] ** 2 * 10.0 ** exponents.astype(s.singular.dtype)
@@ -64,20 +64,21 @@ def lambda_scores(
     rule: LambdaRule,
     noise: Float[Array, ""],
 ) -> Float[Array, "G c"]:
-    """What the rule minimises over λ, for one frame, in c columns (1 if not said).
+    """Computes the scores that a rule minimises, for a frame: c columns, 1 if not said.
 
-    - "cautious", c = 3: the two next; `choose_lambda` takes the largest of their λ. Each
-      is blind to some noise and then undersmooths by decades; none oversmooths by much.
+    - "cautious", c = 3: the columns of the next two rules; `choose_lambda` takes the
+      largest of their λ. Each column is blind to some noise and then undersmooths by
+      decades; none oversmooths by much.
     - "cross_validation", c = 2: squared errors of predicting each electrode's voltages in
       all slots, and each slot's at all electrodes, from the rest. Gain errors repeat in an
-      electrode and common-mode noise in a slot: what is left out has to be left out
-      whole, or noise predicts itself.
-    - "estimated_risk": the image's expected error under the variances of image, white
-      noise, common mode and gain error that explain the voltages best; of λ within a
-      tenth of the least error the largest.
+      electrode and common-mode noise in a slot. Electrodes and slots are left out whole, or
+      noise would predict itself.
+    - "estimated_risk": the image's expected error under the variances of
+      image, white noise, common mode and gain error that explain the voltages best. The
+      largest λ within a tenth of the least error counts.
     - "discrepancy": |log ‖r‖²/(n·noise²)|, the residual beside known noise (V rms).
     - "gcv": ‖r‖²/tr(I − H)² (Golub, Heath, Wahba, Technometrics 21, 1979).
-    - "robust_gcv": the same times γ + (1 − γ)·tr(H²)/n.
+    - "robust_gcv": the score of "gcv" times γ + (1 − γ)·tr(H²)/n.
     - "l_curve": −curvature of (log ‖r‖, log ‖φ‖) (Hansen, SIAM Review 34, 1992).
     - "marginal_likelihood": −log p(v|λ) with v ~ N(0, s²(I + AAᵀ/λ)), s² profiled out.
     """
@@ -119,10 +120,10 @@ def lambda_scores(
 def choose_lambda(
     grid: Float[Array, " G"], scores: Float[Array, "*frames G c"]
 ) -> Float[Array, ""]:
-    """The λ of lowest score, summed over frames; of several columns the largest such λ.
+    """Picks the λ of lowest score, summed over frames; the largest λ of several columns.
 
-    A score that is not finite (where a factorisation fails at the smallest λ, or in
-    float32 for one column) does not count; NaN if none is.
+    A score that is not finite does not count (a factorisation fails at the smallest λ, or
+    in float32 for one column). The result is NaN if no score is finite.
     """
     total = scores.reshape(-1, *scores.shape[-2:]).sum(0)
     usable = jnp.isfinite(total)
@@ -138,9 +139,9 @@ def choose_lambda(
 def _left_out_errors(
     left: Float[Array, "S M p"], f: Float[Array, " p"], residual: Float[Array, "S M"]
 ) -> Float[Array, "2"]:
-    """Σ‖e_b‖² over electrodes b, and over slots b, with e_b = (I − H)_bb⁻¹ r_b.
+    """Computes Σ‖e_b‖² over electrodes b, and over slots b, with e_b = (I − H)_bb⁻¹ r_b.
 
-    e_b is the error of predicting block b from the fit to all else, exactly.
+    e_b is the error of predicting block b from the fit to all other blocks, exactly.
     """
 
     def squared_error(block_and_residual: tuple[Array, Array]) -> Array:

@@ -1,11 +1,11 @@
-"""The paper's Eq. 3: φ = (JᵀWJ + λI)⁻¹JᵀWv, by routes of different accuracy.
+"""Solves the paper's Eq. 3: φ = (JᵀWJ + λI)⁻¹JᵀWv, by routes of different accuracy.
 
-With A = √W·J the smaller of the two systems is solved, A Aᵀ + λI (n rows) or
-AᵀA + λI (K columns). Their condition is σ₁²/λ: in float32, Cholesky loses the solution
-at λ ≈ 1e-6·σ₁² and is NaN below 1e-7. In float64 it holds it, and processors have that
-whatever dtype the process works in. Where they do not: the triangle of a QR of
-[Aᵀ; √λI] has the square root of that condition, and a residual in two floats then
-corrects what is left.
+Let A = √W·J. The smaller of two systems is solved: A Aᵀ + λI (n rows) or AᵀA + λI (K
+columns). Their condition is σ₁²/λ. In float32, Cholesky loses the solution at λ ≈ 1e-6·σ₁²
+and is NaN below 1e-7. Float64 keeps the solution, and processors have float64 whatever
+dtype the process works in. Devices without float64 take the triangle of a QR of [Aᵀ; √λI],
+which has the square root of that condition. A residual in two floats then corrects the
+rest.
 """
 
 from functools import partial
@@ -37,18 +37,22 @@ def tikhonov(
     weights: Float[Array, " n"] | None = None,
     route: SolveRoute = "auto",
 ) -> Float[Array, " K"]:
-    """φ = argmin Σ_i w_i (J_i φ − v_i)² + λ‖φ‖², for one frame.
+    """Computes φ = argmin Σ_i w_i (J_i φ − v_i)² + λ‖φ‖², for one frame.
 
-    **Arguments:** `rows` J_s, the selected slots' rows; `voltages` V; `regularisation`
-    λ > 0 in the unit of J²; `weights` w ≥ 0 of the rows, 1 by default; `route`:
-    "cholesky" of the smaller normal system, "double" the same in float64 whatever the
-    dtype of `rows`, "qr" of [Aᵀ; √λI] or [A; √λI], "refined" adds corrections with
-    residuals in two floats, for a device that has float32 alone; "auto" is "cholesky" in
-    float64 and "double" in float32 (right to 1e-7 down to λ = 1e-10·σ₁²).
+    **Arguments:** `rows` J_s, the selected slots' rows; `voltages` V; `regularisation` λ >
+    0 in the unit of J²; `weights` w ≥ 0 of the rows, 1 by default; `route`:
 
-    Differentiable to any order in J, V, λ and w (also at w = 0) by the solve's own rule.
-    One factor serves all frames that a `vmap` has, and their derivatives. λ ≤ 0 and NaN
-    give NaN, never an image.
+    - "cholesky" factors the smaller normal system.
+    - "double" does the same in float64 whatever the dtype of `rows`.
+    - "qr" factors [Aᵀ; √λI] or [A; √λI].
+    - "refined" adds corrections with residuals in two floats, for devices with float32
+      alone.
+    - "auto" is "cholesky" in float64 and "double" in float32 (right to 1e-7 down to λ =
+      1e-10·σ₁²).
+
+    The solve's own rule makes φ differentiable to any order in J, V, λ and w (also at w =
+    0). One factor serves all frames of a `vmap`, and their derivatives. λ ≤ 0 and NaN give
+    NaN, never an image.
     """
     if weights is None:
         weights = jnp.ones_like(voltages)
@@ -59,7 +63,7 @@ def tikhonov(
 
 
 def _factor(route: SolveRoute, rows: Array, lam: Array, weights: Array) -> Array:
-    """L with LLᵀ = A Aᵀ + λI or AᵀA + λI, whichever is smaller; of "double" two floats."""
+    """Factors the smaller of A Aᵀ + λI and AᵀA + λI into LLᵀ; "double" gives two floats."""
     if route == "double":
         with jax.enable_x64(True):
             lower = _factor("cholesky", *map(_doubled, (rows, lam, weights)))
@@ -83,12 +87,12 @@ def _doubled(a: Array) -> Array:
 
 
 def _whole(factor: Array) -> Array:
-    """L of "double" in float64, where that is enabled."""
+    """Adds the two floats of L from "double" in float64, where that is enabled."""
     return _doubled(factor[0]) + _doubled(factor[1])
 
 
 def _by_triangle(lower: Array, b: Array) -> Array:
-    """(LLᵀ)⁻¹b."""
+    """Computes (LLᵀ)⁻¹b."""
     triangle = partial(lax.linalg.triangular_solve, lower, left_side=True, lower=True)
     return triangle(triangle(b[:, None]), transpose_a=True)[:, 0]
 
@@ -102,7 +106,7 @@ def _image(
     lam: Array,
     weights: Array,
 ) -> tuple[Array, Array]:
-    """φ, and v − Jφ."""
+    """Computes φ, and v − Jφ."""
     if route == "double":
         with jax.enable_x64(True):
             given = map(_doubled, (rows, voltages, lam, weights))
@@ -123,7 +127,7 @@ def _image(
 
 
 def _refined(lower: Array, a: Array, b: Array, lam: Array) -> Array:
-    """φ in two floats all through: Aᵀy cancels as far as λ is small."""
+    """Computes φ in two floats all through: Aᵀy cancels as far as λ is small."""
     if _is_wide(a):
         y = two.widen(_by_triangle(lower, b))
         for _ in range(_WIDE_CORRECTIONS):
@@ -142,11 +146,11 @@ def _refined(lower: Array, a: Array, b: Array, lam: Array) -> Array:
 
 @_image.defjvp
 def _image_jvp(route, primals, tangents):
-    """H dφ = Jᵀ(W(dv − dJφ) + dw∘r) + dJᵀWr − dλφ,  H = JᵀWJ + λI,  r = v − Jφ.
+    """Differentiates H φ = JᵀWv: H dφ = Jᵀ(W(dv − dJφ) + dw∘r) + dJᵀWr − dλφ.
 
-    From H φ = JᵀWv. With more columns than rows, H⁻¹t = (t − Aᵀ(AAᵀ + λI)⁻¹At)/λ. The
-    linear solve carries its own rule, so that derivatives of derivatives exist too; the
-    factor is no input of it, but what it is worked out with.
+    H = JᵀWJ + λI and r = v − Jφ. If J has more columns than rows, H⁻¹t = (t − Aᵀ(AAᵀ +
+    λI)⁻¹At)/λ. The linear solve carries its own rule, so that derivatives of derivatives
+    exist too. That rule does not differentiate the factor, only uses it.
     """
     factor, rows, voltages, lam, weights = primals
     _, d_rows, d_voltages, d_lam, d_weights = tangents
@@ -159,7 +163,7 @@ def _image_jvp(route, primals, tangents):
 
 
 def _normal_solve(route, factor, rows, lam, weights, right) -> Array:
-    """(JᵀWJ + λI)⁻¹ right, by the factor of the smaller system."""
+    """Computes (JᵀWJ + λI)⁻¹ right, by the factor of the smaller system."""
 
     def normal(x: Array) -> Array:
         return matmul(rows.T, weights * matmul(rows, x)) + lam * x

@@ -1,9 +1,10 @@
-"""How much of the voltages is image, white noise, common mode and gain error.
+"""Estimates how much of the voltages is image, white noise, common mode and gain error.
 
-v ~ N(0, τ²AAᵀ + s²I + a²Σ_l 1_l1_lᵀ + g²Σ_i v_i v_iᵀ): an image of independent elements,
-white noise, an offset common to a slot l, and a gain error of an electrode i, whose
-voltages in all slots are v_i. The four variances by maximum likelihood, with the MM
-algorithm for variance components (Zhou et al., J. Comput. Graph. Stat. 28, 2019).
+v ~ N(0, τ²AAᵀ + s²I + a²Σ_l 1_l1_lᵀ + g²Σ_i v_i v_iᵀ). The terms are an image of
+independent elements, white noise, an offset of all of slot l, and a gain error of electrode
+i. The electrode's voltages in all slots are v_i. The four variances are the likeliest,
+found by the MM algorithm for variance components (Zhou et al., J. Comput. Graph. Stat. 28,
+2019).
 """
 
 from typing import NamedTuple
@@ -31,7 +32,7 @@ class Variances(NamedTuple):
 def variance_components(
     left: Float[Array, "S M p"], singular: Float[Array, " p"], v: Float[Array, "S M"]
 ) -> Variances:
-    """The four variances, A = U diag(σ) Vᵀ given by `left` U and `singular` σ."""
+    """Estimates the four variances; A = U diag(σ) Vᵀ by `left` U and `singular` σ."""
     slots, electrodes, p = left.shape
     n = slots * electrodes
     in_slot = jnp.repeat(jnp.eye(slots, dtype=v.dtype), electrodes, axis=0)
@@ -77,9 +78,10 @@ def estimated_risk(
     variances: Variances,
     grid: Float[Array, " G"],
 ) -> Float[Array, " G"]:
-    """E‖φ_λ − φ‖² in the rows' space for each λ, were these the variances:
+    """Computes E‖φ_λ − φ‖² in the rows' space for each λ, under these variances.
 
-    Σ_j τ²(λ/(σ_j² + λ))² + σ_j²/(σ_j² + λ)²·u_jᵀCu_j, C the covariance of the noise.
+    The risk is Σ_j τ²(λ/(σ_j² + λ))² + σ_j²/(σ_j² + λ)²·u_jᵀCu_j, C the covariance of the
+    noise.
     """
     common = jnp.sum(left.sum(1) ** 2, 0)
     gain = jnp.sum(jnp.einsum("smp,sm->mp", left, v, precision="highest") ** 2, 0)

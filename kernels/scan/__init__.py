@@ -1,6 +1,6 @@
-"""The paper's adaptive scan: grounds that depend on what two corner slots show.
+"""Chooses grounds by the paper's adaptive scan, from the voltages of two corner slots.
 
-The room takes voltages and places of electrodes, and gives numbers of electrodes. It knows
+This room takes voltages and places of electrodes, and gives numbers of electrodes. It knows
 nothing of how voltages become images.
 """
 

@@ -1,7 +1,7 @@
-"""The paper's adaptive scan (II.D): from exploratory voltages to ground conditions.
+"""Turns exploratory voltages into ground conditions: the paper's adaptive scan (II.D).
 
-Array functions of fixed output size, for any array of electrodes, to sit inside a
-compiled step. Bad voltages are a flag and a defined region, never an exception.
+The functions have fixed output sizes, take any array of electrodes, and run inside a
+compiled step. Bad voltages give a flag and a defined region, never an exception.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ _ROUND = 0.05
 
 
 class Region(NamedTuple):
-    """Where the object touches, as electrodes see it."""
+    """The region that the object touches, as electrodes see it."""
 
     centre: Int[Array, ""]  # the electrode of the highest summed voltage
     inside: Bool[Array, " M"]  # electrodes within α of it
@@ -38,11 +38,11 @@ class Region(NamedTuple):
 def electrode_currents(
     resistances: Float[Array, "M M"], voltages: Float[Array, "E M"]
 ) -> Float[Array, " M"]:
-    """Currents into the electrodes that would make the summed exploratory voltages, A.
+    """Computes currents into electrodes that would make the summed exploratory voltages, A.
 
-    R_ee⁺ΣV: harmonic between contacts, so that what stands out is under the object. The
-    grounded electrodes appear as sinks. The paper weighs the electrodes of a region
-    equally; these weights see its shape between electrodes.
+    The currents are R_ee⁺ΣV. Voltages are harmonic between contacts, so high currents are
+    under the object. The grounded electrodes appear as sinks. The paper weighs the
+    electrodes of a region equally; the currents show the region's shape between electrodes.
     """
     # Voltages have a free constant, R_ee none of its own: a constant is added to it.
     m = len(resistances)
@@ -59,13 +59,13 @@ def contact_region(
     threshold: Float[Array, ""],
     weights: Float[Array, " M"] | None = None,
 ) -> Region:
-    """Centre of contact, electrodes in contact, their box and principal direction.
+    """Finds the centre of contact, electrodes in contact, their box and main direction.
 
-    **Arguments:** `voltages` of the E exploratory slots; `alpha` α, percent of the
-    highest summed voltage; `threshold`: summed volts below which nothing touches;
-    `weights`: what the principal direction is taken of, such as `electrode_currents`
-    (those below a tenth of the highest do not count); by default the electrodes of the
-    region, alike, as in the paper.
+    **Arguments:** `voltages` of the E exploratory slots; `alpha` α, percent of the highest
+    summed voltage; `threshold`: summed volts below which nothing touches; `weights`: each
+    electrode's part in the principal direction, such as `electrode_currents`. Weights below
+    a tenth of the highest do not count. By default all electrodes of the region weigh the
+    same, as in the paper.
 
     Without a contact (or with bad voltages) the region is the electrode nearest to the
     middle of the array, without direction (class 0).
@@ -101,7 +101,7 @@ def _box(inside: Bool[Array, " M"], xy: Float[Array, "M 2"]) -> tuple[Array, Arr
 
 
 def _principal_direction(weight: Array, xy: Array) -> tuple[Array, Array]:
-    """Angle of the longer principal axis, 0 if there is none, and whether there is."""
+    """Computes the longer principal axis's angle (0 if none), and whether one exists."""
     w = weight / weight.sum()
     away = xy - w @ xy
     xx, yy, cross = w @ away[:, 0] ** 2, w @ away[:, 1] ** 2, w @ (away[:, 0] * away[:, 1])
@@ -119,11 +119,11 @@ def contact_regions(
     threshold: Float[Array, ""],
     count: int,
 ) -> Region:
-    """Up to `count` separate contacts, strongest first, as a `Region` of (count, …).
+    """Finds up to `count` separate contacts, strongest first, as a `Region` of (count, …).
 
-    A contact is a group of neighbouring electrodes (within 1.5 pitches) whose
-    `electrode_currents` are above a quarter of the group's highest, and that one above a
-    quarter of the highest of all. Rows without a contact have the flag NO_CONTACT.
+    A contact is a group of neighbouring electrodes (within 1.5 pitches). The group's
+    `electrode_currents` are above a quarter of the group's highest. That highest current is
+    above a quarter of the highest of all. Rows without a contact have the flag NO_CONTACT.
     """
     summed = voltages.sum(0)
     good = jnp.isfinite(voltages).all()
@@ -154,18 +154,18 @@ def contact_regions(
 
 
 def smallest_pitch(electrode_xy: Float[Array, "M 2"]) -> Float[Array, ""]:
-    """The smallest distance between two electrodes, m."""
+    """Computes the smallest distance between two electrodes, m."""
     square = jnp.sum((electrode_xy[:, None] - electrode_xy) ** 2, -1)
     apart = jnp.where(jnp.eye(len(square), dtype=bool), jnp.inf, square)
     return jnp.sqrt(apart.min())
 
 
 def around(region: Region, electrode_xy: Float[Array, "M 2"]) -> Int[Array, "8"]:
-    """*Around*: corners and side midpoints of the region's box, as eight electrodes.
+    """Picks *Around*: corners and side midpoints of the region's box, as eight electrodes.
 
-    The box is at least two pitches wide, so that the eight differ, and is moved inside
-    the array; each corner or midpoint takes the nearest electrode not yet taken. Of
-    fewer than eight electrodes, all are taken.
+    The box is at least two pitches wide, so that the eight differ, and is moved inside the
+    array. Each corner or midpoint takes the nearest electrode not yet taken. All electrodes
+    are taken if there are fewer than eight.
     """
     size = jnp.maximum(region.high - region.low, 2 * smallest_pitch(electrode_xy))
     low, high = electrode_xy.min(0), electrode_xy.max(0)
@@ -179,7 +179,7 @@ def around(region: Region, electrode_xy: Float[Array, "M 2"]) -> Int[Array, "8"]
 def nearest_electrodes(
     targets: Float[Array, "T 2"], electrode_xy: Float[Array, "M 2"]
 ) -> Int[Array, " T"]:
-    """For each target in turn the nearest electrode that no other has taken yet."""
+    """Picks for each target in turn the nearest electrode not yet taken."""
 
     def take(free: Array, target: Array) -> tuple[Array, Array]:
         away = jnp.sum((electrode_xy - target) ** 2, 1)
@@ -192,10 +192,10 @@ def nearest_electrodes(
 def cop_line(
     region: Region, electrode_xy: Float[Array, "M 2"], count: int = 8
 ) -> Int[Array, " L"]:
-    """*CoP line*: `count` electrodes along the direction class through the centre.
+    """Picks *CoP line*: `count` electrodes along the direction class through the centre.
 
-    Those within half a pitch of the line, nearest to the centre first; where they are
-    too few, those of the perpendicular line; then the nearest others.
+    Electrodes within half a pitch of the line come first, nearest to the centre first. If
+    these are too few, electrodes of the perpendicular line follow, then the nearest others.
     """
     angle = region.direction_class.astype(electrode_xy.dtype) * (jnp.pi / DIRECTIONS)
     along = jnp.stack([jnp.cos(angle), jnp.sin(angle)]).astype(electrode_xy.dtype)
@@ -215,9 +215,9 @@ def cop_line(
 
 
 def point(voltages: Float[Array, "E M"], corners: Int[Array, "4"]) -> Int[Array, "6"]:
-    """*Point*: the four corners and the two other electrodes nearest to the contact.
+    """Picks *Point*: the four corners and the two other electrodes nearest to the contact.
 
-    Nearest are those of the highest summed voltage; NaN counts as lowest.
+    The nearest electrodes have the highest summed voltage; NaN counts as lowest.
     """
     summed = jnp.nan_to_num(voltages.sum(0), nan=-jnp.inf)
     two = jnp.argsort(-summed.at[corners].set(-jnp.inf), stable=True)[:2]

@@ -1,7 +1,7 @@
-"""Shapes of contacts: a field that says where an object touches, fitted to voltages.
+"""Fits the shapes of contacts to voltages: a field says where an object touches.
 
-An object mostly touches or does not. The room knows the sheet and the errors of voltages;
-it knows nothing of rigs, files or what an image is used for.
+Nearly everywhere an object either touches or does not. This room knows the sheet and the
+errors of voltages. The room knows nothing of rigs, files or what an image is used for.
 """
 
 from tomojax.kernels.shapes._field import (

@@ -1,10 +1,10 @@
-"""A field of two levels: where an object touches, its conductance; elsewhere, none.
+"""Describes a field of two levels: conductance where an object touches, none elsewhere.
 
     g(x) = level(x)·logistic(f(x)),  f = mean + Σ_m w_m·φ_m(x),  w normal, of variance 1
 
-f is Gaussian beforehand, of Matérn's covariance of order 3/2, in the waves
-cos(πix/a)·cos(πjy/b) of the sheet. Its standard deviation is many times the width of the
-logistic function's slope: most of the sheet is at one of the two levels.
+f is Gaussian beforehand, with Matérn's covariance of order 3/2, in the waves
+cos(πix/a)·cos(πjy/b) of the sheet. The standard deviation of f is many times the width of
+the logistic function's slope. So most of the sheet is at one of the two levels.
 """
 
 from typing import NamedTuple
@@ -42,7 +42,7 @@ _NEAR, _FAINT = 1.0, 0.1
 
 
 class TwoLevels(NamedTuple):
-    """The field's waves at points of n pixels; of K waves, the longest first."""
+    """The field's K waves at points of n pixels, the longest wave first."""
 
     waves: Float[Array, "n q K"]  # φ_m, times its standard deviation beforehand
     mean: Float[Array, ""]
@@ -51,7 +51,7 @@ class TwoLevels(NamedTuple):
 def modes_of(
     shape: tuple[int, int], size: Float[np.ndarray, "2"], pitch: float, dtype
 ) -> TwoLevels:
-    """The waves on an image of `shape` pixels over a sheet of `size`, m."""
+    """Computes the waves on an image of `shape` pixels over a sheet of `size`, m."""
     most = np.floor(size / (_SHORTEST * pitch)).astype(int)
     orders = np.moveaxis(np.indices(tuple(most + 1)), 0, -1).reshape(-1, 2)
     wave = np.pi * orders / size
@@ -80,7 +80,7 @@ def modes_of(
 def touching(
     waves: Float[Array, "n q K"], mean: Float[Array, ""], w: Float[Array, " K"]
 ) -> tuple[Float[Array, " n"], Float[Array, "n q"]]:
-    """The part of each pixel that touches; and at its points ∂/∂f of it, over q."""
+    """Computes the part of each pixel that touches, and its ∂/∂f at the q points."""
     inside = jax.nn.sigmoid(mean + matmul(waves, w))
     return inside.mean(1), inside * (1 - inside) / waves.shape[1]
 
@@ -88,8 +88,11 @@ def touching(
 def levels(
     g: Float[Array, "nx ny"], cell: Float[Array, "2"], pitch: Float[Array, ""]
 ) -> Float[Array, "nx ny"]:
-    """The conductance per area of what touches near each pixel: Σg²/Σg, near being by a
-    Gaussian. Objects of unlike conductance have each their own."""
+    """Estimates the conductance per area of what touches near each pixel: Σg²/Σg.
+
+    A Gaussian weighs the sums by distance. Objects of unlike conductance have levels of
+    their own.
+    """
     along, across = (gaussian(n, _NEAR * pitch / c) for n, c in zip(g.shape, cell))
     blur = lambda a: matmul(matmul(along, a), across.T)  # noqa: E731
     tiny = jnp.finfo(g.dtype).tiny
@@ -101,9 +104,9 @@ def levels(
 
 
 def near_touching(field: TwoLevels, touch: Float[Array, " n"]) -> Float[Array, " K"]:
-    """A w whose field is about where `touch` is that part of each pixel.
+    """Finds a w whose field touches about the part `touch` of each pixel.
 
-    The waves are orthogonal at the points: each has a product of its own.
+    The waves are orthogonal at the points: each wave's weight is one product.
     """
     inside = jnp.clip(touch, _LEAST, 1 - _MOST)
     f = jnp.log(inside / (1 - inside)) - field.mean

@@ -2,9 +2,9 @@
 
 min over w of  t·Σ_s δ²·ln(1 + |r_s(g)|²/δ²) + |w|²,  g = level·(the part that touches)
 
-r_s are a slot's whitened residuals. Their errors are mostly of the model (a sheet that is
-not even, electrodes off their places), and the same in all slots: t is below 1 where slots
-are many.
+r_s are a slot's whitened residuals. Most errors are the model's (a sheet that is not even,
+electrodes off their places), and the same in all slots. So t is below 1 where slots are
+many.
 """
 
 from typing import Any, NamedTuple
@@ -33,14 +33,14 @@ _LONGEST = 6.0
 
 
 class PixelSites(NamedTuple):
-    """Resistances between pixels and electrodes; which sites a pixel's contact is on."""
+    """Resistances between pixels and electrodes, and the sites that each pixel touches."""
 
     table: Float[Array, "sites sites"]  # Ω, electrodes last
     on_sheet: Float[Array, " pixels"]  # the part of a pixel that is on no electrode
     metal: Float[Array, "pixels M"]  # and the part on each
 
     def of(self, pixels: Float[Array, "pixels ..."]) -> Float[Array, "sites ..."]:
-        """From pixels to their own sites and the electrodes' metal."""
+        """Turns values of pixels into values of their sites and the electrodes' metal."""
         on_sheet = self.on_sheet.reshape((-1,) + (1,) * (pixels.ndim - 1))
         return jnp.concatenate([pixels * on_sheet, matmul(self.metal.T, pixels)])
 
@@ -57,7 +57,7 @@ class Told(NamedTuple):
 
 
 class Evaluated(NamedTuple):
-    """The model at some w."""
+    """The model's state at some w."""
 
     rest: Float[Array, "S W"]
     contact: ContactReduction
@@ -82,8 +82,10 @@ def fit_shape(
     most: int,
     enough: float,
 ) -> ShapeFit:
-    """The likeliest field, from `start`; `level`: the conductance of a pixel that touches,
-    S; after `most` evaluations, or once a step gains less than the part `enough`."""
+    """Finds the likeliest field, from `start`; `level`: S of a pixel that touches.
+
+    The fit ends after `most` evaluations, or once a step gains less than the part `enough`.
+    """
 
     def evaluated(w: Array) -> tuple[Array, Evaluated]:
         touch, _ = touching(field.waves, field.mean, w)
@@ -116,10 +118,10 @@ def followed(
     level: Float[Array, " n"],
     fit: ShapeFit,
 ) -> ShapeFit:
-    """The same fit, with a derivative by what is told: that of where it ends.
+    """Gives a fit derivatives by `told`: those of the place where the fit ends.
 
-    At the end JᵀWr + w = 0, and so dw = −(I + JᵀWJ)⁻¹JᵀW dr: the fit's steps are not
-    followed. W, J and the level stay as they are.
+    At the end JᵀWr + w = 0, and so dw = −(I + JᵀWJ)⁻¹JᵀW dr: the derivative does not follow
+    the fit's steps. W, J and the level stay as they are.
     """
     fixed: Any = jax.lax.stop_gradient((field, sites, level, fit))
     still: Told = jax.lax.stop_gradient(told)
@@ -147,7 +149,7 @@ def shape_slopes(
     steep: Float[Array, "n q"],
     at: Evaluated,
 ) -> Float[Array, "S W K"]:
-    """Slopes of the whitened residuals by w; `steep`: of what touches by f."""
+    """Computes slopes of the whitened residuals by w; `steep`: slopes of touch by f."""
     n = len(level)
     z, v0 = told.ground_resistance, told.drive_voltage
     slopes = voltage_slopes(at.contact, told.frame.grounds, z, v0)
@@ -180,10 +182,11 @@ def shape_curvature(
     level: Float[Array, " n"],
     fit: ShapeFit,
 ) -> Float[Array, "K K"]:
-    """Returns t·JᵀWJ, what the data tell of w; I added, it is the covariance's inverse.
+    """Computes t·JᵀWJ, the data's part of the inverse covariance of w; the prior adds I.
 
-    Whether a pixel touches is asked, which a tangent does not tell: far from f = 0 the
-    logistic function is flat, and any f would do. Slopes are those of the chord to f = 0.
+    The question is whether a pixel touches, which a tangent does not tell. Far from f = 0
+    the logistic function is flat, and any f would do. So slopes are those of the chord to f
+    = 0.
     """
     f = field.mean + matmul(field.waves, fit.w)
     small = jnp.abs(f) < 1e-2

@@ -1,4 +1,4 @@
-"""How sure a fitted shape is, pixel by pixel: Laplace's approximation."""
+"""Computes how sure a fitted shape is, pixel by pixel: Laplace's approximation."""
 
 from typing import NamedTuple
 
@@ -21,9 +21,9 @@ class PixelSpread(NamedTuple):
 def spread(
     field: TwoLevels, curvature: Float[Array, "K K"], w: Float[Array, " K"]
 ) -> PixelSpread:
-    """P(f > 0), and the deviation of the part of a pixel that touches.
+    """Computes P(f > 0), and the deviation of the part of a pixel that touches.
 
-    f, in the mean over a pixel's points, has the variance φᵀ(I + curvature)⁻¹φ.
+    The mean of f over a pixel's points has the variance φᵀ(I + curvature)⁻¹φ.
     """
     unit = jnp.eye(len(w), dtype=w.dtype)
     chol = jnp.linalg.cholesky(curvature + unit, symmetrize_input=False)

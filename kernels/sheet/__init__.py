@@ -1,7 +1,7 @@
-"""The sheet's physics: mesh, electrodes, tables of resistances, slots, exact contacts.
+"""Computes the sheet's physics: mesh, electrodes, resistances, slots, exact contacts.
 
-The room turns a sheet into resistances and resistances into voltages. It knows nothing of
-images, of noise or of how contacts are found.
+This room turns a sheet into resistances and resistances into voltages. The room knows
+nothing of images, of noise or of how contacts are found.
 """
 
 from tomojax.kernels.sheet._fem import (

@@ -1,23 +1,23 @@
-"""Disc electrodes on a mesh that need not resolve them, at any place.
+"""Puts disc electrodes at any place on a mesh that need not resolve them.
 
 An electrode is an equipotential disc of radius a. It acts in three ways.
 
-*Feed.* It is fed and read through a Gaussian of width s on the nodes around it. Outside
-its source a symmetric feed acts like a disc (the mean of a harmonic function over a
-circle is its value at the centre), so only the electrode's own resistance depends on s,
-and there the difference to the disc is known: it is put back as a resistance in series.
+*Feed.* An electrode is fed and read through a Gaussian of width s on the nodes around it.
+Outside its source such a feed acts like a disc: a harmonic function's mean over a circle
+is its value at the centre. So only the electrode's own resistance depends on s. The
+difference to the disc's is known, and is put back as a resistance in series.
 
-*Shunt.* A disc that nothing is connected to still evens out the potential under it: in
-a field E it answers with the dipole 2πσa²E, which lowers the resistance of a sheet that
-5 % of is covered by 10 %. The dipoles are fed through the Gaussian's slopes, and what
-their own resistance lacks to 1/(2πσa²) is put back in series as well.
+*Shunt.* A disc that nothing is connected to still evens out the potential under it. In a
+field E the disc answers with the dipole 2πσa²E. If discs cover 5 % of a sheet, the sheet's
+resistance falls by 10 %. The dipoles are fed through the Gaussian's slopes. The part of
+1/(2πσa²) that their own resistance lacks is put back in series as well.
 
-*Metal.* An object over an electrode touches the metal, not a point of the sheet: what a
-contact has within the feed's reach goes to the electrode itself (`metal_shares`).
+*Metal.* An object over an electrode touches the metal, not a point of the sheet. So the
+part of a contact within the feed's reach goes to the electrode itself (`metal_shares`).
 Otherwise a strong contact could drive the spread-out feed beyond the object's voltage.
 
-The weights are smooth in the electrode's place, and the sum over a mesh of spacing h
-repeats the integral to exp(−2π²s²/h²).
+The weights are smooth in the electrode's place. The sum over a mesh of spacing h repeats
+the integral to exp(−2π²s²/h²).
 """
 
 import jax
@@ -35,12 +35,13 @@ _NARROWEST = 0.65
 
 
 def _own_excess(width: Array, radius: Array, shape: Shape, size: Array) -> Array:
-    """2πσ·(own resistance of a disc − that of the feed on the mesh).
+    """Computes 2πσ·(own resistance of a disc − that of the feed on the mesh).
 
-    ln s + ½(2 ln 2 − γ) − ln a − (dx² + dy²)/(64 s²) − 0.0012 (h/s)⁴: the width's
-    difference, and the first two terms of the mesh's error. The stencil's symbol is
-    k² − (k_x⁴dx² + k_y⁴dy²)/12 + …, so it carries short waves too easily and overstates
-    the own resistance by (1/σ)·∫|f̂|²(k_x⁴dx² + k_y⁴dy²)/(12k⁴) + ….
+    The result is ln s + ½(2 ln 2 − γ) − ln a − (dx² + dy²)/(64 s²) − 0.0012 (h/s)⁴. The
+    terms are the width's difference and the first two terms of the mesh's error. The
+    stencil's symbol is k² − (k_x⁴dx² + k_y⁴dy²)/12 + …. So the stencil carries short waves
+    too easily and overstates the own resistance by (1/σ)·∫|f̂|²(k_x⁴dx² + k_y⁴dy²)/(12k⁴) +
+    ….
     """
     square = cell_sides(shape, size) ** 2
     mesh = square.sum() / (64 * width**2) + 0.0011936 * (square**2).mean() / width**4
@@ -50,11 +51,11 @@ def _own_excess(width: Array, radius: Array, shape: Shape, size: Array) -> Array
 def feed_width(
     radius: Float[Array, ""], shape: Shape, size: Float[Array, "2"]
 ) -> Float[Array, ""]:
-    """Width s (m) of the Gaussian feed: the disc's own, or what the mesh carries.
+    """Computes the width s (m) of the Gaussian feed: the disc's own, or the mesh's least.
 
-    The first is where `_own_excess` vanishes, by four Newton steps in ln s. It is never
-    below zero then: a negative resistance in series would make a strong contact over
-    an electrode push current out of the ground.
+    At the disc's own width `_own_excess` vanishes, by four Newton steps in ln s. So
+    `_own_excess` is never below zero. A negative resistance in series would make a strong
+    contact over an electrode push current out of the ground.
     """
     log_width = jnp.log(radius) - _GAUSS
     excess = lambda x: _own_excess(jnp.exp(x), radius, shape, size)  # noqa: E731
@@ -76,7 +77,7 @@ def feed_weights(
     shape: Shape,
     size: Float[Array, "2"],
 ) -> Float[Array, "nodes M"]:
-    """Shares of each electrode's current that enter at each node; columns sum to 1."""
+    """Computes shares of each electrode's current that enter a node; columns sum to 1."""
     square = _square_distances(nodes(shape, size), places)
     weights = jnp.exp(-square / (2 * width**2)) * node_areas(shape, size)[:, None]
     return weights / weights.sum(0)
@@ -88,10 +89,10 @@ def metal_shares(
     shape: Shape,
     size: Float[Array, "2"],
 ) -> Float[Array, "nodes M"]:
-    """Share of a contact at each node that is on an electrode's metal: 1 within 2 s.
+    """Computes the share of a contact at each node that is on metal: 1 within 2 s.
 
-    Falls to 0 over a cell. The disc of the feed's own resistance has the radius 1.5 s,
-    but a contact between that and 2 s, where a seventh of the feed still is, was seen to
+    The share falls to 0 over a cell. The disc of the feed's own resistance has the radius
+    1.5 s. A seventh of the feed is still between 1.5 s and 2 s; a contact there was seen to
     drive voltages out of bounds.
     """
     square = _square_distances(nodes(shape, size), places)
@@ -107,7 +108,7 @@ def dipole_weights(
     shape: Shape,
     size: Float[Array, "2"],
 ) -> Float[Array, "nodes D"]:
-    """Slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m."""
+    """Computes slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m."""
     moved = lambda by: feed_weights(places + by, width, shape, size)  # noqa: E731
     slopes = jax.jacfwd(moved)(jnp.zeros_like(size))
     return jnp.concatenate([slopes[..., 0], slopes[..., 1]], 1)
@@ -121,12 +122,11 @@ def series_resistances(
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, " M"], Float[Array, " D"]]:
-    """What feed (Ω) and dipoles (Ω/m²) on this mesh lack to a disc's own resistances.
+    """Computes the resistances that feeds (Ω) and dipoles (Ω/m²) lack to a disc's own.
 
     Feed: `_own_excess`/(2πσ_e), zero where the mesh resolves the disc. Dipole, answering
-    with the part `shunt` of a disc's: 1/(2πσ_e a²·shunt) −
-    [1 + (dx² + dy²)/(32 s²) + 0.0048 (h/s)⁴]/(8πσ_e s²). σ_e is the sheet's conductance
-    under the feed.
+    with the part `shunt` of a disc's: 1/(2πσ_e a²·shunt) − [1 + (dx² + dy²)/(32 s²) +
+    0.0048 (h/s)⁴]/(8πσ_e s²). Here σ_e is the sheet's conductance under the feed.
     """
     width = feed_width(radius, shape, size)
     square = _square_distances(centroids(shape, size), places)

@@ -1,7 +1,7 @@
-"""Resistances and loaded fields of any sheet by P1 finite elements.
+"""Computes resistances and loaded fields of any sheet by P1 finite elements.
 
-One factorisation, three right-hand sides per electrode (its feed and two dipoles) and
-the band of the inverse.
+The work is one factorisation, three right-hand sides per electrode (its feed and two
+dipoles) and the band of the inverse.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from tomojax.kernels.sheet._table import centred, Resistances
 
 
 class FemSheet(NamedTuple):
-    """A sheet on its mesh: what the factorisation is made of."""
+    """A sheet on its mesh: all that the factorisation needs."""
 
     sheet: Float[Array, " K"]  # conductance, S per square
     size: Float[Array, "2"]  # m
@@ -45,10 +45,10 @@ def fem_sheet(
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
 ) -> FemSheet:
-    """Electrodes put on the mesh of a sheet of conductance `sheet` (S per square).
+    """Puts electrodes on the mesh of a sheet of conductance `sheet` (S per square).
 
-    `shunt`: dipole of a floating electrode, as a part of an equipotential disc's; None
-    leaves the dipoles out and with them two thirds of the right-hand sides.
+    `shunt`: dipole of a floating electrode, as a part of an equipotential disc's. None
+    leaves out the dipoles, and so two thirds of the right-hand sides.
     """
     width = feed_width(radius, shape, size)
     series, dipole_series = series_resistances(sheet, places, radius, shape, size, shunt)
@@ -65,10 +65,10 @@ def fem_sheet(
 
 
 def _pinned_solver(fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape):
-    """(factor, rhs ↦ A⁻¹·rhs with the last node at 0 V), and the solve's own rule.
+    """Returns the factor, and rhs ↦ A⁻¹·rhs with the last node at 0 V and its own rule.
 
-    From A x = b: dx = A⁻¹(db − dA x). The derivative runs through the operator and
-    one more solve with the same factor, never through the factorisation.
+    The rule follows from A x = b: dx = A⁻¹(db − dA x). The derivative runs through the
+    operator and one more solve with the same factor, never through the factorisation.
     """
     matrix = _stiffness.assemble(fem.sheet, contact, shape, fem.size)
     from_pin = _from_pin(fem, contact, shape)
@@ -94,7 +94,7 @@ def _pinned_solver(fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape)
 def _from_pin(
     fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape
 ) -> Float[Array, " nodes"]:
-    """Currents (A) into the other nodes with the pinned one at 1 V."""
+    """Computes currents (A) into the other nodes with the pinned node at 1 V."""
     at_pin = jnp.zeros_like(fem.feeds[:, :1]).at[-1].set(1)
     return -_stiffness.apply(fem.sheet, contact, shape, fem.size, at_pin)[:, 0]
 
@@ -107,14 +107,14 @@ class _Ports(NamedTuple):
     dipole: Float[Array, "D D"]  # Cholesky factor of the dipoles' own resistances
 
     def answer(self, at_dipoles: Float[Array, "D n"]) -> Float[Array, "D n"]:
-        """L⁻¹·(field at the dipoles): products of two of these are what shunts take."""
+        """Computes L⁻¹·(field at the dipoles); shunts take products of two such answers."""
         if not len(self.dipole):
             return at_dipoles
         return triangular_solve(self.dipole, at_dipoles, left_side=True, lower=True)
 
 
 def _ports(fem: FemSheet, fields: Float[Array, "nodes ports"]) -> _Ports:
-    """Q = P'ᵀA⁻¹P' with dipoles eliminated: Q_pp − Q_pd (Q_dd + δ_d)⁻¹ Q_dp."""
+    """Computes Q = P'ᵀA⁻¹P' without dipoles: Q_pp − Q_pd (Q_dd + δ_d)⁻¹ Q_dp."""
     m = fem.feeds.shape[1]
     q = matmul(fem.feeds.T, fields[:, :m])
     feed_dipole = matmul(fem.feeds.T, fields[:, m:])
@@ -128,7 +128,7 @@ def _ports(fem: FemSheet, fields: Float[Array, "nodes ports"]) -> _Ports:
 
 
 def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
-    """R_ee, R_ek and R_kk (Ω) of a sheet on its mesh, centred.
+    """Computes R_ee, R_ek and R_kk (Ω) of a sheet on its mesh, centred.
 
     **Arguments:** `fem`: the sheet and its electrodes; `shape` (nx, ny): cells.
     **Returns:** `Resistances` with M electrodes and K = 2·nx·ny elements.
@@ -145,7 +145,7 @@ def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
 
 
 def _own_resistance(chol, shape: Shape) -> Float[Array, " K"]:
-    """R_kk = b_kᵀ R b_k from the band of the inverse; the pinned node counts zero."""
+    """Computes R_kk = b_kᵀ R b_k from the inverse's band; the pinned node counts zero."""
     band = inverse_band(chol)
     diagonal = band.diagonal.at[-1, -1, -1].set(0)
     b = diagonal.shape[-1]
@@ -165,10 +165,11 @@ def _own_resistance(chol, shape: Shape) -> Float[Array, " K"]:
 def fem_site_resistances(
     fem: FemSheet, sites: Int[Array, " c"], shape: Shape
 ) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
-    """R_ec and R_cc' (Ω) of chosen sites, centred like the table.
+    """Computes R_ec and R_cc' (Ω) of chosen sites, centred like the table.
 
-    A site is a node, or electrode e as N + e: all that `fem_contact` can touch. With
-    them `reduce_contact` gives what `fem_contact` does without another factorisation.
+    A site is a node, or electrode e as N + e: all that `fem_contact` can touch. From these
+    resistances `reduce_contact` gives the result of `fem_contact` without another
+    factorisation.
     """
     n, m = fem.feeds.shape
     shares = jnp.zeros((n + m, sites.size), fem.sheet.dtype)
@@ -179,9 +180,9 @@ def fem_site_resistances(
 def fem_shared_resistances(
     fem: FemSheet, shares: Float[Array, "sites c"], shape: Shape
 ) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
-    """The same of groups of sites: each of the c has its current in these shares.
+    """Computes R_ec and R_cc' (Ω) of c groups of sites, centred like the table.
 
-    Columns of `shares` sum to 1.
+    A column of `shares` splits a group's current among sites; columns sum to 1.
     """
     _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
     n = len(fem.feeds)
@@ -207,10 +208,10 @@ def fem_shared_resistances(
 def site_conductance(
     fem: FemSheet, contact: Float[Array, " K"], shape: Shape
 ) -> Float[Array, " sites"]:
-    """Conductances (S) on nodes and electrodes from conductances on elements.
+    """Turns conductances (S) on elements into conductances on nodes and electrodes.
 
-    A third of each element's to each of its vertices, and of a node's what `metal`
-    says to the electrodes.
+    A third of an element's conductance goes to each of its vertices. The share `metal` of a
+    node's conductance goes to the electrodes.
     """
     at_nodes = _stiffness.spread(contact, shape)
     direct = matmul(at_nodes, fem.metal)
@@ -220,15 +221,15 @@ def site_conductance(
 def fem_contact(
     fem: FemSheet, contact: Float[Array, " sites"], shape: Shape
 ) -> ContactReduction:
-    """Reduction of a sheet in contact to its electrodes, from one factorisation.
+    """Reduces a sheet in contact to its electrodes, from one factorisation.
 
     **Arguments:** `contact` g: S per site, see `site_conductance`.
     **Returns:** `ContactReduction`; voltages under any grounds follow from it.
 
-    The sheet is pinned at one node (not at an electrode, so that every ground is
-    treated alike). Right-hand sides: electrodes and their dipoles; the object at 1 V;
-    the pinned node at 1 V. The last two add up to one everywhere and each is used where
-    it is the small one, so that neither weak nor strong contacts lose digits.
+    The sheet is pinned at one node (not at an electrode, so that every ground is treated
+    alike). The right-hand sides are: electrodes and their dipoles; the object at 1 V; the
+    pinned node at 1 V. The last two fields add up to one everywhere. Each field is used
+    where it is the smaller one, so that neither weak nor strong contacts lose digits.
     """
     n, m = fem.feeds.shape
     at_nodes, direct = contact[:n], contact[n:]

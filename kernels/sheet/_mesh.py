@@ -1,8 +1,8 @@
-"""The structured triangle mesh of a rectangle: numbering and geometry, no physics.
+"""Builds the structured triangle mesh of a rectangle: numbering and geometry, no physics.
 
-A rectangle of `shape = (nx, ny)` cells; each cell is cut into two right triangles.
-The diagonals alternate like a checkerboard, so that with even `nx` and `ny` the mesh
-has every mirror symmetry of the rectangle. Numbering is static (NumPy), places are not.
+A rectangle has `shape = (nx, ny)` cells; each cell is cut into two right triangles. The
+diagonals alternate like a checkerboard. So the mesh has every mirror symmetry of the
+rectangle if `nx` and `ny` are even. Numbering is static (NumPy), places are not.
 """
 
 from functools import lru_cache
@@ -15,10 +15,10 @@ Shape = tuple[int, int]
 
 
 def block_shape(shape: Shape) -> Shape:
-    """Blocks and nodes per block: mesh lines across the longer side are the blocks.
+    """Returns the number of blocks, and nodes per block: a block is a line of the mesh.
 
-    The cost of a factorisation grows with the cube of the block, so the shorter side
-    is the block.
+    Lines run across the longer side, and are as long as the shorter side. The cost of a
+    factorisation grows with the cube of the block.
     """
     nx, ny = shape
     return max(nx, ny) + 1, min(nx, ny) + 1
@@ -31,9 +31,9 @@ def _node_number(shape: Shape, i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 @lru_cache
 def triangles(shape: Shape) -> np.ndarray:
-    """Vertices (K, 3) of the K = 2·nx·ny triangles, the right angle first.
+    """Lists the vertices (K, 3) of the K = 2·nx·ny triangles, the right angle first.
 
-    Element k = 2·(i·ny + j) + half for cell (i, j): `reshape(nx, ny, 2)` is an image.
+    Element k = 2·(i·ny + j) + half is in cell (i, j): `reshape(nx, ny, 2)` is an image.
     """
     nx, ny = shape
     i, j = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
@@ -54,7 +54,7 @@ def triangles(shape: Shape) -> np.ndarray:
 
 @lru_cache
 def _node_index(shape: Shape) -> np.ndarray:
-    """(N, 2) grid index (i, j) of each node."""
+    """Lists the grid index (i, j) of each node, (N, 2)."""
     nx, ny = shape
     i, j = np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij")
     index = np.zeros(((nx + 1) * (ny + 1), 2), int)
@@ -63,44 +63,44 @@ def _node_index(shape: Shape) -> np.ndarray:
 
 
 def nodes(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "nodes 2"]:
-    """Places of the nodes, m."""
+    """Computes places of the nodes, m."""
     return jnp.asarray(_node_index(shape) / np.array(shape), size.dtype) * size
 
 
 @lru_cache
 def cell_centres(shape: Shape) -> Float[np.ndarray, "cells 2"]:
-    """Centres of a grid's cells on the unit square, those along y next to each other."""
+    """Computes centres of a grid's cells on the unit square, with y counting fastest."""
     x, y = ((np.arange(n) + 0.5) / n for n in shape)
     return np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
 
 
 def cell_sides(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Sides of a cell, m."""
+    """Computes the sides of a cell, m."""
     return size / np.array(shape, size.dtype)
 
 
 def node_areas(shape: Shape, size: Float[Array, "2"]) -> Float[Array, " nodes"]:
-    """Area that belongs to each node, m²: a cell inside, half at an edge."""
+    """Computes the area that belongs to each node, m²: a cell inside, half at an edge."""
     index = _node_index(shape)
     inside = np.where((index == 0) | (index == np.array(shape)), 0.5, 1.0).prod(-1)
     return jnp.asarray(inside, size.dtype) * cell_sides(shape, size).prod()
 
 
 def centroids(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "elements 2"]:
-    """Centroids of the elements, m."""
+    """Computes centroids of the elements, m."""
     unit = (_node_index(shape) / np.array(shape))[triangles(shape)].mean(1)
     return jnp.asarray(unit, size.dtype) * size
 
 
 def element_area(shape: Shape, size: Float[Array, "2"]) -> Float[Array, ""]:
-    """Area of one element, m²: all are equal."""
+    """Computes the area of one element, m²: all are equal."""
     return cell_sides(shape, size).prod() / 2
 
 
 def subpoints(
     shape: Shape, size: Float[Array, "2"], level: int = 2
 ) -> Float[Array, "elements points 2"]:
-    """Centroids of the 4^level equal triangles that each element divides into, m."""
+    """Computes the centroids of the 4^level equal triangles within each element, m."""
     weights = np.eye(3)[None]  # (triangles, corners, barycentric)
     for _ in range(level):
         mid = (weights + np.roll(weights, -1, 1)) / 2

@@ -1,7 +1,8 @@
-"""Slopes of electrodes' potentials by waves of the sheet's resistance, in NumPy.
+"""Computes slopes of electrodes' potentials by waves of the sheet's resistance, in NumPy.
 
-First order, in closed form: with σ = σ₀(1 − w), −σ₀Δδφ = −σ₀∇·(w∇φ). In cosines a wave
-w = cos(ix)·cos(jy) moves each coefficient of φ to four others, (a ± i, b ± j).
+The slopes are of first order, in closed form: if σ = σ₀(1 − w), −σ₀Δδφ = −σ₀∇·(w∇φ). In
+cosines a wave w = cos(ix)·cos(jy) moves each coefficient of φ to four others, (a ± i, b ±
+j).
 """
 
 import numpy as np
@@ -19,12 +20,12 @@ def rectangle_wave_fields(
     most: int,
     averaged: float = 0.0,
 ) -> tuple[Float[np.ndarray, "q M M"], Float[np.ndarray, "q M nx ny"]]:
-    """Changes of electrodes' potentials at each other and at points (x, y), per unit wave.
+    """Computes changes of electrodes' potentials at each other and at (x, y), per wave.
 
-    At 1 Ω per square, for waves cos(πix/a)·cos(πjy/b) of the resistance. **Arguments:**
-    `places` and `radius` of electrodes, m; `orders` (i, j); `most` half periods that the
-    potentials are followed to along each side; `averaged`: radius of the discs that they
-    are averaged over at the points, m.
+    The sheet has 1 Ω per square, and waves cos(πix/a)·cos(πjy/b) of the resistance.
+    **Arguments:** `places` and `radius` of electrodes, m; `orders` (i, j); `most`: half
+    periods up to which the potentials are followed along each side; `averaged`: radius of
+    the discs around the points that the potentials are averaged over, m.
     """
     k = [np.pi * np.arange(most) / side for side in size]
     square = k[0][:, None] ** 2 + k[1] ** 2
@@ -49,7 +50,7 @@ def rectangle_wave_fields(
 def _moved(
     field: Float[np.ndarray, "M n n"], order: Int[np.ndarray, "2"], k: list[np.ndarray]
 ) -> Float[np.ndarray, "M n n"]:
-    """The coefficients of −∇·(w∇φ) from those of φ."""
+    """Computes the coefficients of −∇·(w∇φ) from the coefficients of φ."""
     most, found = field.shape[1], np.zeros_like(field)
     step = [int(i) * each[1] for i, each in zip(order, k)]
     for s in (1, -1):

@@ -1,15 +1,15 @@
-"""The Green's function of a homogeneous rectangle: its cosine series, summed.
+"""Computes the Green's function of a homogeneous rectangle: its cosine series, summed.
 
-For −Δ G = ρ(δ − 1/(ab)) with insulated edges the double cosine series is summed over
-one index to hyperbolic functions, those are expanded in exponentials and summed over
-the other index, which leaves logarithms (θ_j = π(x ∓ x')/a, b ≥ a, q = exp(−2πb/a)):
+For −Δ G = ρ(δ − 1/(ab)) with insulated edges the double cosine series is summed over one
+index to hyperbolic functions. The hyperbolic functions, expanded in exponentials and summed
+over the other index, leave logarithms (θ_j = π(x ∓ x')/a, b ≥ a, q = exp(−2πb/a)):
 
     G = ρ·{ [b/3 + (y² + y'²)/2b − max(y, y')]/a − (1/4π)·Σ ln(1 − 2r cos θ + r²) }
 
-over both θ and r ∈ {e^{−π|y−y'|/a}, e^{−π(y+y')/a}, q/…, q/…}·q^j, j = 0, 1, …: each j
-gains a factor of exp(−2π) or better, so six terms reach 1e-16. Sources are discs:
-outside a disc the field is that of a point, inside it is the rim's. Electrodes that
-float answer with dipoles, as in `_electrodes`.
+The sum is over both θ and r ∈ {e^{−π|y−y'|/a}, e^{−π(y+y')/a}, q/…, q/…}·q^j, j = 0, 1, ….
+Each j gains a factor of exp(−2π) or better, so six terms reach 1e-16. Sources are discs:
+outside a disc the field is that of a point, inside the value is the rim's. Floating
+electrodes answer with dipoles, as in `_electrodes`.
 """
 
 from collections.abc import Callable
@@ -37,11 +37,12 @@ def rectangle_green(
     size: Float[Array, "2"],
     solid: bool = False,
 ) -> Float[Array, "*batch"]:
-    """G(x, x') at 1 Ω per square, the source a disc of radius `rim`, m.
+    """Computes G(x, x') at 1 Ω per square; the source is a disc of radius `rim`, m.
 
-    Within the rim the value is the rim's, or with `solid` that of an evenly charged
-    disc less its mean, ln a − (1 − d²/a²)/2 for ln d: the slope of that is the field of
-    a disc's dipole, d/a² inside, and its own second slope is 1/(2πa²), as it must be.
+    Within the rim the value is the rim's. If `solid`, the value is that of an evenly
+    charged disc less its mean: ln a − (1 − d²/a²)/2 for ln d. The slope of this value is
+    the field of a disc's dipole, d/a² inside. The dipole's own second slope is 1/(2πa²), as
+    it must be.
     """
     turned = size[0] > size[1]
     a, b = jnp.min(size), jnp.max(size)
@@ -90,8 +91,8 @@ def rectangle_slope(
 ) -> Float[Array, "*batch 2"]:
     """Computes ∂G/∂x of `rectangle_green`, 1/m at 1 Ω per square.
 
-    In closed form: JAX's derivative of it has more operations, and programs with several
-    copies take longer to compile.
+    The slope is in closed form. JAX's derivative of `rectangle_green` has more operations,
+    and programs with several copies take longer to compile.
     """
     one, other = jnp.broadcast_arrays(one, other)
     turned = size[0] > size[1]
@@ -130,7 +131,7 @@ def rectangle_slope(
 
 @jax.custom_jvp
 def _log_product(factors: Float[Array, "*batch 4 terms"]) -> Float[Array, "*batch"]:
-    """ln Πf; its slope Σf'/f compiles many times faster than that of a product."""
+    """Computes ln Πf; its slope Σf'/f compiles many times faster than that of a product."""
     return jnp.log(jnp.prod(factors, (-2, -1)))
 
 
@@ -147,12 +148,12 @@ def rectangle_resistances(
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
 ) -> Resistances:
-    """R_ee, R_ek and R_kk (Ω) of a homogeneous rectangle, centred; no mesh error.
+    """Computes R_ee, R_ek and R_kk (Ω) of a homogeneous rectangle, centred; no mesh error.
 
-    Electrodes are equipotential discs of `radius`, elements uniformly fed discs of the
+    Electrodes are equipotential discs of `radius`. Elements are uniformly fed discs of the
     element's area at its centroid (own term ¼ − ln r: a disc of radius r·e^{−1/4}).
-    **Arguments:** `sheet_resistance` Ω per square; `places`, `radius`, `size` m;
-    `shape` cells of the grid of elements; `shunt` as in `fem_sheet`.
+    **Arguments:** `sheet_resistance` Ω per square; `places`, `radius`, `size` m; `shape`
+    cells of the grid of elements; `shunt` as in `fem_sheet`.
     """
     elements = centroids(shape, size)
     rim = element_radius(shape, size)
@@ -169,10 +170,11 @@ def rectangle_fields(
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, "M M"], Float[Array, "M P"], Float[Array, "D P"]]:
-    """Potentials of electrodes at each other and at `others`, at 1 Ω per square.
+    """Computes potentials of electrodes at each other and at `others`, at 1 Ω per square.
 
-    And L⁻¹·(dipoles' field at `others`), whose products are what the shunts take from the
-    resistance between two of them (D = 2M, or 0 without).
+    The third result is L⁻¹·(dipoles' field at `others`), with D = 2M rows, or 0 without
+    dipoles. Products of its columns are what the shunts take from the resistance between
+    two of `others`.
     """
     rows = jax.vmap(rectangle_green, (0, None, None, None))
     ee, ep = rows(places, places, radius, size), rows(places, others, radius, size)
@@ -186,7 +188,7 @@ def rectangle_fields(
 def _shunts(
     places: Array, elements: Array, radius: Array, size: Array, shunt: Array
 ) -> tuple[Array, Array]:
-    """L⁻¹·(field of the dipoles at electrodes, at elements), LLᵀ their own resistances."""
+    """Computes L⁻¹·(dipoles' field at electrodes, elements), LLᵀ their own resistances."""
 
     def dipole(place: Array, other: Array) -> Array:
         return jax.grad(rectangle_green)(place, other, radius, size, True)
@@ -208,5 +210,5 @@ def _shunts(
 
 
 def element_radius(shape: Shape, size: Float[Array, "2"]) -> Float[Array, ""]:
-    """Radius (m) of the equipotential disc that stands for one element of the grid."""
+    """Computes the radius (m) of the equipotential disc that stands for one element."""
     return jnp.sqrt(element_area(shape, size) / np.pi) * float(np.exp(-0.25))

@@ -1,8 +1,8 @@
-"""`rectangle_fields` on a grid of points, in NumPy: nothing to compile, float64 throughout.
+"""Computes `rectangle_fields` on a grid of points, in NumPy: nothing to compile, float64.
 
-The same series as in `_rectangle`. Its three r that may reach 1 stay logarithms. All others
-are at most e^{−π}, where −ln(1 − 2r cos θ + r²) = 2·Σ rⁿ cos(nθ)/n ends after a dozen terms
-and is a product of a function of x and one of y.
+The series is that of `_rectangle`. Its three r that may reach 1 stay logarithms. All other
+r are at most e^{−π}. There −ln(1 − 2r cos θ + r²) = 2·Σ rⁿ cos(nθ)/n ends after a dozen
+terms. Each term is a product of a function of x and one of y.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def rectangle_grid_fields(
     size: Float[np.ndarray, "2"],
     shunt: float | None = None,
 ) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
-    """Potentials of electrodes at each other and at points (x, y), at 1 Ω per square."""
+    """Computes potentials of electrodes at each other and at (x, y), at 1 Ω per square."""
     turned = bool(size[0] > size[1])
     if turned:  # the shorter side along x, as in `_rectangle`
         ee, ep = rectangle_grid_fields(places[:, ::-1], y, x, radius, size[::-1], shunt)
@@ -37,7 +37,7 @@ def rectangle_grid_fields(
     sheet = float(size[0]), float(size[1]), radius
 
     def fields(x: _Points, y: _Points) -> _Points:
-        """(M, 3, …): the potentials, and those of both dipoles."""
+        """Returns (M, 3, …): the potentials, and those of both dipoles."""
         return np.stack([_fields(place, x, y, *sheet) for place in places])
 
     at_places = fields(places[:, 0], places[:, 1])
@@ -74,10 +74,10 @@ def rectangle_grid_fields(
 def _fields(
     place: Float[np.ndarray, "2"], x: _Points, y: _Points, a: float, b: float, rim: float
 ) -> _Points:
-    """(3, …): G of a disc of radius `rim` at a place, and its dipoles along x and y.
+    """Computes (3, …): G of a disc of radius `rim`, and of its dipoles along x and y.
 
-    `x` and `y` broadcast with each other. See `rectangle_green`: within the rim the
-    first is the rim's, a dipole's field that of a solid disc.
+    `x` and `y` broadcast with each other. See `rectangle_green`: within the rim G is the
+    rim's, and a dipole's field is that of a solid disc.
     """
     k, (px, py) = np.pi / a, place
     gap, total, side = _apart(py, y, a)
@@ -121,7 +121,7 @@ def _fields(
 
 
 def _apart(py: float, y: _Points, a: float) -> tuple[_Points, _Points, _Points]:
-    """|py − y|, py + y, and the sign of py − y: 0 in one row, where G has no kink."""
+    """Returns |py − y|, py + y, and the sign of py − y: 0 in one row, without a kink."""
     gap = np.abs(py - y)
     row = gap < np.sqrt(np.finfo(float).eps) * a  # what rounding leaves of none
     return np.where(row, 0, gap), py + y, np.where(row, 0, np.sign(py - y))
@@ -130,7 +130,7 @@ def _apart(py: float, y: _Points, a: float) -> tuple[_Points, _Points, _Points]:
 def _rest(
     place: Float[np.ndarray, "2"], x: _Points, y: _Points, a: float, b: float
 ) -> _Points:
-    """(3, …): the sum of the logarithms of all smaller r, and its slopes by the place."""
+    """Computes (3, …): the summed logarithms of all smaller r, and slopes by the place."""
     n = _TERMS.reshape(-1, *[1] * max(x.ndim, y.ndim))
     k, (px, py) = np.pi / a, place
     gap, total, side = _apart(py, y, a)

@@ -1,13 +1,13 @@
-"""A sheet in contact, reduced to its electrodes: exact for any contact and ground.
+"""Reduces a sheet in contact to its electrodes: exact for any contact and ground.
 
-Pin the sheet's reference at one place, let j be the currents that the electrodes draw
-and D the object's potential above the reference. With the contact g in place
+Pin the sheet's reference at one place. Let j be the currents that the electrodes draw, and
+D the object's potential above the reference. For a contact g
 
     v = V0·1 − f·D − Q·j,   p·D = fᵀj,   u_k = V0 − c_k·D − X_k·j
 
-so that all that M voltages can know of a contact is p, f and Q; a ground only says
-how j follows from v. No term of it cancels when the contact is weak or strong. A
-contact has sites k: nodes of a mesh, elements, or electrodes.
+So M voltages can tell only p, f and Q of a contact; a ground only says how j follows from
+v. No term cancels when the contact is weak or strong. A contact has sites k: nodes of a
+mesh, elements, or electrodes.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from tomojax.kernels.algebra import matmul
 
 
 class ContactReduction(NamedTuple):
-    """The reduced sheet: `reduce_contact` (dense) and `fem_contact` (mesh) make it."""
+    """The reduced sheet: `reduce_contact` (dense) and `fem_contact` (mesh) make one."""
 
     conductance: Float[Array, ""]  # p: object to reference, S
     lift: Float[Array, " M"]  # b: electrodes, object at 1 V, reference at 0 V
@@ -37,12 +37,12 @@ def reduce_contact(
     cc: Float[Array, "c c"],
     conductance: Float[Array, " c"],
 ) -> ContactReduction:
-    """Reduction of a contact on c sites from a table of resistances.
+    """Reduces a contact on c sites, from a table of resistances.
 
-    c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X.
-    One factor of c × c numbers; g = 0 (a padded site) is exact and differentiable.
-    A strong contact (g·R ≫ 1) on many sites comes down to inverting R_cc and loses its
-    condition number: about 0.1 % in float32, where `fem_contact` loses nothing.
+    c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X. The
+    factor has c × c numbers; g = 0 (a padded site) is exact and differentiable. A strong
+    contact (g·R ≫ 1) on many sites comes down to inverting R_cc and loses its condition
+    number. The loss is about 0.1 % in float32, where `fem_contact` loses nothing.
     **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's sites in one
     gauge, Ω; `conductance` g, S per site.
     """
@@ -65,10 +65,10 @@ def reduce_contact(
 def touch_electrodes(
     contact: ContactReduction, direct: Float[Array, " M"]
 ) -> ContactReduction:
-    """The same contact with `direct` conductances C (S) from the object to electrodes.
+    """Adds `direct` conductances C (S) from the object to electrodes to the contact.
 
-    N = I + QC: f' = N⁻¹f, Q' = N⁻¹Q, b' = b + QCf', p' = p + fᵀCf'. The electrodes join
-    the sites at the end, with their own potentials.
+    N = I + QC: f' = N⁻¹f, Q' = N⁻¹Q, b' = b + QCf', p' = p + fᵀCf'. The electrodes join the
+    sites at the end, with their own potentials.
     """
     q, f = contact.resistance, contact.shortfall
     m = len(q)
@@ -110,7 +110,7 @@ def ground_voltages(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L M"]:
-    """All M voltages (V) under each ground condition, one electrode grounded at a time.
+    """Computes all M voltages (V) under each ground condition, one electrode grounded.
 
     V_i^l = V0·[p(z + Q_ll − Q_il) + f_l(b_i − b_l)] / [p(z + Q_ll) + f_l²].
     """
@@ -126,7 +126,7 @@ def ground_currents(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, " L"]:
-    """Total current (A) through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²]."""
+    """Computes the current (A) through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²]."""
     g = _ground(contact, grounds, ground_resistance)
     return drive_voltage * contact.conductance / g.denominator
 
@@ -137,7 +137,7 @@ def voltage_drop(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L sites"]:
-    """V0 − u_k^l (V), what drives the current s_k = g_k(V0 − u_k) into each site."""
+    """Computes V0 − u_k^l (V), which drives the current s_k = g_k(V0 − u_k) into a site."""
     g = _ground(contact, grounds, ground_resistance)
     drop = g.f[:, None] * contact.gap + contact.conductance * contact.field.T[grounds]
     return drive_voltage * drop / g.denominator[:, None]
@@ -149,11 +149,12 @@ def voltage_sensitivity(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L M sites"]:
-    """∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
+    """Computes ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
 
-    ψ_i^l is the potential with unit current entering at electrode i, ground l in place
-    and the object at 0 V: X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with
-    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 it is T.
+    ψ_i^l is the potential with unit current entering at electrode i, ground l in place and
+    the object at 0 V. Its value at k is X_ki − t_il·X_kl +
+    c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with t_il = (p·Q_il + f_i·f_l)/d_l and
+    d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
     """
     share, lift = _answers(contact, grounds, ground_resistance)
     potential = (
@@ -168,7 +169,7 @@ def voltage_sensitivity(
 def _answers(
     contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
 ) -> tuple[Float[Array, "L M"], Float[Array, "L M"]]:
-    """What X_l and c are multiplied by in ψ_i^l: t_il, and the factor of c."""
+    """Computes the factors of X_l and of c in ψ_i^l: t_il, and the factor of c."""
     g = _ground(contact, grounds, ground_resistance)
     f, over = contact.shortfall, 1 / g.denominator[:, None]
     share = (contact.conductance * g.q + f * g.f[:, None]) * over
@@ -181,10 +182,10 @@ def voltage_change(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Callable[[Float[Array, " sites"]], Float[Array, "L M"]]:
-    """dg ↦ Σ_k ∂V_i^l/∂g_k·dg_k, V: `voltage_sensitivity` without its L·M·sites numbers.
+    """Makes dg ↦ Σ_k ∂V_i^l/∂g_k·dg_k, V, without the L·M·sites numbers of ∂V/∂g.
 
-    The slopes are products of L + M fields, so that one product of matrices of these
-    does: of L·(M + 1)·sites terms.
+    The slopes are products of L + M fields. So one product of matrices, with L·(M +
+    1)·sites terms, gives the change.
     """
     share, lift = _answers(contact, grounds, ground_resistance)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
@@ -204,9 +205,10 @@ def voltage_slopes(
     ground_resistance: Float[Array, "..."],
     drive_voltage: Float[Array, ""],
 ) -> Callable[[Float[Array, "some P"], Int[Array, " some"]], Float[Array, "L M P"]]:
-    """From ∂g/∂(P parameters) at some sites, and their numbers, to ∂V_i^l/∂(parameters), V.
+    """Makes a map from ∂g/∂(P parameters) at some sites to ∂V_i^l/∂(parameters), V.
 
-    As `voltage_change` of each parameter, by one product of matrices.
+    The map takes ∂g and the sites' numbers. One product of matrices does `voltage_change`
+    for all parameters.
     """
     share, lift = _answers(contact, grounds, ground_resistance)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
@@ -227,11 +229,11 @@ def shared_ground_voltages(
     to_ground: Float[Array, "L M"],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L M"]:
-    """Voltages (V) with a conductance γ_e (S) to ground at each electrode, any of them.
+    """Computes voltages (V) with a conductance γ_e (S) to ground at any electrodes.
 
-    j = Γv gives v = x·E + V0·y with (I + QΓ)x = f, (I + QΓ)y = b and
-    E = V0 − D = V0·(p − fᵀΓy)/(p + fᵀΓx). Without contact or ground the sheet floats
-    and 0 V is returned.
+    j = Γv gives v = x·E + V0·y with (I + QΓ)x = f, (I + QΓ)y = b and E = V0 − D =
+    V0·(p − fᵀΓy)/(p + fᵀΓx). Without contact or ground the sheet floats and 0 V is
+    returned.
     """
 
     def one(gamma: Float[Array, " M"]) -> Float[Array, " M"]:

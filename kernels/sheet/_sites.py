@@ -1,10 +1,10 @@
-"""A sheet in contact over many sites of which few matter to each other: from one table.
+"""Reduces a sheet in contact over many sites of which few matter to each other.
 
 A site is a part of the sheet that current enters in fixed shares (a pixel, say), or an
-electrode's metal. R between all of them is made once for a sheet; a contact then needs
-one factor of the sites where it is strong. What the others take from each other's current
-is of second order in how weak they are, and left out of voltages; fields, which slopes
-are made of, are those of the strong alone.
+electrode's metal. R between all sites is computed once for a sheet. A contact then needs
+one factor of its strong sites. Weak sites also take from each other's current, to second
+order in how weak they are. Voltages leave this effect out. Fields, which give the slopes,
+are those of the strong sites alone.
 """
 
 from functools import partial
@@ -30,13 +30,15 @@ _WEAK = 0.3
 def reduce_sites(
     resistance: Float[Array, "n n"], conductance: Float[Array, " n"], electrodes: int
 ) -> ContactReduction:
-    """Reduction of a contact on n sites, of which the last are the electrodes, to those.
+    """Reduces a contact on n sites, the last of which are the electrodes, to electrodes.
 
-    As `reduce_contact`, but by a factor of the strong sites alone: with s = √g there
-    and y = (I + sRs)⁻¹s·[1 R_ce], q = s·y are the currents of the strong, and
-    z = [1 R_ce] − R_ca·q the potentials everywhere. The weak add zᵀg·z to what q draws.
+    This is `reduce_contact` with a factor of the strong sites alone. Let s = √g there and
+    y = (I + sRs)⁻¹s·[1 R_ce]. Then q = s·y are the currents of the strong sites, and
+    z = [1 R_ce] − R_ca·q the potentials everywhere. The weak sites add zᵀg·z to what q
+    draws.
     **Arguments:** `resistance` R in one gauge, Ω; `conductance` g, S per site;
-    `electrodes` M. **Returns:** the reduction, with the field at all n sites.
+    `electrodes`: M.
+    **Returns:** the reduction, with the field at all n sites.
     """
     n = len(resistance)
     sizes = [size for size in _SIZES if size < n]
@@ -56,7 +58,7 @@ def reduce_sites(
 def _reduced(
     resistance: Array, conductance: Array, electrodes: int, at: Array
 ) -> ContactReduction:
-    """Factors the sites `at`, and takes all others for weak."""
+    """Factors the sites `at`, and treats all others as weak."""
     own = jnp.diagonal(resistance)
     ends = jnp.concatenate([jnp.ones_like(own)[:, None], resistance[:, -electrodes:]], 1)
     rows, g = resistance[at], conductance[at]

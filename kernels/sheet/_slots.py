@@ -1,4 +1,4 @@
-"""The slot map T and the Jacobian family J(ρ), from a table of resistances."""
+"""Computes the slot map T and the Jacobian family J(ρ), from a table of resistances."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ def slot_map(
     grounds: Int[Array, " L"],
     ground_resistance: Float[Array, "..."],
 ) -> Float[Array, "L M K"]:
-    """T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω): a slot's voltages V = T^l s, exactly.
+    """Computes T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω); exactly, a slot's V = T^l s.
 
     s (A per element) is the current that the object feeds into the sheet.
     """
@@ -27,7 +27,7 @@ def loop_resistance(
     grounds: Int[Array, " L"],
     ground_resistance: Float[Array, "..."],
 ) -> Float[Array, "L K"]:
-    """R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to ground l."""
+    """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
     ee, ek, kk = table
     z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
     return kk + (ee[grounds, grounds] + z)[:, None] - 2 * ek[grounds]
@@ -36,11 +36,11 @@ def loop_resistance(
 def shared_slot_map(
     table: Resistances, to_ground: Float[Array, "L M"]
 ) -> tuple[Float[Array, "L M K"], Float[Array, "L K"]]:
-    """T and the loop resistance with a conductance γ_e (S) to ground at each electrode.
+    """Computes T and loop resistances with a conductance γ_e (S) to ground per electrode.
 
     (I + R_eeΓ)x = 1, (I + R_eeΓ)Y = R_ek; the sheet's mean potential per ampere is
-    m = (1 − 1ᵀΓY)/(1ᵀΓx); T = x·m + Y and the loop is R_kk − R_keΓT_·k + m.
-    At least one γ must be positive; otherwise the result is infinite.
+    m = (1 − 1ᵀΓY)/(1ᵀΓx); T = x·m + Y and the loop is R_kk − R_keΓT_·k + m. At least one γ
+    must be positive; otherwise the result is infinite.
     """
     ee, ek, kk = table
 
@@ -63,12 +63,12 @@ def contact_jacobian(
     loop: Float[Array, "L K"],
     contact_resistance: Float[Array, "..."],
 ) -> Float[Array, "L M K"]:
-    """J^l_ik(ρ) = T^l_ik / (ρ + loop^l_k): voltage per volt of one element in contact.
+    """Computes J^l_ik(ρ) = T^l_ik / (ρ + loop^l_k): V per volt of one element in contact.
 
-    ρ (Ω), one or one per element: 0 is the paper's Eq. 1 (a potential imposed at
-    element k), ρ·J → T for ρ → ∞ a fixed current. Where an element coincides with the
-    grounded electrode and ρ = z = 0, numerator and denominator both vanish: the ground
-    wins and J is 0, since nothing but a short is left to see. That is decided at
+    ρ (Ω) is one number, or one per element. The paper's Eq. 1 has ρ = 0 (a potential
+    imposed at element k). ρ·J → T for ρ → ∞ is a fixed current. If ρ = z = 0, numerator and
+    denominator both vanish where an element coincides with the grounded electrode. The
+    ground wins there and J is 0, since nothing but a short is left to see. The test is at
     rounding level, eps·(largest loop of the slot).
     """
     total = contact_resistance + loop

@@ -1,10 +1,10 @@
-"""Stiffness of a sheet in contact, P1 elements, as a matrix and as an operator.
+"""Builds the stiffness of a sheet in contact, P1 elements, as a matrix and as an operator.
 
-A = Σ_k σ_k·∫∇φ∇φᵀ + diag(g): the sheet's conductance σ (S per square) and a contact of
-conductance g (S per node) to an object at 0 V. Contacts sit on the nodes, not on the
-elements' means: the matrix then has no positive entry off its diagonal, which is what
-keeps every potential between the object's and ground. The last node is pinned to 0 V; it
-is a corner of the sheet, and which potential is pinned drops out of what is measured.
+A = Σ_k σ_k·∫∇φ∇φᵀ + diag(g). The sheet's conductance is σ (S per square), and a contact's
+conductance to an object at 0 V is g (S per node). Contacts sit on nodes, not the elements'
+means. So the matrix has no positive entry off its diagonal, which keeps every potential
+between the object's and ground. The last node, a corner of the sheet, is pinned to 0 V. The
+choice of the pinned potential drops out of what is measured.
 """
 
 import jax.numpy as jnp
@@ -18,11 +18,11 @@ from tomojax.kernels.sheet._mesh import block_shape, cell_sides, Shape, triangle
 def _reference_stiffness(
     shape: Shape, size: Float[Array, "2"]
 ) -> Float[Array, "elements 3 3"]:
-    """Stiffness of each element at 1 S per square.
+    """Computes the stiffness of each element at 1 S per square.
 
-    In a right triangle with legs p (to vertex 1) and q (to vertex 2) the hypotenuse
-    carries nothing and the legs are conductances q/2p and p/2q. The first vertex is
-    the right angle and the first leg lies along x, see `triangles`.
+    A right triangle has legs p (to vertex 1) and q (to vertex 2). The hypotenuse carries
+    nothing and the legs are conductances q/2p and p/2q. The first vertex is the right angle
+    and the first leg lies along x, see `triangles`.
     """
     dx, dy = cell_sides(shape, size)
     along_x, along_y = dy / (2 * dx), dx / (2 * dy)
@@ -38,12 +38,12 @@ def assemble(
     shape: Shape,
     size: Float[Array, "2"],
 ) -> BlockTri:
-    """A as a block-tridiagonal matrix, the last node's row and column cleared.
+    """Builds A as a block-tridiagonal matrix, the last node's row and column cleared.
 
-    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per node;
-    `shape` cells of the mesh; `size` of the sheet, m.
-    **Returns:** blocks (n, b, b) and (n − 1, b, b); the pinned node keeps a diagonal
-    entry alone, the mean of `sheet`, so that the scale of the matrix stays even.
+    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per node; `shape`
+    cells of the mesh; `size` of the sheet, m.
+    **Returns:** blocks (n, b, b) and (n − 1, b, b). The pinned node keeps a diagonal entry
+    alone, the mean of `sheet`, so that the scale of the matrix stays even.
     """
     n, b = block_shape(shape)
     local = sheet[:, None, None] * _reference_stiffness(shape, size)
@@ -74,7 +74,7 @@ def apply(
     size: Float[Array, "2"],
     potential: Float[Array, "nodes m"],
 ) -> Float[Array, "nodes m"]:
-    """A·u element by element, nothing pinned: the currents (A) that u asks for."""
+    """Computes A·u element by element, nothing pinned: the currents (A) that u asks for."""
     local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
     currents = jnp.einsum("kij,kjm->kim", local, potential[vertices], precision="highest")
@@ -82,7 +82,7 @@ def apply(
 
 
 def spread(values: Float[Array, " elements"], shape: Shape) -> Float[Array, " nodes"]:
-    """Σ_k values_k b_k: currents per element as currents per node."""
+    """Turns currents per element into currents per node: Σ_k values_k b_k."""
     n, b = block_shape(shape)
     vertices = triangles(shape)
     shares = jnp.broadcast_to(values[:, None] / 3, vertices.shape)
@@ -92,5 +92,5 @@ def spread(values: Float[Array, " elements"], shape: Shape) -> Float[Array, " no
 def at_elements(
     potential: Float[Array, "nodes m"], shape: Shape
 ) -> Float[Array, "elements m"]:
-    """b_kᵀu: potentials of nodes as means over each element's vertices."""
+    """Averages nodes' potentials over each element's vertices: b_kᵀu."""
     return potential[triangles(shape)].mean(1)

@@ -1,7 +1,7 @@
-"""Bring-up: what is wrong with a new rig, and how to mend it.
+"""Finds what is wrong with a new rig, and how to mend it.
 
-The room judges recordings of nothing, of a rub and of two corners, in NumPy alone. It knows
-the sheet's physics and nothing of methods or of how slots come in.
+This room judges recordings of nothing, of a rub and of two corners, in NumPy alone. It
+knows the sheet's physics and nothing of methods or of how slots come in.
 """
 
 from tomojax.bringup import signs as signs

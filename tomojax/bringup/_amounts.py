@@ -1,4 +1,4 @@
-"""Faults that have an amount: drive, sheet, gains, places, tears, slots that linger."""
+"""Finds faults that have an amount: drive, sheet, gains, settling."""
 
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ _TOLD = 8.0
 
 
 class Work(NamedTuple):
-    """What the amounts are judged from; all by electrode."""
+    """The data that amounts are judged from; all by electrode."""
 
     plane: Plane
     volts: Float[np.ndarray, "n M"]
@@ -51,7 +51,7 @@ def spread(x: np.ndarray) -> float:
 
 
 def gain_faults(work: Work, named: Bool[np.ndarray, " M"]) -> list[Fault]:
-    """Channels whose gain is off, beside the others; but electrodes that are `named`."""
+    """Finds channels whose gain is off beside the others; skips `named` electrodes."""
     gain, some = work.values.value[:, 0], np.flatnonzero(work.usable & ~named)
     middle, usual = float(np.median(gain[some])), spread(gain[some])
     faults = []
@@ -78,7 +78,7 @@ def gain_faults(work: Work, named: Bool[np.ndarray, " M"]) -> list[Fault]:
 
 
 def settling(work: Work) -> tuple[float, float]:
-    """The part of the slot before that all channels show, and 1 σ."""
+    """Computes the part of the slot before that all channels show, and 1 σ."""
     given = work.volts, work.before, work.fits, work.older, work.usable
     part, electrode = old_part(*given)
     told = np.isfinite(part)
@@ -91,16 +91,16 @@ def settling(work: Work) -> tuple[float, float]:
 
 
 def common_settling(common: float, error: float) -> list[Fault]:
-    """The part of the slot before that all channels show."""
+    """Reports the part of the slot before that all channels show."""
     if not (common > _OLD and common > 5 * error):
         return []
     return [_lingers((), common, certainty(common / max(error, _OLD / 4)))]
 
 
 def settling_faults(work: Work) -> list[Fault]:
-    """Channels that show the slot before, beside what all channels do.
+    """Finds channels that show more of the slot before than all channels do.
 
-    A gain, a place and an old slot are told apart by all slots together.
+    All slots together tell a gain, a place and an old slot apart.
     """
     value, error = work.values.value[:, 4], work.values.deviation[:, 4]
     some = np.flatnonzero(work.usable & (work.values.rows >= 10))
@@ -132,10 +132,10 @@ def _lingers(channels: tuple[int, ...], part: float, sure: float) -> Fault:
 
 
 def drive_of(work: Work) -> tuple[float, float]:
-    """The object's potential, V, and 1 σ: what the contact has once no current flows.
+    """Estimates the object's potential, V, and 1 σ: the contact's where no current flows.
 
-    In a window the contact's own resistance r is one: V0 = φ + r·I with the potential φ
-    that the sheet has at the contact, but for a part in I.
+    In a window the contact's own resistance r is constant. So V0 = φ + r·I, up to a part in
+    proportion to I. Here φ is the sheet's potential at the contact.
     """
     fits, plane = work.fits, work.plane
     own = plane.green(plane.xy[fits.ground], fits.xy)
@@ -174,7 +174,7 @@ def drive_of(work: Work) -> tuple[float, float]:
 
 
 def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
-    """The drive, where it is another than told."""
+    """Reports a drive other than the stated one; returns the drive and its 1 σ too, V."""
     found, error = drive_of(work)
     seen = np.quantile(work.volts[:, work.usable], 0.999)
     if not np.isfinite(found) or work.left > _BAD or found < _BELOW * seen:
@@ -200,9 +200,9 @@ def drive_faults(work: Work) -> tuple[list[Fault], float, float]:
 def sheet_faults(
     work: Work, ground_resistance: float, sheet_resistance: float, hum: float
 ) -> tuple[list[Fault], float, float, str]:
-    """The sheet's resistance, by the voltage that its current leaves on the ground path.
+    """Judges the sheet's resistance, by the voltage of its current on the ground path.
 
-    Returns faults, the factor, its 1 σ, and why it is not told where it is not.
+    Returns faults, the factor, its 1 σ, and a reason where the factor is unknown.
     """
     if not ground_resistance > 0:
         why = "the header's ground_resistance is 0: nothing measures the current"
@@ -264,7 +264,7 @@ def sheet_faults(
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Huber's regression, and 1 σ."""
+    """Fits Huber's regression; returns values and 1 σ."""
     w, found, inverse, scale = (
         np.ones(len(y)),
         np.zeros(x.shape[1]),

@@ -1,4 +1,4 @@
-"""Faults that levels of channels tell before a fit: dead, stuck, noise, hum."""
+"""Finds faults that levels of channels show before a fit: dead, stuck, noise, hum."""
 
 from typing import NamedTuple
 
@@ -30,12 +30,12 @@ class Levels(NamedTuple):
 
 
 def nominal_noise(slots: Slots) -> float:
-    """As `tomojax.sensor.nominal_noise`, V rms, without JAX."""
+    """Computes the same as `tomojax.sensor.nominal_noise`, V rms, without JAX."""
     return max(1e-4 * slots.drive, slots.rig.resolution / np.sqrt(12))
 
 
 def unresponsive(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence) -> Levels:
-    """Dead and stuck channels; `volts` of touched slots, with their zeros."""
+    """Finds dead and stuck channels; `volts` of touched slots, with their zeros."""
     low, middle, high = np.quantile(volts, [0.1, 0.5, 0.9], axis=0)
     swing = np.quantile(np.abs(volts - silent.zero), 0.8, axis=0)
     usual = np.median(swing)
@@ -82,7 +82,7 @@ def unresponsive(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence)
 def noise_faults(
     slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]
 ) -> list[Fault]:
-    """Channels that are noisier than the others, and noise of all."""
+    """Finds channels that are noisier than the others, and noise of all channels."""
     if np.isnan(silent.noise).any():
         return []
     nominal = nominal_noise(slots)
@@ -120,7 +120,7 @@ def noise_faults(
 
 
 def hum_faults(slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]) -> list[Fault]:
-    """Hum, its frequency and the channels that have it."""
+    """Finds hum, its frequency and the channels that have hum."""
     if not silent.frequency:
         return []
     amplitude = np.where(sane, silent.hum, 0)

@@ -1,4 +1,4 @@
-"""Finds out what is wrong with a new rig, from a recording of it."""
+"""Finds out what is wrong with a new rig, from one of its recordings."""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple
@@ -37,13 +37,13 @@ def check(
     """Judges the rig that made a recording of nothing, of a rub and of two corners.
 
     The quiet stretch, the rub and the corner touches are found in the recording. The last
-    two separate touches that hold still are corners: by default first that of electrode 0
-    (x and y least), then that at the end of row 0 (x least, y most). `corners` names other
-    electrodes, or None: there are no such touches, and a mirrored or turned array is not
-    told. Parts that are missing are told in `unjudged`.
+    two separate touches that hold still are corners. By default the first is at electrode 0
+    (x and y least), the second at the end of row 0 (x least, y most). `corners` names other
+    electrodes. None means that no corner was touched; then `check` cannot tell a mirrored
+    or turned array. `unjudged` names missing parts.
 
-    **Raises:** `ValueError` where nothing can be said: no contact, one touch alone, or
-    voltages that are of no such sensor.
+    **Raises:** `ValueError` if the recording tells nothing: no contact, one touch alone, or
+    voltages of another sensor.
 
     **Example:**
 
@@ -89,7 +89,7 @@ def check(
 
 
 class Seen(NamedTuple):
-    """What the picture shows beside the faults."""
+    """The data that the picture shows beside the faults."""
 
     plane: Plane
     swing: Float[np.ndarray, " M"]  # by electrode, V
@@ -108,7 +108,7 @@ def _judge_silence(reading: Reading) -> None:
 
 
 def _judge_channels(reading: Reading) -> Work:
-    """Gains, places, tears, old slots: in turn, without what is named already."""
+    """Judges gains, places, tears and old slots in turn, without channels already named."""
     reading.faults += common_settling(reading.lingers, reading.lingers_error)
     work, every = reading.work(), reading.usable
     if not np.isfinite(reading.lingers_error):
@@ -137,7 +137,7 @@ def _judge_channels(reading: Reading) -> Work:
 
 
 def _named(work: Work) -> list[Fault]:
-    """Faults of single channels and of the sheet."""
+    """Finds faults of single channels and of the sheet."""
     slow = settling_faults(work)
     lingering = np.isin(work.channel, [f.channels[0] for f in slow])
     places, taken = place_faults(work, lingering)
@@ -148,7 +148,7 @@ def _named(work: Work) -> list[Fault]:
 
 
 def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
-    """The drive and the sheet's resistance; and the figures that are measured."""
+    """Judges the drive and the sheet's resistance; returns the measured figures."""
     slots, silent = reading.slots, reading.silent
     faults, drive, error = drive_faults(work)
     reading.faults += faults

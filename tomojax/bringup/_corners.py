@@ -1,4 +1,4 @@
-"""The last two touches that hold still: which way round the array is."""
+"""Tells which way round the array is, by the last two touches that hold still."""
 
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ class Corners(NamedTuple):
 
 
 def named(plane: Plane) -> tuple[int, int]:
-    """The electrodes at whose corners touches are by default."""
+    """Returns the electrodes at whose corners touches are by default."""
     grid = lattice(plane)
     if grid is not None:
         return 0, grid[1] - 1
@@ -33,7 +33,7 @@ def named(plane: Plane) -> tuple[int, int]:
 
 
 def events(slots: Slots) -> list[np.ndarray]:
-    """Touched slots of each contact, with pauses of a window or more between them."""
+    """Lists each contact's touched slots; pauses of a window or more divide contacts."""
     at = np.flatnonzero(slots.touched)
     calm = np.concatenate([[0], np.cumsum(slots.quiet)])
     split = np.flatnonzero(calm[at[1:]] - calm[at[:-1]] >= WINDOW) + 1
@@ -83,7 +83,7 @@ def corners_of(
 
 
 def _matched(plane: Plane, places: np.ndarray, ends: np.ndarray, need: str) -> Corners:
-    """The symmetry under which both places are at their corners."""
+    """Finds the symmetry under which both places are at their corners."""
     fits = {}
     for name, image in symmetries(plane).items():
         # An electrode's image tells what becomes of a place beside it.

@@ -1,4 +1,4 @@
-"""What `check` says: faults, what it could not judge, and how the rig is really wired."""
+"""Defines what `check` returns: faults, parts not judged, and the rig's real wiring."""
 
 import math
 from typing import Any, Literal, NamedTuple
@@ -32,8 +32,8 @@ _SUREST = 0.999
 class Fault(NamedTuple):
     """One thing that is wrong with a rig.
 
-    `channels`: of which it holds, or ground lines for the kinds of grounds; none: all.
-    `value`: how much, in SI (`unit`), or None. `certainty`: the probability that it is so,
+    `channels`: the channels at fault, or ground lines for the kinds of grounds; none: all.
+    `value`: how much, in SI (`unit`), or None. `certainty`: the probability of the fault,
     from normal errors as large as sound channels show, 0.999 at most. `text`: the fault in
     words; `mend`: what to do.
 
@@ -55,11 +55,11 @@ class Fault(NamedTuple):
 
 
 class Checked(NamedTuple):
-    """What a recording tells of its rig.
+    """A recording's judgement of its rig.
 
-    `unjudged`: what could not be judged, and what a recording must hold for it.
+    `unjudged`: parts that could not be judged, and what a recording must hold for them.
     `channels`: the electrode that each channel reads. `grounds`: the electrode that each
-    ground line switches, −1 where it switches none, itself where nothing tells.
+    ground line switches; −1 for none, the line's own number if unknown.
 
     **Example:**
 
@@ -78,5 +78,5 @@ class Checked(NamedTuple):
 
 
 def certainty(deviations: Any) -> float:
-    """The probability that something so many deviations from sound is a fault."""
+    """Computes the probability of a fault, so many deviations from sound."""
     return float(np.clip(math.erf(abs(deviations) / math.sqrt(2)), 0.5, _SUREST))

@@ -1,4 +1,4 @@
-"""From orders of channels and lines to faults of wiring with their names."""
+"""Turns orders of channels and lines into named faults of wiring."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ Order = Integer[np.ndarray, " M"]
 
 
 def cycles(wrong: dict[int, int]) -> list[tuple[int, ...]]:
-    """Groups of numbers that are exchanged among themselves."""
+    """Groups numbers that are exchanged among themselves."""
     found, left = [], dict(sorted(wrong.items()))
     while left:
         first, second = next(iter(left.items()))
@@ -36,7 +36,7 @@ def cycles(wrong: dict[int, int]) -> list[tuple[int, ...]]:
 
 
 def best_image(plane: Plane, electrode: np.ndarray, of: np.ndarray) -> tuple[str, Order]:
-    """The symmetry that explains most of what reads or grounds, or "identity"."""
+    """Finds the symmetry that explains most channels or lines, or "identity"."""
     every = symmetries(plane)
     right = {name: int((image[of] == electrode).sum()) for name, image in every.items()}
     best = max(right, key=lambda name: (right[name], name == "identity"))
@@ -57,10 +57,10 @@ def channel_faults(
     unknown_which: bool,
     wires: Sequence[tuple[int, ...]],
 ) -> list[Fault]:
-    """Mirrored, turned and swapped channels; `electrode` is what each channel reads.
+    """Names mirrored, turned and swapped channels; channel c reads `electrode[c]`.
 
-    `lines_too`: ground lines are mirrored with the channels; `wires`: groups of which lines
-    are swapped as well.
+    `lines_too`: ground lines are mirrored with the channels; `wires`: groups whose ground
+    lines are swapped as well.
     """
     m = len(electrode)
     numbers = np.arange(m)
@@ -124,7 +124,7 @@ def channel_faults(
 
 
 def _reversed_lines(plane: Plane, wrong: dict[int, int], sure: float) -> list[Fault]:
-    """Rows or columns that are read backwards, taken out of `wrong`."""
+    """Names rows or columns that are read backwards, and takes them out of `wrong`."""
     grid = lattice(plane)
     if grid is None:
         return []
@@ -178,7 +178,7 @@ def line_faults(
     share: np.ndarray,
     wires: Sequence[tuple[int, ...]],
 ) -> list[Fault]:
-    """Shifted, permuted and dead lines; −1 in `ground`: nothing is grounded, −2: unsure.
+    """Names shifted, permuted and dead lines; −1 in `ground` means none, −2 unsure.
 
     `wires`: groups of channels that are swapped.
     """
@@ -259,7 +259,7 @@ def line_faults(
 
 
 def _shift(asked: np.ndarray, ground: np.ndarray, m: int) -> int:
-    """By how much most grounds are off, 0 where most are right or shifts differ."""
+    """Computes the shift of most grounds; 0 where most are right or shifts differ."""
     if len(asked) < _FEW:
         return 0
     steps = (ground - asked + m // 2) % m - m // 2
@@ -269,6 +269,6 @@ def _shift(asked: np.ndarray, ground: np.ndarray, m: int) -> int:
 
 
 def line_groups(asked: np.ndarray, ground: np.ndarray) -> list[tuple[int, ...]]:
-    """Groups of lines that are exchanged among themselves."""
+    """Groups lines that are exchanged among themselves."""
     wrong = {int(g): int(e) for g, e in zip(asked, ground) if e >= 0 and e != g}
     return cycles(wrong)

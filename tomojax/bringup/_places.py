@@ -1,4 +1,4 @@
-"""Where the sheet is torn or badly joined, and electrodes that lie elsewhere."""
+"""Finds tears and bad joints of the sheet, and electrodes that lie elsewhere."""
 
 from typing import Any
 
@@ -27,9 +27,9 @@ _EXPLAINED = 0.3
 def place_faults(
     work: Work, slow: Bool[np.ndarray, " M"]
 ) -> tuple[list[Fault], Bool[np.ndarray, " M"]]:
-    """Misplaced electrodes and tears; and the electrodes that are named.
+    """Finds misplaced electrodes and tears; returns the electrodes that are named, too.
 
-    `slow`: electrodes whose channels linger, which is no place.
+    `slow`: electrodes whose channels linger, which is no sign of another place.
     """
     plane, usable = work.plane, work.usable
     pairs = pairs_of(plane, work.volts, work.fits, usable)
@@ -88,7 +88,7 @@ def place_faults(
 
 
 def _effect(work: Work) -> Float[np.ndarray, " M"]:
-    """How much of the voltages' span the shift of each electrode explains, rms."""
+    """Computes how much of the voltages' span each electrode's shift explains, rms."""
     fits, plane = work.fits, work.plane
     slope = fits.current[:, None] * (
         plane.slopes(fits.xy) - plane.slopes(plane.xy)[:, fits.ground]
@@ -105,12 +105,12 @@ def _effect(work: Work) -> Float[np.ndarray, " M"]:
 
 
 def _own_place(work: Work, moved: np.ndarray, e: Any) -> bool:
-    """Whether another place of one electrode explains nearly all that it leaves."""
+    """Tells whether another place of one electrode explains nearly all its residuals."""
     return bool(moved[e] and work.values.unexplained[e] < 0.6 * _EXPLAINED)
 
 
 def _explained(pairs: Pairs, over: np.ndarray, e: Any) -> bool:
-    """Whether some pairs of an electrode are as much nearer as others are farther."""
+    """Tells whether some pairs of an electrode are as much nearer as others are farther."""
     own = over[(pairs.first == e) | (pairs.second == e)]
     return len(own) > 1 and own.min() < -0.4 * own.max()
 
@@ -157,7 +157,7 @@ def _along(points: np.ndarray) -> np.ndarray:
 
 
 def joint_faults(work: Work) -> list[Fault]:
-    """Electrodes with a resistance between them and the sheet, as their grounds tell."""
+    """Finds electrodes with a resistance to the sheet, by the slots that ground them."""
     fits, plane = work.fits, work.plane
     row = np.arange(len(work.volts))
     sink = plane.green(plane.xy[fits.ground], fits.xy)

@@ -1,4 +1,4 @@
-"""A recording as its rig is judged: which channels tell, how they are ordered, the fits."""
+"""Holds a recording while its rig is judged: usable channels, their order, the fits."""
 
 import numpy as np
 
@@ -33,13 +33,13 @@ _ON, _TRIED, _LOW = 0.5, 150, 3
 
 
 class Reading:
-    """Slots of a rig with what is known of it so far; stages change it in turn.
+    """A rig's slots, and all that is known of the rig so far; stages change both in turn.
 
-    `every`: all slots without zeros, by channel; `volts`, `asked`: those that are fitted,
-    `number` of the recording's. `order`: the electrode of each channel, and the fits.
-    `always`: a channel whose electrode is grounded in every slot.
+    `every`: all slots without zeros, by channel; `volts`, `asked`: the slots that are
+    fitted; `number`: their numbers in the recording. `order`: the electrode of each
+    channel, and the fits. `always`: a channel whose electrode is grounded in every slot.
 
-    **Raises:** `ValueError` where nothing can be said of the rig.
+    **Raises:** `ValueError` if nothing can be said of the rig.
     """
 
     order: Order
@@ -91,7 +91,7 @@ class Reading:
         )
 
     def _always_on(self, levels: Levels) -> None:
-        """A dead channel, or an electrode that is grounded all the time."""
+        """Tells dead channels from an electrode that is grounded all the time."""
         self.always: int | None = None
         low = np.flatnonzero(levels.dead)
         faults = {f.channels[0]: f for f in levels.faults}
@@ -118,7 +118,7 @@ class Reading:
         self.order = order_of(*given, enough=_RIGHT)
 
     def again(self) -> None:
-        """Fits once more in the order that is known."""
+        """Fits once more, in the known order of channels."""
         order = self.order.electrode
         back = np.argsort(order)
         weight = np.broadcast_to(self.usable[back].astype(float), self.volts.shape)
@@ -129,7 +129,7 @@ class Reading:
         self.order = self.order._replace(fits=fits)
 
     def _older(self, before: np.ndarray) -> np.ndarray:
-        """The electrode that was grounded in the slot before."""
+        """Returns the electrode that was grounded in the slot before."""
         flat = floating(self.volts, self.usable, self.slots.drive)
         lines = lines_of(self.order.fits, self.asked, flat)
         known = np.full(max(int(self.slots.asked.max()) + 1, 1), -1)
@@ -161,7 +161,7 @@ class Reading:
 
 
 def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
-    """What contacts leave of the scatter in the median slot, rms: 1 is nothing."""
+    """Computes the part of a median slot's scatter that contacts leave, rms: 1 is all."""
     back, fits = np.argsort(order.electrode), order.fits
     v, some = volts[:, back], (fits.far > 0) & usable[back]
     count = np.maximum(some.sum(1), 1)

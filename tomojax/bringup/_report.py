@@ -1,4 +1,4 @@
-"""Says, draws and writes down what `check` has found."""
+"""Writes and draws what `check` has found."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ _SHOWN = 6
 
 
 def text(checked: Checked) -> str:
-    """The faults in lines, each with its certainty and its mend; what could not be judged.
+    """Writes the faults in lines, each with certainty and mend, and the parts not judged.
 
     **Example:**
 
@@ -64,7 +64,7 @@ def text(checked: Checked) -> str:
 
 
 def summary(checked: Checked) -> dict[str, Any]:
-    """What `--json` writes: `faults`, `unjudged`, the order, and figures.
+    """Collects the values that `--json` writes: `faults`, `unjudged`, order, figures.
 
     **Example:**
 
@@ -108,7 +108,7 @@ def write_order(checked: Checked, path: Path | str) -> None:
 
 
 def picture(checked: Checked) -> Any:
-    """The sheet with its electrodes, contacts, and the faults where they are.
+    """Draws the sheet with its electrodes, contacts, and the faults at their places.
 
     **Example:**
 

@@ -23,8 +23,8 @@ _MOST = 0.05
 def settle(reading: Reading) -> None:
     """Takes off what all channels show of the slot before.
 
-    It is a part of what the slot before was (then it is taken off slot after slot), or
-    of what was read then: whichever leaves less.
+    Channels show a part of the slot before, of its true voltages or of its readings. A part
+    of true voltages is taken off slot after slot. The function takes whichever leaves less.
     """
     common, error = settling(reading.work())
     reading.lingers_error = error
@@ -66,7 +66,7 @@ def settle(reading: Reading) -> None:
 
 
 def _misfit(reading: Reading, some: np.ndarray, every: np.ndarray) -> float:
-    """What contacts leave of some slots: a mean, in which single channels count."""
+    """Averages the part of some slots that contacts leave, channel by channel."""
     back = np.argsort(reading.order.electrode)
     volts = every[reading.number[some]].astype(float)[:, back]
     weight = np.broadcast_to(reading.usable[back].astype(float), volts.shape)
@@ -80,7 +80,7 @@ def _misfit(reading: Reading, some: np.ndarray, every: np.ndarray) -> float:
 
 
 def _unsettled(volts: np.ndarray, slots: Slots, part: float, recursive: bool) -> np.ndarray:
-    """Slots without a part of the slot before: of what was there, or of what was read."""
+    """Takes a part of the slot before off each slot: of true voltages, or of readings."""
     before = np.concatenate([volts[:1], volts[:-1]])
     if not recursive:
         follows = slots.follows[:, None]

@@ -28,9 +28,9 @@ _MANY, _FEW_SURE = 200, 0.95
 
 
 def judge_wires(reading: Reading, corners: Any) -> Lines:
-    """Names faults of wires; turns the reading to true places where corners tell them.
+    """Names faults of wires; turns the reading to true places if corners show them.
 
-    **Raises:** `ValueError` where all contacts are in one place.
+    **Raises:** `ValueError` if all contacts are in one place.
     """
     fits, plane = reading.order.fits, reading.plane
     away = np.hypot(*(fits.xy - np.median(fits.xy, 0)).T) / plane.pitch
@@ -76,7 +76,7 @@ def _lines(reading: Reading) -> Lines:
 
 
 def _turned(reading: Reading, lines: Lines, image: Integer[np.ndarray, " M"]) -> Lines:
-    """The same contacts at their true places, if they are mirrored or turned."""
+    """Moves contacts to their true places, if the array is mirrored or turned."""
     ground = np.where(lines.ground >= 0, image[np.maximum(lines.ground, 0)], lines.ground)
     if (image != np.arange(len(image))).any():
         order, fits = reading.order, reading.order.fits
@@ -87,9 +87,9 @@ def _turned(reading: Reading, lines: Lines, image: Integer[np.ndarray, " M"]) ->
 
 
 def _likeliest(reading: Reading, lines: Lines) -> tuple[np.ndarray, bool]:
-    """Which way round, where no corners tell: lines right, then channels.
+    """Guesses which way round the array is without corners: by lines, then by channels.
 
-    Also returns whether lines or channels are mirrored, nobody knows which.
+    Also returns whether lines or channels are mirrored, if nobody knows which of the two.
     """
     names, electrode = symmetries(reading.plane), reading.order.electrode
     told = lines.ground >= 0

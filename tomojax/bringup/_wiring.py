@@ -1,4 +1,4 @@
-"""Which electrode each channel reads, and which electrode each ground line grounds."""
+"""Finds the electrode that each channel reads, and that each ground line grounds."""
 
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ _FLAT = 0.02
 
 
 def lattice(plane: Plane) -> tuple[int, int] | None:
-    """Rows and columns, where electrodes lie on a grid in the order of `Sensor.grid`."""
+    """Returns rows and columns, if electrodes lie on a grid ordered as `Sensor.grid`."""
     m = plane.count
     for columns in range(1, m + 1):
         if m % columns:
@@ -49,9 +49,9 @@ def lattice(plane: Plane) -> tuple[int, int] | None:
 
 
 def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """By name: the electrode at the place where each one's image lies, where all have one.
+    """Lists symmetries: the electrode at each electrode's image, where all have one.
 
-    Images of the sheet onto itself, `identity` first.
+    The symmetries are images of the sheet onto itself, by name, `identity` first.
     """
     a, b = plane.size
     square = abs(a - b) < 1e-3 * max(a, b)
@@ -80,7 +80,7 @@ def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
 
 
 def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Orders of channels to begin with: as told, and those that a plug or a loop makes."""
+    """Lists orders of channels to begin with: as stated, and those of a plug or a loop."""
     m = np.arange(plane.count)
     found = {"as told": m, "one on": np.roll(m, -1), "one back": np.roll(m, 1)}
     grid = lattice(plane)
@@ -96,26 +96,26 @@ def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
 
 
 class Order(NamedTuple):
-    """Which electrode each channel reads, and how well contacts fit then."""
+    """The electrode that each channel reads, and the fits of contacts then."""
 
     electrode: Integer[np.ndarray, " M"]  # of each channel
     fits: Fits
     cost: Float[np.ndarray, "M M"]  # of channels at electrodes, of the voltages' span
 
     def by_electrode(self, values: np.ndarray) -> np.ndarray:
-        """Values of channels (…, M) in the order of electrodes."""
+        """Sorts values of channels (…, M) into the order of electrodes."""
         return values[..., np.argsort(self.electrode)]
 
 
 def quality(fits: Fits) -> float:
-    """What is left of a slot's span in the median."""
+    """Computes the part of a slot's span that fits leave, in the median."""
     return float(np.median(fits.left / np.maximum(fits.span, 1e-12)))
 
 
 def grounds_to_try(
     asked: np.ndarray, order: np.ndarray, usable: np.ndarray
 ) -> Integer[np.ndarray, "n k"]:
-    """Beside the lowest channels: what was commanded, and electrodes without a channel."""
+    """Lists grounds beside the lowest channels: commanded ones, and unread electrodes."""
     inside = np.where((asked >= 0) & (asked < len(order)), asked, 0)
     blind = order[~usable][:_BLIND]
     return np.column_stack([inside, *(np.full(len(inside), e) for e in blind)])
@@ -129,7 +129,7 @@ def order_of(
     always: int | None = None,
     enough: float = 0.01,
 ) -> Order:
-    """The order of channels in which contacts fit; `usable` channels tell."""
+    """Finds the order of channels in which contacts fit; only `usable` channels count."""
     n, m = volts.shape
     rng = np.random.default_rng(1)
     some = np.sort(rng.choice(n, min(n, _SOME), replace=False))
@@ -175,7 +175,7 @@ def order_of(
 
 
 def costs(volts: np.ndarray, fits: Fits) -> Float[np.ndarray, "M M"]:
-    """What each channel leaves at each electrode, with any gain, of the span; rms."""
+    """Computes what each channel leaves at each electrode, at any gain, over span; rms."""
     relative = fits.left / np.maximum(fits.span, 1e-12)
     sound = relative < 4 * np.median(relative)
     weight = (fits.far * sound[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
@@ -220,7 +220,7 @@ def _assigned(cost: np.ndarray, order: np.ndarray, usable: np.ndarray) -> np.nda
 
 
 def _whole(new, order, usable, cost) -> np.ndarray:
-    """A permutation again: electrodes with two channels keep the one that fits best."""
+    """Makes a permutation again: the best fit keeps an electrode that two channels take."""
     m = len(new)
     taken: dict[int, int] = {}
     sure = sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]]))
@@ -237,7 +237,7 @@ def _whole(new, order, usable, cost) -> np.ndarray:
 
 
 def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
-    """Orders from how alike channels are, slot by slot: neighbours on the sheet are."""
+    """Orders channels by likeness, slot by slot: neighbours on the sheet are alike."""
     from scipy.optimize import linear_sum_assignment
 
     m = plane.count
@@ -262,7 +262,7 @@ def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.nd
 
 
 class Lines(NamedTuple):
-    """What each ground line does, by the number that is commanded."""
+    """The electrode of each ground line, by the number that is commanded."""
 
     asked: Integer[np.ndarray, " L"]
     ground: Integer[np.ndarray, " L"]  # electrode that is grounded; −1: none; −2: unsure
@@ -271,7 +271,7 @@ class Lines(NamedTuple):
 
 
 def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
-    """The electrode that most slots of each commanded ground show."""
+    """Finds the electrode that most slots of each commanded ground show."""
     relative = fits.left / np.maximum(fits.span, 1e-12)
     weight = 1 / (1 + (relative / max(np.median(relative), 1e-6)) ** 2)
     numbers = np.unique(asked)
@@ -291,7 +291,7 @@ def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
 
 
 def floating(volts: np.ndarray, usable: np.ndarray, drive: float) -> np.ndarray:
-    """Slots in which nothing is grounded: all channels high and alike."""
+    """Finds slots in which nothing is grounded: all channels high and alike."""
     v = volts[:, usable]
     low, middle, high = np.quantile(v, [0.0, 0.5, 0.95], axis=1)
     second = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]

@@ -1,7 +1,7 @@
-"""What a rig really is: zeros, gains, sheet and grounds, from recorded contacts; forces.
+"""Finds a rig's real zeros, gains, sheet and grounds from recorded contacts; and forces.
 
-The room makes a `tomojax.Calibration`; the sensor room applies it. It knows nothing of
-results.
+This room makes a `tomojax.Calibration`; the sensor room applies calibrations. This room
+knows nothing of results.
 """
 
 from tomojax.calibration._calibrate import (

@@ -1,4 +1,4 @@
-"""A rig's gains, zeros, sheet, grounds and electrodes, from contacts anywhere on it."""
+"""Finds a rig's gains, zeros, sheet, grounds and electrodes, from contacts anywhere."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,7 +46,7 @@ _FEWEST, _TOUCHED = 16, 0.1
 
 
 class Calibrated(NamedTuple):
-    """A calibration, and how sure it is."""
+    """A calibration, and how sure its values are."""
 
     calibration: Calibration
     places: Float[np.ndarray, "n 2"]  # of the contacts that it is made of, m
@@ -58,7 +58,7 @@ class Calibrated(NamedTuple):
 
     @property
     def parts(self) -> dict[str, slice]:
-        """Where each kind lies among the values."""
+        """Returns the range of each kind among the values."""
         return self.unknowns.parts
 
 
@@ -73,23 +73,24 @@ def calibrate(
     times: Numbers | None = None,  # (n, S)
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
-    """Gains, zeros, waves of the sheet, grounds and electrodes' places, from contacts.
+    """Finds gains, zeros, the sheet's waves, grounds and electrodes' places by contacts.
 
-    One compact contact in each of n frames of S slots. Where it is need not be known:
-    places, sizes, currents and the rig's values are one least squares problem,
+    Each of n frames of S slots shows one compact contact. Its place need not be known.
+    Places, sizes, currents and the rig's values are one least squares problem,
 
-        min Σ |C^(−1/2)(V − V(θ, contact))|² + (θ − θ₀)ᵀP(θ − θ₀),
+        min Σ |C^(−1/2)(V − V(θ, contact))|² + (θ − θ₀)ᵀP(θ − θ₀).
 
-    whose contacts are eliminated frame by frame (Schur complement), so that its cost grows
-    with the frames. Gauss and Newton's steps, a new table of the sheet for each.
+    The contacts are eliminated frame by frame (Schur complement), so that the cost grows
+    with the frames. Each of Gauss and Newton's steps makes a new table of the sheet.
 
-    **Arguments:** `voltages` V, as read; NaN where a channel is not to be used, in all
-    frames; `places` m, NaN where they are not known, nowhere by default; `spread` 1 σ of
-    them, m (0.005 pitches by default); `calibration` what is known (zeros and noise by
-    `tare`, for one), nominal by default; `times` of the slots, s, between which a contact
-    may move (None: it is held still); `progress` is told what is done.
-    **Raises:** `ValueError` for shapes that do not fit, values that are no numbers, places
-    off the sheet, and frames that show one contact too seldom or in too few places.
+    **Arguments:** `voltages` V, as read; NaN in all frames for a channel that is not used;
+    `places` m, NaN where not known (by default none is known); `spread` 1 σ of `places`, m
+    (0.005 pitches by default); `calibration`: known values (such as zeros and noise by
+    `tare`), nominal by default; `times` of the slots, s, between which a contact may move
+    (None: contacts are held still); `progress` is called with a text on each stage.
+    **Raises:** `ValueError` for shapes that do not fit, values that are no numbers, and
+    places off the sheet. Frames with one contact too seldom or in too few places raise
+    `ValueError` too.
 
     **Example:**
 
@@ -118,7 +119,7 @@ def calibrated(
     times: Numbers | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibrated:
-    """As `calibrate`, with what the calibration is made of and how sure it is."""
+    """Calibrates as `calibrate` does; returns the frames and the covariance too."""
     before = calibration or Calibration()
     known = _known(sensor, voltages, grounds, places, spread, times)
     if not np.isfinite(known.places).all():
@@ -181,11 +182,11 @@ def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:
 def _step(
     unknowns: Unknowns, sums: Sums, state: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss and Newton's step, the values' covariance, and the prior that makes this step.
+    """Computes Gauss and Newton's step, the values' covariance, and the step's prior.
 
-    What frames share, the shapes of contacts above all, is no noise that they average. How
-    far frames scatter along each direction tells what they really know of it: where that is
-    less than their number says, what is known beforehand counts for more.
+    Errors that frames share, the shapes of contacts above all, do not average out as noise
+    does. The scatter of frames along each direction shows what frames really know of that
+    direction. If that is less than the number of frames says, the prior counts for more.
     """
     root = np.linalg.cholesky(np.linalg.inv(unknowns.prior))
     known, turn = np.linalg.eigh(root.T @ sums.normal @ root)
@@ -231,14 +232,14 @@ def _known(sensor, voltages, grounds, places, spread, times) -> Known:
 
 
 def _weight(places: np.ndarray, side: float) -> Float[np.ndarray, " n"]:
-    """1 over how many frames lie in the same square: they share the model's errors."""
+    """Computes 1 over the number of frames in the same square, which share model errors."""
     cells = np.floor(places / side).astype(int)
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     return 1 / count[which.ravel()]
 
 
 def _found(sensor: Sensor, before: Calibration, known: Known) -> Known:
-    """The frames with one contact, those without a place where `points` finds it."""
+    """Keeps the frames with one contact, at places given or found by `points`."""
     points = make_method(sensor, "points", 32, before)
     batch = Batch(points, 1.0, contacts=2, images=False)
     volts = before.voltages(known.voltages.astype(points.noise.dtype))

@@ -1,4 +1,4 @@
-"""Frames with one contact each, and what they tell of the rig once that is eliminated."""
+"""Computes what frames with one contact each say of the rig, the contact eliminated."""
 
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ _SPEED = 0.3
 
 
 class Known(NamedTuple):
-    """Frames with one contact each: where it is about, and how well that is known."""
+    """Frames with one contact each: its rough place, and how well that is known."""
 
     voltages: Float[np.ndarray, "n S M"]
     grounds: Integer[np.ndarray, "n S"]
@@ -47,7 +47,7 @@ class Sums(NamedTuple):
 def sums_of(
     points: Points, slopes: RigSlopes, volts: Float[np.ndarray, "n S M"], known: Known
 ) -> Sums:
-    """The normal equations of the rig's values, over all frames; `volts` are corrected."""
+    """Sums the normal equations of the rig's values over frames; `volts` are corrected."""
     used = np.isfinite(volts).all((0, 1))
     prepared = points.prepare(known.grounds[0], np.tile(used, (volts.shape[1], 1)), 1.0)
     volts, dtype = np.nan_to_num(volts), points.errors.noise.dtype
@@ -109,11 +109,11 @@ def _frame(
     spread: Float[Array, ""],
     times: Float[Array, " S"],
 ) -> tuple[Array, ...]:
-    """Rows A of slopes by the rig, and B, what the contact takes from AᵀA; its rest.
+    """Computes rows A of slopes by the rig, B, the contact's part of AᵀA, and the rest.
 
-    The contact's currents are eliminated slot by slot; place, size, shape and speed, which
-    the slots share, by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. Where the contact's own fit has ended
-    nothing is left along T but its priors', and the right side is Aᵀr.
+    The contact's currents are eliminated slot by slot. Place, size, shape and speed, which
+    the slots share, are eliminated by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. The contact's own fit leaves
+    nothing along T but the priors' part, and so the right side is Aᵀr.
     """
     _, found, frame, whole = fit_of(points, prepared, volts, place, spread)
     sheet, tolerance = points.sheet, prepared.tolerance
@@ -156,10 +156,10 @@ def fit_of(
     place: Float[Array, "2"],
     spread: Float[Array, ""],
 ) -> tuple[Float[Array, "5"], Explained, WhitenedFrame, WhitenedFrame]:
-    """Fits a contact that is about there: its parameters, what they explain, the frame.
+    """Fits a contact near a place: its parameters, what they explain, and two frames.
 
-    The frame with each channel's own errors alone: what they have in common is what is
-    looked for; and the frame with both.
+    The first frame has each channel's own errors alone, because the errors in common are
+    looked for. The second frame has both kinds of errors.
     """
     scene = fitting_of(points, prepared, volts, 1)
     frame = scene.frame._replace(
@@ -185,7 +185,7 @@ def explained_about(
     place: Float[Array, "2"],
     spread: Float[Array, ""],
 ) -> Explained:
-    """A contact that is about there."""
+    """Explains a frame by a contact near a place."""
     found = model.discs(sheet, frame, parameters)
     slope = jnp.eye(2, model.DISC, dtype=spread.dtype) / spread
     return found._replace(

@@ -1,4 +1,4 @@
-"""A calibration as a function of the voltages that it is made of, to differentiate."""
+"""Makes a calibration a differentiable function of the voltages it comes from."""
 
 from typing import Any
 
@@ -22,14 +22,14 @@ _STEPS = 30
 
 
 class HeldCalibration(eqx.Module):
-    """The last pass of a calibration, whose tables change with the rig as slopes say.
+    """The last pass of a calibration, with tables that change with the rig by slopes.
 
-    θ(V) = argmin min_c Σ_k w_k Σ_s δ²·ln(1 + |r_ks|²/δ²) + priors, where what a frame
-    leaves is r = C^(−1/2)[(V − offset)/gain − A(θ − θ*) − V(c)]: V(c) are its contact's
-    voltages on the calibrated rig θ*, A their slopes by sheet, grounds and electrodes.
-    A, the errors C and the weights w are held; contacts are at rest. `values` is
-    differentiable in the voltages by the implicit function theorem, in float64. It solves
-    for all values and contacts at once: meant for a few hundred frames.
+    θ(V) = argmin min_c Σ_k w_k Σ_s δ²·ln(1 + |r_ks|²/δ²) + priors. A frame's residual is
+    r = C^(−1/2)[(V − offset)/gain − A(θ − θ*) − V(c)]. V(c) are its contact's voltages on
+    the calibrated rig θ*; A are slopes of V by sheet, grounds and electrodes. A, the
+    errors C and the weights w are held; contacts are at rest. `values` is differentiable
+    in the voltages by the implicit function theorem, in float64. `values` solves for all
+    values and contacts at once, which suits a few hundred frames.
 
     **Example:**
 
@@ -63,7 +63,7 @@ class HeldCalibration(eqx.Module):
     parts: dict[str, slice] = eqx.field(static=True)
 
     def __init__(self, sensor: Sensor, found: Calibrated):
-        """**Raises:** `ValueError` for a sensor in float32."""
+        """Fits the contacts. **Raises:** `ValueError` for a sensor in float32."""
         wide = sensor.dtype == np.float64
         require(wide, "sensor", sensor.dtype, "float64: derivatives are no better")
         unknowns, known = found.unknowns, found.frames
@@ -87,7 +87,7 @@ class HeldCalibration(eqx.Module):
     def cost(
         self, state: Float[Array, " P"], contacts: Float[Array, "n 5"], voltages: Array
     ) -> Float[Array, ""]:
-        """What θ and the contacts leave of voltages (n, S, M)."""
+        """Computes the cost of θ and the contacts, given voltages (n, S, M)."""
         m = voltages.shape[-1]
         gain, zero, moved = state[:m], state[m : 2 * m], (state - self.state)[2 * m :]
         unit, tolerance = self.sheet.unit, self.tolerance
@@ -109,7 +109,7 @@ class HeldCalibration(eqx.Module):
 
     @eqx.filter_jit
     def values(self, voltages: Float[Array, "n S M"]) -> Float[Array, " P"]:
-        """θ for voltages near those of the calibration, in the order of `parts`."""
+        """Solves θ for voltages near those of the calibration, in the order of `parts`."""
         import lineax  # here: what calibrates need not wait for them
         import optimistix
 
@@ -137,7 +137,7 @@ class HeldCalibration(eqx.Module):
 def _fits(
     points: Points, slopes: RigSlopes, prepared: Any, volts, grounds, places, spread
 ) -> tuple[Array, Array, Array]:
-    """Each frame's contact, the scale of its errors, and slopes by the rig's geometry."""
+    """Fits each frame: its contact, its errors' scale, and slopes by the rig's geometry."""
 
     def one(v: Array, g: Array, place: Array, spread: Array) -> Any:
         ready = prepared._replace(grounds=g)

@@ -1,4 +1,4 @@
-"""From conductance to pressure: a power law, of presses of known force."""
+"""Turns conductance into pressure: a power law, fitted to presses of known force."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ def calibrate_presses(
     area: Numbers,  # (n,) or () m²
     calibration: Calibration | None = None,
 ) -> Calibration:
-    """The power law g = c·pᵏ (S/m² at Pa) of a material, from presses of known force.
+    """Fits a material's power law g = c·pᵏ (S/m² at Pa) to presses of known force.
 
-    ln(g/A) = ln c + k·ln(F/A), by least squares; c and k are the calibration's
+    Least squares fit ln(g/A) = ln c + k·ln(F/A); c and k are the calibration's
     `pressure`. Conductances are those that `points` or `conductance` found.
 
-    **Raises:** `ValueError` for fewer than two presses, equal ones, and numbers that are
+    **Raises:** `ValueError` for fewer than two presses, equal presses, and numbers that are
     not above 0.
 
     **Example:**
@@ -52,7 +52,7 @@ def calibrate_presses(
 def pressure(
     calibration: Calibration, density: Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """p = (g/c)^(1/k), Pa, of conductances in S/m²: an image of `conductance`, for one.
+    """Computes p = (g/c)^(1/k), Pa, of conductances in S/m², as an image of `conductance`.
 
     **Raises:** `ValueError` without a power law.
 
@@ -75,7 +75,7 @@ def force(
     conductance: Float[np.ndarray, "*n"],
     radius: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
-    """F = p·πr², N, of contacts that press evenly.
+    """Computes F = p·πr², N, of contacts that press evenly.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""A rig's calibration from a recording of a contact that moves over its sheet."""
+"""Calibrates a rig from a recording of a contact that moves over its sheet."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -42,7 +42,7 @@ def calibrate_recording(
     calibration: Calibration | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
-    """`calibrate` on a recording of one contact anywhere, as `calibrated_recording` does.
+    """Calibrates from a recording of one contact anywhere: see `calibrated_recording`.
 
     **Example:**
 
@@ -71,12 +71,12 @@ def calibrated_recording(
     calibration: Calibration | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibrated:
-    """A calibration from a recording of one contact, and what it is made of.
+    """Calibrates from a recording of one contact; returns frames and covariance too.
 
-    Zeros are taken from contact-free slots first, where there are. `places` (m) of each
-    slot or scan, NaN where they are not known; None: nowhere. Frames are stretches of ten
-    slots, or scans of five to ten, in which the contact may move. Those with faults or
-    without a contact are left out; of the others up to `most`, spread evenly.
+    Zeros are taken from contact-free slots first, if there are any. `places` (m) are one
+    per slot or scan, NaN where not known; None: none is known. Frames are stretches of ten
+    slots, or scans of five to ten, in which the contact may move. Frames with faults or
+    without a contact are left out. Up to `most` of the others are used, spread evenly.
 
     **Raises:** `ValueError` for places that are neither one per slot nor one per scan, and
     as `calibrate` does.
@@ -134,14 +134,14 @@ def calibrated_recording(
 
 
 def frame_length(recording: Recording) -> int:
-    """Slots of a frame: ten, or a scan of five to ten, in which a contact may be lifted."""
+    """Counts a frame's slots: ten, or those of a scan of five to ten slots."""
     per_scan = recording.slots
     whole = per_scan >= _LEAST
     return min(per_scan if whole else recording.scans * per_scan, _SLOTS)
 
 
 def touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
-    """Stretches of `length` slots that show a contact throughout."""
+    """Reads stretches of `length` slots that show a contact throughout."""
     enough = _TOUCHED * nominal_noise(recording.rig.sensor())
     slots = recording.scans * recording.slots
     every = max(1, slots // length // (_CHOICE * most))
@@ -164,9 +164,9 @@ def touched(recording: Recording, before: Calibration, length: int, most: int) -
 
 
 def read_places(path: Path) -> Float[np.ndarray, "n 2"]:
-    """`xy` of an .npz file, or two columns x, y of a text file (.csv, one header line at
-    most), m.
+    """Reads places, m: `xy` of an .npz file, or columns x, y of a text file.
 
+    A text file (.csv) has one header line at most.
     **Raises:** `ValueError` naming the file.
 
     **Example:**

@@ -18,9 +18,9 @@ _KEPT = 0.5
 def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
     """Lists the values that were found and 1 σ of each kind, lengths in mm.
 
-    How sure electrodes' places are has two parts: that of an affine map of all (shift,
-    turn, stretch), which a rub without a ruler hardly tells, and what is left without it.
-    `not_told` names moves that these frames do not tell at all, or hardly.
+    The certainty of electrodes' places has two parts. One part is an affine map of all
+    electrodes (shift, turn, stretch), which a rub without a ruler hardly shows. The other
+    part is all else. `not_told` names moves that these frames show hardly or not at all.
     """
     calibration, m = found.calibration, sensor.electrode_count
     touched = squares_touched(sensor, found.places)
@@ -55,7 +55,7 @@ def summary(sensor: Sensor, found: Calibrated) -> dict[str, Any]:
 
 
 def text(sensor: Sensor, found: Calibrated) -> str:
-    """The summary in lines, and where to rub more."""
+    """Writes the summary in lines, and where to rub more."""
     told = summary(sensor, found)
     lines = [
         "{frames} frames with one contact; {squares_touched} of {squares} squares touched",
@@ -75,7 +75,7 @@ def text(sensor: Sensor, found: Calibrated) -> str:
 
 
 def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Names moves of many values together that the frames hardly tell.
+    """Names moves of many values together that the frames hardly show.
 
     A move d is named if dᵀCd, its variance now, is more than half of dᵀP⁻¹d, its variance
     before any frame.
@@ -103,12 +103,12 @@ def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
 
 
 def advice(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Says where the sheet was hardly touched; returns no line if it was everywhere."""
+    """Says where the sheet was hardly touched; returns no line if all of it was touched."""
     return rub_more(sensor, squares_touched(sensor, found.places))
 
 
 def rub_more(sensor: Sensor, touched: np.ndarray) -> list[str]:
-    """Says the same of how often each square was `touched`, (rows, columns)."""
+    """Says where to rub, by how often each square was `touched`, (rows, columns)."""
     missing = touched < _FEW
     if not missing.any():
         return []
@@ -131,7 +131,7 @@ def rub_more(sensor: Sensor, touched: np.ndarray) -> list[str]:
 
 
 def squares_touched(sensor: Sensor, places: np.ndarray) -> np.ndarray:
-    """How many frames touch each square of about a pitch, (rows, columns)."""
+    """Counts frames that touch each square of about a pitch, (rows, columns)."""
     size = np.asarray(sensor.size, float)
     shape = np.maximum(1, np.round(size / sensor.mean_pitch)).astype(int)
     at = np.clip((places / size * shape).astype(int), 0, shape - 1)
@@ -141,7 +141,7 @@ def squares_touched(sensor: Sensor, places: np.ndarray) -> np.ndarray:
 
 
 def _certainty(sensor: Sensor, found: Calibrated) -> tuple[float, float]:
-    """1 σ of a place by an affine map of all electrodes, and by all else, m."""
+    """Computes 1 σ of a place by an affine map of all electrodes, and by all else, m."""
     at = found.parts["electrodes"]
     covariance = found.covariance[at, at]
     whole = affine(np.asarray(sensor.electrode_xy, float))
@@ -153,7 +153,7 @@ def _certainty(sensor: Sensor, found: Calibrated) -> tuple[float, float]:
 
 
 def picture(sensor: Sensor, found: Calibrated) -> Any:
-    """The sheet's resistance, what was touched, and how far electrodes are off."""
+    """Draws the sheet's resistance, the contacts, and how far electrodes are off."""
     from matplotlib.figure import Figure
 
     calibration: Calibration = found.calibration

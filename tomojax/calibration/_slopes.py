@@ -1,4 +1,4 @@
-"""Slopes of one contact's voltages by what a calibration finds."""
+"""Computes slopes of one contact's voltages by the values that a calibration finds."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from tomojax.sensor import make_moves, make_waves, Sensor
 
 
 class RigSlopes(NamedTuple):
-    """How the tables of potentials change with the rig."""
+    """Slopes of the tables of potentials by the rig's values."""
 
     waves: Float[Array, "q nx ny M"]  # R_e by each wave of the sheet, Ω
     waves_among: Float[Array, "q M M"]  # R_ee'
@@ -20,17 +20,17 @@ class RigSlopes(NamedTuple):
 
 
 def rig_slopes(sensor: Sensor) -> RigSlopes:
-    """Those of a rig with nominal values: they hardly depend on the rig's errors."""
+    """Computes slopes for nominal values: these hardly depend on the rig's errors."""
     return RigSlopes(*make_waves(sensor, MOST), *make_moves(sensor))
 
 
 def slopes_by_rig(
     sheet: Sheet, slopes: RigSlopes, grounds: Int[Array, " S"], fitted: Fitted
 ) -> Float[Array, "S M P"]:
-    """∂V by gains, zeros, waves, resistances at grounds and electrodes' places.
+    """Computes ∂V by gains, zeros, waves, resistances at grounds and electrodes' places.
 
-    In the order of `Unknowns`, of one contact with current I at x:
-    V_i = I·[R_i(x) − R_l(x) − R_il + R_ll + z_l].
+    The order is that of `Unknowns`; the contact has current I at x: V_i = I·[R_i(x) −
+    R_l(x) − R_il + R_ll + z_l].
     """
     volts, current = fitted.voltages, fitted.current  # (S, M), (S, 1)
     place, radius = fitted.place[0], fitted.radius[0]

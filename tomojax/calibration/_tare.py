@@ -1,4 +1,4 @@
-"""Zeros of the channels and their noise, from contact-free slots of a recording."""
+"""Measures the channels' zeros and noise, in contact-free slots of a recording."""
 
 from dataclasses import replace
 
@@ -18,11 +18,11 @@ _MORE, _NO_LESS = 1.1, 0.02
 
 
 def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
-    """Zeros of the channels and their noise, from the recording's contact-free slots.
+    """Measures the channels' zeros and noise, in the recording's contact-free slots.
 
-    Those with all voltages within eleven times the noise and a mean that is the lowest.
-    Zeros do not depend on the ground: where these slots' means do, something touches. With
-    fewer than 16 slots, or with a touch, the calibration (nominal by default) as it is.
+    These slots have all voltages within eleven times the noise, and the lowest means. Zeros
+    do not depend on the ground: if these slots' means do, something touches. Fewer than 16
+    slots, or a touch, leave the calibration (nominal by default) as it is.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""The vector of values that a calibration finds, and what is known of them before."""
+"""Orders the values that a calibration finds in a vector, with what is known before."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -22,7 +22,7 @@ MOST = max(WAVES.values())
 
 
 class Unknowns(NamedTuple):
-    """The vector θ of values: where each kind lies; what is known of it before."""
+    """The vector θ of values: the range of each kind, and what is known of θ before."""
 
     parts: dict[str, slice]
     start: Float[np.ndarray, " P"]
@@ -30,7 +30,7 @@ class Unknowns(NamedTuple):
 
 
 def unknowns_of(sensor: Sensor, before: Calibration) -> Unknowns:
-    """Those of a rig near `before`."""
+    """Builds the unknowns of a rig near `before`."""
     m, waves = sensor.electrode_count, len(smooth_orders(MOST))
     sizes = {"gain": m, "offset": m, "sheet": waves, "ground": m, "electrodes": 2 * m}
     ends = np.cumsum(list(sizes.values()))
@@ -59,7 +59,7 @@ def unknowns_of(sensor: Sensor, before: Calibration) -> Unknowns:
 
 
 def widened(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> Unknowns:
-    """With electrodes as far off as a first pass has found them, where that is farther."""
+    """Widens the prior of electrodes' places, if a first pass found them farther off."""
     at, prior = unknowns.parts["electrodes"], unknowns.prior.copy()
     square = float(np.mean((state - unknowns.start)[at] ** 2))
     prior[at, at] /= max(1.0, square * prior[at.start, at.start])
@@ -67,13 +67,13 @@ def widened(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> Unknowns:
 
 
 def affine(places: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "N k"]:
-    """An orthonormal basis of affine maps' displacements, all x before all y."""
+    """Builds an orthonormal basis of affine maps' displacements, all x before all y."""
     one = np.column_stack([np.ones(len(places)), places - places.mean(0)])
     return np.kron(np.eye(2), np.linalg.qr(one)[0])
 
 
 def all_waves(sheet: tuple[float, ...]) -> Float[np.ndarray, " q"]:
-    """A sheet's waves among all that are looked for."""
+    """Lists a sheet's waves among all waves that are looked for."""
     every = [tuple(order) for order in smooth_orders(MOST)]
     found = np.zeros(len(every))
     for order, value in zip(smooth_orders(WAVES[len(sheet)]), sheet):
@@ -84,13 +84,13 @@ def all_waves(sheet: tuple[float, ...]) -> Float[np.ndarray, " q"]:
 def calibration_of(
     unknowns: Unknowns, state: Float[np.ndarray, " P"], before: Calibration
 ) -> Calibration:
-    """The calibration with the values of a state."""
+    """Returns the calibration with the values of a state."""
     values = values_of(unknowns, state)
     return replace(before, **values)
 
 
 def values_of(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> dict[str, tuple]:
-    """A state's values by their names in `Calibration`."""
+    """Returns a state's values by their names in `Calibration`."""
     found = {n: tuple(state[at].tolist()) for n, at in unknowns.parts.items()}
     places = state[unknowns.parts["electrodes"]].reshape(2, -1).T
     return found | {"electrodes": tuple(map(tuple, places.tolist()))}

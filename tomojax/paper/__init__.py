@@ -1,7 +1,7 @@
-"""The paper's own method: ground patterns, Eq. 3, figures of merit.
+"""Implements the paper's own method: ground patterns, Eq. 3, figures of merit.
 
-The room is Eq. 3 for any Jacobian, on arrays that a caller holds. It knows nothing of the
-ladder of methods, nor of files.
+This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. The room knows
+nothing of the ladder of methods, nor of files.
 """
 
 from tomojax.paper._merit import (

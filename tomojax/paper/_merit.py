@@ -1,4 +1,4 @@
-"""Figures of merit of images on the sensor's elements."""
+"""Computes figures of merit of images on the sensor's elements."""
 
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from tomojax.sensor import Sensor
 
 
 class Figures(NamedTuple):
-    """Of one image, or with a leading axis of a batch.
+    """Figures of merit of one image, or of a batch with a leading axis.
 
     **Example:**
 
@@ -41,7 +41,7 @@ class Figures(NamedTuple):
 
 
 def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
-    """Values per element (…, K) as an image (…, nx, ny): the mean of each cell's two.
+    """Turns values per element (…, K) into an image (…, nx, ny): each cell's mean.
 
     **Example:**
 
@@ -58,7 +58,7 @@ def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
 
 
 def cell_size(sensor: Sensor) -> Float[Array, "2"]:
-    """Sides of a pixel, m.
+    """Computes the sides of a pixel, m.
 
     **Example:**
 
@@ -72,7 +72,7 @@ def cell_size(sensor: Sensor) -> Float[Array, "2"]:
 
 
 def figures_of_merit(sensor: Sensor, image: Numbers, truth: Numbers) -> Figures:
-    """How wide, where and how like the truth an image (K,) or a batch (frames, K) is.
+    """Measures an image's (K,) width, place and error, or those of a batch (frames, K).
 
     `truth` (K,) or (frames, K) is the true image in any unit; see `half_width`,
     `image_place`, `image_error` and `greit_figures` for the definitions. Distances

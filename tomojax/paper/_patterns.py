@@ -1,4 +1,4 @@
-"""Ground patterns: which electrodes a scan grounds, in order."""
+"""Chooses ground patterns: the electrodes that a scan grounds, in order."""
 
 from typing import cast, get_args, Literal
 
@@ -57,12 +57,12 @@ def pattern(
     threshold: Numbers | None = None,
     seed: int = 0,
 ) -> Int[Array, " L"]:
-    """Electrodes that a pattern grounds, for any array of electrodes.
+    """Lists the electrodes that a pattern grounds, for any array of electrodes.
 
     **Arguments:** `name`:
 
-    - "all"; "boundary": the array's outline; "edge": those of least x; "v_line": those
-      nearest to the array's middle in x (a vertical line where x is horizontal);
+    - "all"; "boundary": the array's outline; "edge": electrodes of least x; "v_line":
+      electrodes nearest to the array's middle in x (a vertical line where x is horizontal);
       "random_16", "random_8": so many, drawn with `seed`;
     - from exploratory `voltages` (2, M) under the grounds of `exploration`: "around",
       "cop_line", "point" as `AdaptiveScan` gives them, and "around_each": a box around
@@ -111,7 +111,7 @@ def pattern(
 
 
 def exploration(sensor: Sensor) -> Int[Array, "2"]:
-    """The two exploratory grounds: opposite corners of the array (the paper's 1 and 64).
+    """Returns two exploratory grounds: opposite corners of the array (the paper's 1, 64).
 
     **Example:**
 
@@ -124,16 +124,16 @@ def exploration(sensor: Sensor) -> Int[Array, "2"]:
 
 
 class AdaptiveScan(eqx.Module):
-    """The paper's adaptive scan (II.D): exploratory voltages to the next ground conditions.
+    """The paper's adaptive scan (II.D): from exploratory voltages to the next grounds.
 
-    `scan(voltages)` is compiled code of fixed output size that can sit inside a step.
+    `scan(voltages)` is compiled code of fixed output size that can run inside a step.
 
     **Arguments:** `sensor`; `name` "around" (8), "cop_line" (8) or "point" (6); `alpha`
     α: electrodes whose summed voltage is at least α percent of the highest are in contact;
     `threshold`: summed volts below which nothing touches, 1/450 of the drive by default.
 
-    The principal direction is taken of `electrode_currents`, not (as in the paper)
-    of the electrodes in contact: on a recorded spanner at 35° that gives 36° where the
+    The principal direction is that of `electrode_currents`; the paper takes that of the
+    electrodes in contact. On a recorded spanner at 35° the currents give 36°, and the
     electrodes give 18°. Without a contact, or with NaN voltages, the scan is that around
     the array's middle, and the region's flags say so.
 
@@ -185,7 +185,7 @@ class AdaptiveScan(eqx.Module):
         self.name = name
 
     def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
-        """Ground conditions and the region they come from."""
+        """Returns ground conditions and the region that they come from."""
         region = self.region(voltages)
         if self.name == "around":
             return around(region, self.electrode_xy), region
@@ -194,7 +194,7 @@ class AdaptiveScan(eqx.Module):
         return point(voltages, self.corners), region
 
     def region(self, voltages: Float[Array, "E M"]) -> Region:
-        """Centre of contact, electrodes in contact, box, direction, flags."""
+        """Finds the centre of contact, electrodes in contact, box, direction, flags."""
         currents = electrode_currents(self.resistances, voltages)
         return contact_region(
             voltages, self.electrode_xy, self.alpha, self.threshold, currents
@@ -203,7 +203,7 @@ class AdaptiveScan(eqx.Module):
     def around_each(
         self, voltages: Float[Array, "E M"], count: int
     ) -> tuple[Int[Array, "C 8"], Region]:
-        """One box per contact, of up to `count`; absent ones are flagged NO_CONTACT."""
+        """Returns a box per contact, of up to `count`; absent contacts have NO_CONTACT."""
         currents = electrode_currents(self.resistances, voltages)
         regions = contact_regions(
             voltages, self.electrode_xy, currents, self.threshold, count

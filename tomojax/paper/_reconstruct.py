@@ -1,4 +1,4 @@
-"""The paper's linear reconstruction (Eq. 3): a frame and a Jacobian to an image."""
+"""Turns a frame and a Jacobian into an image: the paper's linear reconstruction (Eq. 3)."""
 
 from functools import partial
 from typing import cast, get_args, NamedTuple
@@ -57,10 +57,11 @@ class Reconstruction(NamedTuple):
 
 
 def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> ReducedSlots:
-    """J in an orthonormal basis of `rank` rows: new grounds or a new λ cost a millisecond.
+    """Reduces J to an orthonormal basis of `rank` rows: a new λ then costs a millisecond.
 
-    `rank` 256 holds J(0) of the paper's sensor to 8e-4 of its norm; an image at
-    λ = 2.5e-3·σ₁² then differs by 2e-4 from the full one, at 1e-6·σ₁² by 7e-3.
+    New grounds cost as little. `rank` 256 holds J(0) of the paper's sensor to 8e-4 of its
+    norm. An image then differs from the full one by 2e-4 at λ = 2.5e-3·σ₁², and by 7e-3 at
+    1e-6·σ₁².
     **Raises:** `ValueError` for a rank outside 1 to the number of rows and columns.
 
     **Example:**
@@ -98,26 +99,26 @@ def reconstruct(
     per_recording: bool = False,
     route: SolveRoute = "auto",
 ) -> Reconstruction:
-    """φ = (J_sᵀWJ_s + λI)⁻¹J_sᵀWV_s, the paper's Eq. 3, with λ given or chosen.
+    """Computes φ = (J_sᵀWJ_s + λI)⁻¹J_sᵀWV_s, the paper's Eq. 3, with λ given or chosen.
 
     **Arguments:**
 
-    - `jacobian` (L, M, K): any; ours is `tomojax.jacobian`. Or `reduce_jacobian` of it.
+    - `jacobian` (L, M, K): any, such as `tomojax.jacobian`; or `reduce_jacobian` of one.
     - `voltages` (S, M), or a batch (frames, S, M), V.
-    - `grounds` (S,): which of the L slots of `jacobian` were read; None is all of them.
-    - `lam`: λ > 0 in the unit of J², or a rule of `lambda_scores`. The default
-      needs no noise level and stands gain errors and common-mode noise, under which
-      GCV and the marginal likelihood choose a λ decades too small. A rule takes the SVD
-      of the selected rows (half a second for eight slots): many slots want a reduced
-      Jacobian, and a stream the λ of its first frames.
-    - `weights` ≥ 0, (S,) per slot or (S, M) per voltage: 0 leaves it out (a voltage left
-      out may be NaN).
+    - `grounds` (S,): which of the L slots of `jacobian` were read; None: all slots.
+    - `lam`: λ > 0 in the unit of J², or a rule of `lambda_scores`. The default needs no
+      noise level and stands gain errors and common-mode noise. Under these, GCV and the
+      marginal likelihood choose a λ decades too small. A rule takes the SVD of the selected
+      rows (half a second for eight slots). So reduce the Jacobian for many slots, and give
+      a stream the λ of its first frames.
+    - `weights` ≥ 0, (S,) per slot or (S, M) per voltage: 0 leaves a slot or voltage out (a
+      voltage left out may be NaN).
     - `noise`: V rms of the white noise, for "discrepancy" alone.
     - `per_recording`: one λ for the whole batch.
     - `route` as in `tikhonov`.
 
-    **Returns:** `Reconstruction`. Under a trace, where values are not known, what would
-    be an error here is a flag and an image of NaN.
+    **Returns:** `Reconstruction`. Under a trace values are not known; there a flag and an
+    image of NaN replace an error.
     **Raises:** `ValueError` for shapes that do not fit, NaN voltages, empty or repeated
     grounds, λ ≤ 0, an unknown rule, or "discrepancy" without `noise`.
 

@@ -1,7 +1,7 @@
-"""The rig and what touches it: sensors, shapes, converters, exact voltages.
+"""Describes the rig and what touches it: sensors, shapes, converters, exact voltages.
 
-The room states what is there and computes what would be measured. It knows nothing of how
-contacts are found.
+This room states what is there and computes what would be measured. The room knows nothing
+of how contacts are found.
 """
 
 from tomojax.sensor._calibration import Calibration as Calibration, WAVES as WAVES

@@ -1,4 +1,4 @@
-"""What a rig is beside its nominal values: zeros, gains, and how its sheet varies."""
+"""Holds how a rig differs from its nominal values: zeros, gains, the sheet's variation."""
 
 import json
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -40,18 +40,18 @@ _AXES = {
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of a rig with M channels; the default is its nominal values.
+    """The values of a rig with M channels; the defaults are the nominal values.
 
     V = (reading − `offset`)/`gain`. The sheet's resistance is the nominal one times
-    1 + Σ_q `sheet`_q·wave_q(x), the waves cos(πix/a)·cos(πjy/b), 1 ≤ i + j ≤ 4 (14 values)
-    or 6 (27), in the order of j within i, of mean square 1. `ground`: what a grounded
-    electrode's own resistance to the sheet has beside its nominal disc's, Ω. `electrodes`:
-    how far each lies from its nominal place along x and y, m. `noise`: of a
-    corrected reading, V rms, with what is left of zeros; None: `nominal_noise`. `error`: of
-    what the channels have in common with these values, as a part of what nominal values
-    leave; `own`: the same of what each channel has of its own. `pressure`: c and k of the
+    1 + Σ_q `sheet`_q·wave_q(x). The waves cos(πix/a)·cos(πjy/b) have 1 ≤ i + j ≤ 4 (14
+    values) or 6 (27), in the order of j within i, and mean square 1. `ground`: the excess
+    of a grounded electrode's resistance to the sheet over its nominal disc's, Ω.
+    `electrodes`: each electrode's shift from its nominal place along x and y, m. `noise` of
+    a corrected reading, V rms, with the errors of zeros; None: `nominal_noise`. `error`:
+    the channels' common error with these values, as a part of the error with nominal
+    values. `own`: the same part for each channel's own error. `pressure`: c and k of the
     contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`. `deviation`: 1 σ of the values
-    by their names, where they are known; `made`: the day (ISO 8601).
+    by their names, where known; `made`: the day (ISO 8601).
 
     **Example:**
 
@@ -98,29 +98,29 @@ class Calibration:
             _require_numbers(f"deviation of {name}"[:60], value, (0, 1, 2))
 
     def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
-        """Readings corrected for zeros and gains, in their dtype."""
+        """Corrects readings for zeros and gains, in the readings' dtype."""
         offset, gain = (np.asarray(a, readings.dtype) for a in (self.offset, self.gain))
         return (readings - offset) / gain
 
     def readings(self, voltages: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
-        """What would have been read: the inverse of `voltages`."""
+        """Computes the readings that voltages would give: the inverse of `voltages`."""
         offset, gain = (np.asarray(a, voltages.dtype) for a in (self.offset, self.gain))
         return voltages * gain + offset
 
     def age_hours(self, today: date | None = None) -> float:
-        """Hours since the day when it was made; 0 where nobody noted that."""
+        """Counts hours since the day of the calibration; 0 where no day is noted."""
         if self.made is None:
             return 0.0
         return 24.0 * ((today or date.today()) - date.fromisoformat(self.made)).days
 
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """The sheet's resistance at places (n, 2) of a sheet of `size`, over its mean."""
+        """Computes the sheet's resistance over its mean at places (n, 2); `size`: sides."""
         at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
         modes, _ = smooth_modes(at, sides, WAVES[len(self.sheet)])
         return 1 + np.asarray(self.sheet) @ np.asarray(modes)
 
     def sensor(self, sensor: Sensor, divisions: tuple[int, int]) -> Sensor:
-        """The sensor with sheet and electrodes as they are, on a mesh of `divisions`.
+        """Makes the sensor with calibrated sheet and electrodes, on a mesh of `divisions`.
 
         **Raises:** `ValueError` for a calibration of another number of electrodes.
         """
@@ -136,20 +136,20 @@ class Calibration:
         return replace(sensor, sheet_resistance=values, divisions=divisions)
 
     def check_count(self, electrodes: int) -> None:
-        """**Raises:** `ValueError` for a calibration of another number of electrodes."""
+        """Checks the number of electrodes. **Raises:** `ValueError` for another number."""
         for name in ("offset", "gain", "ground", "electrodes"):
             told = np.shape(getattr(self, name))
             fits = not told or told[0] == electrodes
             require(fits, name, f"{told[:1]} values", f"{electrodes} of them")
 
     def save(self, path: Path | str) -> None:
-        """As JSON; the file is there whole or not at all."""
+        """Writes JSON; the file appears whole or not at all."""
         content = {"schema": SCHEMA, "schema_version": VERSION, **asdict(self)}
         write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path | str, electrodes: int | None = None) -> "Calibration":
-        """Of a file; `electrodes`: how many the rig has, where that is known.
+        """Reads a file; `electrodes`: how many the rig has, where that is known.
 
         **Raises:** `ValueError` naming the file and the field.
         """
@@ -177,10 +177,10 @@ class Calibration:
 
 
 def _require_numbers(name: str, value: Any, axes: tuple[int, ...]) -> None:
-    """**Raises:** `ValueError` for anything but numbers with such axes.
+    """Checks numbers with such axes. **Raises:** `ValueError` for anything else.
 
-    None stands for what is not known, where that may be. No number of a rig comes near
-    the limits; beyond them float32 has infinities, and zeros that divide.
+    None stands for an unknown value, where a field allows None. No number of a rig comes
+    near the limits; beyond them float32 has infinities, and zeros that divide.
     """
     if value is None and name in _UNKNOWN:
         return
@@ -206,12 +206,12 @@ def _is_day(made: Any) -> bool:
 
 
 def _tuples(value: Any) -> Any:
-    """JSON's lists as tuples, in dictionaries too."""
+    """Turns JSON's lists into tuples, in dictionaries too."""
     if isinstance(value, dict):
         return {name: _tuples(one) for name, one in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def element_centres(size: np.ndarray, divisions: tuple[int, int]) -> np.ndarray:
-    """Of a mesh's two elements per cell, (K, 2), m: of their cells."""
+    """Returns the centres of cells, twice each for a cell's two elements, (K, 2), m."""
     return np.repeat(cell_centres(divisions) * size, 2, axis=0)

@@ -1,4 +1,4 @@
-"""What a measuring chain does to volts: noise, clipping, quantisation."""
+"""Models what a measuring chain does to volts: noise, clipping, quantisation."""
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ class Converter(eqx.Module):
     """An analog input: white noise, then `bits` over ± `full_scale`, clipped.
 
     **Arguments:** `noise` V rms; `full_scale` V; `bits` of the converter, None for no
-    quantisation. The gradient passes through the rounding as if it were not there.
+    quantisation. The gradient passes through as if nothing were rounded.
 
     **Example:**
 
@@ -62,7 +62,7 @@ class Converter(eqx.Module):
     def __call__(
         self, volts: Float[Array, "*shape"], key: Array | None = None
     ) -> Float[Array, "*shape"]:
-        """`volts` as this converter reads them; `key` draws the noise."""
+        """Reads `volts` as this converter does; `key` draws the noise."""
         silent = known(self.noise) and self.noise == 0
         require(silent or key is not None, "key", None, "a jax.random key for the noise")
         if not silent:

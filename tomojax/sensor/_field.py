@@ -1,4 +1,4 @@
-"""The table of electrodes' potentials that `points` looks up."""
+"""Computes the table of electrodes' potentials that `points` looks up."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,12 +31,12 @@ _TOGETHER = 16
 
 
 def make_field(sensor: Sensor) -> Field:
-    """The potentials of electrodes in closed form, averaged over discs.
+    """Computes the potentials of electrodes in closed form, averaged over discs.
 
-    What a sheet with a value per element has beside its mean's is a difference of two
-    solutions on a mesh, whose errors cancel. Electrodes even out the potential under
-    them (`electrode_shunt`, 1 where the sensor leaves it open: metal discs): without it
-    places are off by 1 mm and more.
+    A sheet with a value per element adds the difference of two solutions on a mesh, whose
+    errors cancel. Electrodes even out the potential under them (`electrode_shunt`; 1 where
+    the sensor leaves it open: metal discs). Without this effect places are off by 1 mm and
+    more.
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
@@ -49,7 +49,7 @@ def make_field(sensor: Sensor) -> Field:
 
 
 def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
-    """The sensor, as it is with an even sheet, the cells of its table, which are kept."""
+    """Returns the sensor, an even one, the finer table's cells, and kept cells' stride."""
     # Metal discs where the sensor leaves it open.
     if sensor.electrode_shunt is None:
         sensor = replace(sensor, electrode_shunt=1.0)
@@ -67,7 +67,7 @@ def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
 def even_fields(
     even: Sensor, cells: np.ndarray, places: Float[np.ndarray, "M 2"]
 ) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
-    """R_ee' and R_e at the table's points, Ω, of an even sheet."""
+    """Computes R_ee' and R_e at the table's points, Ω, of an even sheet."""
     size, radius = np.asarray(even.size, float), float(even.electrode_diameter) / 2
     x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
     shunt = float(np.asarray(even.electrode_shunt))
@@ -77,13 +77,13 @@ def even_fields(
 
 
 def averaged_radii(sensor: Sensor) -> Float[np.ndarray, " A"]:
-    """The radii of the table, m."""
+    """Returns the radii of the table, m."""
     count = round(_LARGEST / _RADII)
     return _RADII * sensor.mean_pitch * np.arange(1, count + 1)
 
 
 def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int) -> Field:
-    """The table of R_e at points as one over discs of several radii."""
+    """Turns the table of R_e at points into a table over discs of several radii."""
     size = np.asarray(sensor.size, float)
     radii, dtype = averaged_radii(sensor), sensor.dtype
     nx, ny = (1 + (n - 1) // every for n in rows.shape[1:])
@@ -103,7 +103,7 @@ def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int)
 def _variation(
     sensor: Sensor, even: Sensor, cells: np.ndarray
 ) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
-    """What a sheet's variation adds to R_ee' and to R_e at the table's points, Ω."""
+    """Computes what a sheet's variation adds to R_ee' and to the table of R_e, Ω."""
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
     divisions = np.array(sensor.divisions)
     finer = np.ceil(_MESH * size / diameter / divisions).astype(int)
@@ -129,7 +129,7 @@ def _variation(
 def disc_averages(
     values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radii: np.ndarray
 ) -> Iterator[Float[np.ndarray, "*batch nx ny"]]:
-    """The means over discs around each point of a table that mirrors at its edges.
+    """Yields means of a table, mirrored at its edges, over discs around its points.
 
     A cosine of wave vector k is averaged to 2J₁(|k|a)/(|k|a) of itself.
     """

@@ -1,4 +1,4 @@
-"""How the table of electrodes' potentials changes with the rig: its places, its sheet."""
+"""Computes how the table of electrodes' potentials changes with places and the sheet."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,11 +23,11 @@ _FOLLOWED, _RADIUS = 8, 3
 
 
 def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array, "2 M M"]]:
-    """Slopes of `make_field`'s tables as electrodes move along x and along y, Ω/m.
+    """Computes slopes of `make_field`'s tables as electrodes move along x and y, Ω/m.
 
-    R_e(x, a) and R_ee' by the place of electrode e; R_ee changes by twice its entry. Of an
-    even sheet, its resistance as electrodes lower it: what each, as metal, does to the
-    others' potentials is left out.
+    The slopes are R_e(x, a) and R_ee' by the place of electrode e; R_ee changes by twice
+    its entry. The sheet is even, with its resistance as electrodes lower it. The effect of
+    each electrode, as metal, on the others' potentials is left out.
     """
     sensor, even, cells, every = parts_of(sensor)
     places, step = np.asarray(sensor.electrode_xy, float), _MOVE * _diameter(even)
@@ -53,7 +53,7 @@ def _diameter(sensor: Sensor) -> float:
 
 
 def _effective(even: Sensor) -> float:
-    """The sheet's resistance as metal discs lower it, Ω per square (Maxwell)."""
+    """Computes the sheet's resistance as metal discs lower it, Ω per square (Maxwell)."""
     covered = even.electrode_count * np.pi * _diameter(even) ** 2 / 4
     covered = covered / float(np.prod(even.size)) * float(np.asarray(even.electrode_shunt))
     return float(even.sheet_resistance) * (1 - covered) / (1 + covered)
@@ -62,10 +62,11 @@ def _effective(even: Sensor) -> float:
 def make_waves(
     sensor: Sensor, most: int
 ) -> tuple[Float[Array, "q nx ny M"], Float[Array, "q M M"]]:
-    """What each wave of the sheet adds to R_e at the table's points and to R_ee', Ω a unit.
+    """Computes what a unit of each wave of the sheet adds to the table and to R_ee', Ω.
 
-    To first order, of the waves of `Calibration` with up to `most` half periods. Electrodes
-    that even the sheet out, as metal discs, lower its resistance, and so what a wave adds.
+    The results are of first order, for the waves of `Calibration` with up to `most` half
+    periods. Electrodes that even the sheet out, as metal discs, lower its resistance, and
+    so the addition by a wave.
     """
     sensor, even, cells, every = parts_of(sensor)
     size = np.asarray(sensor.size, float)

@@ -1,4 +1,4 @@
-"""From a sensor and a scene to resistances, Jacobians and voltages."""
+"""Turns a sensor and a scene into resistances, Jacobians and voltages."""
 
 from collections.abc import Callable
 from typing import cast, Literal
@@ -48,13 +48,13 @@ _LEVEL = 2
 
 
 def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
-    """The table of transfer resistances R_ee (M, M), R_ek (M, K), R_kk (K,), Ω.
+    """Computes the transfer resistances R_ee (M, M), R_ek (M, K), R_kk (K,), Ω.
 
-    `route` "fem" solves on the sensor's mesh, for any sheet; "series" sums the cosine
-    series of a homogeneous sheet, with no mesh error. An element is the mesh's
-    (1/3, 1/3, 1/3) on three vertices in the first, which acts like a disc about twice
-    as wide as the true triangle's, and a disc of the element's area in the second:
-    R_kk differs by about 0.7·(sheet resistance)/2π, all else agrees to the mesh's error.
+    `route` "fem" solves on the sensor's mesh, for any sheet. "series" sums the cosine
+    series of a homogeneous sheet, with no mesh error. An element in "fem" is
+    (1/3, 1/3, 1/3) on three vertices, which acts like a disc about twice as wide as the
+    true triangle's. An element in "series" is a disc of the element's area. So R_kk differs
+    by about 0.7·(sheet resistance)/2π; all else agrees to the mesh's error.
 
     **Raises:** `ValueError` for "series" on a sheet with a value per element.
 
@@ -90,7 +90,7 @@ def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
 
 
 def sheet_on_mesh(sensor: Sensor) -> FemSheet:
-    """The sheet and its electrodes on the sensor's mesh.
+    """Puts the sheet and its electrodes on the sensor's mesh.
 
     **Example:**
 
@@ -114,9 +114,9 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
 def ground_set(
     sensor: Sensor, grounds: Numbers | None
 ) -> Int[Array, " L"] | Float[Array, "L M"]:
-    """`grounds` checked: electrode numbers (L,), or conductances to ground (L, M), S.
+    """Checks `grounds`: electrode numbers (L,), or conductances to ground (L, M), S.
 
-    None is every electrode once, in order.
+    None stands for every electrode once, in order.
 
     **Raises:** `ValueError` for an empty set, numbers out of range, negative or NaN
     conductances, or a shape that does not fit.
@@ -171,18 +171,18 @@ def jacobian(
     contact_resistance: Numbers = 0.0,
     route: Route = "fem",
 ) -> Float[Array, "L M K"]:
-    """J^l_ik(ρ): volts at electrode i per volt of the object touching element k alone.
+    """Computes J^l_ik(ρ): volts at electrode i per volt of an object on element k alone.
 
-    J^l_ik(ρ) = T^l_ik / (ρ + R_kk + R_ll − 2R_lk + z). ρ = 0 is the paper's Eq. 1, a
-    potential imposed at element k; ρ·J(ρ) → T for ρ → ∞ is a fixed current.
+    J^l_ik(ρ) = T^l_ik / (ρ + R_kk + R_ll − 2R_lk + z). The paper's Eq. 1 has ρ = 0, a
+    potential imposed at element k. A fixed current is ρ·J(ρ) → T for ρ → ∞.
 
     **Arguments:** `grounds` as in `ground_set`; `contact_resistance` ρ in Ω, one value
     or one per element; `route` as in `resistances`.
     **Returns:** (L, M, K). An element that coincides with the grounded electrode at
-    ρ = z = 0, where the formula is 0/0, gives 0. An element is read as the mean of its
-    vertices also where it lies over an electrode: within two feed widths of the grounded
-    one (5 mm on the default sensor) a small ρ makes J leave [0, 1], as no contact on
-    the metal would. `voltages` puts such contacts on the metal.
+    ρ = z = 0, where the formula is 0/0, gives 0. An element over an electrode is read as
+    the mean of its vertices too. So a small ρ makes J leave [0, 1] within two feed widths
+    of the grounded electrode (5 mm on the default sensor). A contact on the metal would
+    not: `voltages` puts such contacts on the metal.
     **Raises:** `ValueError` as `ground_set`, and for a negative or NaN ρ.
 
     **Example:**
@@ -217,7 +217,7 @@ def _jacobian(
 
 @eqx.filter_jit
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
-    """Conductance (S) of a scene on each element: S/m² at 16 points, times the area.
+    """Computes a scene's conductance (S) on each element: S/m² at 16 points, times area.
 
     **Example:**
 
@@ -246,25 +246,24 @@ def voltages(
     converter: Converter | None = None,
     key: Array | None = None,
 ) -> Float[Array, "L M"]:
-    """Voltages (V) of all M electrodes under each ground condition, exactly.
+    """Computes voltages (V) of all M electrodes under each ground condition, exactly.
 
-    Solves the loaded sheet: currents g(V0 − u) enter wherever the object touches (at the
-    mesh's nodes, and at the metal of electrodes under it), and one factorisation serves
-    every ground condition. Between 0 and V0, as long as electrodes are small beside their
-    distance to the edge (a disc as near to it as it is wide was seen to read −1 %). A
-    contact that conducts far better than the sheet holds all nodes that it touches: a disc
-    of 2 mm and 1 S acted like one larger by about an element (`simulate_scenes` has none
-    of that).
+    The solve is of the loaded sheet. Currents g(V0 − u) enter wherever the object touches,
+    at the mesh's nodes, and at the metal of electrodes. One factorisation serves every
+    ground condition. Voltages are between 0 and V0, as long as electrodes are small beside
+    their distance to the edge. A disc one diameter from the edge was seen to read −1 %. A
+    contact that conducts far better than the sheet holds all nodes that it touches. A disc
+    of 2 mm and 1 S acted like one larger by about an element (`simulate_scenes` does not).
 
     **Arguments:**
 
-    - `scene`: a shape or `Scene`; or conductances (K,) in S per element; or a function
-      of time that returns a shape, such as `Moving`, with `times`.
+    - `scene`: a shape or `Scene`, or conductances (K,) in S per element. If `times` are
+      given: a function of time that returns a shape, such as `Moving`.
     - `grounds`: electrode numbers (L,), or conductances to ground (L, M) in S for
       several or partial grounds (the sensor's `ground_resistance` is then not used).
-      None is every electrode once.
+      None stands for every electrode once.
     - `times` (L,): when each slot is read, s; each slot then has a scene of its own.
-    - `converter`: noise and quantisation, with a `key` where it has noise.
+    - `converter`: noise and quantisation; a converter with noise needs a `key`.
 
     **Returns:** (L, M). **Raises:** `ValueError` that names the argument.
 

@@ -1,4 +1,4 @@
-"""Scenes of shapes: any contact on cells, several at once, displaced, moving."""
+"""Builds scenes of shapes: any contact on cells, several at once, displaced, moving."""
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from tomojax.sensor._shapes import AbstractShape, Density, Points
 
 
 class Mask(AbstractShape):
-    """Any contact: conductance per area (nx, ny), S/m², on even cells over the sheet.
+    """Any contact, as conductance per area (nx, ny), S/m², on even cells of the sheet.
 
     **Example:**
 
@@ -50,7 +50,7 @@ class Mask(AbstractShape):
 
 
 class Scene(AbstractShape):
-    """Several contacts on the sheet at once; none is an untouched sheet.
+    """Several contacts on the sheet at once; a scene of no shape is an untouched sheet.
 
     **Example:**
 
@@ -108,8 +108,8 @@ class Moving(eqx.Module):
     """A shape that moves and changes its pressure, linearly between given times.
 
     **Arguments:** `shape`; `times` (n,) s, increasing; `offsets` (n, 2) m from where
-    the shape stands; `factors` (n,) on its conductance. Calling it with a time gives
-    the shape then; any function of time that returns a shape does as well.
+    the shape stands; `factors` (n,) on its conductance. A call with a time gives the shape
+    at that time. Any function of time that returns a shape serves as well.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""The sensor: a rectangle of conductive sheet on disc electrodes."""
+"""Describes the sensor: a rectangle of conductive sheet on disc electrodes."""
 
 import operator
 from typing import Any
@@ -38,16 +38,16 @@ class Sensor(eqx.Module):
     - `drive_voltage` V0: of the object, V.
     - `electrode_shunt`: how strongly a floating electrode evens out the potential under
       it: 1 for a metal disc in perfect contact, less in poor contact. The paper's 64
-      discs of 5 mm lower the sheet's effective resistance by 10 %. None neglects it, at
-      a third of the cost.
-    - `resolution`: of one code of the converter, V; 0 where it is finer than the noise.
+      discs of 5 mm lower the sheet's effective resistance by 10 %. None neglects this
+      effect, at a third of the cost.
+    - `resolution`: of one code of the converter, V; 0 if finer than the noise.
     - `divisions` (nx, ny): cells of the mesh. Each is two of the K = 2·nx·ny elements.
 
     All but `divisions` may be differentiated. `dataclasses.replace` makes a changed
     sensor.
 
-    **Raises:** `ValueError` for electrodes that overlap or leave the sheet, a mesh
-    whose cells are wider than an electrode, values that are not positive or not numbers.
+    **Raises:** `ValueError` for electrodes that overlap or leave the sheet, cells wider
+    than an electrode, and values that are not positive or not numbers.
 
     **Example:**
 
@@ -139,9 +139,9 @@ class Sensor(eqx.Module):
         margin: Numbers = 0.010,
         **others: Any,
     ) -> "Sensor":
-        """Electrodes in rows along x and columns along y, e = row·columns + column.
+        """Makes a sensor of rows along x and columns along y, e = row·columns + column.
 
-        **Arguments:** `pitch` between electrodes and `margin` from the outer ones to
+        **Arguments:** `pitch` between electrodes and `margin` from outer electrodes to
         the edge, m, one value or (x, y); `others` as in `Sensor`. The defaults are the
         paper's sensor: 8 × 8 electrodes on 160 mm × 160 mm.
         """
@@ -161,26 +161,26 @@ class Sensor(eqx.Module):
 
     @property
     def electrode_count(self) -> int:
-        """M."""
+        """Returns the number of electrodes, M."""
         return self.electrode_xy.shape[0]
 
     @property
     def element_count(self) -> int:
-        """K = 2·nx·ny."""
+        """Returns the number of elements, K = 2·nx·ny."""
         return 2 * self.divisions[0] * self.divisions[1]
 
     @property
     def dtype(self) -> Any:
-        """Of every array of this sensor and of what is computed from it."""
+        """Returns the dtype of this sensor's arrays and of the results from them."""
         return self.electrode_xy.dtype
 
     @property
     def mean_pitch(self) -> float:
-        """The pitch of a square grid with as many electrodes on the sheet, m."""
+        """Returns the pitch of a square grid with as many electrodes on the sheet, m."""
         return float(np.sqrt(np.prod(np.asarray(self.size)) / self.electrode_count))
 
     def all_grounds(self) -> np.ndarray:
-        """Each electrode grounded once, in order: the paper's *All*."""
+        """Returns each electrode grounded once, in order: the paper's *All*."""
         return np.arange(self.electrode_count)
 
 
@@ -210,14 +210,14 @@ def _check_mesh(sensor: Sensor) -> None:
 
 
 def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
-    """One value per element from one value or K."""
+    """Returns one value per element, from one value or K values."""
     return jnp.broadcast_to(values, (sensor.element_count,))
 
 
 def nominal_noise(sensor: Sensor) -> float:
-    """Returns the noise of a reading where nothing tells it, V rms.
+    """Returns the nominal noise of a reading, V rms.
 
-    10⁻⁴ of the drive, or what the converter's codes round off where that is more: their
+    The noise is the larger of 10⁻⁴ of the drive and the rounding by the converter's codes:
     `resolution`/√12.
 
     **Example:**

@@ -1,8 +1,8 @@
-"""What touches the sheet: shapes with a conductance per area.
+"""Describes what touches the sheet: shapes with a conductance per area.
 
-A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are
-signed distances (negative inside); across an outline the conductance falls over the
-distance between two sample points, so that it is smooth in the shape's place and size.
+A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are signed
+distances (negative inside). Across an outline the conductance falls over the distance
+between two sample points. So the conductance is smooth in the shape's place and size.
 """
 
 from abc import abstractmethod
@@ -26,7 +26,7 @@ Density = Float[Array, "*points"]
 
 
 class AbstractShape(eqx.Module):
-    """A contact.
+    """A contact on the sheet.
 
     **Example:**
 
@@ -44,7 +44,7 @@ class AbstractShape(eqx.Module):
     def density(
         self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
     ) -> Density:
-        """Conductance per area (S/m²) at `points` (m) on a sheet of `size` (m)."""
+        """Returns conductance per area (S/m²) at `points` (m) on a sheet of `size` (m)."""
 
 
 class AbstractOutline(AbstractShape):
@@ -69,7 +69,7 @@ class AbstractOutline(AbstractShape):
 
     @abstractmethod
     def distance(self, points: Points) -> Density:
-        """Distance to the outline, m, negative inside."""
+        """Returns the distance to the outline, m, negative inside."""
 
     def density(
         self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
@@ -79,13 +79,13 @@ class AbstractOutline(AbstractShape):
 
 
 def _length(vector: Float[Array, "*points 2"]) -> Density:
-    """|v| with a zero gradient at v = 0, where jnp.linalg.norm has NaN."""
+    """Computes |v| with a zero gradient at v = 0, where jnp.linalg.norm has NaN."""
     square = (vector**2).sum(-1)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
 def _turned(points: Points, center: Array, angle: Array) -> Points:
-    """`points` in axes at `center`, turned by `angle`."""
+    """Returns `points` in axes at `center`, turned by `angle`."""
     x, y = jnp.moveaxis(points - center, -1, 0)
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([cos * x + sin * y, cos * y - sin * x], -1)
@@ -140,7 +140,7 @@ class Disc(AbstractOutline):
 
 
 class Ellipse(AbstractOutline):
-    """`semi_axes` (2,) m, the first turned by `angle` (rad) from the x axis.
+    """An ellipse of `semi_axes` (2,) m, the first turned by `angle` (rad) from the x axis.
 
     **Example:**
 
@@ -262,7 +262,7 @@ class Ring(AbstractOutline):
 
 
 class Polygon(AbstractOutline):
-    """`vertices` (n, 2) m in order around the outline, either way round.
+    """A polygon of `vertices` (n, 2) m in order around the outline, either way round.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""The sheet as `check` sees it: slots of a recording, and one contact fitted to each.
+"""Reads the sheet for `check`: slots of a recording, and one contact fitted to each.
 
-These files know physics and what contacts leave of voltages. They know no fault.
+These files know physics and the residuals of contacts. They know no fault.
 """

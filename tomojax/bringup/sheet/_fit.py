@@ -1,8 +1,8 @@
-"""One contact in each slot: where it is, which electrode is grounded, and what is left.
+"""Fits one contact to each slot: its place, the electrode that is grounded, and the rest.
 
-The ground is not believed: it is found, as the electrode from which the sheet is drained.
-Mirrored or turned channels fit as well as sound ones, with the ground mirrored or turned:
-physics does not tell. Slots are fitted alone, so that no length of a scan matters.
+The fit does not believe the commanded ground, but finds the electrode that drains the
+sheet. Mirrored or turned channels fit as well as sound ones, with the ground mirrored or
+turned: physics cannot tell. Slots are fitted alone, so that no length of a scan matters.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ _FLOOR = 0.004
 
 
 class Fits(NamedTuple):
-    """Of n slots."""
+    """Contacts fitted to n slots."""
 
     xy: Float[np.ndarray, "n 2"]  # contact, m
     ground: Integer[np.ndarray, " n"]  # electrode that drains
@@ -48,9 +48,9 @@ def fitted(
     told: Integer[np.ndarray, "n k"] | None = None,
     always: int | None = None,
 ) -> Fits:
-    """Fits every slot; `volts` by electrode, `weight` 0 where a voltage is not to be used.
+    """Fits every slot; `volts` by electrode, `weight` 0 for a voltage that is not used.
 
-    `told` are further grounds to try; `always`: an electrode that is grounded as well.
+    `told`: further grounds to try; `always`: an electrode that is grounded as well.
     """
     n, m = volts.shape
     hidden = np.where(weight > 0, volts, np.inf)
@@ -95,7 +95,7 @@ def _drop_sink(weight: np.ndarray, sink: np.ndarray, always: int | None) -> np.n
 
 
 def _searched(plane, volts, weight, sink, always) -> tuple[np.ndarray, np.ndarray]:
-    """The least cost over all places, and the place: closed form in I and C for each."""
+    """Searches all places for the least cost: closed form in I and C at each."""
     w = _drop_sink(weight, sink, always)
     far = (plane.distance(plane.places) > UNDER).astype(float).T  # (M, K)
     field, away = plane.fields.T, -plane.between[sink]
@@ -136,7 +136,7 @@ def _columns(plane, xy, sink, always) -> list[np.ndarray]:
 
 
 def _solved(columns: list[np.ndarray], volts: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Least squares of each slot in its columns, (n, k)."""
+    """Solves each slot's least squares in its columns, (n, k)."""
     a = np.stack(columns, -1)  # (n, M, k)
     weighed = a * w[..., None]
     normal = np.einsum("nmi,nmj->nij", weighed, a)
@@ -148,7 +148,7 @@ def _solved(columns: list[np.ndarray], volts: np.ndarray, w: np.ndarray) -> np.n
 
 
 def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
-    """Places by Gauss and Newton's steps from those of the search."""
+    """Refines the places of the search by Gauss and Newton's steps."""
     w0 = _drop_sink(weight, sink, always)
     step = plane.pitch / 4
     h = 0.02 * plane.pitch

@@ -1,8 +1,8 @@
-"""Potentials on an even rectangle between electrodes, in NumPy: no compiling, float64.
+"""Computes potentials on an even rectangle between electrodes: NumPy, float64, uncompiled.
 
-The same Green's function as `kernels/sheet`'s, for points: a slot's voltages beside a
-source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C, whatever the contact's
-and the ground's resistances are; these are in I and C alone.
+The Green's function is that of `kernels/sheet`, for points. A slot's voltages beside a
+source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C. The contact's and the
+ground's resistances change I and C alone.
 """
 
 from functools import cached_property
@@ -23,7 +23,7 @@ _POINT = 0.05
 
 
 def green(one: np.ndarray, other: np.ndarray, size: np.ndarray, least: float) -> np.ndarray:
-    """G(x, x') at 1 Ω per square for broadcast places (…, 2); no nearer than `least`, m."""
+    """Computes G(x, x') at 1 Ω per square of places (…, 2); no nearer than `least`, m."""
     long = int(np.argmax(size))
     a, b = float(size[long]), float(size[1 - long])
     x, x_ = one[..., long], other[..., long]
@@ -55,16 +55,16 @@ class Plane:
         self._least = _POINT * self.diameter
 
     def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Of two places (…, 2), at 1 Ω per square."""
+        """Computes G of two places (…, 2), at 1 Ω per square."""
         return green(one, other, self.size, self._least)
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
-        """Potentials at the electrodes of sources at places, (n, M)."""
+        """Computes potentials at the electrodes of sources at places, (n, M)."""
         return self.green(places[:, None], self.xy[None])
 
     @cached_property
     def places(self) -> Float[np.ndarray, "K 2"]:
-        """Where contacts are looked for."""
+        """Lists the places at which contacts are looked for."""
         step, edge = _STEP * self.pitch, _EDGE * self.pitch
         axes = [np.linspace(edge, s - edge, round((s - 2 * edge) / step) + 1)
                 for s in self.size]  # fmt: skip
@@ -72,12 +72,12 @@ class Plane:
 
     @cached_property
     def fields(self) -> Float[np.ndarray, "K M"]:
-        """Potentials at the electrodes of sources at `places`."""
+        """Computes potentials at the electrodes of sources at `places`."""
         return self.from_electrodes(self.places)
 
     @cached_property
     def between(self) -> Float[np.ndarray, "M M"]:
-        """Potentials at electrodes of sources at electrodes; a disc's own at its rim."""
+        """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
         apart = self.xy[:, None] - self.xy[None]
         rim = np.array([self.diameter / 2, 0.0])
         table = self.green(self.xy[:, None], self.xy[None])
@@ -87,11 +87,11 @@ class Plane:
         return table
 
     def distance(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n M"]:
-        """From places to the electrodes, in pitches."""
+        """Computes distances from places to the electrodes, in pitches."""
         return np.hypot(*(places[:, None] - self.xy).transpose(2, 0, 1)) / self.pitch
 
     def slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
-        """∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
+        """Computes ∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
         h = 0.01 * self.pitch
         return np.stack(
             [

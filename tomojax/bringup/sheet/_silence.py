@@ -1,4 +1,4 @@
-"""Zeros, noise and hum of the channels while nothing touches the sheet."""
+"""Measures zeros, noise and hum of the channels while nothing touches the sheet."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ _LONGEST = 1 << 15
 
 
 class Silence(NamedTuple):
-    """Of M channels; NaN where nothing tells."""
+    """Zeros, noise and hum of M channels; NaN where unknown."""
 
     slots: int
     zero: Float[np.ndarray, " M"]  # V
@@ -59,7 +59,7 @@ def silence_of(slots: Slots) -> Silence:
 
 
 def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
-    """The frequency at which all channels together have most power beside others."""
+    """Finds the frequency at which all channels together have most power beside others."""
     rate = slots.rig.f_switch
     at = np.round((slots.time[some] - slots.time[some[0]]) * rate).astype(int)
     kept = at < _LONGEST
@@ -94,7 +94,7 @@ def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
 
 
 def _without(v: np.ndarray, t: np.ndarray, frequency: float):
-    """Zeros, amplitudes of hum, and readings without it; times of holes are right here."""
+    """Fits zeros and amplitudes of hum, and takes hum off readings; holes do no harm."""
     turn = 2 * np.pi * frequency * t
     x = np.stack([np.ones_like(t), np.cos(turn), np.sin(turn)], 1)
     found = np.linalg.lstsq(x, v, rcond=None)[0]
@@ -102,7 +102,7 @@ def _without(v: np.ndarray, t: np.ndarray, frequency: float):
 
 
 def _refined(v: np.ndarray, t: np.ndarray, frequency: float, seconds: float) -> float:
-    """The frequency of hum, Hz, to a small part of 1/duration."""
+    """Refines the frequency of hum, Hz, to a small part of 1/duration."""
     kept = t - t[0] <= seconds
     v, t = v[kept] - v[kept].mean(0), t[kept]
     step = 0.5 / seconds

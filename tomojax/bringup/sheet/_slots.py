@@ -1,4 +1,4 @@
-"""The slots of a recording that `check` looks at: the quiet ones and the touched ones."""
+"""Reads the slots of a recording that `check` looks at: quiet ones and touched ones."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ _FOLLOWS = 0.5
 
 
 class Slots(NamedTuple):
-    """All slots in their order: what they show, and which follow each other."""
+    """All slots in order: voltages, grounds, and whether each follows the one before."""
 
     rig: Rig
     volts: Float[np.ndarray, "n M"]  # float32, times the drive's sign
@@ -36,18 +36,18 @@ class Slots(NamedTuple):
 
     @property
     def drive(self) -> float:
-        """As told, V."""
+        """Returns the stated drive, V."""
         return abs(self.rig.drive_voltage)
 
     def runs(self, which: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
-        """Stretches where `which` holds, first and behind the last."""
+        """Lists stretches where `which` holds: first slot, and the slot behind the last."""
         steps = np.diff(np.concatenate([[0], which.astype(int), [0]]))
         ends = (np.flatnonzero(steps == by).tolist() for by in (1, -1))
         return list(zip(*ends))
 
 
 def slots_of(recording: Recording) -> Slots:
-    """Reads a recording, and tells what is touched from what is quiet."""
+    """Reads a recording, and distinguishes touched slots from quiet ones."""
     rig = recording.rig
     scans = recording.read(0, recording.scans)
     m = recording.electrodes
@@ -65,10 +65,10 @@ def slots_of(recording: Recording) -> Slots:
 
 
 def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which slots are quiet and which touched: those between are neither.
+    """Tells which slots are quiet and which are touched; slots between are neither.
 
-    Half of the channels tell, over a window: a contact on the grounded electrode leaves
-    the others low for a slot.
+    The channels' median over a window decides: a contact on the grounded electrode leaves
+    the other channels low for a slot.
     """
     level = np.median(volts, 1)
     low = level[np.abs(level) < _LOW * drive]
@@ -91,8 +91,7 @@ def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def chosen(slots: Slots, rng: np.random.Generator) -> Integer[np.ndarray, " n"]:
-    """Numbers of the touched slots to fit: windows anywhere, so that pattern and choice
-    have no common period."""
+    """Picks numbers of touched slots to fit: windows anywhere, without a common period."""
     runs = [(a, b) for a, b in slots.runs(slots.touched) if b - a >= 2]
     starts = [a + k for a, b in runs for k in range(0, b - a, WINDOW)]
     ends = {a + k: min(a + k + WINDOW, b) for a, b in runs for k in range(0, b - a, WINDOW)}
@@ -103,7 +102,7 @@ def chosen(slots: Slots, rng: np.random.Generator) -> Integer[np.ndarray, " n"]:
 
 
 def silence(slots: Slots) -> Integer[np.ndarray, " n"]:
-    """Numbers of quiet slots: the longest stretch first, no more than are needed."""
+    """Picks numbers of quiet slots: the longest stretch first, no more than needed."""
     runs = sorted(slots.runs(slots.quiet), key=lambda run: run[0] - run[1])
     some, left = [], _SILENCE
     for a, b in runs:

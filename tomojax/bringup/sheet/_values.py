@@ -1,4 +1,4 @@
-"""What is left of each channel, as gains, places and old slots leave it."""
+"""Explains what is left of each channel by a gain, a zero, a place and the slot before."""
 
 from typing import NamedTuple
 
@@ -20,8 +20,10 @@ _SOUND = 4.0
 
 
 class Values(NamedTuple):
-    """By electrode; the last axis of `value` and `deviation` is gain − 1, zero V, x, y m,
-    and the part of the slot before."""
+    """Values of each electrode: gain − 1, zero V, x, y m, and the part of the slot before.
+
+    The last axis of `value` and `deviation` holds these five values.
+    """
 
     value: Float[np.ndarray, "M 5"]
     deviation: Float[np.ndarray, "M 5"]
@@ -30,7 +32,7 @@ class Values(NamedTuple):
 
 
 def sound(fits: Fits) -> Bool[np.ndarray, " n"]:
-    """Slots that one contact explains about as well as usual."""
+    """Finds slots that one contact explains about as well as usual."""
     relative = fits.left / np.maximum(fits.span, 1e-12)
     return relative < _SOUND * np.median(relative)
 
@@ -42,9 +44,9 @@ def values_of(
     fits: Fits,
     drive: float,
 ) -> Values:
-    """Regresses what each electrode's readings leave; `before`: NaN where it is not known.
+    """Regresses each electrode's residuals on its values; `before`: NaN where unknown.
 
-    With `before` unknown everywhere the part of the slot before is 0 ± its prior.
+    If `before` is unknown everywhere, the part of the slot before is 0 ± its prior.
     """
     m = plane.count
     size = _scales(plane, drive)
@@ -80,7 +82,7 @@ def _scales(plane: Plane, drive: float) -> np.ndarray:
 
 
 def _robust(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values in units of their priors, and 1 σ; unusual residuals count less."""
+    """Fits values in units of their priors, and 1 σ; unusual residuals count less."""
     k = x.shape[1]
     if len(y) < 3:
         return np.zeros(k), np.ones(k)
@@ -99,10 +101,10 @@ def _robust(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def before_of(
     volts: Float[np.ndarray, "n M"], fits: Fits, number: np.ndarray, follows: np.ndarray
 ) -> Float[np.ndarray, "n M"]:
-    """What each electrode was at in the slot before, as fitted; NaN where it is not known.
+    """Returns each electrode's voltage in the slot before, as fitted; NaN where unknown.
 
-    Not as read: a channel that lingers tells an older slot. A grounded electrode was at
-    what grounded electrodes are at, beside the current.
+    Readings do not serve: a channel that lingers shows an older slot. A grounded
+    electrode's voltage is its current times the usual resistance of a ground path.
     """
     n, m = volts.shape
     row = np.arange(n)
@@ -125,11 +127,11 @@ def old_part(
     older: np.ndarray,
     usable: np.ndarray,
 ) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
-    """How much a channel still shows the slot before, in which its electrode was grounded.
+    """Computes how much of the slot before a channel shows, if its electrode was grounded.
 
-    No other reading tells it as well: (V − P)/(V_before − P) with V_before near 0.
+    No other reading shows the part as well: (V − P)/(V_before − P) with V_before near 0.
     `older`: the electrode that was grounded in the slot before, −1 where none is known.
-    **Returns:** the part in each slot, NaN where it is not told, and the electrode.
+    **Returns:** the part in each slot, NaN where unknown, and the electrode.
     """
     n = len(volts)
     e = np.where(older >= 0, older, 0)
@@ -143,7 +145,7 @@ def old_part(
 
 
 class Pairs(NamedTuple):
-    """Neighbours, and how much more their voltages differ than on an even sheet."""
+    """Neighbours, and the excess of their voltages' difference over an even sheet's."""
 
     first: np.ndarray
     second: np.ndarray
@@ -152,7 +154,7 @@ class Pairs(NamedTuple):
 
 
 def pairs_of(plane: Plane, volts: np.ndarray, fits: Fits, usable: np.ndarray) -> Pairs:
-    """The drop between neighbouring electrodes, over that of an even sheet."""
+    """Computes the drop between neighbouring electrodes, over that of an even sheet."""
     apart = np.hypot(*(plane.xy[:, None] - plane.xy).transpose(2, 0, 1))
     np.fill_diagonal(apart, np.inf)
     nearest = apart.min(1)

@@ -1,7 +1,8 @@
-"""Signs of a rig that is wired or told wrongly, in any recording that shows a contact.
+"""Finds signs of wrong wires or wrong values, in any recording that shows a contact.
 
-Levels need no model of the contact; orders of channels and grounds need lone contacts. In
-NumPy and SciPy alone, for `tomojax info`. `check` finds more, of a recording made for it.
+Levels need no model of the contact; orders of channels and grounds need lone contacts. The
+code uses NumPy and SciPy alone, for `tomojax info`. `check` finds more, in a recording made
+for `check`.
 """
 
 from tomojax.bringup.signs._signs import find_signs as find_signs, Sign as Sign

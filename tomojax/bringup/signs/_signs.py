@@ -1,4 +1,4 @@
-"""Names what is wrong with a rig, from what a recording of it cannot be otherwise."""
+"""Names what is wrong with a rig, by voltages that a sound rig cannot give."""
 
 from typing import NamedTuple
 
@@ -54,9 +54,9 @@ class Sign(NamedTuple):
 def find_signs(recording: Recording) -> list[Sign]:
     """Looks at some slots of a recording for signs of a fault.
 
-    Kinds: "drive" (voltages against it), "offset" (of all codes), "ground" (lines ground
-    other electrodes than is told, or none), "channels" (in another order). Nothing is
-    found where fewer than eight slots are touched.
+    Kinds: "drive" (voltages against the drive), "offset" (of all codes), "ground" (lines
+    ground other electrodes than is told, or none), "channels" (in another order). Fewer
+    than eight touched slots show an offset at most.
 
     **Example:**
 
@@ -86,7 +86,7 @@ def find_signs(recording: Recording) -> list[Sign]:
 
 
 def _against(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:
-    """Voltages against the drive; turned round for what is looked for next."""
+    """Finds voltages against the drive, and turns them round for the next tests."""
     # With an offset alone voltages may be below 0 as well; but then the ground is lowest.
     span = some.high - some.low
     upside_down = some.at_ground - some.low > _AGAINST * span
@@ -102,7 +102,7 @@ def _against(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Si
 
 
 def _offset(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:
-    """What all codes are off; taken off for what is looked for next."""
+    """Finds an offset of all codes, and takes the offset off for the next tests."""
     least = _OFFSET * some.drive + 10 * some.noise
     quiet = some.high - some.low < _QUIET * some.drive + 10 * some.noise
     level = 0.0
@@ -124,10 +124,11 @@ def _offset(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sig
 
 
 def _floor(some: Some, least: float) -> float:
-    """The level that the lowest channels of touched slots share.
+    """Estimates the level that the lowest channels of touched slots share.
 
-    A ground path lifts them in proportion to a slot's current, which rises with its highest
-    voltage less the lowest; an offset lifts them all by the same.
+    A ground path lifts these channels in proportion to a slot's current. The current rises
+    with the slot's highest voltage less the lowest. An offset lifts all these channels
+    equally.
     """
     low, span = some.low, some.high - some.low
     floor = float(np.median(low))
@@ -146,7 +147,7 @@ def _floor(some: Some, least: float) -> float:
 
 
 def _wired(some: Some, plane: Plane) -> list[Sign]:
-    """Grounds and channels, by the levels of every slot and by fits to some."""
+    """Judges grounds and channels, by the levels of every slot and by fits to some."""
     n = len(some.asked)
     bits = level_bits(some.low, some.high, some.at_ground, some.noise, np)
     wrong = (bits & Flag.GROUND_NOT_LOWEST.value > 0) & (some.high > TELLS * some.noise)
@@ -178,7 +179,7 @@ def _wired(some: Some, plane: Plane) -> list[Sign]:
 
 
 def _order(some: Some, plane: Plane, usable: np.ndarray):
-    """The electrode of each channel and what lines ground; None where nothing fits."""
+    """Finds the electrode of each channel and what lines ground; None if nothing fits."""
     if usable.sum() < max(7, plane.count // 2):
         return None
     given = plane, some.volts, usable, some.asked

@@ -1,4 +1,4 @@
-"""Some slots of a recording, spread over all of it."""
+"""Reads some slots of a recording, spread over all of it."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ _NOISE = 1e-4
 
 
 class Some(NamedTuple):
-    """Slots, times the drive's sign."""
+    """Some slots; voltages are multiplied by the drive's sign."""
 
     volts: Float[np.ndarray, "n M"]  # V; 0 where not good
     good: Bool[np.ndarray, "n M"]
@@ -39,14 +39,14 @@ class Some(NamedTuple):
 
     @property
     def at_ground(self) -> Float[np.ndarray, " n"]:
-        """−∞ where that channel is not good."""
+        """Returns voltages of grounded electrodes; −∞ where that channel is not good."""
         row = np.arange(len(self.asked))
         there = self.good[row, self.asked]
         return np.where(there, self.volts[row, self.asked], -np.inf)
 
 
 def some_of(recording: Recording) -> Some:
-    """Slots with half of their channels good."""
+    """Reads some slots, and keeps those with half of their channels good."""
     rig, m = recording.rig, recording.electrodes
     scans = -(-_SLOTS // recording.slots)
     starts = np.linspace(0, max(0, recording.scans - scans), _STRETCHES).astype(int)

@@ -1,6 +1,7 @@
-"""A calibration over time: zeros and gains that drift, and whether it still fits.
+"""Follows a calibration over time: drift of zeros and gains, and whether it still fits.
 
-The folder follows a rig with the calibration's own model. It makes no new sheet or places.
+The folder follows a rig with the calibration's own model. The folder finds no new sheet or
+places.
 """
 
 from tomojax.calibration.drift._adapter import (

@@ -1,8 +1,8 @@
-"""Zeros and gains that drift, followed slowly by what contacts and silence leave.
+"""Follows zeros and gains that drift slowly, by what contacts and silence leave.
 
-Zeros follow slots without a contact. They do not depend on the ground, and what a contact
-makes does: that tells a light touch from a zero. Gains follow lone contacts that move. A
-contact that is held still leaves the model's error at its place over and over: it counts
+Zeros follow slots without a contact. Zeros do not depend on the ground, and a contact's
+voltages do: so a light touch differs from a zero. Gains follow lone contacts that move. A
+contact that is held still repeats the model's error at its place. So such a contact counts
 once, and counts again only after contacts in other squares.
 """
 
@@ -48,11 +48,11 @@ _STRETCH = 60.0
 class Adapter:
     """Follows zeros and gains from a calibration on: see the module.
 
-    What all gains have in common is not to be seen in contacts, whose current is free: it
-    stays as it was calibrated.
+    Contacts do not show a common part of all gains, because their current is free. So the
+    common part stays as it was calibrated.
 
-    **Arguments:** `calibration` to begin with, nominal by default; `age` of it, hours;
-    `points`: the method made with that calibration, where it is there.
+    **Arguments:** `calibration` to begin with, nominal by default; its `age`, hours;
+    `points`: the method made with that calibration, if the caller has one.
 
     **Example:**
 
@@ -101,28 +101,28 @@ class Adapter:
 
     @property
     def calibration(self) -> Calibration:
-        """The calibration as it is by now."""
+        """Returns the present calibration."""
         offset, gain = self.offset, self.gain
         return replace(self.begun, offset=tuple(offset.tolist()), gain=tuple(gain.tolist()))
 
     @property
     def offset(self) -> Float[np.ndarray, " M"]:
-        """Zeros by now, V."""
+        """Returns the present zeros, V."""
         return self._offset + self.zeros.value
 
     @property
     def gain(self) -> Float[np.ndarray, " M"]:
-        """Gains by now."""
+        """Returns the present gains."""
         return self._gain * np.exp(self.gains.value)
 
     @property
     def doubtful(self) -> Bool[np.ndarray, " M"]:
-        """Channels whose gain or zero is as far off as it may be: they want a look."""
+        """Finds doubtful channels: gain or zero is as far off as it may be."""
         far = np.abs(self.zeros.value) >= (1 - 1e-6) * _FARTHEST_ZERO * self._unit
         return far | (np.abs(self.gains.value) >= (1 - 1e-6) * _FARTHEST_GAIN)
 
     def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
-        """Readings corrected for zeros and gains as they are by now, in their dtype."""
+        """Corrects readings for the present zeros and gains, in the readings' dtype."""
         offset, gain = (a.astype(readings.dtype) for a in (self.offset, self.gain))
         return (readings - offset) / gain
 
@@ -136,8 +136,8 @@ class Adapter:
     ) -> None:
         """Learns from frames that follow each other.
 
-        **Arguments:** `t` of each, s; `readings` V, as read; `places` of a contact that is
-        alone, m, NaN where there is none or not one.
+        **Arguments:** `t` of each frame, s; `readings` V, as read; `places` of a lone
+        contact, m, NaN where there is no contact or more than one.
         """
         if not len(t):
             return
@@ -218,7 +218,7 @@ class Adapter:
         return gains.bounded(_GAIN, _FARTHEST_GAIN)
 
     def _visits(self, places: np.ndarray, slots: int) -> Integer[np.ndarray, "k f"]:
-        """Frames in the middle of each visit of a square that counts, as many as a fit has.
+        """Picks middle frames of each visit of a square that counts, as many as a fit has.
 
         A contact that is held, or goes to and fro between a few squares, visits nothing.
         """
@@ -239,7 +239,7 @@ class Adapter:
         return np.array(found, int).reshape(-1, need)
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that it remembers, to be restored."""
+        """Returns all that the adapter remembers, to be restored."""
         return {
             "adapted_zeros": np.stack(self.zeros),
             "adapted_gains": np.stack(self.gains),
@@ -249,7 +249,7 @@ class Adapter:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on from a `state`."""
+        """Restores a `state`, to go on from there."""
         self.zeros = Drift(*state["adapted_zeros"])
         self.gains = Drift(*state["adapted_gains"])
         self.time = float(state["adapted_time"])
@@ -257,13 +257,13 @@ class Adapter:
 
 
 def stretches(t: Float[np.ndarray, " n"]) -> list[np.ndarray]:
-    """Frames by minutes of their time."""
+    """Splits frames by minutes of their time."""
     ends = np.flatnonzero(np.diff(np.floor(t / _STRETCH))) + 1
     return np.split(np.arange(len(t)), ends)
 
 
 def lone_places(rows: Any) -> Float[np.ndarray, "n 2"]:
-    """Places of contacts that are alone and compact, of `Rows`; else NaN."""
+    """Returns places of contacts that are alone and compact, of `Rows`; else NaN."""
     alone = (rows.contact_count == 1) & ~np.isfinite(rows.contact_angle[:, 0])
     return np.where(alone[:, None], rows.contact_xy[:, 0].astype(float), np.nan)
 
@@ -274,7 +274,7 @@ def silence(
     noise: float,
     codes: float = 0.0,
 ) -> bool:
-    """Whether the means of slots do not depend on the ground, as they do in a touch."""
+    """Tells whether slots' means are independent of the ground; in a touch they are not."""
     steps = np.abs(np.diff(slots, axis=0))
     own = 1.4826 * float(np.nanmedian(steps)) / np.sqrt(2)
     own = float(np.clip(own, max(0.1 * noise, 0.3 * codes), 2 * noise))
@@ -297,7 +297,7 @@ def silence(
 
 
 def _slots_of(frames: np.ndarray, some: np.ndarray) -> np.ndarray:
-    """As many slots as a fit has, of some frames in a row, spread evenly."""
+    """Picks as many slots as a fit has, spread evenly over some frames in a row."""
     found = frames[some]
     found = found.reshape(len(some), -1, *frames.shape[2:])
     spread = np.linspace(0, found.shape[1] - 1, min(_FITTED, found.shape[1]))

@@ -1,4 +1,4 @@
-"""Values that drift, followed by a Kalman filter of value and rate, a channel each."""
+"""Follows values that drift: a Kalman filter of value and rate for each channel."""
 
 from typing import NamedTuple
 
@@ -26,15 +26,16 @@ class Drift(NamedTuple):
 
     @classmethod
     def of(cls, variance: Float[np.ndarray, " M"], rate: float, age: float) -> "Drift":
-        """Begins at 0, known as well as `variance` says, `age` hours ago."""
+        """Begins at 0, as well known as `variance` says, `age` hours ago."""
         none = 0 * variance
         older = variance + (rate * age) ** 2
         return cls(none, none, older, none, none + rate**2, none)
 
     def later(self, hours: float, rate: float) -> "Drift":
-        """Some hours on: the rate goes on for a while, and less is known.
+        """Moves some hours on: the rate goes on for a while, and less is known.
 
-        A rate that lasts τ hours, dr = −r/τ dt + noise, and its integral beside a walk.
+        A rate lasts τ hours, dr = −r/τ dt + noise. The value is the rate's integral beside
+        a walk.
         """
         if hours <= 0:
             return self
@@ -55,7 +56,7 @@ class Drift(NamedTuple):
         )
 
     def told(self, off: np.ndarray, variance: np.ndarray) -> "Drift":
-        """After a measurement that is `off`; `variance` ∞ where there is none."""
+        """Takes in a measurement that is `off`; `variance` is ∞ where there is none."""
         whole = self.variance + variance
         limit = _OUTLYING * np.sqrt(np.where(np.isfinite(whole), whole, 0))
         off = np.clip(off, -limit, limit)
@@ -69,7 +70,7 @@ class Drift(NamedTuple):
         )
 
     def bounded(self, rate: float, most: float) -> "Drift":
-        """Within what is believed."""
+        """Clips value and rate to what is believed."""
         near, steep = _FASTEST * rate, _STEEPEST * rate
         value = np.clip(self.value, self.usual - near, self.usual + near)
         value = np.clip(value, -most, most)

@@ -1,4 +1,4 @@
-"""Fits one disc to each frame, and tells what channels leave: for drift, and for `info`."""
+"""Fits one disc to each frame, and returns what channels leave: for drift and `info`."""
 
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ _STEPS, _CALL, _TOGETHER = 15, 16, 8
 
 
 class Left(NamedTuple):
-    """What the disc that fits best leaves of each frame's voltages."""
+    """The part of each frame's voltages that the best disc leaves."""
 
     relative: Float[np.ndarray, "n M"]  # of a channel's voltages, over the slots; 1
     variance: Float[np.ndarray, "n M"]  # of that, as noise and the model's errors make it
@@ -72,7 +72,7 @@ def _left(points: Points, prepared: Any, grounds: Array, volts: Array, places: A
 def _one(
     points: Points, prepared: Any, volts: Float[Array, "S M"], place: Float[Array, "2"]
 ) -> tuple[Array, ...]:
-    """Σ_s f(v − f)/Σ_s f², f the fitted voltages, less what a slot's channels share."""
+    """Computes Σ_s f(v − f)/Σ_s f², f the fitted voltages, less the slot's common part."""
     scene = fitting_of(points, prepared, volts, 1)
     sheet, frame, tolerance = points.sheet, scene.frame, prepared.tolerance
     start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))

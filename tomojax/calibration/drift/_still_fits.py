@@ -1,4 +1,4 @@
-"""Whether a recording still fits a calibration: its zeros, and what contacts leave."""
+"""Tells whether a recording still fits a calibration: zeros, and what contacts leave."""
 
 from datetime import date
 from typing import Any
@@ -27,12 +27,12 @@ _NOMINAL, _FLOOR = 1.1, 0.1
 def still_fits(
     recording: Recording, calibration: Calibration, today: date | None = None
 ) -> dict[str, Any]:
-    """How old a calibration is, and how a recording fits it; units in the keys.
+    """Tells how old a calibration is, and how a recording fits it; units in the keys.
 
     `zeros_chi2`: contact-free slots' means beside the calibration's zeros, over what is
-    known of both; `contacts_chi2`: what lone contacts leave, over what its errors usually
-    do; `gains_off_percent`: by which gains seem to be off, rms, what all have in common
-    left out. None where the recording does not tell. `fits`: whether neither is several.
+    known of both; `contacts_chi2`: residuals of lone contacts, over their usual size;
+    `gains_off_percent`: by how much gains seem to be off, rms, without the part that all
+    share. None stands for unknown. `fits`: whether both χ² are below four.
 
     **Raises:** `ValueError` for a calibration of another number of electrodes.
 
@@ -108,7 +108,7 @@ def _contacts(recording: Recording, calibration: Calibration) -> dict[str, Any]:
 
 
 def fit_text(found: dict[str, Any]) -> str:
-    """What `still_fits` found, in lines.
+    """Writes what `still_fits` found, in lines.
 
     **Example:**
 
