@@ -72,7 +72,7 @@ def _demo(name: str, out: Path) -> None:
 
 
 def _truth(path: Path):
-    """What touched (scans, P, P), and the fingers' middles (scans, K, 2), m."""
+    """Reads what touched (scans, P, P), and the fingers' middles (scans, K, 2), m."""
     import h5py
 
     with h5py.File(path) as file:

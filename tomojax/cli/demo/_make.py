@@ -2,7 +2,7 @@
 
 A resistor network makes the voltages, on a rig with an uneven sheet, displaced electrodes,
 gains, zeros and noise. No method is told of them. The truth lies beside the voltages:
-`truth_touched` (scans, P, P) is 1 where the sheet is touched, `truth_xy` (scans, K, 2), m,
+`truth_touched` (scans, P, P) is 1 where the sheet is touched. `truth_xy` (scans, K, 2), m,
 holds the middle of each finger that touches, NaN elsewhere.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
@@ -65,10 +65,10 @@ def _letters() -> Iterator[Moment]:
 
 
 def _spanner() -> Iterator[Moment]:
-    """The head lands, the ring lands, both bounce; after 60 ms the spanner lies still."""
+    """The head lands, the ring lands, both bounce; after 36 ms the spanner lies still."""
     middle = np.array([0.08, 0.08])
-    for k in range(80):
-        t = k / 80  # of 80 ms
+    for k in range(48):
+        t = k / 48  # of 48 ms
         fading = max(0.0, 1 - t / 0.75)
         rocking = np.sin(2 * np.pi * 5 * t**0.8)
         head = max(0.0, rocking) * (fading > 0) if fading else 1.0
@@ -88,8 +88,8 @@ def _palm() -> Iterator[Moment]:
     """Five fingers touch one after another, then the palm comes down and lifts."""
     middle = np.array([0.08, 0.076])
     hand = draw_strokes("hand", middle, 0.125, 0.15, 0.8)
-    for k in range(48):
-        t = k / 48
+    for k in range(36):
+        t = k / 36
         down = np.clip((t - 0.08 * np.arange(5)) / 0.15, 0, 1)
         palm = np.clip((t - 0.45) / 0.15, 0, 1)
         lifted = np.clip((0.98 - t) / 0.1, 0, 1)

@@ -78,6 +78,7 @@ class _Panels:
         words = ("what touches", f"the paper's Eq. 3,\n{slots}", f"tomojax,\n{slots}")
         for axes, title in zip(place, words):
             style = {"origin": "lower", "cmap": _MAP, "vmin": 0, "vmax": 1}
+            style["interpolation"] = "bilinear"
             extent = (0, width, 0, height)
             self.shown.append(axes.imshow(told.truth[0].T, extent=extent, **style))
             axes.plot(*(1e3 * told.electrodes.T), ".", color="0.6", ms=2)
@@ -124,7 +125,9 @@ def film(told: Told, out: Path, slow: float, progress: Callable[[int, int], None
     panels = _Panels(told, place)
     (rings,) = place[2].plot([], [], "+", color="w", ms=9, mew=1.5)
     title = figure.suptitle(" " * 40, fontsize=10)
-    time = place[0].text(0.03, 0.95, "", transform=place[0].transAxes, color="w", va="top")
+    time = place[0].text(
+        0.5, 0.02, "", transform=place[0].transAxes, color="w", ha="center"
+    )
     title.set_text(f"{slow:g} times slower than it was;  + a contact;  ▽ grounded")
     moving = [*panels.shown, *(a for axes in place for a in axes.lines), time]
     canvas, background = keep(figure, moving)
