@@ -56,14 +56,12 @@ def draw(path: Path, out: Path) -> None:
         frames = [tx.methods.Frame(one, grounds, np.isfinite(one)) for one in v]
         batch = tx.Batch(method, method.choose_lambda(frames))
         images.append(batch(v, np.tile(grounds, (len(v), 1))).image)
-    titles = ("truth", "Eq. 3 of the paper,\n64 slots", "shape,\nten slots")
-    figure = Figure(figsize=(2 * len(volts), 6.2), layout="constrained")
-    grid = figure.subplots(len(titles), len(volts), squeeze=False)
-    for axes, title, line in zip(grid, titles, (truths, *images)):
-        axes[0].set_ylabel(title)
-        for place, image in zip(axes, line):
-            place.imshow(np.asarray(image).T, origin="lower", cmap="magma")
-            place.set(xticks=[], yticks=[])
+    titles = ("what touched", "the paper's Eq. 3, 64 slots", "shape, ten slots")
+    from tomojax._pictures import gallery
+
+    figure = Figure(figsize=(2 * len(volts) + 0.8, 7.0), layout="constrained")
+    figure.suptitle("Shapes on the sheet, and their images")
+    gallery(figure, dict(zip(titles, (truths, *images))), sensor.size)
     figure.savefig(out, dpi=110)
 
 
