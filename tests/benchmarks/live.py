@@ -122,7 +122,7 @@ def draw(row: dict, path: Path) -> None:
         label = f"{100 * part:g} %: {row[name]:.0f} µs"
         look = {"color": style(k)["color"], "ls": style(k)["linestyle"]}
         left.axvline(row[name], lw=1.5, label=label, **look)
-    left.legend(fontsize=9, loc="upper right")
+    left.legend(fontsize=9, loc="upper left", bbox_to_anchor=(0.47, 1))
     left.set(xlabel="last byte of a slot to ground command, µs", ylabel="slots in a bin")
     left.set(xlim=(0, max(300, 1.2 * row["p9999_us"])), title="Latency, in bins of 1 µs")
     right.plot(*zip(*row["memory"]), color=BLUE)

@@ -212,7 +212,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     words = [name.replace(", 0.5, ", ", discs of 0.5 pitch, ") for name in names]
     places.set(
         xscale="log",
-        xlabel="place error, pitches: median (mark), nine in ten (end of the line); 5: lost",
+        xlabel="place error, pitches: median (mark), nine in ten (line); 5: lost",
         yticks=range(len(names)),
         yticklabels=["\n".join(wrap(name, 26)) for name in words],
         title="Lone contacts",

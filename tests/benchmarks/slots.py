@@ -284,7 +284,8 @@ def draw(rows: list[dict], path: Path) -> None:
         axes.set_xlim(0.08, 9)
         axes.grid(alpha=0.3)
         name_points(axes, named, size=8)
-    panels[0].legend(fontsize=9, loc="upper right")
+    told = panels[0].get_legend_handles_labels()
+    figure.legend(*told, loc="outside lower center", ncols=5, frameon=False)
     for k, name in enumerate(("by_place 8", "around", "cop_line", "point")):
         curve = next(r["curve"] for r in rows if r["set"] == name)
         x = [c["half_width_mm"] for c in curve]
@@ -295,7 +296,7 @@ def draw(rows: list[dict], path: Path) -> None:
     last.set(xlim=(7, 20), ylim=(0, 10))
     last.set_title("Place and width along λ: median, nine in ten (dotted)")
     last.grid(alpha=0.3)
-    last.legend(fontsize=9, loc="upper right")
+    last.legend(fontsize=9, loc="lower right", ncols=2)
     figure.savefig(path, dpi=110)
 
 

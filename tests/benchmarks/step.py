@@ -233,7 +233,10 @@ def draw(rows: list[dict], path: Path) -> None:
     left.set_title("Latency of a step")
     for k, policy in enumerate(POLICIES):
         some = [r for r in rows if r["kind"] == "moving" and r["policy"] == policy]
-        speed, label = [r["speed_m_s"] for r in some], policy.replace("_", " ")
+        speed, label = (
+            [r["speed_m_s"] for r in some],
+            policy.replace("_", " ").replace("cop", "CoP"),
+        )
         for axes, name in ((middle, "place_median_mm"), (right, "lag_ms")):
             look = style(k, markersize=6, label=label)
             axes.plot(speed, [r[name] for r in some], **look)

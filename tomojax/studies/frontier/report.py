@@ -172,7 +172,9 @@ def _legend(axes: Any, there: set[str]) -> None:
     axes.scatter([], [], s=50, marker="s", color=GREY, label="peer ahead of all alike")
     axes.plot([], [], "k--", lw=1, label="front of the peers")
     for slots in (1, 8, 64):
-        axes.scatter([], [], s=_area(slots), color="0.7", label=f"{slots} slots")
+        axes.scatter(
+            [], [], s=_area(slots), color="0.7", label=f"{slots} slot{'s' * (slots > 1)}"
+        )
     axes.legend(loc="center", fontsize=10, ncols=2, frameon=False)
     axes.set_axis_off()
 
