@@ -39,7 +39,6 @@ CASES = (
     ("elements", "6 × 6, 300 mm", "steady"),
 )
 RUNS = {"start": "no drift", "without": "drift", "adapt": "drift, --adapt"}
-COLOURS = {"start": "0.6", "without": "C1", "adapt": "C0"}
 
 
 def sensor_of(name: str) -> Any:
@@ -215,29 +214,43 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
+    from tomojax._pictures import GREY, plain, style
+
+    looks = {
+        "start": {"color": GREY, "marker": "."},
+        "without": style(1),
+        "adapt": style(0),
+    }
     figure, axes = plt.subplots(
-        2, len(rows), figsize=(3.6 * len(rows), 5.6), layout="constrained", squeeze=False
+        2, len(rows), figsize=(4 * len(rows), 6.6), layout="constrained", squeeze=False
     )
     for row, (above, below) in zip(rows, axes.T):
         for run, label in RUNS.items():
             each = np.array(row[run]["hours_mm"], float)
             x = np.arange(len(each)) + 0.5
-            above.plot(x, each, ".-", color=COLOURS[run], label=label)
-        above.axvspan(HELD, HELD + 1, color="0.9", lw=0)
+            above.plot(x, each, **looks[run], label=label)
+        above.axvspan(HELD, HELD + 1, color="0.9", lw=0, label="a contact held still")
         below.axvspan(HELD, HELD + 1, color="0.9", lw=0)
-        title = f"{row['model']}, {row['sensor']}\n{row['drift']} drift"
-        above.set(yscale="log", title=title, xlabel="hour")
+        title = f"{row['model'].capitalize()}, {row['sensor']}\n{row['drift']} drift"
+        above.set(yscale="log", title=title)
         told = row["left"]
-        parts = (("gain", "percent", "gains, %", "C2"), ("zero", "mV", "zeros, mV", "C3"))
-        for name, unit, label, colour in parts:
-            below.plot(told["t_h"], told[f"{name}_drift_{unit}"], ":", color=colour)
-            below.plot(told["t_h"], told[f"{name}_{unit}"], color=colour, label=label)
-        below.set(yscale="log", xlabel="hour")
-    axes[0, 0].set(ylabel="place error of a contact, median, mm")
-    axes[1, 0].set(ylabel="drift (dotted), and what is left")
-    axes[0, 0].legend()
-    axes[1, 0].legend()
-    figure.suptitle("grey: one contact is held still for an hour")
+        parts = (("gain", "percent", "gains, %", 2), ("zero", "mV", "zeros, mV", 3))
+        for name, unit, label, k in parts:
+            look = {"color": style(k)["color"], "lw": 1.2}
+            drift, left = told[f"{name}_drift_{unit}"], told[f"{name}_{unit}"]
+            below.plot(told["t_h"], drift, ":", **look, label=f"drift of {label}")
+            line = "-" if name == "gain" else "--"
+            below.plot(told["t_h"], left, line, **look, label=f"left of {label}")
+        below.set(yscale="log", xlabel="time, hours", ylim=(5e-3, 100))
+        for panel in (above, below):
+            panel.set(xlim=(0, len(row["start"]["hours_mm"])))
+            panel.grid(alpha=0.3)
+            plain(panel.yaxis)
+    axes[0, 0].set(ylabel="place error, mm (median)")
+    axes[1, 0].set(ylabel="rms of the channels")
+    for line in axes[:, -1]:
+        line.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False, fontsize=9)
+    figure.suptitle("A day of drift, with and without --adapt (hours 3 to 5: no contact)")
     figure.savefig(path, dpi=120)
 
 

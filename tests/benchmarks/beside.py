@@ -88,18 +88,26 @@ def one(step, sensor, name: str, seconds: float, rate: float, folder: Path) -> d
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    from tomojax._pictures import style
+
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    figure.suptitle("The loop alone, and with a sink beside it; a mark for each run")
     left, right = figure.subplots(1, 2)
     names = list(COMPANIONS)
-    for axes, fields, words in (
-        (left, ("lost", "skipped"), "slots lost (o) and skipped (+), of 10⁴ a second"),
-        (right, ("p50_us", "p99_us"), "last byte to ground, median (o), 99 % (+), µs"),
-    ):
-        for mark, field in zip("o+", fields):
-            for row in rows:
-                axes.plot(names.index(row["beside"]), row[field], f"C0{mark}")
+    at = [names.index(row["beside"]) for row in rows]
+    lost = {"lost": "lost", "skipped": "skipped: a later one was there"}
+    late = {"p50_us": "median", "p99_us": "99 %"}
+    for axes, fields in ((left, lost), (right, late)):
+        for k, (field, label) in enumerate(fields.items()):
+            look = style(k, linestyle="none", markersize=6, markerfacecolor="none")
+            axes.plot(at, [row[field] for row in rows], **look, label=label)
         axes.set_xticks(range(len(names)), names, rotation=45)
-        axes.set(ylabel=words, ylim=(0, None))
+        axes.set(ylim=(-0.02 * max(axes.get_ylim()), 1.25 * max(axes.get_ylim())))
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=9, loc="upper right", ncols=2)
+    left.set(ylabel="slots", title="Slots without an answer")
+    left.yaxis.set_major_formatter("{x:,.0f}")
+    right.set(ylabel="last byte of a slot to ground command, µs", title="Latency")
     figure.savefig(path, dpi=110)
 
 

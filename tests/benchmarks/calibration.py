@@ -29,13 +29,17 @@ import numpy as np
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+from tomojax._pictures import BLUE, GREEN, ORANGE, plain, SIGNED  # noqa: E402
+
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 SLOTS = (1, 2, 10, 64)
 LONE, PAIRS, BARS = 30, 10, 10  # that are judged; pairs at each distance, pitches
 APART = (0.75, 1.0)
 KINDS = ("nominal", "placed", "blind")
 LABELS = dict(zip(KINDS, ("nominal values", "places told", "places unknown")))
-COLOURS = {"nominal": "0.6", "placed": "C1", "blind": "C0"}
+COLOURS = {"nominal": "0.55", "placed": ORANGE, "blind": BLUE}
+MARKERS = {"nominal": "s", "placed": "^", "blind": "o"}
 NONE = {"uneven": 0.0, "off": 0.0, "gain": 0.0}
 QUIET = {"noise": 1e-7, "bits": 24}
 # What a rig has not, and which part of nominal errors a method is told.
@@ -262,10 +266,13 @@ def _by_slots(axes: Any, rows: list[dict[str, Any]], scene: str) -> None:
             each = [r["median_mm"] for r in own if r["slots"] == slots]
             each = [a if a is not None and np.isfinite(a) else top for a in each]
             x = at + 0.22 * (k - 1)
-            axes.plot([x] * len(each), each, ".", color=COLOURS[kind], ms=5)
+            look = {"color": COLOURS[kind], "marker": MARKERS[kind], "ls": "none"}
+            axes.plot([x] * len(each), each, **look, ms=4, alpha=0.8)
             axes.plot(x, np.median(each), "_", color=COLOURS[kind], ms=16, mew=3)
     axes.set_xticks(range(len(SLOTS)), [str(slots) for slots in SLOTS])
-    axes.set(xlabel="slots", ylabel="place error, median, mm", yscale="log")
+    axes.set(xlabel="slots", ylabel="place error, mm (median)", yscale="log")
+    axes.grid(alpha=0.3)
+    plain(axes.yaxis)
 
 
 def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -> None:
@@ -275,7 +282,10 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(2, 2, figsize=(10, 7.5), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(12, 8.4), layout="constrained")
+    figure.suptitle(
+        "What a calibration gives: a mark for each rig, a bar for the middle one"
+    )
     (left, right), (pairs, off) = axes
     _by_slots(left, rows, "lone")
     _by_slots(pairs, rows, "pair 20 mm")
@@ -284,24 +294,32 @@ def draw(rows: list[dict[str, Any]], errors: list[dict[str, Any]], path: Path) -
         ten = [r for r in ten if r["scene"] == "lone"]
         x = [f"{r['model']} {r['rig']}" for r in ten]
         y = [r["electrodes_mm"] for r in ten]
-        right.plot(x, y, "o", color=COLOURS[kind], label=LABELS[kind])
-    left.set_title("lone contacts, a dot for each rig")
-    pairs.set_title("pairs 20 mm apart, the worse place (top: miscounted)")
-    figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        look = {"color": COLOURS[kind], "marker": MARKERS[kind], "ls": "none"}
+        right.plot(x, y, **look, label=LABELS[kind])
+    left.set_title("Lone contacts")
+    pairs.set_title("Pairs 20 mm apart, the worse place (top: miscounted)")
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     right.set(ylabel="electrodes off the places told, mm rms", yscale="log")
+    right.set_title("Electrodes' places, ten slots")
     right.tick_params(axis="x", rotation=60)
+    right.grid(alpha=0.3)
+    plain(right.yaxis)
     for n, label in enumerate(OFF):
         each = [r for r in errors if r["left"] == label]
-        off.plot([n] * len(each), [r["median_mm"] for r in each], ".", color="k")
-        off.plot(
-            [n + 0.2] * len(each), [r["soft_median_mm"] for r in each], ".", color="C2"
-        )
-    off.set_xticks(range(len(OFF)), list(OFF), rotation=30)
-    off.set(
-        ylabel="place error, median, mm",
-        yscale="log",
-        title="rigs without some errors (green: soft contacts)",
-    )
+        for shift, key, look, words in (
+            (-0.1, "median_mm", "ko", "all contacts"),
+            (0.1, "soft_median_mm", "D", "soft contacts"),
+        ):
+            values = [r[key] for r in each]
+            more = {} if "k" in look else {"color": GREEN}
+            label = words if n == 0 else None
+            off.plot([n + shift] * len(each), values, look, ms=5, label=label, **more)
+    off.set_xticks(range(len(OFF)), list(OFF), rotation=30, ha="right")
+    off.set(ylabel="place error, mm (median)", yscale="log")
+    off.set_title("Two rigs without some of their errors")
+    off.grid(alpha=0.3)
+    off.legend(loc="lower left", fontsize=9)
+    plain(off.yaxis)
     figure.savefig(path, dpi=120)
 
 
@@ -313,7 +331,10 @@ def draw_maps(rigs: dict[int, dict[str, Any]], seed: int, path: Path) -> None:
 
     sensor = tx.Sensor.grid(dtype=np.float32)
     xy, size = np.asarray(sensor.electrode_xy, float), np.asarray(sensor.size, float)
-    figure = Figure(figsize=(11, 6.6), layout="constrained")
+    figure = Figure(figsize=(12, 7.2), layout="constrained")
+    figure.suptitle(
+        "Sheets and electrodes as they are, and as a rub without places finds them"
+    )
     axes = figure.subplots(2, 3)
     for row, (number, rig) in zip(axes, rigs.items()):
         n = sum(kind == "rub" for kind, _ in rig["scenes"])
@@ -325,18 +346,20 @@ def draw_maps(rigs: dict[int, dict[str, Any]], seed: int, path: Path) -> None:
         for axis, (name, factor) in zip(row, sheets.items()):
             percent = 100 * (factor.reshape(32, 32).T - 1)
             extent = (0, 1e3 * size[0], 0, 1e3 * size[1])
-            words = {"cmap": "RdBu_r", "vmin": -6, "vmax": 6, "extent": extent}
+            words = {"cmap": SIGNED, "vmin": -6, "vmax": 6, "extent": extent}
             drawn_as = axis.imshow(percent, origin="lower", **words)
-            axis.set(xlabel="x, mm", ylabel="y, mm", title=f"rig {number}: {name}")
-        figure.colorbar(drawn_as, ax=list(row[:2]), label="resistance beside its mean, %")
+            axis.set(xlabel="x, mm", ylabel="y, mm", title=f"Rig {number}: {name}")
+        label = "sheet resistance beside its mean, %"
+        figure.colorbar(drawn_as, ax=list(row[:2]), label=label)
         true = 1e3 * (rig["electrodes"] - xy)
         off = 1e3 * np.broadcast_to(known.electrodes, xy.shape)
-        row[2].plot(true.ravel(), off.ravel(), ".", color="C0")
+        row[2].plot(true.ravel(), off.ravel(), ".", color=BLUE)
         most = 1.1 * np.abs(true).max()
         row[2].plot([-most, most], [-most, most], color="0.6", lw=0.8)
         left = np.sqrt(((true - off) ** 2).mean())
-        title = f"electrodes: {np.sqrt((true**2).mean()):.2f} mm off, {left:.2f} left"
-        row[2].set(xlabel="off its place, mm", ylabel="as found, mm", title=title)
+        rms = np.sqrt((true**2).mean())
+        title = f"Rig {number}: electrodes {rms:.2f} mm off,\n{left:.2f} mm left"
+        row[2].set(xlabel="truly off by, along x or y, mm", ylabel="found, mm", title=title)
         row[2].set_aspect("equal")
     figure.savefig(path, dpi=110)
 

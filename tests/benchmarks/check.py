@@ -310,10 +310,10 @@ def report(rows: list[dict[str, Any]], out: Path) -> None:
     report = {"rows": rows, "summary": summary, "environment": environment()}
     out.mkdir(parents=True, exist_ok=True)
     (out / "check.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
-    _picture(rows).savefig(out / "check.png", dpi=110)
+    picture(rows).savefig(out / "check.png", dpi=110)
 
 
-def _picture(rows: list[dict[str, Any]]) -> Any:
+def picture(rows: list[dict[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(" + ".join(row["faults"]) for row in rows))
@@ -324,18 +324,24 @@ def _picture(rows: list[dict[str, Any]]) -> Any:
         name = f"sound: {name}" if row["group"] == "sound" else name
         which = 0 if row["named"] else 1 if row["missed"] else 2
         counts[name][which] += 1
-    figure = Figure(figsize=(7.5, 0.19 * len(names) + 1.2), layout="constrained")
+    from tomojax._pictures import BLUE, ORANGE, VERMILION
+
+    figure = Figure(figsize=(8, 0.2 * len(names) + 1.4), layout="constrained")
     axes = figure.subplots()
     at, left = np.arange(len(names)), np.zeros(len(names))
     labels = "all named, nothing else", "something missed", "a false alarm alone"
-    for k, (label, colour) in enumerate(zip(labels, ("C0", "C3", "C1"))):
+    looks = (BLUE, ""), (VERMILION, "xx"), (ORANGE, "//")
+    for k, (label, (colour, hatch)) in enumerate(zip(labels, looks)):
         wide = np.array([counts[n][k] for n in names])
-        axes.barh(at, wide, left=left, color=colour, label=label)
+        look = {"color": colour, "hatch": hatch, "edgecolor": "w", "label": label}
+        axes.barh(at, wide, left=left, **look)
         left += wide
-    axes.set_yticks(at, names, fontsize=7)
-    axes.invert_yaxis()
-    axes.set(xlabel="rigs", title="tomojax check on faulty and on sound rigs")
-    axes.legend(fontsize=8)
+    axes.set_yticks(at, [name.replace("_", " ") for name in names], fontsize=8)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set(
+        xlabel="number of rigs", title="What tomojax check says of faulty and sound rigs"
+    )
+    axes.legend(fontsize=9, loc="upper right", title="faults")
     return figure
 
 

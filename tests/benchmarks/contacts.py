@@ -26,8 +26,15 @@ from benchmarks.physics import environment  # noqa: E402
 from rig import Rig  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax._pictures import name_points, plain, style  # noqa: E402
 
-KINDS = ("one", "two30", "two20", "two15", "bar")
+KINDS = {
+    "one": "One contact",
+    "two30": "Two contacts 30 mm apart",
+    "two20": "Two contacts 20 mm apart",
+    "two15": "Two contacts 15 mm apart",
+    "bar": "A bar of 65 to 85 mm",
+}
 # Slots of `points`; and what the paper's method is given.
 METHODS = {
     "points": ("corner", "corners", "ten", "all"),
@@ -38,7 +45,10 @@ METHODS = {
 # Of two contacts: how far apart, mm; slots; and the converter's noise, V.
 APART, SLOTS, NOISES = (10, 12.5, 15, 20, 25, 30), ("corners", "ten", "all"), (3e-4, 3e-3)
 NEAR = 3.0  # mm: found
-COLOURS = {"points": "C0", "conductance": "C2", "source": "C1", "linear": "C3"}
+# Whose rows are in the picture, and what is written beside them.
+DRAWN = ("points", "conductance", "source", "linear")
+WORDS = {"corner": "1 corner", "corners": "2 corners", "ten": "10 slots", "all": "64 slots"}
+WORDS |= {"around": "Around", "cop_line": "CoP line"}
 
 
 def scene(kind: str, rig: Rig, rng: np.random.Generator):
@@ -186,11 +196,11 @@ def draw_separations(rows: list[dict], path: Path) -> None:
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
     for k, slots in enumerate(sorted({r["slots"] for r in rows})):
-        for noise, style in zip(NOISES, ("-o", "--s")):
+        for noise, line in zip(NOISES, ("-", "--")):
             some = [r for r in rows if r["slots"] == slots and r["noise_mV"] == 1e3 * noise]
             x, y = [r["apart_mm"] for r in some], [100 * r["found_3mm"] for r in some]
             label = f"{slots} slots, noise {1e3 * noise:g} mV"
-            axes.plot(x, y, style, color=f"C{k}", label=label)
+            axes.plot(x, y, **style(k, linestyle=line, label=label))
     axes.axvline(20, color="0.7", lw=1)
     axes.annotate(" the electrodes' pitch", (20, 3), color="0.4")
     axes.set(xlabel="between two contacts, mm", ylabel="% found, both within 3 mm")
@@ -202,28 +212,38 @@ def draw_separations(rows: list[dict], path: Path) -> None:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 7), layout="constrained")
+    figure = Figure(figsize=(15, 8), layout="constrained")
+    figure.suptitle("Contacts that each model finds, by the time of a scan")
     axes = figure.subplots(2, 3).ravel()
     for axis, kind in zip(axes, KINDS):
-        some = [r for r in rows if r["scene"] == kind]
         value = "angle_median_deg" if kind == "bar" else "place_median_mm"
-        for method, colour in COLOURS.items():
-            mine = [
-                r for r in some if r["method"].startswith(method) and r[value] is not None
-            ]
-            for r in mine:
-                full = r["found_3mm"] if kind.startswith("two") else r["count_right"]
-                axis.plot(r["slots"] / 10, r[value], "o", color=colour, ms=4 + 10 * full)
-                text = f" {r['method'].split(', ')[1]} {100 * full:.0f} %"
-                axis.annotate(text, (r["slots"] / 10, r[value]), fontsize=8)
-        unit = "angle, °" if kind == "bar" else "place, mm"
+        named = []
+        for r in rows:
+            method, _, pattern = r["method"].partition(", ")
+            if r["scene"] != kind or method not in DRAWN or r[value] is None:
+                continue
+            full = r["found_3mm"] if kind.startswith("two") else r["count_right"]
+            at = r["slots"] / 10, r[value]
+            axis.plot(*at, **style(method, linestyle="none", markersize=3 + 8 * full))
+            share = "" if full == 1 else f", {100 * full:.0f} %"
+            named.append((WORDS.get(pattern, pattern) + share, *at))
+        error = "error of the angle, °" if kind == "bar" else "place error, mm"
         share = "found within 3 mm" if kind.startswith("two") else "counted right"
-        axis.set(xscale="log", yscale="log", xlabel="ms a scan", ylabel=f"{unit} (median)")
-        axis.set(title=f"{kind}: size of dots and % {share}", xlim=(0.07, 20))
-    for method, colour in COLOURS.items():
-        paper = " (the paper's)" if method == "linear" else ""
-        axes[-1].plot([], [], "o", color=colour, label=method + paper)
-    axes[-1].legend(loc="center")
+        axis.set(xscale="log", yscale="log", xlim=(0.07, 20))
+        axis.set(xlabel="time of a scan, ms", ylabel=f"{error} (median)")
+        axis.set_title(f"{KINDS[kind]}; %, size: {share}", fontsize=11)
+        axis.margins(y=0.12)
+        axis.grid(alpha=0.3)
+        plain(axis.xaxis, axis.yaxis)
+        name_points(axis, named, size=8, aside=9)
+    for method in DRAWN:
+        paper = " (the paper's Eq. 3)" if method == "linear" else ""
+        look = style(method, linestyle="none", markersize=9)
+        axes[-1].plot([], [], **look, label=method + paper)
+    for full in (1, 0.5, 0):
+        look = {"color": "0.6", "markersize": 3 + 8 * full}
+        axes[-1].plot([], [], "o", **look, label=f"{100 * full:.0f} % of the scenes")
+    axes[-1].legend(loc="center", frameon=False, fontsize=11)
     axes[-1].set_axis_off()
     figure.savefig(path, dpi=110)
 

@@ -179,28 +179,46 @@ def loop(sensor) -> list[dict]:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12, 4.5), layout="constrained")
+    from tomojax._pictures import BLUE, GREEN, ORANGE, plain
+
+    figure = Figure(figsize=(13, 5), layout="constrained")
     left, right = figure.subplots(1, 2)
     gaps = [row for row in rows if row["kind"] == "gap"]
     at = np.arange(len(gaps))
-    labels = {"gap_rounded": "rounded", "gap_greedy": "greedy", "gap": "exchanged"}
-    for k, (name, label) in enumerate(labels.items()):
+    labels = {
+        "gap_rounded": ("rounded", ORANGE, "//"),
+        "gap_greedy": ("greedy", GREEN, ".."),
+        "gap": ("exchanged, the answer", BLUE, ""),
+    }
+    for k, (name, (label, colour, hatch)) in enumerate(labels.items()):
         values = [100 * max(row[name], 1e-4) for row in gaps]
-        left.bar(at + 0.27 * (k - 1), values, 0.27, label=label)
-    left.set_yscale("log")
-    left.axhline(5, color="0.6", lw=1)
+        look = {"color": colour, "hatch": hatch, "edgecolor": "w", "label": label}
+        left.bar(at + 0.27 * (k - 1), values, 0.27, **look)
+    left.set(yscale="log", xlabel="method and criterion")
+    plain(left.yaxis)
+    left.axhline(5, color="0.4", lw=1, ls="--", label="5 %")
     names = [f"{row['method']}\n{row['criterion']}" for row in gaps]
-    left.set_xticks(at, names, fontsize=8)
-    left.set(ylabel="above the relaxation's bound, %", title="Eight of 64")
+    left.set_xticks(at, names, fontsize=9)
+    left.set(ylabel="above the relaxation's bound, %")
+    left.set_title("Sets of eight grounds of 64: how far from the best possible")
     left.legend()
     loops = [row for row in rows if row["kind"] == "loop"]
     at = np.arange(len(loops))
-    for k, name in enumerate(("place_median_mm", "place_p90_mm")):
-        right.bar(at + 0.35 * (k - 0.5), [row[name] for row in loops], 0.35, label=name)
-    right.set_xticks(at, [row["policy"] for row in loops])
-    right.set(ylabel="place error, mm", title="Closed loop, rigs that are not ours")
-    right.margins(y=0.25)  # the legend's
-    right.legend()
+    looks = {
+        "place_median_mm": (BLUE, "", "median"),
+        "place_p90_mm": (ORANGE, "//", "90 %"),
+    }
+    for k, (name, (colour, hatch, label)) in enumerate(looks.items()):
+        look = {"color": colour, "hatch": hatch, "edgecolor": "w", "label": label}
+        bars = right.bar(at + 0.35 * (k - 0.5), [r[name] for r in loops], 0.35, **look)
+        right.bar_label(bars, fmt="%.2f", fontsize=9)
+    right.set_xticks(
+        at, [row["policy"].replace("_", " ").replace("cop", "CoP") for row in loops]
+    )
+    right.set(ylabel="place error, mm", xlabel="policy")
+    right.set_title("Closed loop on rigs that are not ours")
+    right.set_ylim(0, 1.2 * max(row["place_p90_mm"] for row in loops))
+    right.legend(ncols=2)
     figure.savefig(path, dpi=110)
 
 

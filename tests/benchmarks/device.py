@@ -222,21 +222,32 @@ def draw(rows: list[dict], path: Path) -> None:
 
     rows = [r | {"name": f"{r['what']}, {r['batch']}"} for r in rows if "error" in r]
     names = list(dict.fromkeys(r["name"] for r in rows))
-    figure = Figure(figsize=(12, 0.27 * len(names) + 1.3), layout="constrained")
+    from tomojax._pictures import style
+
+    figure = Figure(figsize=(13, 0.3 * len(names) + 1.9), layout="constrained")
+    figure.suptitle(
+        "Speed and error on an accelerator, and on the processor of its machine"
+    )
     left, right = figure.subplots(1, 2, sharey=True)
     kinds = list(dict.fromkeys((r["device"], r["precision"]) for r in rows))
     for k, kind in enumerate(kinds):
         mine = [r for r in rows if (r["device"], r["precision"]) == kind]
         at = [names.index(r["name"]) + 0.3 * (k - 1) for r in mine]
         label = kind[0] + ', all "highest"' * (kind[1] != "default")
-        left.barh(at, [r.get("us_a_frame", 0) for r in mine], 0.3, color=f"C{k}")
+        label = label.replace("cpu", "the processor")
+        look = {"color": style(k)["color"], "edgecolor": "w", "hatch": ("", "..", "//")[k]}
+        left.barh(at, [r.get("us_a_frame", 0) for r in mine], 0.3, **look)
         error = [r["error"] or np.nan for r in mine]
-        right.plot(error, at, "o", color=f"C{k}", ms=4, label=label)
-    left.set_yticks(range(len(names)), names)
-    left.set(xscale="log", xlabel="µs a frame (table: a call)")
-    right.set(xscale="log", xlabel="largest difference from float64: mm, or relative")
-    left.invert_yaxis()
-    right.legend(fontsize=8)
+        right.plot(error, at, **style(k, linestyle="none", label=label))
+    words = [f"{name.rpartition(', ')[0]}; {name.rpartition(', ')[2]}" for name in names]
+    left.set_yticks(range(len(names)), words)
+    left.set_ylim(len(names) - 0.4, -0.6)
+    left.set(xscale="log", xlabel="time of a frame, µs (table: of a call)")
+    left.set_title("Time; frames in a call after the semicolon")
+    right.set(xscale="log", xlabel="mm for contacts, else relative")
+    right.set_title("Largest difference from float64")
+    handles = right.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=3, frameon=False)
     for axes in (left, right):
         axes.grid(alpha=0.3, axis="x")
     figure.savefig(path, dpi=110)

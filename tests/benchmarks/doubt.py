@@ -357,6 +357,8 @@ def plot(rows: list[dict[str, Any]], signs: list[dict[str, Any]], path: Path) ->
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    from tomojax._pictures import BLUE, GREY
+
     singles = [row for row in rows if " + " not in row["fault"]]
     columns = list(dict.fromkeys((r["sensor"], r["method"]) for r in singles))
     names = list(FAULTS)
@@ -374,24 +376,33 @@ def plot(rows: list[dict[str, Any]], signs: list[dict[str, Any]], path: Path) ->
                 share[i, j] = part[0] / part[1]
             words[i, j] = f"{part[0]}/{part[1]}"
     figure, (left, right) = plt.subplots(
-        1, 2, figsize=(15, 7), width_ratios=(3, 1), layout="constrained"
+        1, 2, figsize=(17, 7.6), width_ratios=(3.4, 1), layout="constrained"
     )
-    left.imshow(share, vmin=0, vmax=0.2, cmap="OrRd", aspect="auto")
+    figure.suptitle("What the flags are worth on faulty rigs")
+    shown = left.imshow(share, vmin=0, vmax=0.2, cmap="magma_r", aspect="auto")
+    figure.colorbar(shown, ax=left, label="part of the places (first number / second)",
+                    extend="max", shrink=0.6)  # fmt: skip
     for (i, j), word in np.ndenumerate(words):
-        left.text(j, i, word, ha="center", va="center", fontsize=6.5)
+        dark = np.nan_to_num(share[i, j]) > 0.1
+        colour = "w" if dark else "0.5" if word.endswith("/0") else "k"
+        left.text(j, i, word, ha="center", va="center", fontsize=7, color=colour)
     labels = [f"{method}, {sensor}" for sensor, method in columns]
-    left.set_xticks(range(len(columns)), labels, rotation=60, ha="right", fontsize=8)
-    first = ["sound rigs: right places in doubt", *names[1:], "pairs of them"]
+    left.set_xticks(range(len(columns)), labels, rotation=60, ha="right",
+                    rotation_mode="anchor", fontsize=8)  # fmt: skip
+    left.axhline(0.5, color="k", lw=1)
+    first = ["no fault: right places in doubt", *names[1:], "pairs of faults"]
     left.set_yticks(range(len(names) + 1), first, fontsize=8)
-    left.set_title("Places over half a pitch off without a doubt, of all that far off")
+    left.set_title("Of places over half a pitch off, those without a doubt, by fault")
+    left.set_xlabel("method, electrodes")
     kinds = list(KINDS)
     parts = [[r["right"] for r in signs if r["kind"] == k] for k in kinds]
     height = [100 * np.mean(p) if p else 0 for p in parts]
-    right.barh(kinds, height, color=["C0"] * 5 + ["0.6"])
+    right.barh(kinds, height, color=[BLUE] * 5 + [GREY])
     for k, p in enumerate(parts):
         right.text(2, k, f"{sum(p)} of {len(p)}", va="center", color="w", fontsize=9)
     right.invert_yaxis()
-    right.set(xlabel="%", title="Named by tomojax info,\nfrom the recording alone")
+    right.set(xlabel="part of the recordings, %")
+    right.set_title("Named by tomojax info alone\n(sound: nothing named)")
     figure.savefig(path, dpi=110)
 
 

@@ -153,10 +153,24 @@ def study(side: int) -> tuple[list[dict], dict]:
     return rows, maps
 
 
+def maps_of(rows: list[dict]) -> dict:
+    """The places and the spreads of designs that are kept, for `draw`."""
+    maps = {}
+    for row in rows:
+        grid = uniform(int(row["electrodes"] ** 0.5))
+        xy = np.array(row["electrode_xy_mm"]) / 1e3
+        designed = replace(grid, electrode_xy=jnp.asarray(xy))
+        maps[row["electrodes"]] = xy, spreads({"uniform": grid, "designed": designed})
+    return maps
+
+
 def draw(rows: list[dict], maps: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 9), layout="constrained")
+    from tomojax._pictures import VALUE
+
+    figure = Figure(figsize=(11.5, 9.6), layout="constrained")
+    figure.suptitle("Where electrodes lie, and how widely the image of a contact spreads")
     side = 1e3 * SIDE
     for line, (row, (count, (xy, spread))) in zip(
         figure.subplots(2, 2), zip(rows, maps.items())
@@ -171,6 +185,7 @@ def draw(rows: list[dict], maps: dict, path: Path) -> None:
                 vmin=low,
                 vmax=top,
                 extent=(10.5, side - 10.5, 10.5, side - 10.5),
+                cmap=VALUE,
             )
             at = (
                 np.asarray(uniform(int(count**0.5)).electrode_xy)
@@ -179,14 +194,15 @@ def draw(rows: list[dict], maps: dict, path: Path) -> None:
             )
             axes.plot(*(1e3 * at.T), "o", color="w", mec="k", ms=5)
             axes.set(
-                title=f"{count} electrodes, {name}: worst {1e3 * values.max():.1f} mm",
+                title=f"{count} electrodes, {name}:\nworst {1e3 * values.max():.1f} mm",
+                aspect="equal",
                 xlim=(0, side),
                 ylim=(0, side),
                 xlabel="x, mm",
                 ylabel="y, mm",
             )
-        figure.colorbar(shown, ax=line, label="spread of the image of a contact, mm")
-        line[1].set_title(line[1].get_title() + f" ({row['ratio_worst']:.2f}×)")
+        figure.colorbar(shown, ax=line, label="spread of a contact's image, mm")
+        line[1].set_title(f"{line[1].get_title()} ({row['ratio_worst']:.2f} of the grid's)")
     figure.savefig(path, dpi=110)
 
 

@@ -41,6 +41,11 @@ WHY = {
 }
 
 
+# A curve's call, in a title.
+WHAT = {"table": "Table of resistances", "images": "Images by source"}
+WHAT |= {"points": "Contacts by points"}
+
+
 def images_of(sensor, grounds, pixels=32, batch=BATCH):
     """A call that makes `source` images of so many frames."""
     model = tx.method(sensor, "source", pixels)
@@ -137,16 +142,20 @@ def measured() -> list[dict]:
 
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
 
-    figure = Figure(figsize=(14, 6.5), layout="constrained")
+    from tomojax._pictures import plain, style
+
+    figure = Figure(figsize=(15, 7.2), layout="constrained")
+    figure.suptitle("How the time of a call grows, with the exponent of the upper half")
     for axes, row in zip(figure.subplots(2, 4).ravel(), rows):
-        axes.loglog(row["sizes"], [1e3 * t for t in row["seconds"]], "-o")
-        axes.set_title(f"{row['curve']}: exponent {row['exponent']:.2f}", fontsize=10)
-        axes.set(ylabel="ms a call", xlabel=row["curve"].split(", ")[1])
-        axes.set_xticks(row["sizes"], [f"{n:g}" for n in row["sizes"]], fontsize=7)
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.grid(alpha=0.3, which="both")
+        what, _, size = row["curve"].partition(", ")
+        axes.loglog(row["sizes"], [1e3 * t for t in row["seconds"]], **style(0))
+        axes.set_title(f"{WHAT[what]}: exponent {row['exponent']:.2f}", fontsize=11)
+        axes.set(ylabel="time of a call, ms", xlabel=f"number of {size}")
+        axes.margins(x=0.08, y=0.1)
+        plain(axes.xaxis, axes.yaxis)
+        axes.tick_params(axis="x", labelsize=9)
+        axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 
 

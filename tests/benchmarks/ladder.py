@@ -25,10 +25,12 @@ from benchmarks.contacts import errors, grounds_of  # noqa: E402
 from benchmarks.physics import environment  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax._pictures import gallery, style  # noqa: E402
 from tomojax.results.track_file import track_results  # noqa: E402
 
 MODELS = ("linear", "source", "positive", "points", "conductance", "auto")
 SLOTS = ("corners", "ten", "all")
+PATTERNS = {"corners": "two corners", "copline": "CoP line", "all": "every ground"}
 
 
 def load(folder: Path):
@@ -162,19 +164,12 @@ def draw(images: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
     scenes = list(dict.fromkeys(scene for _, scene in images))[1:]
-    figure = Figure(figsize=(2 * len(scenes), 2.1 * len(MODELS)), layout="constrained")
-    grid = figure.add_gridspec(len(MODELS), len(scenes))
-    for i, model in enumerate(MODELS):
-        for j, scene in enumerate(scenes):
-            axes = figure.add_subplot(grid[i, j])
-            image = images[model, scene].T
-            top = np.quantile(image, 0.998)
-            axes.imshow(image, origin="lower", vmin=0, vmax=top, cmap="magma")
-            axes.set(xticks=[], yticks=[])
-            if i == 0:
-                axes.set_title(scene, fontsize=8)
-            if j == 0:
-                axes.set_ylabel(model)
+    figure = Figure(figsize=(2 * len(scenes), 2.2 * len(MODELS) + 1), layout="constrained")
+    figure.suptitle(
+        "Images of the recorded scenes by each model, every ground", fontsize=16
+    )
+    lines = {model: [images[model, scene] for scene in scenes] for model in MODELS}
+    gallery(figure, lines, (0.16, 0.16), [scene.replace("_", " ") for scene in scenes])
     figure.savefig(path, dpi=70)
 
 
@@ -182,19 +177,26 @@ def draw_drops(curves: dict, path: Path) -> None:
     """The first bounces of both things under each pattern."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 8), layout="constrained")
+    figure = Figure(figsize=(16, 9), layout="constrained")
+    figure.suptitle("Conductance as a spanner and an orange fall and bounce")
     axes_of = figure.subplots(2, 3, squeeze=False).ravel()
     for axes, ((thing, pattern), told) in zip(axes_of, curves.items()):
         g, mine, followed, theirs, rate = told
         t = np.arange(len(g)) / rate
-        axes.plot(t, 1e6 * theirs, color="C3", lw=1, label="linear, per scan (fitted)")
-        axes.plot(t, 1e6 * mine, color="C0", lw=1, label="points, per slot")
-        axes.plot(t, 1e6 * followed, color="C2", lw=1, label="follow, per slot")
+        lines = {
+            "linear": (theirs, "linear, per scan (fitted)"),
+            "points": (mine, "points, per slot"),
+            "follow": (followed, "follow, per slot"),
+        }
+        for method, (values, label) in lines.items():
+            look = style(method, marker="none", lw=1.2, label=label)
+            axes.plot(t, 1e6 * values, **look)
         axes.plot(t, 1e6 * g, "k:", lw=1, label="truth")
         first = np.flatnonzero(g > 0)[0] / rate
-        axes.set(xlim=(first - 0.01, first + 0.4), ylabel="µS", xlabel="s")
-        axes.set_title(f"{thing}, {pattern}")
-    axes_of[0].legend(loc="upper right", fontsize=8)
+        axes.set(xlim=(first - 0.01, first + 0.4), ylabel="conductance, µS")
+        axes.set(xlabel="time, s", title=f"{thing.capitalize()}, {PATTERNS[pattern]}")
+        axes.grid(alpha=0.3)
+    axes_of[0].legend(loc="upper right", fontsize=9)
     figure.savefig(path, dpi=80)
 
 

@@ -113,16 +113,21 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
 def draw(row: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 4), layout="constrained")
+    from tomojax._pictures import BLUE, style
+
+    figure = Figure(figsize=(12, 4.6), layout="constrained")
+    figure.suptitle(f"The live loop at {row['rate']:,.0f} slots a second")
     left, right = figure.subplots(1, 2)
-    left.semilogy(row["histogram_us"], drawstyle="steps-mid", lw=1)
-    for name in QUANTILES:
-        left.axvline(row[name], color="0.6", lw=1)
-        left.text(row[name], left.get_ylim()[1], name[:-3], rotation=90, va="top", size=8)
-    left.set(xlabel="last byte of a slot to ground command, µs", ylabel="slots")
-    left.set(xlim=(0, max(300, 1.2 * row["p9999_us"])))
-    right.plot(*zip(*row["memory"]))
-    right.set(xlabel="s", ylabel="memory of the live loop, MB")
+    left.semilogy(row["histogram_us"], drawstyle="steps-mid", lw=1, color=BLUE)
+    for k, (name, part) in enumerate(QUANTILES.items(), 1):
+        label = f"{100 * part:g} %: {row[name]:.0f} µs"
+        look = {"color": style(k)["color"], "ls": style(k)["linestyle"]}
+        left.axvline(row[name], lw=1.5, label=label, **look)
+    left.legend(fontsize=9, loc="upper left", bbox_to_anchor=(0.47, 1))
+    left.set(xlabel="last byte of a slot to ground command, µs", ylabel="slots in a bin")
+    left.set(xlim=(0, max(300, 1.2 * row["p9999_us"])), title="Latency, in bins of 1 µs")
+    right.plot(*zip(*row["memory"]), color=BLUE)
+    right.set(xlabel="time, s", ylabel="memory, MB", title="Memory of the loop")
     right.set(ylim=(0, 1.3 * max(size for _, size in row["memory"])))
     figure.savefig(path, dpi=110)
 

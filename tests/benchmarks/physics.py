@@ -173,27 +173,33 @@ def growth(quick: bool) -> tuple[list, dict]:
     return rows, exponents
 
 
+ROUTES = {"fem": "finite elements", "series": "cosine series"}
+
+
 def draw(report: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14, 4.2), layout="constrained")
+    from tomojax._pictures import BLUE, GREY, plain, style
+
+    figure = Figure(figsize=(16, 4.8), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    for route, marker in (("fem", "o"), ("series", "s")):
+    for k, route in enumerate(("fem", "series")):
         mine = [r for r in report["growth"] if r["route"] == route]
         x = [r["elements"] for r in mine]
-        for axes, key, unit in ((left, "median_s", "s"), (middle, "added_mb", "MB")):
+        units = (left, "median_s", "time, s"), (middle, "added_mb", "memory, MB")
+        for axes, key, unit in units:
             slope = report["exponents"][f"{route} {key}"]
             axes.loglog(
                 x,
                 [r[key] for r in mine],
-                marker + "-",
-                label=f"{route}, slope {slope:.2f}",
+                **style(k, label=f"{ROUTES[route]}, slope {slope:.2f}"),
             )
-            axes.set(xlabel="elements", ylabel=unit)
+            axes.set(xlabel="number of elements", ylabel=unit)
             axes.legend()
             axes.grid(alpha=0.3)
-    left.set_title("table R_ee, R_ek, R_kk: time")
-    middle.set_title("memory above an idle process")
+    plain(left.xaxis, left.yaxis, middle.xaxis, middle.yaxis)
+    left.set_title("Table of resistances: time")
+    middle.set_title("Table of resistances: memory added")
     bars = {**report["jacobian"], **report["voltages"]}
     names = list(bars)
     value = [1e3 * bars[n]["median_s"] for n in names]
@@ -201,11 +207,14 @@ def draw(report: dict, path: Path) -> None:
         [1e3 * (bars[n]["median_s"] - bars[n]["q1_s"]) for n in names],
         [1e3 * (bars[n]["q3_s"] - bars[n]["median_s"]) for n in names],
     ]
-    ours = ["C0" if n.startswith("tomojax") else "0.6" for n in names]
-    right.barh(names, value, xerr=spread, color=ours)
-    right.set(xscale="log", xlabel="ms")
+    ours = [BLUE if n.startswith("tomojax") else GREY for n in names]
+    jacobians = len(report["jacobian"])
+    words = [("J: " if k < jacobians else "voltages: ") + n for k, n in enumerate(names)]
+    right.barh(words, value, xerr=spread, color=ours)
+    right.set(xscale="log", xlabel="time, ms (median, quartiles)")
     right.invert_yaxis()
-    right.set_title("64 grounds, 3200 elements: J, then voltages", loc="right")
+    right.set_title("64 grounds, 3200 elements (peers grey)", loc="right")
+    plain(right.xaxis)
     figure.savefig(path, dpi=130)
 
 

@@ -290,26 +290,37 @@ def scene(rng, places) -> list[np.ndarray]:
 def draw(report: dict, path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 5), layout="constrained")
+    from tomojax._pictures import BLUE, GREY, plain, style
+
+    figure = Figure(figsize=(16, 5.4), layout="constrained")
     low, last = figure.subplots(1, 2)
     times = report["change"]["times"]
     names = list(times)
-    low.barh(names, [1e3 * times[n]["median_s"] for n in names],
-             color=["C0" if n.startswith("tomojax") else "0.6" for n in names])  # fmt: skip
-    low.set(xscale="log", xlabel="ms: new grounds (eight), new λ, one frame")
+    values = [1e3 * times[n]["median_s"] for n in names]
+    colours = [BLUE if n.startswith("tomojax") else GREY for n in names]
+    bars = low.barh(names, values, color=colours)
+    low.bar_label(bars, [f"{value:.2g}" if value < 10 else f"{value:.0f}"
+                         for value in values], padding=2, fontsize=9)  # fmt: skip
+    low.set(xscale="log", xlabel="time, ms (median)")
+    low.set_title("Eight new grounds, a new λ, one frame (peers grey)")
     low.invert_yaxis()
+    low.margins(x=0.1)
+    plain(low.xaxis)
     pooled = [r for r in report["rules"] if r["level"] == "all"]
     kinds = list(NOISE)
     rule_names = [r["rule"] for r in pooled if r["noise"] == kinds[0]]
     for i, kind in enumerate(kinds):
         y = np.arange(len(rule_names)) + 0.25 * (i - 1)
         values = [r["excess_median"] for r in pooled if r["noise"] == kind]
-        last.barh(y, values, 0.25, label=kind)
+        look = {"color": style(i)["color"], "edgecolor": "w", "hatch": ("", "//", "..")[i]}
+        last.barh(y, values, 0.25, label=f"{kind} noise", **look)
     last.set_yticks(np.arange(len(rule_names)), [n.replace("_", " ") for n in rule_names])
-    last.axvline(1.5, color="k", lw=0.8, ls=":")
-    last.set(xscale="log", xlabel="image error over the best λ's, median")
+    last.axvline(1.5, color="k", lw=0.8, ls=":", label="1.5")
+    last.set(xscale="log", xlabel="(image error)/(that of the best λ), median")
+    last.set_title("Rules for λ: how near the best λ")
     last.invert_yaxis()
-    last.legend()
+    last.legend(loc="upper right")
+    plain(last.xaxis)
     figure.savefig(path, dpi=110)
 
 

@@ -12,6 +12,7 @@ scenes. Writes notebooks/results/rigs.json and rigs.png.
 import argparse
 import json
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import matplotlib
@@ -23,6 +24,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax._pictures import plain, style  # noqa: E402
 from tomojax.studies.frontier import DOUBT  # noqa: E402
 from tomojax.studies.rigs import (  # noqa: E402
     Elements,
@@ -143,33 +145,39 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     """Median to 90 % of the places by row, and the part within the stated deviation."""
     names = list(dict.fromkeys(row["row"] for row in rows))
     figure, (places, sigmas) = plt.subplots(
-        1, 2, figsize=(11, 0.45 * len(names) + 1.8), sharey=True, width_ratios=(2, 1)
-    )
+        1, 2, figsize=(12, 0.5 * len(names) + 1.8), sharey=True, width_ratios=(2, 1),
+        layout="constrained",
+    )  # fmt: skip
+    figure.suptitle("Lone contacts on rigs of other kinds; methods told nominal values")
     for k, method in enumerate(METHODS):
+        look = style(method, linestyle="none")
         mine = [row for row in rows if row["method"] == method]
         at = [names.index(row["row"]) + 0.14 * (k - 2) for row in mine]
         low = np.array([row["median_mm"] for row in mine])
         high = np.minimum([row["p90_mm"] for row in mine], 100)
-        places.hlines(at, low, high, colors=f"C{k}", lw=2)
-        places.plot(low, at, "o", ms=4, color=f"C{k}", label=method)
+        places.hlines(at, low, high, colors=look["color"], lw=2)
+        places.plot(low, at, **look, label=method)
         told = [(row["within_1_sigma"], y) for row, y in zip(mine, at)]
         told = np.array([t for t in told if t[0] is not None]).reshape(-1, 2)
-        sigmas.plot(*told.T, "o", ms=4, color=f"C{k}")
+        sigmas.plot(*told.T, **look)
     places.set(
         xscale="log",
-        xlabel="place error, mm: median (dot) to 90 % (end of the line)",
+        xlabel="place error, mm: median (mark), nine in ten (end of the line)",
         yticks=range(len(names)),
-        yticklabels=[FAMILY[name].title for name in names],
-        title="Lone contacts, nominal values told",
+        yticklabels=["\n".join(wrap(FAMILY[name].title, 34)) for name in names],
+        title="How near",
     )
-    places.axvline(10, color="0.6", ls=":", lw=1)
+    places.axvline(10, color="0.6", ls=":", lw=1, label="half a pitch")
     places.invert_yaxis()
-    figure.legend(*places.get_legend_handles_labels(), loc="lower right", ncols=5)
-    sigmas.axvspan(0.60, 0.76, color="0.9")
+    places.grid(axis="x", alpha=0.3)
+    plain(places.xaxis)
+    legend = places.get_legend_handles_labels()
+    figure.legend(*legend, loc="outside lower center", ncols=7, frameon=False)
+    sigmas.axvspan(0.60, 0.76, color="0.9", label="0.68 ± 0.08")
+    sigmas.legend(loc="lower left", fontsize=8)
     sigmas.set(
-        xlim=(0, 1), xlabel="part within 1 σ as stated", title="How sure it says it is"
+        xlim=(0, 1), xlabel="part of places within 1 σ as stated", title="How sure it is"
     )
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
     figure.savefig(path, dpi=110)
 
 

@@ -176,25 +176,34 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained", sharey=True)
-    parts = {"median_mm": ("C0", "median"), "p90_mm": ("C1", "nine in ten")}
+    from tomojax._pictures import plain, style
+
+    figure, axes = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained", sharey=True)
+    figure.suptitle("Place of a lone contact after a rub that calibrates; a mark each rig")
+    parts = {"median_mm": (style(0), "median"), "p90_mm": (style(1), "nine in ten")}
     labels = [f"{s} s" for s in SECONDS], ("nominal", "30 s", *PATHS)
-    titles = "how long: the whole sheet", "where: rubs of 30 s"
+    titles = "How long: rubs of the whole sheet", "Where: rubs of 30 s"
     for axis, names, title in zip(axes, labels, titles):
-        for name, (colour, label) in parts.items():
+        for name, (look, label) in parts.items():
+            colour = look["color"]
             each = [[r[name] for r in rows if r["rub"] == n] for n in names]
             for k, values in enumerate(each):
-                axis.plot([k] * len(values), values, ".", color=colour, alpha=0.6)
+                dots = look | {"linestyle": "none", "alpha": 0.6}
+                axis.plot([k] * len(values), values, **dots)
             middle = [float(np.median(values)) for values in each]
             if axis is axes[0]:
-                axis.plot(range(len(names)), middle, "-", color=colour, label=label)
+                line = look | {"marker": "none"}
+                axis.plot(range(len(names)), middle, **line, label=f"{label}, middle rig")
             else:
                 axis.plot(range(len(names)), middle, "_", color=colour, ms=18, mew=3)
         shown = ["whole sheet" if n == "30 s" and axis is axes[1] else n for n in names]
         axis.set_xticks(range(len(names)), shown)
         axis.set(yscale="log", title=title)
-    axes[0].set(ylabel="place error of a lone contact, mm", xlabel="a dot for each rig")
-    axes[0].legend()
+        axis.grid(alpha=0.3)
+        plain(axis.yaxis)
+    axes[0].set(ylabel="place error, mm", xlabel="length of the rub")
+    axes[1].set(xlabel="what was rubbed")
+    axes[0].legend(loc="center right")
     figure.savefig(path, dpi=120)
 
 

@@ -13,6 +13,7 @@ import argparse
 import itertools
 import json
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -24,6 +25,7 @@ import numpy as np  # noqa: E402
 from rigs import figures, followed, in_batch, RESULTS, ten_grounds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax._pictures import plain, style  # noqa: E402
 from tomojax.studies.frontier import DOUBT  # noqa: E402
 from tomojax.studies.rigs import (  # noqa: E402
     FAMILY,
@@ -188,9 +190,12 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     """Median to 90 % of the places, and pairs told apart, by sensor."""
     names = list(dict.fromkeys(row["sensor"] for row in rows))
     figure, (places, apart) = plt.subplots(
-        1, 2, figsize=(11, 0.42 * len(names) + 1.8), sharey=True, width_ratios=(2, 1)
-    )
+        1, 2, figsize=(12, 0.45 * len(names) + 1.8), sharey=True, width_ratios=(2, 1),
+        layout="constrained",
+    )  # fmt: skip
+    figure.suptitle("Sensors of other kinds; methods told nominal values")
     for k, method in enumerate(METHODS):
+        look = style(method, linestyle="none")
         mine = [row for row in rows if row["method"] == method]
         if not mine:
             continue
@@ -199,24 +204,28 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
         high = np.array([row["p90_pitch"] for row in mine])
         # What finds nothing is at the right edge.
         low, high = (np.minimum(v, 5) for v in (low, high))
-        places.hlines(at, low, high, colors=f"C{k}", lw=2)
-        places.plot(low, at, "o", ms=4, color=f"C{k}", label=method)
+        places.hlines(at, low, high, colors=look["color"], lw=2)
+        places.plot(low, at, **look, label=method)
         two = [(row["told_apart"], y) for row, y in zip(mine, at) if "told_apart" in row]
         if two:
-            apart.plot(*np.array(two).T, "o", ms=4, color=f"C{k}")
+            apart.plot(*np.array(two).T, **look, clip_on=False)
+    words = [name.replace(", 0.5, ", ", discs of 0.5 pitch, ") for name in names]
     places.set(
         xscale="log",
-        xlabel="place error, pitches: median (dot) to 90 % (end of the line)",
+        xlabel="place error, pitches: median (mark), nine in ten (line); 5: lost",
         yticks=range(len(names)),
-        yticklabels=names,
-        title="Lone contacts, nominal values told",
+        yticklabels=["\n".join(wrap(name, 26)) for name in words],
+        title="Lone contacts",
     )
-    places.axvline(0.5, color="0.6", ls=":", lw=1)
+    places.axvline(0.5, color="0.6", ls=":", lw=1, label="half a pitch")
     places.invert_yaxis()
-    figure.legend(*places.get_legend_handles_labels(), loc="lower right", ncols=5)
+    places.grid(axis="x", alpha=0.3)
+    plain(places.xaxis)
+    legend = places.get_legend_handles_labels()
+    figure.legend(*legend, loc="outside lower center", ncols=6, frameon=False)
     apart.axvline(0.8, color="0.6", ls=":", lw=1)
-    apart.set(xlim=(0, 1.02), xlabel="part told apart", title="Pairs one pitch apart")
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    apart.set(xlim=(0, 1), xlabel="part told apart (dotted: 0.8)")
+    apart.set_title("Pairs one pitch apart")
     figure.savefig(path, dpi=110)
 
 

@@ -11,7 +11,7 @@ unknown places.
 
 The image of `shape` is judged at its own half level. The others' images are judged at the
 threshold that is best for each in hindsight. Parts: images, digits, gaps, patterns; speed
-alone. The default seeds are for judging: nothing was set on them. Writes shapes.json,
+alone; gallery, a picture alone. The default seeds are for judging: nothing was set on them. Writes shapes.json,
 shapes.png, shapes_gallery.png.
 """
 
@@ -190,9 +190,8 @@ def draw_scene(size: np.ndarray, rng: np.random.Generator, wide: bool) -> Any:
         )
 
 
-def calibrated_for(rig: Any, exact: Any, rng: np.random.Generator) -> Any:
-    """A calibration of 40 contacts at unknown places, ten slots each."""
-    import tomojax as tx
+def touched_for(rig: Any, exact: Any, rng: np.random.Generator) -> tuple:
+    """What a calibration is made of: 40 contacts at unknown places, ten slots each."""
     from tomojax.studies.rigs import draw_touch
 
     grounds = np.array(
@@ -203,29 +202,43 @@ def calibrated_for(rig: Any, exact: Any, rng: np.random.Generator) -> Any:
         for g in grounds
     ]
     less = np.array(volts) - tared(rig, rng)
-    return tx.calibration.calibrate(rig.sensor, less.astype(np.float32), grounds)
+    return less.astype(np.float32), grounds
 
 
-def images_of(number: int, seed: int, scenes: int) -> tuple[list[dict], list[tuple]]:
-    """Rows of one rig's scenes, and what is drawn of some."""
+def images_of(
+    number: int, seed: int, scenes: int, only: tuple = ()
+) -> tuple[list[dict], list[tuple]]:
+    """Rows of one rig's scenes, and what is drawn of some.
+
+    `only`: of these methods, values and slots; all without.
+    """
     import tomojax as tx
 
     rig, exact, rng = rig_of(number, seed)
     size = np.asarray(rig.sensor.size, float)
-    calibration = calibrated_for(rig, exact, rng)
+    rub = touched_for(rig, exact, rng)
     drawn = [(draw_scene(size, rng, wide=k % 2 == 1), k % 2 == 1) for k in range(scenes)]
     volts = np.stack([read(rig, exact, made[3], rng) for made, _ in drawn])
     truths = [
         (made[3].density(raster(size)) > 0.5).reshape(FINE, FINE) for made, _ in drawn
     ]
     rows, shown = [], []
-    told = [("nominal", None, "shape"), ("calibrated", calibration, "shape")]
-    told += [("nominal", None, name) for name in OTHERS]
-    for values, known, name in told:
+    told = [("nominal", "shape"), ("calibrated", "shape")]
+    told += [("nominal", name) for name in OTHERS]
+    for values, name in told:
+        if only and (name, values) not in [what[:2] for what in only]:
+            continue
+        calibrated = values == "calibrated"
+        known = tx.calibration.calibrate(rig.sensor, *rub) if calibrated else None
         method = tx.method(rig.sensor, name, 32, known)
         right = volts if known is None else known.voltages(volts)
         for slots, grounds in SLOTS.items():
-            if name != "shape" and slots == "2":
+            if (
+                name != "shape"
+                and slots == "2"
+                or only
+                and (name, values, slots) not in only
+            ):
                 continue
             under = np.array(grounds)
             v = right[:, under].astype(np.float32)
@@ -447,134 +460,6 @@ def summary(rows: list[dict]) -> list[dict]:
     return found
 
 
-def gallery(shown: list[tuple], path: Path, most: int = 9) -> None:
-    """The first usual scenes: truth, the paper's method, the shape from 64, ten, two."""
-    from matplotlib.figure import Figure
-
-    first = [(0, 2 * k) for k in range(5)] + [(1, 2 * k) for k in range(4)]
-    lines = [
-        ("truth", None),
-        ("Eq. 3 of the paper, all 64 grounds", ("linear", "nominal", "64")),
-        ("shape, all 64", ("shape", "nominal", "64")),
-        ("shape, ten", ("shape", "nominal", "10")),
-        ("shape, two", ("shape", "nominal", "2")),
-    ]
-    figure = Figure(figsize=(1.5 * most, 1.6 * len(lines)), layout="constrained")
-    axes = figure.subplots(len(lines), most)
-    found = {(n, k, *rest[:3]): rest[3] for n, k, *rest in shown}
-    truths = {(n, k): rest[4] for n, k, *rest in shown}
-    for column, key in enumerate(first[:most]):
-        for row, (title, what) in enumerate(lines):
-            image = truths[key].astype(float) if what is None else found[*key, *what]
-            top = np.quantile(image, 0.998)
-            place = axes[row, column]
-            place.imshow(image.T, origin="lower", cmap="magma", vmin=0, vmax=top)
-            place.set(xticks=[], yticks=[])
-            if column == 0:
-                place.set_ylabel(title.replace(", ", ",\n").replace(" of the", "\nof the"))
-    figure.savefig(path, dpi=80)
-
-
-def draw(content: dict, path: Path) -> None:
-    """Overlaps by slots, reliability, digits, and the smallest gaps and holes."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter
-
-    figure = Figure(figsize=(15, 8.5), layout="constrained")
-    axes = figure.subplots(2, 3).ravel()
-    images, slots = content["images"], [2, 10, 64]
-    kinds = [("shape", "nominal"), ("shape", "calibrated")]
-    kinds += [(name, "nominal") for name in OTHERS]
-    for k, (method, values) in enumerate(kinds):
-        each = [
-            [
-                r["overlap"]
-                for r in images
-                if (r["method"], r["values"], r["slots"], r["set"])
-                == (method, values, s, "usual")
-            ]
-            for s in slots
-        ]
-        some = [(s, np.quantile(e, [0.25, 0.5, 0.75])) for s, e in zip(slots, each) if e]
-        x, q = [s for s, _ in some], np.array([v for _, v in some])
-        hindsight = "" if method == "shape" else ", best threshold"
-        axes[0].errorbar(
-            np.array(x) * 1.03**k, q[:, 1], abs(q[:, [0, 2]] - q[:, 1:2]).T, marker="o",
-            color=f"C{k}", capsize=3, label=f"{method}, {values}{hindsight}",
-        )  # fmt: skip
-    axes[0].set(
-        xscale="log", xlabel="slots", ylabel="overlap: median, quartiles", ylim=(0, 1)
-    )
-    axes[0].set_ylim(0, 1)
-    axes[0].set_xticks(slots, [str(s) for s in slots])
-    axes[0].xaxis.set_minor_formatter(NullFormatter())
-    axes[0].set_title("strokes of 12 to 16 mm, 0.02 to 2 S/m²")
-    axes[0].legend(fontsize=7, loc="lower right")
-    for s in slots:
-        for values, line in (("nominal", "-"), ("calibrated", ":")):
-            told = [
-                r["reliability"]
-                for r in images
-                if (r["method"], r["values"], r["slots"]) == ("shape", values, s)
-            ]
-            count, said, true = np.array(told).sum(0)
-            axes[1].plot(
-                said / count, true / count, line, marker=".", label=f"{s}, {values}"
-            )
-    axes[1].plot([0, 1], [0, 1], "k", lw=0.5)
-    axes[1].set(xlabel="probability of touch, as stated", ylabel="part that touches")
-    axes[1].legend(fontsize=7, title="slots")
-    width = 0.2
-    for k, method in enumerate(("shape", "conductance", "source", "linear")):
-        right = [
-            np.mean(
-                [
-                    r["digit"] == r["told"]
-                    for r in content["digits"]
-                    if (r["method"], r["slots"]) == (method, s)
-                ]
-            )
-            for s in slots
-        ]
-        axes[2].bar(np.arange(3) + width * (k - 1.5), right, width, label=method)
-    axes[2].set(xticks=range(3), ylabel="told right by the nearest outline")
-    axes[2].set_xticklabels([f"{s} slots" for s in slots])
-    axes[2].set_title("ten digits of 80 mm, turned by up to 20°")
-    axes[2].legend(fontsize=8)
-    for place, kind in ((axes[3], "gap"), (axes[4], "hole")):
-        for s, line in zip(slots, (":", "--", "-")):
-            for k, g in enumerate(PRESSED):
-                seen = [
-                    np.mean(
-                        [
-                            r["seen"]
-                            for r in content["gaps"]
-                            if (r["kind"], r["method"], r["slots"]) == (kind, "shape", s)
-                            and (r["S_per_m2"], r["mm"]) == (g, mm)
-                        ]
-                    )
-                    for mm in GAPS
-                ]
-                place.plot(GAPS, seen, line, color=f"C{k}", marker=".", label=f"{s}, {g:g}")
-        place.axvline(20, color="k", lw=0.5)
-        place.set(xlabel=f"{kind}, mm (the pitch is 20)", ylabel="seen, of 5 rigs")
-    axes[3].set_title("gaps between two bars of 40 × 12 mm")
-    axes[4].set_title("holes of rings of 12 mm")
-    axes[3].legend(fontsize=7, title="slots, S/m²")
-    sets = content.get("patterns", [])
-    for k, designed in enumerate((False, True)):
-        rows = [r for r in sets if r["designed"] == designed]
-        x = [r["slots"] for r in rows]
-        axes[5].plot(x, [r["overlap"] for r in rows], "os"[k], color=f"C{k}")
-        for r in rows:
-            axes[5].annotate(r["pattern"], (r["slots"], r["overlap"]), fontsize=7)
-    axes[5].set(xscale="log", xlabel="slots of a scan", ylabel="median overlap")
-    axes[5].set_xticks([2, 4, 8, 16, 28, 64], ["2", "4", "8", "16", "28", "64"])
-    axes[5].xaxis.set_minor_formatter(NullFormatter())
-    axes[5].set_title("patterns of the paper; designed (squares)")
-    figure.savefig(path, dpi=80)
-
-
 def patterns_of(number: int, seed: int, scenes: int) -> list[dict]:
     """Usual scenes of one rig under the paper's patterns, and designed ones."""
     import tomojax as tx
@@ -618,11 +503,12 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--scenes", type=int, default=12)
     parser.add_argument("--seed", type=int, default=1_000_200)
-    parser.add_argument("--only", choices=[*PARTS, "speed"])
+    parser.add_argument("--only", choices=[*PARTS, "speed", "gallery"])
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     from benchmarks.physics import environment
+    from benchmarks.shapes_drawn import draw, GALLERY, gallery
 
     path = options.out / "shapes.json"
     content = json.loads(path.read_text()) if path.exists() else {}
@@ -630,6 +516,10 @@ def main() -> None:
         content["speed"] = speed_of(options.seed)
         path.write_text(json.dumps(content) + "\n")
         return
+    if options.only == "gallery":
+        made = (images_of(k, options.seed, options.scenes, tuple(GALLERY)) for k in (0, 1))
+        shown = [one for _, some in made for one in some]
+        return gallery(shown, options.out / "shapes_gallery.png")
     start = time.monotonic()
     parts = [options.only] if options.only else list(PARTS)
     jobs = [

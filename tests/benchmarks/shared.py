@@ -144,9 +144,12 @@ def study(count: int) -> list[dict]:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    from tomojax._pictures import BLUE, ORANGE
+
+    figure = Figure(figsize=(11, 4.8), layout="constrained")
+    figure.suptitle("Two contacts: one ground in each slot, or several at once")
     left, right = figure.subplots(1, 2)
-    for slots, color in zip(SLOTS, ("C0", "C3")):
+    for slots, color in zip(SLOTS, (BLUE, ORANGE)):
         for kind, style in (("single", "--o"), ("shared", "-s")):
             some = [r for r in rows if r.get("set") == f"{slots} {kind}"]
             apart = [r["apart_mm"] for r in some]
@@ -163,16 +166,20 @@ def draw(rows: list[dict], path: Path) -> None:
             right.plot(apart, [r["place_median_mm"] for r in some], style, color=color)
     left.axhline(80, color="0.8", zorder=0)
     left.set(
-        xlabel="between two contacts, mm",
-        ylabel="both within a third of that, %",
+        xlabel="distance of the contacts, mm",
+        ylabel="pairs with both within a third of it, %",
+        title="Pairs told apart",
         ylim=(0, 103),
     )
     right.set(
-        xlabel="between two contacts, mm",
-        ylabel="error of the worse place, median, mm",
+        xlabel="distance of the contacts, mm",
+        ylabel="error of the worse place, mm (median)",
+        title="Place",
         ylim=(0, None),
     )
     left.legend()
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 
 

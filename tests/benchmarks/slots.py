@@ -40,6 +40,9 @@ COUNTS = (1, 2, 4, 6, 8, 12, 16, 28)
 BY_PLACE, ONE_FOR_ALL, SHAPE = (1, 2, 4, 6, 8), (2, 4, 8, 16), (24, 24)
 APART = (0.015, 0.02, 0.025, 0.03, 0.04, 0.05, 0.06)  # m, of two contacts
 GRID, WIDTH, RADIUS = 32, 0.008, 0.002
+ADAPTIVE = ("around", "cop_line", "point")
+NAMES = {"around": "Around", "cop_line": "CoP line", "point": "Point"}
+NAMES |= {"by_place 8": "designed by place, 8 slots"}
 RAYLEIGH, WIDE = 0.19, 10.0  # mm
 LAMS = np.logspace(-7.5, -3.5, 17)  # λ/σ₁²
 
@@ -242,53 +245,60 @@ def at_most(table: list[dict], n: int) -> dict:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(18, 4.8), layout="constrained")
-    *panels, last = figure.subplots(1, 4)
+    from tomojax._pictures import name_points, style
+
+    figure = Figure(figsize=(16, 10.5), layout="constrained")
+    figure.suptitle("Eq. 3 under the paper's patterns and under designed sets of grounds")
+    *panels, last = figure.subplots(2, 2).ravel()
     keys = {
-        "place_median_mm": f"place error at {WIDE:g} mm, median, mm",
-        "place_p90_mm": f"place error at {WIDE:g} mm, 90 %, mm",
-        "pairs": "of pairs 30 mm apart told apart, %",
+        "place_median_mm": ("place error, mm (median)", "Place of a contact"),
+        "place_p90_mm": ("place error, mm (nine in ten)", "Place, nine in ten"),
+        "pairs": ("part told apart, %", "Pairs 30 mm apart"),
     }
     kinds = {
-        "at_most": ("C0-^", "designed by place, at most so many slots"),
-        "by_place": ("C0:", "designed by place, all of them"),
-        "designed": ("C3-o", "designed, one set for all places"),
+        "at_most": (style(0), "designed by place, at most so many slots"),
+        "by_place": (style(6, marker="none"), "designed by place, all of them"),
+        "designed": (style(3, linestyle="--"), "designed, one set for all places"),
     }
 
     def figure_of(row: dict, key: str) -> float:
         wide = row["equally_wide"]
         return 100 * wide["separated"]["30"] if key == "pairs" else wide[key]
 
-    for axes, (key, told) in zip(panels, keys.items()):
-        for kind, (style, label) in kinds.items():
+    for axes, (key, (label, title)) in zip(panels, keys.items()):
+        for kind, (look, told) in kinds.items():
             some = [r for r in rows if r["set"].startswith(kind)]
             x = [0.1 * r["slots"] for r in some]
-            axes.semilogx(x, [figure_of(r, key) for r in some], style, label=label)
-        for r in rows:
-            if r["set"] in tx.paper.PATTERNS:
-                mark = "^" if r["set"] in ("around", "cop_line", "point") else "o"
-                axes.semilogx(0.1 * r["slots"], figure_of(r, key), mark, color="0.4")
-                axes.annotate(r["set"], (0.1 * r["slots"], figure_of(r, key)), size=7)
-        axes.set(xlabel="Δt, ms (exploration not counted)", ylabel=told)
-        axes.set_xticks(
-            [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4],
-            labels="0.1 0.2 0.4 0.8 1.6 3.2 6.4".split(),
-        )
+            axes.semilogx(x, [figure_of(r, key) for r in some], **look, label=told)
+        named = []
+        for r in (r for r in rows if r["set"] in tx.paper.PATTERNS):
+            mark = "^" if r["set"] in ADAPTIVE else "o"
+            at = 0.1 * r["slots"], figure_of(r, key)
+            axes.semilogx(*at, mark, color="0.4", ms=5)
+            named.append((NAMES.get(r["set"], r["set"].replace("_", " ")), *at))
+        for mark, told in (("^", "pattern that knows the contact"), ("o", "pattern")):
+            axes.semilogx([], [], mark, color="0.4", ms=5, label=told)
+        axes.set(xlabel="time of a scan, ms (exploration not counted)", ylabel=label)
+        axes.set_title(f"{title}; images {WIDE:g} mm wide")
+        ticks = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4]
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.set_xticks([], minor=True)
-    panels[2].legend(fontsize=8, loc="lower right")
-    for name in ("around", "cop_line", "point", "by_place 8"):
+        axes.set_xlim(0.08, 9)
+        axes.grid(alpha=0.3)
+        name_points(axes, named, size=8)
+    told = panels[0].get_legend_handles_labels()
+    figure.legend(*told, loc="outside lower center", ncols=5, frameon=False)
+    for k, name in enumerate(("by_place 8", "around", "cop_line", "point")):
         curve = next(r["curve"] for r in rows if r["set"] == name)
-        for key, style in (("place_median_mm", "-"), ("place_p90_mm", ":")):
-            last.plot(
-                [c["half_width_mm"] for c in curve],
-                [c[key] for c in curve],
-                style,
-                color=f"C{('by_place 8', 'around', 'cop_line', 'point').index(name)}",
-                label=name if style == "-" else None,
-            )
-    last.set(xlabel="half-value width, mm", ylabel="place error, mm: median, 90 % (dotted)")
-    last.set(xlim=(7, 20), ylim=(0, 10), title="All along λ")
-    last.legend(fontsize=8)
+        x = [c["half_width_mm"] for c in curve]
+        for key, line in (("place_median_mm", "-"), ("place_p90_mm", ":")):
+            label = NAMES[name] if line == "-" else None
+            last.plot(x, [c[key] for c in curve], **style(k, linestyle=line, label=label))
+    last.set(xlabel="half-value width, mm", ylabel="place error, mm")
+    last.set(xlim=(7, 20), ylim=(0, 10))
+    last.set_title("Place and width along λ: median, nine in ten (dotted)")
+    last.grid(alpha=0.3)
+    last.legend(fontsize=9, loc="lower right", ncols=2)
     figure.savefig(path, dpi=110)
 
 

@@ -164,45 +164,59 @@ class Problem:
 def draw(report: dict[str, Any], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 9), layout="constrained")
+    from tomojax._pictures import plain, style
+
+    figure = Figure(figsize=(16, 10), layout="constrained")
+    figure.suptitle("Eq. 3 by each route: how right in float32, and how fast")
     (left, right), (low, last) = figure.subplots(2, 2)
-    colors = dict(zip((*ROUTES, "blocks, r = 256"), ("C3", "C0", "C1", "0.5", "C2")))
+    routes = (*ROUTES, "blocks, r = 256")
+    # Routes that are as right lie on each other: the first ones' lines are wide.
+    looks = {
+        route: {"color": style(k)["color"], "marker": style(k)["marker"],
+                "markersize": 9 - 1.2 * k, "lw": 3 - 0.5 * k}
+        for k, route in enumerate(routes)
+    }  # fmt: skip
     for axes, grounds in ((left, "8"), (right, "64")):
-        for route, color in colors.items():
-            for data, style in (("smooth", "-"), ("random", "--")):
+        for route, look in looks.items():
+            for data, line in (("smooth", "-"), ("random", "--")):
                 mine = [
                     r
                     for r in report["errors"]
                     if (r["grounds"], r["data"]) == (grounds, data) and r[route] is not None
                 ]
                 x, y = [r["lam_rel"] for r in mine], [r[route] for r in mine]
-                axes.loglog(x, y, style, marker="o", color=color, label=f"{route}, {data}")
+                axes.loglog(x, y, ls=line, **look, label=f"{route}, {data}")
         axes.axhline(1e-4, color="k", lw=0.8, ls=":")
         axes.set(xlabel="λ/σ₁²", ylabel="relative error of an image", ylim=(1e-9, 1e3))
-        axes.set_title(f"float32, {grounds} grounds; a missing point is NaN")
+        axes.set_title(f"Image in float32, {grounds} grounds (no point: NaN)")
         axes.grid(alpha=0.3)
-    left.legend(fontsize=7, ncols=2)
+    left.legend(fontsize=8, ncols=2, title="route, voltages", loc="upper right")
     rows = report["gradients"]
     names = [f"{r['frames']} frames of {r['slots']}, {r['J']}, {r['dtype']}" for r in rows]
     kinds = list(dict.fromkeys(names))
     for i, route in enumerate(ROUTES):
         at = [kinds.index(n) + 0.2 * (i - 1.5) for n in names[i :: len(ROUTES)]]
         values = [1e3 * r["median_s"] for r in rows if r["route"] == route]
-        low.barh(at, values, 0.2, color=colors[route], label=route)
+        look = {"color": looks[route]["color"], "edgecolor": "w", "label": route}
+        low.barh(at, values, 0.2, hatch=("", "//", "..", "xx")[i], **look)
     low.set_yticks(range(len(kinds)), kinds)
-    low.set(xscale="log", xlabel="ms: value and gradient in weights and λ")
+    low.set(xscale="log", xlabel="time of a call, ms (median)")
+    low.set_title("Value and gradient in weights and λ")
     low.invert_yaxis()
     low.legend()
+    plain(low.xaxis)
     for route in ROUTES:
         mine = [r for r in rows if r["route"] == route and r["dtype"] == "float32"][0]
-        for what, style in (("value", "-"), ("weights", "--"), ("lam", ":")):
+        for what, line in (("value", "-"), ("weights", "--"), ("lam", ":")):
             points = [(10.0**d, mine[f"{what} {d}"]) for d in DECADES]
             points = [p for p in points if p[1] is not None]
-            label = f"{route}, {'gradient in ' * (what != 'value')}{what}"
+            words = {"value": "value", "weights": "gradient, weights", "lam": "gradient, λ"}
+            label = f"{route}, {words[what]}"
             x, y = [p[0] for p in points], [p[1] for p in points]
-            last.loglog(x, y, style, marker="o", color=colors[route], label=label)
-    last.set(xlabel="λ/σ₁²", ylabel="relative error", ylim=(1e-9, 1e3), title=names[0])
-    last.legend(fontsize=7, ncols=2)
+            last.loglog(x, y, ls=line, **looks[route], label=label)
+    last.set(xlabel="λ/σ₁²", ylabel="relative error", ylim=(1e-9, 1e3))
+    last.set_title(f"Value and gradients: {names[0]}")
+    last.legend(fontsize=8, ncols=2, loc="upper right")
     last.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 

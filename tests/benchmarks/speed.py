@@ -35,6 +35,8 @@ JOBS = {
 # A day's frames: nothing, and kinds.
 MIX = {"nothing": 0.7, "one": 0.2, "two30": 0.03, "two20": 0.03, "three": 0.02}
 MIX |= {"bar": 0.01, "ring": 0.01}
+WORDS = {"one": "one contact", "two30": "two, 30 mm apart", "two20": "two, 20 mm apart"}
+WORDS |= {"three": "three contacts", "bar": "a bar", "ring": "a ring", "mix": "a day's mix"}
 # Calls of each row, unless they take longer.
 CALLS, SECONDS = 5, 40.0
 
@@ -144,19 +146,28 @@ def draw(rows: list[dict], path: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
+    from benchmarks.start import COMMITS
     from matplotlib import pyplot as plt
 
+    from tomojax._pictures import plain
+
     names = list(dict.fromkeys((r["job"], r["scene"]) for r in rows))
-    figure, axes = plt.subplots(figsize=(8, 0.32 * len(names) + 1.2), layout="constrained")
-    for k, (commit, colour) in enumerate((("older", "C7"), ("now", "C0"))):
+    figure, axes = plt.subplots(figsize=(9, 0.34 * len(names) + 1.6), layout="constrained")
+    for k, (commit, look) in enumerate(COMMITS.items()):
         mine = {(r["job"], r["scene"]): r["ms"] for r in rows if r["commit"] == commit}
         at = [i + 0.4 * k for i, name in enumerate(names) if name in mine]
         ms = [mine[name] for name in names if name in mine]
-        axes.barh(at, ms, 0.38, color=colour, label=commit)
-    axes.set_yticks([i + 0.2 for i in range(len(names))], [f"{j}: {s}" for j, s in names])
-    axes.set(xscale="log", xlabel="ms a frame, in a batch")
-    axes.invert_yaxis()
-    axes.legend()
+        bars = axes.barh(at, ms, 0.38, **look)
+        axes.bar_label(bars, [f"{v:.2g}" if v < 10 else f"{v:.0f}" for v in ms],
+                       padding=2, fontsize=8)  # fmt: skip
+    labels = [f"{job}: {WORDS[scene]}" for job, scene in names]
+    axes.set_yticks([i + 0.2 for i in range(len(names))], labels)
+    axes.set(xscale="log", xlabel="time of a frame in a batch, ms")
+    axes.set_xlim(right=2 * max(r["ms"] for r in rows))
+    axes.set_ylim(len(names) - 0.2, -0.4)
+    axes.set_title("Time of a frame by method, slots and scene", loc="left")
+    plain(axes.xaxis)
+    axes.legend(loc="upper right")
     figure.savefig(path, dpi=120)
 
 

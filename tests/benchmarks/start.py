@@ -105,6 +105,13 @@ def measured(job: str, root: Path, folder: Path) -> list[dict]:
     return rows
 
 
+# How the bars of both commits are drawn; the blue is `tomojax._pictures.BLUE`.
+COMMITS = {
+    "older": {"color": "0.75", "hatch": "//", "edgecolor": "w", "label": "older commit"},
+    "now": {"color": "#0072B2", "edgecolor": "w", "label": "now"},
+}
+
+
 def draw(rows: list[dict], path: Path) -> None:
     """Seconds of each job: older and now, at first and again."""
     import matplotlib
@@ -113,21 +120,22 @@ def draw(rows: list[dict], path: Path) -> None:
     from matplotlib import pyplot as plt
 
     names = list(dict.fromkeys(r["job"] for r in rows))
-    figure, both = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
+    figure, both = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True, layout="constrained")
     for axes, again in zip(both, (False, True)):
-        for k, (commit, colour) in enumerate((("older", "C7"), ("now", "C0"))):
+        for k, (commit, look) in enumerate(COMMITS.items()):
             mine = {
                 r["job"]: r for r in rows if (r["commit"], r["again"]) == (commit, again)
             }
             at = [i + 0.4 * k for i, name in enumerate(names) if name in mine]
             seconds = [mine[name]["seconds"] for name in names if name in mine]
-            bars = axes.barh(at, seconds, 0.38, color=colour, label=commit)
+            bars = axes.barh(at, seconds, 0.38, **look)
             axes.bar_label(bars, fmt="%.1f", padding=2, fontsize=8)
         axes.set_yticks([i + 0.2 for i in range(len(names))], names)
-        axes.set(title="again" if again else "first run", xlabel="s to the end")
+        axes.set(title="Again" if again else "First run", xlabel="time to the end, s")
         axes.margins(x=0.15)
     both[0].invert_yaxis()
-    both[0].legend()
+    both[0].legend(loc="lower right")
+    figure.suptitle("A command on a short recording, start and compiling included")
     figure.savefig(path, dpi=120)
 
 

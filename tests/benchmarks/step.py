@@ -213,32 +213,47 @@ def jumps(step, rig, volts, path) -> dict:
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 4.5), layout="constrained")
+    from tomojax._pictures import plain, style
+
+    figure = Figure(figsize=(16, 6), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    for k, method in enumerate(METHODS):
+    for method in METHODS:
         for row in (r for r in rows if r["kind"] == "latency" and r["method"] == method):
             tuned = bool(row["settings"])
             values = [row[name] for name in QUANTILES]
             label = f"{method}, {'tuned' if tuned else 'as it comes'}"
-            style = "-o" if tuned else ":s"
-            left.semilogy(range(len(values)), values, style, color=f"C{k}", label=label)
-    left.axhline(100, color="0.6", lw=1)
+            look = style(method.split()[0], markersize=6, label=label)
+            look |= {"marker": "*"} if method == "follow one" else {}
+            look |= {"linestyle": "-" if tuned else ":"}
+            look |= {"markerfacecolor": look["color"] if tuned else "w"}
+            left.semilogy(range(len(values)), values, **look)
+    left.axhline(100, color="0.6", lw=1, label="100 µs: a slot")
     left.set_xticks(range(4), ["50 %", "99 %", "99.9 %", "99.99 %"])
-    left.set(ylabel="one slot to contacts and next ground, µs", title="Latency")
-    left.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.12), ncols=2)
+    left.set(ylabel="one slot to contacts and next ground, µs", xlabel="part of the slots")
+    left.set_title("Latency of a step")
     for k, policy in enumerate(POLICIES):
         some = [r for r in rows if r["kind"] == "moving" and r["policy"] == policy]
-        speed = [r["speed_m_s"] for r in some]
+        speed, label = (
+            [r["speed_m_s"] for r in some],
+            policy.replace("_", " ").replace("cop", "CoP"),
+        )
         for axes, name in ((middle, "place_median_mm"), (right, "lag_ms")):
-            axes.plot(speed, [r[name] for r in some], "-o", color=f"C{k}", label=policy)
+            look = style(k, markersize=6, label=label)
+            axes.plot(speed, [r[name] for r in some], **look)
     for axes in (middle, right):
-        axes.set(xlabel="speed, m/s", xscale="log")
+        axes.set(xlabel="speed of the contact, m/s", xscale="log")
         axes.set_xticks(SPEEDS, [f"{speed:g}" for speed in SPEEDS], minor=False)
         axes.set_xticks([], minor=True)
     middle.set(ylabel="place error, mm (median)", ylim=(0, None))
-    middle.set_title("Closed loop, a moving contact (follow)")
-    right.set(ylabel="behind, along the path: mean, ms of the way", title="Lag")
-    middle.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.12), ncols=3)
+    middle.set_title("Place in a closed loop (follow), by policy")
+    right.set(ylabel="mean distance behind / speed, ms")
+    right.set_title("Lag along the path, by policy")
+    plain(left.yaxis)
+    for axes, columns in ((left, 2), (middle, 2)):
+        axes.legend(fontsize=9, loc="upper left", bbox_to_anchor=(0, -0.14),
+                    ncols=columns, frameon=False)  # fmt: skip
+    for axes in (left, middle, right):
+        axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 
 

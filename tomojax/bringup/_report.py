@@ -5,23 +5,33 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._pictures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    lay_sheet,
+    ORANGE,
+    PURPLE,
+    VALUE,
+    VERMILION,
+)
 from tomojax._whole import write_text
 from tomojax.bringup._fault import Checked, Fault
 
 # How faults are drawn at their electrodes: marker and colour.
 _MARKS = {
-    "dead": ("x", "C3"),
-    "stuck": ("s", "C3"),
-    "gain": ("^", "C1"),
-    "noise": ("*", "C1"),
-    "hum": ("*", "C1"),
-    "settling": ("v", "C1"),
-    "ground_stuck": ("P", "C4"),
-    "ground_permuted": ("D", "C4"),
-    "swapped": ("o", "C0"),
-    "mirrored": ("o", "C0"),
-    "misplaced": ("d", "C2"),
-    "tear": ("h", "C5"),
+    "dead": ("x", VERMILION),
+    "stuck": ("s", VERMILION),
+    "gain": ("^", ORANGE),
+    "noise": ("*", ORANGE),
+    "hum": ("H", ORANGE),
+    "settling": ("v", ORANGE),
+    "ground_stuck": ("P", PURPLE),
+    "ground_permuted": ("D", PURPLE),
+    "swapped": ("o", BLUE),
+    "mirrored": ("8", BLUE),
+    "misplaced": ("d", GREEN),
+    "tear": ("h", BLACK),
 }
 
 # Numbers of channels in a title or a legend, at most.
@@ -121,12 +131,13 @@ def picture(checked: Checked) -> Any:
     plane, swing = checked.seen
     figure = Figure(figsize=(8.4, 6.0), layout="constrained")
     axes = figure.subplots()
-    size, xy = 1e3 * plane.size, 1e3 * plane.xy
-    axes.plot(*1e3 * checked.contacts.T, ".", color="0.8", ms=3, zorder=1)
-    radius = 500 * plane.diameter
-    drawn = axes.scatter(
-        *xy.T, c=swing, s=90, cmap="viridis", edgecolors="0.3", lw=0.5, zorder=2
+    xy, radius = 1e3 * plane.xy, 500 * plane.diameter
+    lay_sheet(axes, plane.size, plane.xy, plane.diameter)
+    axes.plot(
+        *1e3 * checked.contacts.T, ".", color="0.75", ms=3, zorder=1, label="contacts"
     )
+    look = {"cmap": VALUE, "edgecolors": "0.3", "lw": 0.5, "zorder": 2}
+    drawn = axes.scatter(*xy.T, c=swing, s=90, **look)
     figure.colorbar(drawn, label="median voltage in touches, V", shrink=0.8)
     back = np.argsort(checked.channels)
     for e, (x, y) in enumerate(xy):
@@ -144,14 +155,7 @@ def picture(checked: Checked) -> Any:
     told = "; ".join(f.text for f in whole) or (
         "no fault found" if not checked.faults else ""
     )
-    axes.set(
-        xlim=(0, size[0]),
-        ylim=(0, size[1]),
-        aspect="equal",
-        xlabel="x, mm",
-        ylabel="y, mm",
-        title="electrodes by the channels that read them; contacts grey",
-    )
+    axes.set_title("Electrodes, numbered by the channels that read them")
     handles, names = axes.get_legend_handles_labels()
     if handles:
         figure.legend(handles, names, loc="outside lower center", fontsize=8, ncols=2)

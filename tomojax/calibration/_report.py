@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._pictures import lay_sheet, show_image, SIGNED
 from tomojax.calibration._calibrate import Calibrated
 from tomojax.calibration._unknowns import affine, all_waves
 from tomojax.sensor import Calibration, Sensor
@@ -158,17 +159,14 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
 
     calibration: Calibration = found.calibration
     size, m = np.asarray(sensor.size, float), sensor.electrode_count
-    figure = Figure(figsize=(6.4, 5.4), layout="constrained")
+    figure = Figure(figsize=(7.2, 6.0), layout="constrained")
     axes = figure.subplots()
     axis = [(np.arange(60) + 0.5) / 60 * s for s in size]
     grid = np.stack(np.meshgrid(*axis, indexing="ij"), -1).reshape(-1, 2)
     factor = 100 * (calibration.sheet_factor(grid, size).reshape(60, 60) - 1)
-    extent = (0, 1e3 * size[0], 0, 1e3 * size[1])
     most = max(np.abs(factor).max(), 0.1)
-    drawn = axes.imshow(
-        factor.T, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most
-    )
-    figure.colorbar(drawn, label="sheet resistance beside its mean, %")
+    label = "sheet resistance beside its mean, %"
+    show_image(axes, factor, size, label, cmap=SIGNED, vmin=-most, vmax=most)
     axes.plot(*1e3 * found.places.T, ".", color="0.4", ms=1.5, label="contacts")
     xy = 1e3 * np.asarray(sensor.electrode_xy, float)
     moved = 1e3 * np.broadcast_to(calibration.electrodes, (m, 2))
@@ -178,11 +176,12 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
     enlarged = whole * max(k for k in (1, 2, 5) if k * whole <= room)
     given, scale = (*xy.T, *moved.T), float(1 / enlarged)
     axes.quiver(*given, angles="xy", scale_units="xy", scale=scale, width=0.004)
-    axes.plot(*xy.T, "o", mfc="none", mec="k", ms=4, label="electrodes")
-    axes.set(
-        xlabel="x, mm",
-        ylabel="y, mm",
-        title=f"electrodes' places beside the nominal ones, {enlarged:.0f} times",
+    lay_sheet(axes, size, sensor.electrode_xy, float(sensor.electrode_diameter), "k")
+    axes.set_title(
+        "The sheet's resistance; arrows: how far the electrodes\n"
+        f"are off their nominal places, enlarged {enlarged:g} times"
     )
-    axes.legend(loc="upper right", fontsize=8)
+    axes.plot([], [], "o", mfc="none", mec="k", ms=5, label="electrodes, nominal")
+    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.1), fontsize=8, ncols=2,
+                frameon=False)  # fmt: skip
     return figure

@@ -236,42 +236,53 @@ def _draw(sensor: Any, report: dict[str, Any]) -> Any:
     import numpy as np
     from matplotlib.figure import Figure
 
+    from tomojax._pictures import (
+        lay_sheet,
+        name_points,
+        plain,
+        show_image,
+        style,
+        VALUE,
+        VERMILION,
+    )
+
     s = report["summary"]
     scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
-    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    figure = Figure(figsize=(14, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     xy = 1e3 * np.asarray(sensor.electrode_xy)
-    width, height = 1e3 * np.asarray(sensor.size)
+    figure.suptitle(f"Grounds designed for {s['method']}, criterion {s['criterion']}")
     if report["_map"] is not None:
-        image = left.imshow(
-            scale * report["_map"].T,
-            origin="lower",
-            extent=(0, width, 0, height),
-            cmap="viridis_r",
-            norm="log",
-        )
-        figure.colorbar(image, label=f"{s['criterion']}, {s['method']}: {unit}")
-    left.plot(*xy.T, "o", color="w", mec="0.4", ms=4)
+        image = scale * report["_map"]
+        label = f"{s['criterion']} of a contact there, {unit}"
+        show_image(left, image, sensor.size, label, cmap=f"{VALUE}_r", norm="log")
+    lay_sheet(left, sensor.size, sensor.electrode_xy, float(sensor.electrode_diameter))
     left.plot(*1e3 * report["_places"].T, "k.", ms=2)
     for order, ground in enumerate(s["grounds"], 1):
-        left.plot(*xy[ground], "o", color="C3", ms=11)
+        left.plot(*xy[ground], "o", color=VERMILION, ms=11)
         left.text(*xy[ground], str(order), color="w", ha="center", va="center", size=8)
-    left.set(xlabel="x, mm", ylabel="y, mm", title=f"{len(s['grounds'])} grounds in order")
+    left.set_title(f"{len(s['grounds'])} grounds in order; dots: contacts")
     rows = sorted(report["rows"], key=lambda row: row["slots"])
     for row in rows:
         mark = "^" if row["adaptive"] else "o"
-        right.loglog(row["slots"], scale * row["value"], mark, color="0.4")
-        right.annotate(row["name"], (row["slots"], scale * row["value"]), size=7)
-    for adaptive, style, label in ((False, "-o", "one for all"), (True, "-^", "by place")):
+        right.loglog(row["slots"], scale * row["value"], mark, color="0.4", ms=5)
+    for adaptive, k, label in ((False, 0, "one for all"), (True, 2, "by place")):
         some = [row for row in rows if row["adaptive"] == adaptive]
         values = [scale * row["designed"] for row in some]
         slots = [row["slots"] for row in some]
-        right.loglog(slots, values, style, color="C3", ms=4, label=f"designed, {label}")
-    right.legend(fontsize=8)
-    right.loglog(len(s["grounds"]), scale * s["objective"], "*", color="C3", ms=12)
+        right.loglog(slots, values, **style(k, label=f"designed, {label}"))
+    right.loglog([], [], "o", color="0.4", ms=5, label="pattern")
+    right.loglog([], [], "^", color="0.4", ms=5, label="pattern that knows the contact")
+    at = len(s["grounds"]), scale * s["objective"]
+    right.loglog(
+        *at, "*", color=VERMILION, ms=12, ls="none", label="the design on the left"
+    )
+    name_points(right, [(row["name"], row["slots"], scale * row["value"]) for row in rows])
+    right.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
     slots = sorted({row["slots"] for row in rows})
     right.set_xticks(slots, [str(n) for n in slots], minor=False)
     right.set_xticks([], minor=True)
-    right.set(xlabel="slots", ylabel=f"objective, {unit}")
-    right.set_title("patterns (triangles know the contact) and designs")
+    plain(right.yaxis)
+    right.set(xlabel="slots", ylabel=f"{s['criterion']}, {unit}")
+    right.set_title("Patterns and designs, the lower the better")
     return figure

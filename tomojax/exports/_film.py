@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._pictures import DENSITY, lay_sheet, SKY
 from tomojax._require import require
 from tomojax._whole import whole
-from tomojax.exports._overview import Overview, overview, rings
+from tomojax.exports._overview import draw_overview, Overview, overview, rings
 from tomojax.exports._source import Progress, Source
 from tomojax.kernels.flags import Flag
 
@@ -128,24 +129,17 @@ class _Picture:
                 extent=(0, width, 0, height),
                 vmin=0,
                 vmax=top,
-                cmap="magma",
+                cmap=DENSITY,
             )
             unit = source.unit("image").replace("^2", "²")
             figure.colorbar(self._shown, ax=sheet, label=f"image, {unit}")
         else:
             sheet.set_facecolor("black")
-        (electrodes,) = sheet.plot(*(1e3 * source.electrode_xy.T), ".", color="0.5", ms=2)
-        sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal")
-        sheet.set(xlabel="x, mm", ylabel="y, mm")
-        (self._dots,) = sheet.plot([], [], ".", color="c", ms=2, alpha=0.6)
-        (self._rings,) = sheet.plot([], [], color="c", lw=1.2)
+        electrodes = lay_sheet(sheet, source.size, source.electrode_xy)
+        (self._dots,) = sheet.plot([], [], ".", color=SKY, ms=2, alpha=0.6)
+        (self._rings,) = sheet.plot([], [], color=SKY, lw=1.2)
         self._title = sheet.set_title("", fontsize=10, loc="left", family="monospace")
-        line.plot(whole.t, whole.high, lw=0.8)
-        line.fill_between(whole.t, whole.low, whole.high, alpha=0.5, lw=0)
-        for t in whole.doubted:
-            line.axvspan(t, t + whole.step, color="C3", alpha=0.25, lw=0)
-        line.set(xlabel="s  (red: rows in doubt)", ylabel=whole.words)
-        line.set(xlim=(whole.t[0], max(whole.t[-1], whole.t[0] + 1e-9)), ylim=(0, None))
+        draw_overview(line, whole)
         self._now = line.axvline(whole.t[0], color="k", lw=1)
         moving = self._shown, electrodes, self._dots, self._rings
         self._moving = [artist for artist in moving if artist is not None]

@@ -1,10 +1,11 @@
 """Computes a file's overview for pictures: contacts' strength over time, and circles."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from tomojax._pictures import BLUE, VERMILION
 from tomojax.exports._source import Source
 from tomojax.kernels.flags import DOUBT
 
@@ -47,6 +48,19 @@ def overview(source: Source) -> Overview:
     words = "force, N" if forces else "conductance, µS"
     starts = begin + step * np.flatnonzero(doubt)
     return Overview(centres[there], low[there], high[there], starts, step, words)
+
+
+def draw_overview(axes: Any, told: Overview) -> None:
+    """Draws the sum over contacts against time, and which rows are in doubt."""
+    axes.plot(told.t, told.high, lw=0.8, color=BLUE)
+    axes.fill_between(told.t, told.low, told.high, alpha=0.5, lw=0, color=BLUE)
+    for k, t in enumerate(told.doubted):
+        span = axes.axvspan(t, t + told.step, color=VERMILION, alpha=0.25, lw=0)
+        span.set_label("in doubt" if k == 0 else "")
+    if len(told.doubted):
+        axes.legend(loc="upper right", fontsize=8)
+    axes.set(xlabel="time, s", ylabel=told.words, title="All contacts together")
+    axes.set(xlim=(told.t[0], max(told.t[-1], told.t[0] + 1e-9)), ylim=(0, None))
 
 
 def rings(

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tomojax._pictures import lay_sheet, style
 from tomojax._whole import whole
-from tomojax.exports._overview import overview
+from tomojax.exports._overview import draw_overview, overview
 from tomojax.exports._source import Progress, Source
 from tomojax.results import outlines_of
 
@@ -18,10 +19,9 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     from matplotlib.figure import Figure
 
     told = overview(source)
-    width, height = 1e3 * source.size
     figure = Figure(figsize=(6.0, 7.0), layout="constrained")
     sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
-    sheet.plot(*(1e3 * source.electrode_xy.T), ".", color="0.8", ms=3, zorder=0)
+    lay_sheet(sheet, source.size, source.electrode_xy)
     tracked = "contact_track" in source.names
     step = max(1, -(-source.rows // _POINTS))
     names = ["contact_xy", *(("contact_track",) if tracked else ())]
@@ -35,26 +35,22 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     if tracked:
         track = np.concatenate(kept["contact_track"])
         for number in np.unique(track[track > 0]):
-            sheet.plot(*xy[track == number].T, lw=1, color=f"C{number % 10}")
+            sheet.plot(*xy[track == number].T, lw=1, color=style(int(number))["color"])
     else:
         for c in range(xy.shape[1]):
-            sheet.plot(*xy[:, c].T, ".", ms=2, color=f"C{c}", label=f"{c + 1}")
+            look = style(c, linestyle="none", markersize=2, label=f"{c + 1}")
+            sheet.plot(*xy[:, c].T, **look)
         if xy.shape[1] > 1 and np.isfinite(xy[:, 1]).any():
             sheet.legend(title="by strength", fontsize=8, markerscale=3)
-    words = "paths of contacts"
+    words = "Paths of contacts"
     if "touch" in source.names:
         k = _most(source)
         words += f"; outlines at {float(source.row('t', k)):.3f} s"
         for one in outlines_of(source.row("touch", k), source.size):
             for ring in one.rings:
                 sheet.plot(*(1e3 * ring.T), color="k", lw=1)
-    sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal")
-    sheet.set(xlabel="x, mm", ylabel="y, mm", title=words)
-    line.plot(told.t, told.high, lw=0.8)
-    line.fill_between(told.t, told.low, told.high, alpha=0.5, lw=0)
-    for t in told.doubted:
-        line.axvspan(t, t + told.step, color="C3", alpha=0.25, lw=0)
-    line.set(xlabel="s  (red: rows in doubt)", ylabel=told.words, ylim=(0, None))
+    sheet.set_title(words)
+    draw_overview(line, told)
     with whole(out) as part:
         figure.savefig(part, metadata={"Date": None})
 

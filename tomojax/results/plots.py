@@ -4,76 +4,136 @@
 # (h5py does not say whether a name is a group or a dataset)
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tomojax.kernels.flags import Flag
+from tomojax._pictures import GREY, lay_sheet, show_image, style, VALUE, VERMILION
+from tomojax.kernels.flags import DOUBT, Flag
 from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
+
+# Area of the dot of the largest current, and of the smallest dot, square points.
+_DOTS = 40.0, 2.0
 
 
 def timeline(path: Path) -> Figure:
     """Draws contacts' places and currents over time, the path on the sheet, and flags."""
     with LoadedResults(path) as file:
-        step = max(1, -(-file.rows // _POINTS))
-        t, xy, current, flags, residual = (
-            file.thinned(name, step)
-            for name in ("t", "contact_xy", "contact_current", "flags", "residual")
-        )
-        image, unit, each, electrodes = None, "", None, np.zeros((0, 2))
-        if "image" in file.names:
-            strongest = _strongest(file)
-            image = file.stretch("image", strongest, strongest + 1)[0]
-            unit = file.unit("image").get("unit", "")
-            name = "residual_by_electrode"
-            if name in file.names and "electrode_xy" in file.attributes:
-                each = 1e3 * file.stretch(name, strongest, strongest + 1)[0]
-                electrodes = 1e3 * file.electrode_xy()
-        covariance = None
-        if "contact_covariance" in file.names:
-            covariance = file.thinned("contact_covariance", step)
-        width, height = 1e3 * file.size()
-    figure = Figure(figsize=(14, 8), layout="constrained")
-    grid = figure.add_gridspec(4, 3)
-    left = [figure.add_subplot(grid[k, :2]) for k in range(4)]
+        rows = _thinned(file)
+        shown = _largest(file) if "image" in file.names else {}
+        size, electrodes = file.size(), np.zeros((0, 2))
+        if "electrode_xy" in file.attributes:
+            electrodes = file.electrode_xy()
+        method = str(file.attributes.get("method", ""))
+    figure = Figure(figsize=(14, 9), layout="constrained")
+    of = f", found by {method}" if method else ""
+    figure.suptitle(f"Contacts in {path.name}{of}")
+    grid = figure.add_gridspec(30, 3)
+    left = [figure.add_subplot(grid[6 * k : 6 * k + 6, :2]) for k in range(5)]
+    _over_time(left, rows)
+    each = shown.get("residual_by_electrode")
+    maps = [
+        "places",
+        *(["image"] if shown else []),
+        *(["each"] if each is not None else []),
+    ]
+    high = 30 // max(2, len(maps))
+    right = {m: figure.add_subplot(grid[high * k : high * k + high, 2])
+             for k, m in enumerate(maps)}  # fmt: skip
+    _on_sheet(right["places"], rows, size, electrodes)
+    if "image" in right:
+        label = f"image, {shown['unit'].replace('^2', '²')}"
+        show_image(right["image"], shown["image"], size, label)
+        right["image"].set_title(f"Image at {shown['t']:.3f} s, the largest current")
+    if "each" in right:
+        _on_electrodes(right["each"], each, size, electrodes)
+    return figure
+
+
+def _thinned(file: LoadedResults) -> dict[str, np.ndarray]:
+    """Returns so many rows as a picture shows."""
+    step = max(1, -(-file.rows // _POINTS))
+    names = ["t", "contact_xy", "contact_current", "flags", "residual"]
+    names += [name for name in ("contact_covariance",) if name in file.names]
+    return {name: file.thinned(name, step) for name in names}
+
+
+def _largest(file: LoadedResults) -> dict[str, Any]:
+    """Returns the image of the row of the largest current; sound rows come first."""
+    current = np.nan_to_num(file.read("contact_current")).sum(1)
+    sound = np.where(file.read("flags") & int(DOUBT), 0, current)
+    k = int((sound if sound.any() else current).argmax())
+    names = ("t", "image", "residual_by_electrode")
+    told = {n: file.stretch(n, k, k + 1)[0] for n in names if n in file.names}
+    return told | {"unit": str(file.unit("image").get("unit", ""))}
+
+
+def _over_time(panels: list, rows: dict[str, np.ndarray]) -> None:
+    """Draws places, currents, residuals and flags against time, one below the other."""
+    t, xy, current = rows["t"], rows["contact_xy"], rows["contact_current"]
     for c in range(max(1, int(np.isfinite(current).any(0).sum()))):
-        style = {"ls": "none", "marker": ".", "ms": 3, "color": f"C{c}"}
-        left[0].plot(t, 1e3 * xy[:, c, 0], **style)
-        left[1].plot(t, 1e3 * xy[:, c, 1], **style)
-        left[2].plot(t, 1e6 * current[:, c], **style, label=f"{c + 1}")
-    for axes, label in zip(left, ("x, mm", "y, mm", "current, µA")):
+        look = style(c, linestyle="none", markersize=3, label=f"{c + 1}")
+        panels[0].plot(t, 1e3 * xy[:, c, 0], **look)
+        panels[1].plot(t, 1e3 * xy[:, c, 1], **look)
+        panels[2].plot(t, 1e6 * current[:, c], **look)
+    panels[3].plot(t, 1e3 * rows["residual"], ".", color=GREY, markersize=3)
+    for axes, label in zip(panels, ("x, mm", "y, mm", "current, µA", "residual, mV rms")):
         axes.set_ylabel(label)
-        axes.sharex(left[3])
-    left[2].legend(title="contact", loc="upper right", markerscale=3, fontsize=8)
-    found = [f for f in Flag if (flags & f.value).any()]
+        axes.sharex(panels[4])
+        axes.tick_params(labelbottom=False)
+        axes.grid(alpha=0.3)
+    panels[0].set_title("Contacts of each row, 1 is the strongest", loc="left")
+    panels[0].legend(
+        loc="lower right", bbox_to_anchor=(1, 1), ncols=8, markerscale=2, frameon=False
+    )
+    _flags(panels[4], t, rows["flags"])
+
+
+def _flags(axes: Any, t: np.ndarray, flags: np.ndarray) -> None:
+    found = [flag for flag in Flag if (flags & flag.value).any()]
     for k, flag in enumerate(found):
         when = t[flags & flag.value > 0]
-        left[3].plot(when, np.full(len(when), k), "|", color="C3" if flag.level else "0.5")
-    left[3].set_yticks(range(len(found)), [str(f.name) for f in found], fontsize=7)
-    left[3].set(xlabel="s", ylim=(-0.5, max(0.5, len(found) - 0.5)))
-    path_axes = figure.add_subplot(grid[:2, 2])
-    dots = path_axes.scatter(*(1e3 * xy[:, 0].T), c=t, s=4)
-    figure.colorbar(dots, ax=path_axes, label="s")
-    path_axes.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="strongest contact")
-    if covariance is not None:
-        ellipses(path_axes, xy[:, 0], covariance[:, 0])
-    path_axes.set(xlim=(0, width), ylim=(0, height))
-    other = figure.add_subplot(grid[2:, 2])
-    if image is None:
-        other.plot(t, 1e3 * residual, ".", ms=2)
-        other.set(xlabel="s", ylabel="residual, mV")
-    else:
-        shown = other.imshow(image.T, origin="lower", extent=(0, width, 0, height))
-        figure.colorbar(shown, ax=other, label=unit)
-        title = "image at the largest current"
-        if each is not None:
-            shown = other.scatter(*electrodes.T, c=each, s=18, cmap="cool", lw=0)
-            figure.colorbar(shown, ax=other, label="residual of each electrode, mV")
-        other.set(title=title, xlabel="x, mm", ylabel="y, mm")
-    return figure
+        look = {"color": VERMILION, "ms": 10} if flag.level else {"color": GREY, "ms": 5}
+        axes.plot(when, np.full(len(when), k), "|", **look)
+    names = [str(flag.name).lower().replace("_", " ") for flag in found]
+    axes.set_yticks(range(len(found)), names, fontsize=8)
+    axes.set(xlabel="time, s", ylim=(-0.5, max(0.5, len(found) - 0.5)))
+    words = "Flags; high and red: the row is in doubt" if found else "No row has a flag"
+    axes.set_title(words, loc="left", fontsize=10)
+
+
+def _on_sheet(axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray) -> None:
+    """Draws where contacts were: by time, the larger the current; rows in doubt grey."""
+    lay_sheet(axes, size, electrodes)
+    xy, current = rows["contact_xy"], np.nan_to_num(rows["contact_current"])
+    there = np.isfinite(xy).all(-1)
+    doubt = there & (rows["flags"] & int(DOUBT) > 0)[:, None]
+    axes.plot(*(1e3 * xy[doubt].T), "x", color=GREY, ms=3, mew=0.5, zorder=1)
+    sound = there & ~doubt
+    time = np.broadcast_to(rows["t"][:, None], sound.shape)[sound]
+    largest, smallest = _DOTS
+    area = largest * current[sound] / max(float(current.max(initial=0)), 1e-30)
+    dots = axes.scatter(
+        *(1e3 * xy[sound].T), c=time, s=np.maximum(area, smallest), cmap=VALUE, lw=0,
+        zorder=2,
+    )  # fmt: skip
+    axes.figure.colorbar(dots, ax=axes, label="time, s")
+    crosses = "; crosses: in doubt" if doubt.any() else ""
+    axes.set_title(f"Where contacts were{crosses}", fontsize=11)
+    if "contact_covariance" in rows:
+        ellipses(axes, xy[:, 0], rows["contact_covariance"][:, 0])
+
+
+def _on_electrodes(axes: Any, each: np.ndarray, size: np.ndarray, xy: np.ndarray) -> None:
+    """Draws what the model leaves unexplained at each electrode, in the image's row."""
+    lay_sheet(axes, size, xy[:0])
+    dots = axes.scatter(*(1e3 * xy.T), c=1e3 * each, s=40, cmap=VALUE, ec="0.5", lw=0.5)
+    axes.figure.colorbar(dots, ax=axes, label="residual, mV rms")
+    axes.set_title("Residual of each electrode in that row", fontsize=11)
 
 
 def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
@@ -88,11 +148,6 @@ def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **sty
         angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
         style = {"fill": False, "ec": "k", "lw": 0.5} | style
         axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
-
-
-def _strongest(file: LoadedResults) -> int:
-    current = np.nan_to_num(file.read("contact_current")[:, 0])
-    return int(current.argmax())
 
 
 def still(figure: Figure, moving: list):

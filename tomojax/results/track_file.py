@@ -23,6 +23,9 @@ _UNITS = {name: field.unit for name, field in fields_of_rows().items()} | {
     "contact_track": "1",
     "contact_conductance_error": "1",
 }
+# Paths that a picture shows.
+_PATHS = 200
+
 # What is about a contact by its place in the row, and so not the tracks'.
 _LEFT_OUT = (
     "contact_radius",
@@ -116,6 +119,7 @@ def picture(path: Path, out: Path) -> Any:
     """Draws places and conductances before and after, and the places' ellipses."""
     from matplotlib.figure import Figure
 
+    from tomojax._pictures import lay_sheet, style
     from tomojax.results.plots import ellipses
 
     with LoadedResults(path) as raw:
@@ -125,28 +129,37 @@ def picture(path: Path, out: Path) -> Any:
         xy, g = file["contact_xy"][()], file["contact_conductance"][()]
         later = file["t"][()]
         spread, names = file["contact_covariance"][()], file["contact_track"][()]
-        width, height = 1e3 * file.attrs["size"]
+        size, electrodes = file.attrs["size"], file.attrs["electrode_xy"]
     figure = Figure(figsize=(14, 8), layout="constrained")
+    figure.suptitle(f"Contacts of {path.name}, followed over time")
     grid = figure.add_gridspec(3, 3)
     left = [figure.add_subplot(grid[k, :2]) for k in range(3)]
     step = max(1, len(t) // 20_000)
+    colours = [style(k)["color"] for k in range(g.shape[1])]
     for axes, old, new, label in zip(
         left,
         (1e3 * before[..., 0], 1e3 * before[..., 1], 1e6 * raw_g),
         (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
         ("x, mm", "y, mm", "conductance, µS"),
     ):
-        axes.plot(t[::step], old[::step], ".", ms=2, color="0.7")
-        axes.plot(later[::step], new[::step], lw=1)
+        dots = axes.plot(t[::step], old[::step], ".", ms=2, color="0.7")
+        axes.set_prop_cycle(color=colours)
+        lines = axes.plot(later[::step], new[::step], lw=1)
         axes.set_ylabel(label)
-    left[2].set(xlabel="s (dots: row by row; lines: followed)", yscale="log")
+        axes.grid(alpha=0.3)
+    left[0].set_title("Each contact slot over time", loc="left")
+    left[0].legend(
+        [dots[0], lines[0]], ["row by row", "followed"], loc="lower right",
+        bbox_to_anchor=(1, 1), ncols=2, frameon=False,
+    )  # fmt: skip
+    left[2].set(xlabel="time, s", yscale="log")
     sheet = figure.add_subplot(grid[:, 2])
-    for number in np.unique(names[names > 0])[:200]:
+    lay_sheet(sheet, size, electrodes)
+    for number in np.unique(names[names > 0])[:_PATHS]:
         row, column = np.nonzero(names == number)
         path_xy = 1e3 * xy[row, column]
-        colour = f"C{number % 10}"
+        colour = style(int(number))["color"]
         sheet.plot(*path_xy.T, lw=0.8, color=colour)
         ellipses(sheet, xy[row, column], spread[row, column], 6, ec=colour)
-    sheet.set(xlim=(0, width), ylim=(0, height), aspect="equal", xlabel="x, mm")
-    sheet.set(ylabel="y, mm", title="paths, with ellipses of two standard deviations")
+    sheet.set_title("Paths on the sheet,\nwith ellipses of two standard deviations")
     return figure

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._pictures import GREY, METHODS, plain, style
 from tomojax.studies.frontier._beside import (
     beside_peers,
     error_mm as error_mm,
@@ -13,16 +14,6 @@ from tomojax.studies.frontier._beside import (
 )
 from tomojax.studies.frontier._scenes import KINDS
 
-COLOURS = {
-    "linear": "C3",
-    "source": "C1",
-    "positive": "C4",
-    "points": "C0",
-    "conductance": "C2",
-    "shape": "C6",
-    "auto": "C5",
-    "follow": "C9",
-}
 _PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D", "NumPy sLORETA": "^"}
 _TOLD = ("pattern", "slots", "pixels", "dtype", "output", "batch", "p50_us")
 _RUNGS = ("nothing", "points", "source", "conductance", "shape")
@@ -133,45 +124,59 @@ def chart(rows: list[dict[str, Any]]) -> Any:
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 9), layout="constrained")
+    figure = Figure(figsize=(15, 9.4), layout="constrained")
+    figure.suptitle("How near, and how fast: every method on the same frames")
     panels = figure.subplots(2, 3).ravel()
     for axes, kind in zip(panels, KINDS):
         some = [r for r in rows if r["scene"] == kind and error_mm(r) is not None]
         ahead = {id(f["peer"]) for f in beside_peers(some) if f["ahead"]}
         for row in some:
-            size = 12 + 18 * np.log2(row["slots"]) if row["slots"] > 1 else 12
+            at = row["p50_us"], error_mm(row)
             if row["peer"]:
-                full = "k" if id(row) in ahead else "none"
-                style = {"marker": _PEERS[row["method"]], "facecolors": full}
-                axes.scatter(row["p50_us"], error_mm(row), s=size, edgecolors="k", **style)
+                full = GREY if id(row) in ahead else "none"
+                look = {"marker": _PEERS[row["method"]], "facecolors": full}
+                look |= {"edgecolors": "0.4", "zorder": 1, "linewidths": 0.6}
             else:
-                colour = COLOURS[row["method"]]
-                axes.scatter(
-                    row["p50_us"], error_mm(row), s=size, color=colour, alpha=0.5, lw=0
-                )
+                look = METHODS[row["method"]]
+                look = {"marker": look.marker, "color": look.color, "zorder": 2}
+                look |= {"edgecolors": "w", "linewidths": 0.4, "alpha": 0.8}
+            area = _area(row["slots"]) * (0.5 if row["peer"] else 1.0)
+            axes.scatter(*at, s=area, **look)
         peers = [r for r in some if r["peer"]]
         ours = [r for r in some if not r["peer"]]
         for them, line in ((ours, "-"), (peers, "--")):
             steps = [(r["p50_us"], error_mm(r)) for r in front(them)]
             if steps:
-                axes.step(*zip(*steps), where="post", color="k", lw=1, ls=line)
-        axes.set(xscale="log", yscale="log", title=WORDS[kind])
-        axes.set(xlabel="µs a frame (median)", ylabel="place error, mm (median)")
+                axes.step(*zip(*steps), where="post", color="k", lw=1, ls=line, zorder=3)
+        axes.set(xscale="log", yscale="log", title=WORDS[kind].capitalize())
+        axes.set(xlabel="time of a frame, µs (median)", ylabel="place error, mm (median)")
         axes.grid(alpha=0.3)
-    legend = panels[-1]
-    for method, colour in COLOURS.items():
-        legend.scatter([], [], color=colour, alpha=0.5, linewidths=0, label=method)
-    for peer, marker in _PEERS.items():
-        legend.scatter([], [], marker=marker, facecolors="none", edgecolors="k", label=peer)
-    for slots in (1, 8, 64):
-        size = 12 + 18 * np.log2(slots)
-        legend.scatter([], [], s=size, color="0.6", label=f"{slots} slots")
-    legend.scatter([], [], marker="o", color="k", label="a peer that is ahead")
-    legend.plot([], [], "k", lw=1, label="the front (ours)")
-    legend.plot([], [], "k--", lw=1, label="the front (peers)")
-    legend.legend(loc="center", fontsize=10, ncols=2, frameon=False)
-    legend.set_axis_off()
+        plain(axes.yaxis)
+    _legend(panels[-1], {r["method"] for r in rows})
     return figure
+
+
+def _area(slots: int) -> float:
+    """Of a mark, square points."""
+    return 24 + 14 * np.log2(slots)
+
+
+def _legend(axes: Any, there: set[str]) -> None:
+    for method in (name for name in METHODS if name in there):
+        look = METHODS[method]
+        axes.scatter([], [], s=50, color=look.color, marker=look.marker, label=method)
+    axes.plot([], [], "k", lw=1, label="front of these methods")
+    for peer, marker in _PEERS.items():
+        look = {"marker": marker, "facecolors": "none", "edgecolors": "0.4"}
+        axes.scatter([], [], s=50, **look, label=peer)
+    axes.scatter([], [], s=50, marker="s", color=GREY, label="peer ahead of all alike")
+    axes.plot([], [], "k--", lw=1, label="front of the peers")
+    for slots in (1, 8, 64):
+        axes.scatter(
+            [], [], s=_area(slots), color="0.7", label=f"{slots} slot{'s' * (slots > 1)}"
+        )
+    axes.legend(loc="center", fontsize=10, ncols=2, frameon=False)
+    axes.set_axis_off()
 
 
 def rungs(rows: list[dict[str, Any]]) -> Any:
@@ -180,7 +185,8 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
 
     models = ("linear", "source", "points", "conductance", "auto")
     patterns = [p for p in ("corners", "all") if any(r["pattern"] == p for r in rows)]
-    figure = Figure(figsize=(13, 3.6 * len(patterns) + 0.6), layout="constrained")
+    figure = Figure(figsize=(13, 3.8 * len(patterns) + 0.8), layout="constrained")
+    figure.suptitle("Which model each kind of scene needs")
     panels = figure.subplots(len(patterns), 3, squeeze=False)
     for line, pattern in zip(panels, patterns):
         chosen = {}
@@ -191,28 +197,39 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
         x = np.arange(len(KINDS))
         for k, model in enumerate(models):
             some = [chosen.get((model, kind), {}) for kind in KINDS]
-            at, label = x + 0.16 * (k - 2), model
+            look = {"color": METHODS[model].color, "edgecolor": "w", "label": model}
             errors = [(row and error_mm(row)) or np.nan for row in some]
-            line[0].bar(at, errors, 0.16, color=COLOURS[model], label=label)
+            line[0].bar(x + 0.16 * (k - 2), errors, 0.16, **look)
             doubt = [100 * row.get("doubted", np.nan) for row in some]
-            line[1].bar(at, doubt, 0.16, color=COLOURS[model], label=label)
+            line[1].bar(x + 0.16 * (k - 2), doubt, 0.16, **look)
         line[0].set(yscale="log", ylabel="place error, mm (median)")
-        line[1].set(ylabel="% of scenes flagged", ylim=(0, 100))
+        line[1].set(ylabel="part of the scenes, %", ylim=(0, 100))
         bottom = np.zeros(len(KINDS))
         for k, rung in enumerate(_RUNGS):
             shares = [chosen.get(("auto", kind), {}).get("rungs") for kind in KINDS]
             # Rows of runs before `shape` have four rungs.
             part = [100 * s[k] / sum(s) if s and k < len(s) else 0 for s in shares]
             part = np.array(part)
-            colour = COLOURS.get(rung, "0.8")
-            line[2].bar(x, part, 0.7, bottom=bottom, color=colour, label=rung)
+            if part.any():
+                colour = METHODS[rung].color if rung in METHODS else "0.8"
+                line[2].bar(x, part, 0.7, bottom=bottom, color=colour, label=rung)
             bottom += part
-        line[2].set(ylabel="% of scenes: what auto took", ylim=(0, 100))
-        for axes in line:
+        line[2].set(ylabel="part of the scenes, %", ylim=(0, 100))
+        slots = "two slots, the corners" if pattern == "corners" else "every ground"
+        titles = "Place error", "Scenes flagged", "Model that auto took"
+        for axes, title in zip(line, titles):
+            axes.set_title(f"{title}: {slots}", fontsize=11)
             axes.set_xticks(x, KINDS)
-        line[0].set_title(f"{pattern} ({2 if pattern == 'corners' else 'every ground'})")
-    panels[0, 0].legend(fontsize=8)
-    panels[0, 2].legend(fontsize=8, loc="lower left")
+            axes.set_xlabel("what touches")
+        plain(line[0].yaxis)
+    told = {
+        label: handle
+        for axes in panels.ravel()
+        for handle, label in zip(*axes.get_legend_handles_labels())
+    }
+    figure.legend(
+        told.values(), told, loc="outside lower center", ncols=len(told), frameon=False
+    )
     return figure
 
 
@@ -245,23 +262,27 @@ def rate_chart(rates: list[dict[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     panels = sorted({(r["pixels"], r["threads"]) for r in rates})
-    figure = Figure(figsize=(4.2 * len(panels), 4.5), layout="constrained")
+    figure = Figure(figsize=(4.2 * len(panels) + 1, 4.8), layout="constrained")
+    figure.suptitle("Images a second in calls of many frames")
     for axes, (pixels, threads) in zip(
         figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels
     ):
         some = [r for r in rates if (r["pixels"], r["threads"]) == (pixels, threads)]
-        for k, (method, slots) in enumerate(
-            sorted({(r["method"], r["slots"]) for r in some})
-        ):
+        for method, slots in sorted({(r["method"], r["slots"]) for r in some}):
             mine = [r for r in some if (r["method"], r["slots"]) == (method, slots)]
             x = [r["batch"] for r in mine]
+            full = METHODS[method].color if slots > 1 else "w"
+            look = style(method, linestyle="-", markerfacecolor=full)
             label = f"{method}, {slots} slot{'s' * (slots > 1)}"
-            axes.loglog(x, [r["frames_per_s"] for r in mine], "-o", color=f"C{k}",
-                        ms=4, label=label)  # fmt: skip
-            axes.loglog(x, [r["bound_frames_per_s"] for r in mine], "--", color=f"C{k}")
-        axes.set_title(f"{pixels} x {pixels} pixels, threads: {threads}")
+            axes.loglog(x, [r["frames_per_s"] for r in mine], **look, label=label)
+            look |= {"linestyle": "--" if slots > 1 else ":", "marker": "none"}
+            axes.loglog(x, [r["bound_frames_per_s"] for r in mine], **look)
+        axes.set_title(f"{pixels} × {pixels} pixels, threads: {threads}")
         axes.set_xlabel("frames in a call")
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("images/s; dashed: the machine's bound")
-    figure.axes[0].legend(fontsize=8)
+    figure.axes[0].set_ylabel("images a second")
+    for line, label in ((":", "bound, 1 slot"), ("--", "bound, more slots")):
+        figure.axes[-1].plot([], [], "0.4", ls=line, label=f"the machine's {label}")
+    figure.legend(*figure.axes[-1].get_legend_handles_labels(), fontsize=9,
+                  loc="outside right center", frameon=False)  # fmt: skip
     return figure

@@ -129,28 +129,30 @@ _REGULAR = ("linear", "source", "positive")
 
 # Ways in which what is measured, or told, is wrong.
 SWEEPS = {
-    "white": Sweep("white noise, V rms", (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3), _white),
-    "gain": Sweep("channels' gain, rms", (1e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4), _gain),
-    "common": Sweep("offset of a slot, V rms", (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1), _common),
-    "impulses": Sweep("part of readings hit", (0, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), _impulses),
-    "dead": Sweep("channels at 0, not told", _COUNTS, _dead),
-    "missing": Sweep("channels missing, told", (*_COUNTS, 48, 56, 60, 62, 64), _missing),
-    "swapped": Sweep("channels swapped", (0, 2, 3, 4, 8, 16, 32), _swapped),
-    "wrong_ground": Sweep("ground is so many on", (0, 1, 2, 4, 16, 32), _wrong_ground),
-    "late": Sweep("channels read before the switch", _COUNTS, _late),
-    "saturated": Sweep("range, V", (5, 3, 2, 1, 0.5, 0.2, 0.05), _saturated),
-    "sheet_high": Sweep("told sheet resistance/true", (1, 1.1, 1.25, 1.5, 2, 5), _sheet),
-    "sheet_low": Sweep("told sheet resistance/true", (1, 0.9, 0.75, 0.5, 0.2), _sheet),
-    "ground_path": Sweep(
-        "told ground path, Ω too high", (0, 4, 20, 100, 500, 2000), _ground_path
+    "white": Sweep("white noise, V", (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3), _white),
+    "gain": Sweep("errors of gains, rms", (1e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4), _gain),
+    "common": Sweep("offsets of slots, V", (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1), _common),
+    "impulses": Sweep(
+        "readings hit by impulses, part", (0, 1e-3, 3e-3, 1e-2, 3e-2, 0.1), _impulses
     ),
-    "misplaced": Sweep("electrodes off, mm rms", (0, 0.2, 0.5, 1, 2), _misplaced),
+    "dead": Sweep("channels at 0, count", _COUNTS, _dead),
+    "missing": Sweep("missing channels, count", (*_COUNTS, 48, 56, 60, 62, 64), _missing),
+    "swapped": Sweep("swapped channels, count", (0, 2, 3, 4, 8, 16, 32), _swapped),
+    "wrong_ground": Sweep("ground told off by, count", (0, 1, 2, 4, 16, 32), _wrong_ground),
+    "late": Sweep("channels read too early, count", _COUNTS, _late),
+    "saturated": Sweep("converter's range, V", (5, 3, 2, 1, 0.5, 0.2, 0.05), _saturated),
+    "sheet_high": Sweep("told sheet too high, × true", (1, 1.1, 1.25, 1.5, 2, 5), _sheet),
+    "sheet_low": Sweep("told sheet too low, × true", (1, 0.9, 0.75, 0.5, 0.2), _sheet),
+    "ground_path": Sweep(
+        "told ground path too high by, Ω", (0, 4, 20, 100, 500, 2000), _ground_path
+    ),
+    "misplaced": Sweep("electrodes off by, mm rms", (0, 0.2, 0.5, 1, 2), _misplaced),
     "lam_low": Sweep(
-        "λ of the method's own", (1, 1e-2, 1e-4, 1e-6, 1e-9, 1e-12, 1e-20), _lam,
+        "λ too small, × its own", (1, 1e-2, 1e-4, 1e-6, 1e-9, 1e-12, 1e-20), _lam,
         False, _REGULAR,
     ),
     "lam_high": Sweep(
-        "λ of the method's own", (1, 10, 1e2, 1e3, 1e4, 1e6, 1e12, 1e30), _lam,
+        "λ too large, × its own", (1, 10, 1e2, 1e3, 1e4, 1e6, 1e12, 1e30), _lam,
         False, _REGULAR,
     ),
 }  # fmt: skip

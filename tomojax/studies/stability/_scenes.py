@@ -119,7 +119,7 @@ class Bench:
 class Sweep(NamedTuple):
     """Values from harmless to hopeless, and the scenes that they make."""
 
-    title: str  # with the unit of the values
+    title: str  # and, after the last comma, the unit of the values
     values: tuple[float, ...]
     make: Callable[[Bench, float], SweptScenes]
     follows: bool = True  # whether the scenes mean something to a step
@@ -250,23 +250,25 @@ def _jump(bench: Bench, value: float) -> SweptScenes:
 # Ways in which a scene itself gets hard.
 SWEEPS = {
     "conductance_low": Sweep(
-        "contact's conductance, S", (1e-4, 1e-5, 1e-6, 1e-7, 3e-8, 1e-8), _conductance
+        "weak contact: conductance, S", (1e-4, 1e-5, 1e-6, 1e-7, 3e-8, 1e-8), _conductance
     ),
     "conductance_high": Sweep(
-        "contact's conductance, S", (1e-4, 1e-3, 1e-2, 1e-1, 1.0), _conductance
+        "strong contact: conductance, S", (1e-4, 1e-3, 1e-2, 1e-1, 1.0), _conductance
     ),
-    "size": Sweep("contact's radius, mm", (2, 5, 10, 15, 20, 30, 45, 70, 120), _size),
-    "from_electrode": Sweep("mm from an electrode", (10, 7, 5, 3, 1.5, 0), _from_electrode),
-    "from_ground": Sweep("mm from the grounded one", (40, 20, 10, 5, 2, 0), _from_ground),
-    "from_edge": Sweep("mm from an edge", (30, 15, 10, 5, 2, 0), _from_edge),
-    "from_corner": Sweep("mm from both edges", (30, 20, 10, 5, 2, 0), _from_corner),
-    "contacts": Sweep("contacts at once", (1, 2, 3, 4, 5, 7, 10), _contacts),
-    "apart": Sweep("two contacts, mm apart", (80, 60, 40, 30, 20, 15, 10), _apart),
-    "uneven": Sweep("sheet's unevenness, rms", (0.02, 0.05, 0.1, 0.2, 0.35, 0.5), _uneven),
-    "tear": Sweep("a tear, mm long", (0, 10, 20, 40, 80, 120), _tear),
-    "motion": Sweep("m/s within a scan", (0.1, 1, 3, 10, 30), _motion, follows=False),
+    "size": Sweep("wide contact: radius, mm", (2, 5, 10, 15, 20, 30, 45, 70, 120), _size),
+    "from_electrode": Sweep(
+        "distance to an electrode, mm", (10, 7, 5, 3, 1.5, 0), _from_electrode
+    ),
+    "from_ground": Sweep("distance to the ground, mm", (40, 20, 10, 5, 2, 0), _from_ground),
+    "from_edge": Sweep("distance to an edge, mm", (30, 15, 10, 5, 2, 0), _from_edge),
+    "from_corner": Sweep("distance to two edges, mm", (30, 20, 10, 5, 2, 0), _from_corner),
+    "contacts": Sweep("contacts at once, count", (1, 2, 3, 4, 5, 7, 10), _contacts),
+    "apart": Sweep("distance of two contacts, mm", (80, 60, 40, 30, 20, 15, 10), _apart),
+    "uneven": Sweep("uneven sheet, rms", (0.02, 0.05, 0.1, 0.2, 0.35, 0.5), _uneven),
+    "tear": Sweep("length of a tear, mm", (0, 10, 20, 40, 80, 120), _tear),
+    "motion": Sweep("speed in a scan, m/s", (0.1, 1, 3, 10, 30), _motion, follows=False),
     "jump": Sweep(
-        "followed contact, mm away at once", (0, 5, 15, 40, 80, 120), _jump,
+        "jump of a contact, mm", (0, 5, 15, 40, 80, 120), _jump,
         only=("follow",),
     ),
 }  # fmt: skip

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.studies.frontier.report import COLOURS
+from tomojax._pictures import METHODS, plain, style
 from tomojax.studies.stability._study import FLAGGED, SWEEPS
 
 _WIDE, _FAR_AWAY = 5, 300.0  # panels in a line; mm where something lost is drawn
+_ASIDE = 0.05  # by which a method's points stand beside the next one's, of two values
 
 
 def text(limits: list[dict[str, Any]]) -> str:
@@ -105,36 +106,43 @@ def numbers_chart(numbers: dict[str, Any], limits: list[dict[str, Any]]) -> Any:
     """Draws solvers, gradients, float32 beside float64, told ρ, optimisers' starts."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 8.5), layout="constrained")
+    figure = Figure(figsize=(15, 9), layout="constrained")
+    figure.suptitle("Numbers of single and double precision, gradients, and bad starts")
     panels = figure.subplots(2, 3).ravel()
     solvers, gradients, dtypes, resistances, starts, rest = panels
     rest.set_axis_off()
-    for name in dict.fromkeys(row["solver"] for row in numbers["solvers"]):
-        mine = [row for row in numbers["solvers"] if row["solver"] == name]
-        x = [row["relative_lam"] for row in mine]
-        solvers.loglog(x, [row["error"] or np.nan for row in mine], "-o", ms=4, label=name)
-    solvers.set(xlabel="λ/σ₁²", ylabel="error of an image in float32 (no point: NaN)")
+    _along(solvers, numbers["solvers"], "solver", "relative_lam", "error")
+    solvers.set(xscale="log", xlabel="λ/σ₁²", yscale="log", ylabel="relative error")
+    solvers.set_title("Image in float32 by each solver (no point: NaN)")
     for k, row in enumerate(numbers["gradients"]):
         names, values = zip(*row["largest_difference"].items())
         at, label = np.arange(len(names)) + 0.4 * k, f"{row['count']} {row['points']}"
-        gradients.bar(at, values, 0.4, label=f"{label} points, {row['finite']} finite")
-        gradients.set_xticks(np.arange(len(names)) + 0.2, names, rotation=45, ha="right")
-    gradients.set(yscale="log", ylabel="derivative beside differences")
-    for method in COLOURS:
+        gradients.bar(
+            at, values, 0.4, color=style(k)["color"], hatch="//" * k, edgecolor="w",
+            label=f"{label} points, {row['finite']} finite",
+        )  # fmt: skip
+        words = [name.replace("_", " ").replace("lam", "λ") for name in names]
+        gradients.set_xticks(np.arange(len(names)) + 0.2, words, rotation=45, ha="right")
+    gradients.set(yscale="log", ylabel="largest relative difference")
+    gradients.set_title("Derivatives beside finite differences, by variable")
+    for method in METHODS:
         x = np.sort(_both([r for r in limits if r["method"] == method]))
-        if not len(x):
-            continue
-        y = (np.arange(len(x)) + 1) / len(x)
-        dtypes.plot(x, y, color=COLOURS[method], label=method)
-    dtypes.set(xscale="log", xlabel="float32 from float64, mm, at most in a sweep")
-    dtypes.set(ylabel="part of the sweeps")
+        if len(x):
+            y = (np.arange(len(x)) + 1) / len(x)
+            dtypes.plot(x, y, **style(method, label=method))
+    dtypes.set(xscale="log", xlabel="largest difference in a sweep, mm")
+    dtypes.set(ylabel="part of the sweeps, up to this difference")
+    dtypes.set_title("Places of float32 beside those of float64")
     told = numbers["resistances"]
     _along(resistances, told, "dtype", "resistance", "place_median_mm", named=True)
-    resistances.set(xlabel="ρ that J(ρ) is told / sheet resistance")
-    resistances.set(ylabel="place error, mm (median; the contacts' ρ is 1)", yscale="log")
+    resistances.set(xlabel="ρ that J(ρ) is told / sheet resistance (the contacts' is 1)")
+    resistances.set(ylabel="place error, mm (median)", yscale="log")
+    resistances.set_title("Eq. 3 told another contact resistance")
+    plain(resistances.yaxis)
     _along(starts, numbers["starts"], "optimiser", "start", "excess")
     starts.set(xscale="log", xlabel="λ/σ₁² of the start", ylim=(-0.05, 1))
-    starts.set(ylabel="end above the best end (no point: NaN)")
+    starts.set(ylabel="(value at the end)/(best end) − 1")
+    starts.set_title("Searches for λ and sets, from bad starts (no point: NaN)")
     for axes in panels[:5]:
         if axes.has_data():
             axes.legend(fontsize=8)
@@ -149,11 +157,18 @@ def _along(
 
     If `named`, the values of x stand one after another, at equal distances.
     """
-    for name in dict.fromkeys(row[line] for row in rows):
+    # What lies on another line shows beneath it.
+    for k, name in enumerate(dict.fromkeys(row[line] for row in rows)):
         mine = [row for row in rows if row[line] == name and row[x] is not None]
         values = [np.nan if row[y] is None else row[y] for row in mine]
-        at = [f"{row[x]:g}" for row in mine] if named else [row[x] for row in mine]
-        axes.plot(at, values, "-o", ms=4, label=name)
+        at = [_number(row[x]) for row in mine] if named else [row[x] for row in mine]
+        look = style(k, label=name, linewidth=3 - 0.6 * k, markersize=8 - 1.5 * k)
+        axes.plot(at, values, **look)
+
+
+def _number(value: float) -> str:
+    """Returns 1e-8 for 1e-08."""
+    return f"{value:g}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 
 def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
@@ -161,41 +176,58 @@ def chart(rows: list[dict[str, Any]], limits: list[dict[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(row["sweep"] for row in rows))
+    methods = list(dict.fromkeys(row["method"] for row in rows))
     high = -(-(len(names) + 1) // _WIDE)
-    figure = Figure(figsize=(4 * _WIDE, 3.1 * high), layout="constrained")
+    figure = Figure(figsize=(4 * _WIDE, 3.1 * high + 0.4), layout="constrained")
+    figure.suptitle(
+        "Place errors as one thing gets worse, from left to right: full points up to the "
+        "limit of a method, hollow ones beyond it",
+        fontsize=14,
+    )
     panels = figure.subplots(high, _WIDE, squeeze=False).ravel()
-    for axes, name in zip(panels, names):
-        _panel(axes, [r for r in rows if r["sweep"] == name], name)
-        for k, row in enumerate(r for r in limits if r["sweep"] == name):
-            at = list(SWEEPS[name].values)
-            if row["limit"] is not None and row["limit"] != at[-1]:
-                x = at.index(row["limit"]) + 0.42 + 0.04 * k
-                axes.axvline(x, color=COLOURS[row["method"]], ls=":", lw=1.2)
+    for k, (axes, name) in enumerate(zip(panels, names)):
+        within = {r["method"]: r["limit"] for r in limits if r["sweep"] == name}
+        _panel(axes, [r for r in rows if r["sweep"] == name], name, methods, within)
+        if k % _WIDE == 0:
+            axes.set_ylabel("place error, mm: nine in\nten are nearer", fontsize=9)
     legend, *rest = panels[len(names) :]
-    for method in dict.fromkeys(row["method"] for row in rows):
-        legend.plot([], [], "-o", ms=4, color=COLOURS[method], label=method)
-    legend.plot([], [], "o", ms=10, mfc="none", mec="r", label="far off, not flagged")
-    legend.plot([], [], ":", color="0.4", label="limit: 4 of 5 scenes right")
-    legend.legend(loc="center", frameon=False)
+    for method in methods:
+        legend.plot([], [], **style(method, label=method))
+    legend.plot([], [], "o", color="0.4", label="4 of 5 scenes right")
+    legend.plot([], [], "o", color="0.4", mfc="w", label="fewer: beyond the limit")
+    legend.plot([], [], "o", ms=12, mfc="none", mec="k", mew=2, label="far off, no flag")
+    legend.legend(loc="center", frameon=False, ncols=2)
     for axes in (legend, *rest):
         axes.set_axis_off()
     return figure
 
 
-def _panel(axes: Any, rows: list[dict[str, Any]], name: str) -> None:
+def _panel(
+    axes: Any, rows: list[dict], name: str, methods: list[str], within: dict
+) -> None:
+    """One sweep; `within`: the last value at which each method holds, or None."""
     sweep = SWEEPS[name]
-    for method in dict.fromkeys(row["method"] for row in rows):
+    for k, method in enumerate(methods):
         mine = [row for row in rows if row["method"] == method]
-        x = np.array([sweep.values.index(row["value"]) for row in mine])
+        at = np.array([sweep.values.index(row["value"]) for row in mine])
+        x = at + _ASIDE * (k - (len(methods) - 1) / 2)
         y = np.array([row.get("place_p90_mm") or _FAR_AWAY for row in mine])
-        axes.plot(x, y, "-o", ms=4, color=COLOURS[method])
+        limit = within.get(method)
+        held = at <= (-1 if limit is None else sweep.values.index(limit))
+        look = style(method)
+        axes.plot(x, y, **look, markerfacecolor="w", lw=1.2)
+        axes.plot(x[held], y[held], **look | {"linestyle": "none"})
         silent = [
             bool(r.get("far")) and r["far_undoubted"] > (1 - FLAGGED) * r["far"]
             for r in mine
         ]
-        axes.plot(x[silent], y[silent], "o", ms=10, mfc="none", mec="r")
-    axes.set_xticks(range(len(sweep.values)), [f"{v:g}" for v in sweep.values], fontsize=7)
-    axes.set(yscale="log", ylim=(0.05, 1.3 * _FAR_AWAY))
-    axes.set_title(sweep.title, fontsize=9)
-    axes.set_ylabel("place error, mm (90 %)", fontsize=8)
+        axes.plot(x[silent], y[silent], "o", ms=12, mfc="none", mec="k", mew=2)
+    axes.set_xticks(range(len(sweep.values)), map(_number, sweep.values), fontsize=8)
+    axes.set(yscale="log", ylim=(0.05, 1.5 * _FAR_AWAY))
+    axes.set_yticks((0.1, 1, 10, 100, _FAR_AWAY), ("0.1", "1", "10", "100", "lost"))
+    axes.set_yticks([], minor=True)
+    words, _, unit = sweep.title.rpartition(", ")
+    words = words[:1].upper() + words[1:] if words.isascii() else words  # λ stays
+    axes.set_title(words, fontsize=11)
+    axes.set_xlabel(unit, fontsize=9)
     axes.grid(alpha=0.3)
