@@ -11,8 +11,8 @@ unknown places.
 
 The image of `shape` is judged at its own half level. The others' images are judged at the
 threshold that is best for each in hindsight. Parts: images, digits, gaps, patterns; speed
-alone; gallery, a picture alone. The default seeds are for judging: nothing was set on them. Writes shapes.json,
-shapes.png, shapes_gallery.png.
+alone; gallery, a picture alone. The default seeds are for judging: nothing was set on
+them. Writes shapes.json, shapes.png, shapes_gallery.png.
 """
 
 import argparse
