@@ -135,17 +135,17 @@ def room_page(room: ModuleType) -> str:
 
 def flags_page() -> str:
     """Returns the table of flags."""
-    from tomojax.kernels.flags import Flag, MEANINGS
+    from tomojax import Flag
 
     lines = [
         "# Flags",
         "Each row of results has a number `flags`, a sum of the bits below. "
-        "[Read the flags](../how/flags.md) says what to do about each.",
-        "| flag | bit | level | meaning |\n|---|---|---|---|",
+        "[Read the flags](../how/flags.md) says how to use them.",
+        "| flag | bit | level | what was seen | what to do |\n|---|---|---|---|---|",
     ]
     rows = [
         f"| `{f.name}` | {f.value} | {f.level.name.lower().replace('_', ' ')} "
-        f"| {MEANINGS[f]} |"
+        f"| {f.meaning} | {f.advice} |"
         for f in Flag
     ]
     return "\n\n".join(lines) + "\n" + "\n".join(rows) + "\n"
