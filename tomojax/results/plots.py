@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tomojax.kernels.flags import Flag
+from tomojax.plots import ellipses as ellipses
 from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
@@ -74,20 +75,6 @@ def timeline(path: Path) -> Figure:
             figure.colorbar(shown, ax=other, label="residual of each electrode, mV")
         other.set(title=title, xlabel="x, mm", ylabel="y, mm")
     return figure
-
-
-def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
-    """Of two standard deviations, about some of the places (m, m²: xx, yy, xy)."""
-    from matplotlib.patches import Ellipse
-
-    known = np.flatnonzero(np.isfinite(covariance).all(-1))
-    for k in known[:: max(1, -(-len(known) // most))]:
-        a, b, c = 1e6 * covariance[k].astype(float)
-        sides, turn = np.linalg.eigh([[a, c], [c, b]])
-        narrow, wide = 4 * np.sqrt(np.maximum(sides, 0))
-        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        style = {"fill": False, "ec": "k", "lw": 0.5} | style
-        axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
 
 
 def _strongest(file: LoadedResults) -> int:
