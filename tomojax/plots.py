@@ -246,7 +246,7 @@ def _densities(sensor: Any, scene: Any) -> tuple[np.ndarray, np.ndarray, list[np
     while shapes:
         shape = shapes.pop(0)
         if hasattr(shape, "shapes"):
-            shapes += shape.shapes
+            shapes = [*shape.shapes, *shapes]
         else:
             shape = jax.tree.map(alike, shape)
             each.append(np.asarray(shape.density(points, *given)))
