@@ -1,5 +1,6 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
+from importlib import import_module
 from typing import Any
 
 # Of what came, letters that a line shows: an array's have many lines, a file's text any.
@@ -11,6 +12,22 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
         text = " ".join(str(got).split())
         text = text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
         raise ValueError(f"{name}: got {text}, expected {expected}")
+
+
+def library(name: str, extra: str) -> Any:
+    """Imports a library that an extra of tomojax brings.
+
+    **Raises:** `ModuleNotFoundError` that says which extra.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        root = name.partition(".")[0]
+        if str(error.name).partition(".")[0] != root:
+            raise
+        mend = f"pip install 'tomojax[{extra}]' brings it"
+        told = f"{root} is not installed; {mend}"
+        raise ModuleNotFoundError(told, name=root) from None
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
+from tomojax._shown import tuple_shown
 from tomojax.kernels.algebra import matmul, where_needed
 from tomojax.kernels.images._peaks import find_peaks
 from tomojax.kernels.images._place import place_around
@@ -30,6 +31,9 @@ class Contacts(NamedTuple):
     current: Float[Array, " C"]  # A
     conductance: Float[Array, " C"]  # S; NaN where the method does not tell it
     covariance: Float[Array, "C 3"]  # of the place, xx, yy, xy, m²; NaN as well
+
+    def __repr__(self) -> str:
+        return tuple_shown(self, xy=("mm", 1e3), radius=("mm", 1e3))
 
 
 def no_contacts(count: int, dtype) -> Contacts:

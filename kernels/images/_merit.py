@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float
 
+from tomojax._shown import tuple_shown
+
 
 class GreitFigures(NamedTuple):
     """GREIT's figures (Adler et al., Physiol. Meas. 30 S35, 2009) of a point-like target.
@@ -23,6 +25,9 @@ class GreitFigures(NamedTuple):
     resolution: Float[Array, ""]  # RES: √(area of the quarter set / area of the image)
     shape_deformation: Float[Array, ""]  # SD: part of the quarter set outside its circle
     ringing: Float[Array, ""]  # RNG: opposite sign outside that circle / sum inside it
+
+    def __repr__(self) -> str:
+        return tuple_shown(self, position_error=("mm", 1e3))
 
 
 def pixel_places(

@@ -12,11 +12,12 @@ import pytest
 import tomojax as tx
 import tomojax.events
 import tomojax.exports
+import tomojax.plots
 
 ROOT = Path(__file__).parents[2]
 ROOMS = [name for name in tx.__all__ if inspect.ismodule(getattr(tx, name))]
 # Rooms that are imported by their own names.
-BESIDE = [tomojax.events, tomojax.exports]
+BESIDE = [tomojax.events, tomojax.exports, tomojax.plots]
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 

@@ -151,6 +151,27 @@ def test_flags_inside_compiled_code(problem) -> None:
     assert int(r.flags) & flag.BAD_VOLTAGES and jnp.isnan(r.image).all()
 
 
+def test_noise_alone_is_said(problem) -> None:
+    """A rule that runs to the largest λ that it tries has found nothing but noise."""
+    _, j, volts, _ = problem
+    reduced = tx.paper.reduce_jacobian(j, 64)
+    noise = np.random.default_rng(3).normal(0, 3e-4, (4, 6, 64))
+    frames = np.concatenate([noise, [volts[GROUNDS], 0.02 * volts[GROUNDS]]])
+    r = tx.reconstruct(reduced, frames, GROUNDS)
+    assert r.flags.tolist() == 4 * [tx.Flag.BAD_LAMBDA] + [0, 0]
+    assert jnp.isfinite(r.image).all()
+    shared = tx.reconstruct(reduced, frames, GROUNDS, per_recording=True)
+    assert not np.asarray(shared.flags).any()
+    # A λ that is given is nobody's search.
+    assert tx.reconstruct(reduced, noise[0], GROUNDS, lam=float(r.lam[0])).flags == 0
+
+
+def test_voltages_of_all_grounds_are_told_apart(problem) -> None:
+    _, j, volts, _ = problem
+    with pytest.raises(ValueError, match=r"voltages: got .*64, 64.*np.asarray\(grounds\)"):
+        tx.reconstruct(j, volts, [0, 5], lam=1.0)
+
+
 @pytest.mark.parametrize(
     "name, change",
     [

@@ -45,6 +45,69 @@ def test_total_conductance_and_place(name) -> None:
         np.testing.assert_allclose(g @ xy / g.sum(), center, atol=2e-4)
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda total: tx.Disc.of_total([0.08, 0.07], 0.004, total),
+        lambda total: tx.Ellipse.of_total([0.07, 0.08], [0.02, 0.008], 0.5, total),
+        lambda total: tx.Bar.of_total([0.08, 0.09], 0.05, 0.012, -0.4, total),
+        lambda total: tx.Ring.of_total([0.08, 0.08], 0.02, 0.028, total),
+    ],
+    ids=["disc", "ellipse", "bar", "ring"],
+)
+def test_shapes_of_a_total_conductance(make) -> None:
+    sensor = tx.Sensor.grid(divisions=(64, 64))
+    g = tx.sensor.contact_conductance(sensor, make(3e-4))
+    np.testing.assert_allclose(g.sum(), 3e-4, rtol=0.01)
+    with pytest.raises(ValueError, match="siemens: got -1"):
+        make(-1.0)
+    slope = jax.grad(lambda total: make(total).conductance)(3e-4)
+    np.testing.assert_allclose(slope * 3e-4, make(3e-4).conductance, rtol=1e-12)
+
+
+OFF = "lies off the sheet of 0.16 m × 0.16 m at"
+
+
+@pytest.mark.parametrize(
+    "shape, told",
+    [
+        (tx.Disc([70, 50], 5, 1.0), rf"center: the disc {OFF} \[70, 50\] m; lengths are"),
+        (tx.Ellipse([70, 50], [5, 2], 0.3, 1.0), f"center: the ellipse {OFF}"),
+        (tx.Bar([70, 50], 30, 8, 0.3, 1.0), f"center: the bar {OFF}"),
+        (tx.Ring([0.08, -0.03], 0.01, 0.02, 1.0), f"center: the ring {OFF}"),
+        (
+            tx.sensor.Polygon([[60, 50], [80, 50], [70, 70]], 1.0),
+            f"vertices: the polygon {OFF}",
+        ),
+        (
+            tx.Scene(
+                tx.Disc([0.07, 0.05], 0.005, 1.0), tx.Scene(tx.Disc([70, 50], 5, 1.0))
+            ),
+            f"center: the disc {OFF}",
+        ),
+    ],
+)
+def test_shapes_off_the_sheet(shape, told) -> None:
+    sensor = tx.Sensor.grid(divisions=(32, 32))
+    with pytest.raises(ValueError, match=told):
+        tx.voltages(sensor, shape, [0])
+    with pytest.raises(ValueError, match=told):
+        tx.sensor.contact_conductance(sensor, shape)
+
+
+def test_off_the_sheet_is_no_error_where_values_are_not_known() -> None:
+    """A search over places may go there; what reaches onto the sheet always may."""
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+
+    def total(x):
+        disc = tx.Disc(jnp.stack([x, x * 0 + 0.04]), 0.01, 1.0)
+        return tx.sensor.contact_conductance(sensor, disc).sum()
+
+    totals = jax.jit(jax.vmap(total))(jnp.array([0.04, -0.005, -0.03]))
+    assert totals[0] > totals[1] > totals[2] == 0
+    assert total(-0.005) > 0
+
+
 def test_polygon_either_way_round_and_bar_as_polygon() -> None:
     sensor = tx.Sensor.grid()
     corners = np.array([[0.05, 0.06], [0.09, 0.06], [0.09, 0.07], [0.05, 0.07]])

@@ -9,6 +9,11 @@ from tomojax.design._by_place import (
     designs_by_place as designs_by_place,
     PlaceDesigns as PlaceDesigns,
 )
+from tomojax.design._compare import (
+    compare_patterns as compare_patterns,
+    PatternFigures as PatternFigures,
+    PatternTable as PatternTable,
+)
 from tomojax.design._descend import descend_sets as descend_sets, tune as tune
 from tomojax.design._design import (
     Design as Design,
@@ -52,6 +57,7 @@ from tomojax.design.objectives import (
 # The rest serves other rooms.
 __all__ = [
     "AbstractObjective",
+    "compare_patterns",
     "descend_sets",
     "Design",
     "design",
@@ -66,7 +72,9 @@ __all__ = [
     "image_spread",
     "ImageError",
     "ImageVariance",
+    "PatternFigures",
     "patterns_beside",
+    "PatternTable",
     "PlaceDesigns",
     "relax",
     "Relaxed",

@@ -9,6 +9,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
+from tomojax._shown import html_table, named, shown
 from tomojax.design._search import exchange, greedy, relax
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import draw_subset, heaviest
@@ -42,6 +43,16 @@ class Design(NamedTuple):
     rounded: float  # the value of the heaviest n of them
     greedy: float  # of one slot after another
     unit: str
+
+    def __repr__(self) -> str:
+        return named(self, **dict(self._told()))
+
+    def _repr_html_(self) -> str:
+        return html_table(self._told(), title="Design")
+
+    def _told(self) -> list[tuple[str, str]]:
+        values = [(n, shown(getattr(self, n), self.unit)) for n in ("value", "bound")]
+        return [("grounds", str(self.grounds.tolist())), *values]
 
 
 def design(objective: AbstractObjective, slots: int = 8) -> Design:

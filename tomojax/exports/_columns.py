@@ -7,19 +7,7 @@ import numpy as np
 
 from tomojax.events import Event
 from tomojax.exports._source import Progress, Source, WORDS
-from tomojax.kernels.flags import Flag
-
-# Fields that a flat table has no columns for.
-IMAGES = ("image", "residual_by_electrode", "touch", "image_deviation")
-
-# Units as they stand in a column's name.
-_UNITS = {"m^2": "m2", "1": ""}
-
-# Of fields with several numbers for each contact.
-_PARTS = {
-    "contact_xy": ("x", "y"),
-    "contact_covariance": ("covariance_xx", "covariance_yy", "covariance_xy"),
-}
+from tomojax.results.loading import flag_names, IMAGES, label, parts_of
 
 
 class Column(NamedTuple):
@@ -46,18 +34,16 @@ def columns(source: Source) -> list[Column]:
         if name in IMAGES:
             continue
         unit = source.unit(name)
-        tail = _UNITS.get(unit, unit)
         shape = source.shape(name)
         if not shape:
-            label = "_".join(filter(None, (name, tail)))
-            whole.append(Column(label, unit, WORDS[name], name, ()))
+            told = label(name, unit=unit)
+            whole.append(Column(told, unit, WORDS[name], name, ()))
             continue
-        parts = _PARTS.get(name, (name.removeprefix("contact_"),))
         for c in range(source.contacts):
-            for k, part in enumerate(parts):
-                label = "_".join(filter(None, (f"contact{c + 1}", part, tail)))
+            for k, part in enumerate(parts_of(name)):
+                told = label(f"contact{c + 1}", part, unit=unit)
                 at = (c, k) if len(shape) > 1 else (c,)
-                each.append(Column(label, unit, WORDS[name], name, at))
+                each.append(Column(told, unit, WORDS[name], name, at))
     return whole + sorted(each, key=lambda column: column.at[0])
 
 
@@ -68,13 +54,6 @@ def tables(source: Source, progress: Progress) -> Iterator[dict[str, np.ndarray]
     for block in source.blocks(fields, progress):
         found = {column.name: column.of(block) for column in told}
         yield found | {"flag_names": flag_names(block["flags"])}
-
-
-def flag_names(flags: np.ndarray) -> np.ndarray:
-    """Names each row's flags, with a bar between; few combinations occur."""
-    values, which = np.unique(flags, return_inverse=True)
-    names = ["|".join(str(f.name) for f in Flag if int(v) & f.value) for v in values]
-    return np.array(names, object)[which]
 
 
 def event_columns(events: list[Event]) -> dict[str, Any]:

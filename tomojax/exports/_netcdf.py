@@ -9,15 +9,7 @@ from tomojax._whole import whole
 from tomojax.exports._columns import event_columns
 from tomojax.exports._source import plain, Progress, Source, WORDS
 from tomojax.kernels.flags import Flag
-
-# Dimensions of a field's row: of each contact, of images, of electrodes.
-_DIMENSIONS = {
-    "image": ("x", "y"),
-    "touch": ("fine_x", "fine_y"),
-    "image_deviation": ("fine_x", "fine_y"),
-    "residual_by_electrode": ("electrode",),
-    "contact_covariance": ("contact", "moment"),
-}
+from tomojax.results.loading import DIMENSIONS
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
@@ -53,7 +45,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
 
 def _make(file: Any, source: Source, name: str) -> Any:
     shape = source.shape(name)
-    dimensions = _DIMENSIONS.get(name, ("contact",) * len(shape))
+    dimensions = DIMENSIONS.get(name, ("contact",) * len(shape))
     for dimension, size in zip(dimensions, shape):
         if dimension not in file.dimensions:
             file.dimensions[dimension] = size

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.exports._columns import columns, event_columns, flag_names, IMAGES
+from tomojax.exports._columns import columns, event_columns
 from tomojax.exports._source import plain, Progress, Source, WORDS
+from tomojax.results.loading import flag_names, IMAGES
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:

@@ -6,6 +6,8 @@ from typing import Annotated, Any, get_args, get_type_hints, NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
+from tomojax._shown import named, numbers_of, tuple_shown
+
 # A row's flags are judged by these: they are offered beside `Rows`.
 from tomojax.kernels.flags import DOUBT as DOUBT, NO_ANSWER as NO_ANSWER
 
@@ -68,6 +70,23 @@ class Rows(NamedTuple):
     # Of `shape` alone: the probability that a pixel touches; the image's deviation.
     touch: Annotated[Float[_Number, "n tx ty"] | None, Column("<f4", "1")] = None
     image_deviation: Annotated[Float[_Number, "n tx ty"] | None, Column("<f4", "")] = None
+
+    def __repr__(self) -> str:
+        count, flags = numbers_of(self.contact_count), numbers_of(self.flags)
+        if count is None or flags is None or count.ndim != 1:
+            return tuple_shown(self)
+        silent = flags & int(NO_ANSWER) > 0
+        doubted = (flags & int(DOUBT) > 0) & ~silent
+        told = {
+            "frames": str(len(count)),
+            "contacts_at_most": str(self.contact_xy.shape[1]),
+            "with_contacts": str(int((count > 0).sum())),
+            "in_doubt": str(int(doubted.sum())),
+            "without_answer": str(int(silent.sum())),
+        }
+        if self.image is not None:
+            told["image"] = " × ".join(map(str, self.image.shape[1:]))
+        return named(self, **told)
 
     @classmethod
     def of(cls, contacts: Any, **others: Any) -> "Rows":

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import float_array, require_finite, require_shape
 from tomojax._custom_types import Numbers
+from tomojax._shown import tuple_shown
 from tomojax.kernels.images import (
     greit_figures,
     GreitFigures,
@@ -22,6 +23,13 @@ from tomojax.sensor import Sensor
 class Figures(NamedTuple):
     """Figures of merit of one image, or of a batch with a leading axis.
 
+    - `half_width`: half the width at half the maximum, m.
+    - `half_area_radius`: radius of a circle as large as the area above half the maximum, m.
+    - `place` (…, 2): centre of what exceeds half the maximum, m.
+    - `image_error`: distance from the truth at the best scale, a part of the truth; 0 is
+      the truth.
+    - `greit`: GREIT's figures, see `GreitFigures`; `position_error` in m, the others parts.
+
     **Example:**
 
     >>> import numpy as np
@@ -31,6 +39,9 @@ class Figures(NamedTuple):
     >>> figures = tx.paper.figures_of_merit(sensor, truth, truth)
     >>> print(np.round(1e3 * figures.place), np.round(1e3 * figures.half_width))  # mm
     [30. 50.] 10.0
+    >>> figures._replace(greit=None)  # its print-out has units
+    Figures(half_width=10 mm, half_area_radius=10.09 mm, place=[30, 50] mm,
+        image_error=0, greit=None)
     """
 
     half_width: Float[Array, "*frames"]  # m, half the width at half the maximum
@@ -38,6 +49,10 @@ class Figures(NamedTuple):
     place: Float[Array, "*frames 2"]  # m, centre of what exceeds half the maximum
     image_error: Float[Array, "*frames"]  # relative, at the best scale
     greit: GreitFigures
+
+    def __repr__(self) -> str:
+        metres = {name: ("mm", 1e3) for name in ("half_width", "half_area_radius", "place")}
+        return tuple_shown(self, **metres)
 
 
 def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:

@@ -19,6 +19,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._shown import tuple_shown
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.inverse import (
     choose_lambda,
@@ -50,10 +51,13 @@ class Reconstruction(NamedTuple):
     (True, 0)
     """
 
-    image: Float[Array, "*frames K"]  # φ per element, V; NaN where a flag is set
+    image: Float[Array, "*frames K"]  # φ per element, V; NaN where it cannot be solved
     lam: Float[Array, "*frames"]  # λ that was used
     residual: Float[Array, "*frames"]  # rms of Jφ − V over the rows used, V
     flags: Int[Array, "*frames"]  # bits of `Flag`; 0 is good
+
+    def __repr__(self) -> str:
+        return tuple_shown(self, image=("V", 1.0), residual=("V", 1.0))
 
 
 def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> ReducedSlots:
@@ -104,7 +108,8 @@ def reconstruct(
     **Arguments:**
 
     - `jacobian` (L, M, K): any, such as `tomojax.jacobian`; or `reduce_jacobian` of one.
-    - `voltages` (S, M), or a batch (frames, S, M), V.
+    - `voltages` (S, M), or a batch (frames, S, M), V. `volts[np.asarray(grounds)]` takes
+      the voltages of some grounds from all.
     - `grounds` (S,): which of the L slots of `jacobian` were read; None: all slots.
     - `lam`: λ > 0 in the unit of J², or a rule of `lambda_scores`. The default needs no
       noise level and stands gain errors and common-mode noise. Under these, GCV and the
@@ -118,7 +123,8 @@ def reconstruct(
     - `route` as in `tikhonov`.
 
     **Returns:** `Reconstruction`. Under a trace values are not known; there a flag and an
-    image of NaN replace an error.
+    image of NaN replace an error. A rule sets BAD_LAMBDA, and leaves the image, where
+    it chose the largest λ of its search: such voltages are noise to the rule.
     **Raises:** `ValueError` for shapes that do not fit, NaN voltages, empty or repeated
     grounds, λ ≤ 0, an unknown rule, or "discrepancy" without `noise`.
 
@@ -138,6 +144,9 @@ def reconstruct(
     chosen = _slots(grounds, len(maps))
     shape = (len(chosen), maps.shape[1])
     v = float_array("voltages", voltages, maps.dtype)
+    all_slots = v.shape[-2:] == maps.shape[:2] and v.shape[-2:] != shape
+    hint = f"shape {shape}: voltages[np.asarray(grounds)], those of the grounds alone"
+    require(not all_slots, "voltages", f"shape {v.shape}, all {len(maps)} slots", hint)
     require_shape("voltages", v, shape, (None, *shape))
     given = np.ones(shape[:1]) if weights is None else weights
     given = float_array("weights", given, maps.dtype)
@@ -199,11 +208,12 @@ def _reconstruct(
     # What has no weight may be anything.
     v: Array = jnp.where(w > 0, voltages, 0)
     frames = v if v.ndim == 3 else v[None]
+    ran_out = jnp.zeros(lam.shape, bool)
     if rule is not None:
         shared = per_recording or v.ndim == 2
-        lam = _chosen_lambda(rows, frames, w, noise, rule, shared)
+        lam, ran_out = _chosen_lambda(rows, frames, w, noise, rule, shared)
 
-    def one(frame: Array, lam: Array) -> Reconstruction:
+    def one(frame: Array, lam: Array, ran_out: Array) -> Reconstruction:
         if route is None:
             solution = solve_reduced(slots, grounds, frame, lam, w[:, 0])
         else:
@@ -216,24 +226,30 @@ def _reconstruct(
         image = whole(solution, slots.basis) if reduced else solution
         flags = _flags(frame, lam, grounds, len(maps), w, image)
         image = jnp.where(flags == 0, image, jnp.nan)
+        flags = flags | jnp.where(ran_out, Flag.BAD_LAMBDA.value, 0)
         return Reconstruction(image, lam, residual, flags)
 
     if v.ndim == 2:
-        return one(v, lam)
+        return one(v, lam, ran_out)
     if lam.ndim == 0:  # one factor serves all frames
-        return jax.vmap(one, (0, None))(frames, lam)
-    return jax.lax.map(lambda each: one(*each), (frames, lam))
+        return jax.vmap(one, (0, None, None))(frames, lam, ran_out)
+    return jax.lax.map(lambda each: one(*each), (frames, lam, ran_out))
 
 
-def _chosen_lambda(rows, frames, w, noise, rule, shared) -> Float[Array, "*frames"]:
+def _chosen_lambda(
+    rows, frames, w, noise, rule, shared
+) -> tuple[Float[Array, "*frames"], Bool[Array, "*frames"]]:
+    """λ, and whether that is the largest of the search."""
     scale = jnp.sqrt(w)
     s = spectrum(scale[..., None] * rows)
     grid = lambda_grid(s)
     score = lambda frame: lambda_scores(s, scale * frame, grid, rule, noise)  # noqa: E731
     scores = jax.lax.map(score, frames)
     if shared:
-        return choose_lambda(grid, scores)
-    return jax.vmap(lambda one: choose_lambda(grid, one))(scores)
+        lam = choose_lambda(grid, scores)
+    else:
+        lam = jax.vmap(lambda one: choose_lambda(grid, one))(scores)
+    return lam, lam >= grid[-1]
 
 
 def _flags(frame, lam, grounds, count, w, image) -> Int[Array, ""]:

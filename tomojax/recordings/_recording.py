@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from tomojax._require import check_electrodes, require
+from tomojax._shown import html_table, named, shown
 
 if TYPE_CHECKING:
     import tomojax.sensor
@@ -97,6 +98,16 @@ class Rig:
             **numbers,  # pyright: ignore
         )
 
+    def __repr__(self) -> str:
+        return named(
+            self,
+            size=shown(np.asarray(self.size), "mm", 1e3),
+            electrodes=str(len(self.electrode_xy)),
+            sheet_resistance=shown(self.sheet_resistance, "Ω/sq"),
+            drive_voltage=shown(self.drive_voltage, "V"),
+            f_switch=shown(self.f_switch, "Hz"),
+        )
+
     def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
         """Makes the sensor, on the coarsest mesh that its electrodes allow.
 
@@ -158,6 +169,22 @@ class Recording(ABC):
         """Returns the start times of all scans, s."""
         each = range(0, self.scans, _SOME)
         return np.concatenate([self.read(k, k + _SOME).t0 for k in each])
+
+    def __repr__(self) -> str:
+        return named(self, **dict(self._told()))
+
+    def _repr_html_(self) -> str:
+        return html_table(self._told(), title=type(self).__name__)
+
+    def _told(self) -> list[tuple[str, str]]:
+        """What is known without reading: names and texts."""
+        lost = int(np.sum(self.gaps[:, 1])) if len(self.gaps) else 0
+        return [
+            ("path", str(self.path)),
+            ("scans", f"{self.scans} of {self.slots} slots, {lost} lost"),
+            ("duration", shown(float((self.scans + lost) * self.interval), "s")),
+            ("rig", repr(self.rig)),
+        ]
 
     def close(self) -> None:  # noqa: B027 (arrays have nothing to close)
         """Closes the file; nothing is read after this."""

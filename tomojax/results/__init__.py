@@ -15,6 +15,8 @@ __getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 
 # The rest serves other rooms.
 __all__ = [
+    "LoadedResults",
+    "open_results",
     "Outline",
     "outlines_of",
     "reconstruct_recording",

@@ -15,9 +15,12 @@ from ._track import (
     track as track,
     Tracks as Tracks,
 )
+from .loading import LoadedResults as LoadedResults, open_results as open_results
 
 # The rest serves other rooms.
 __all__ = [
+    "LoadedResults",
+    "open_results",
     "Outline",
     "outlines_of",
     "reconstruct_recording",

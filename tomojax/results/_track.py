@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax._require import require
+from tomojax._shown import tuple_shown
 from tomojax.kernels.algebra import filter_levels, Levels, smooth_levels
 from tomojax.methods import Rows
 
@@ -52,6 +53,9 @@ class Tracks(NamedTuple):
     contact_conductance: Float[np.ndarray, "n C"]  # S
     contact_conductance_error: Float[np.ndarray, "n C"]  # σ of its logarithm
     contact_current: Float[np.ndarray, "n C"]  # A, as in the rows; held in gaps
+
+    def __repr__(self) -> str:
+        return tuple_shown(self)
 
 
 class _Paths(NamedTuple):

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from tomojax._pictures import GREY, lay_sheet, show_image, style, VALUE, VERMILION
 from tomojax.kernels.flags import DOUBT, Flag
+from tomojax.plots import ellipses as ellipses
 from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
@@ -134,20 +135,6 @@ def _on_electrodes(axes: Any, each: np.ndarray, size: np.ndarray, xy: np.ndarray
     dots = axes.scatter(*(1e3 * xy.T), c=1e3 * each, s=40, cmap=VALUE, ec="0.5", lw=0.5)
     axes.figure.colorbar(dots, ax=axes, label="residual, mV rms")
     axes.set_title("Residual of each electrode in that row", fontsize=11)
-
-
-def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **style) -> None:
-    """Draws ellipses of two standard deviations about some places (m, m²: xx, yy, xy)."""
-    from matplotlib.patches import Ellipse
-
-    known = np.flatnonzero(np.isfinite(covariance).all(-1))
-    for k in known[:: max(1, -(-len(known) // most))]:
-        a, b, c = 1e6 * covariance[k].astype(float)
-        sides, turn = np.linalg.eigh([[a, c], [c, b]])
-        narrow, wide = 4 * np.sqrt(np.maximum(sides, 0))
-        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        style = {"fill": False, "ec": "k", "lw": 0.5} | style
-        axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
 
 
 def still(figure: Figure, moving: list):

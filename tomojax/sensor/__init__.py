@@ -18,6 +18,10 @@ from tomojax.sensor._forward import (
     sheet_on_mesh as sheet_on_mesh,
     voltages as voltages,
 )
+from tomojax.sensor._outline import (
+    AbstractOutline as AbstractOutline,
+    AbstractShape as AbstractShape,
+)
 from tomojax.sensor._scene import (
     Mask as Mask,
     Moving as Moving,
@@ -30,8 +34,6 @@ from tomojax.sensor._sensor import (
     Sensor as Sensor,
 )
 from tomojax.sensor._shapes import (
-    AbstractOutline as AbstractOutline,
-    AbstractShape as AbstractShape,
     Bar as Bar,
     Disc as Disc,
     Ellipse as Ellipse,

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tomojax._require import require
+from tomojax._shown import named, shown
 from tomojax._whole import write_text
 from tomojax.files import read_json
 from tomojax.kernels.sheet import cell_centres, smooth_modes
@@ -26,6 +27,9 @@ WAVES = {14: 4, 27: 6}
 # Fields that None stands in for; those above 0; and what a number of a rig may be.
 _UNKNOWN, _ABOVE = ("noise", "pressure"), ("gain", "noise", "error", "own", "pressure")
 _LEAST, _MOST = 1e-12, 1e9
+
+# Values of a field that are printed.
+_PRINTED = 4
 
 # Axes that the values of a field may have.
 _AXES = {
@@ -96,6 +100,14 @@ class Calibration:
         require(known or not self.deviation, "deviation", told, "values by their names")
         for name, value in known.items():
             _require_numbers(f"deviation of {name}"[:60], value, (0, 1, 2))
+
+    def __repr__(self) -> str:
+        """What is not nominal; of a value for each channel the range."""
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.deviation:
+            told["deviation"] = tuple(self.deviation)  # of which values it is known
+        told = {n: v for n, v in told.items() if v is not None and not _nominal(n, v)}
+        return named(self, **{name: _range(value) for name, value in told.items()})
 
     def voltages(self, readings: Float[np.ndarray, "*n M"]) -> Float[np.ndarray, "*n M"]:
         """Corrects readings for zeros and gains, in the readings' dtype."""
@@ -196,6 +208,17 @@ def _require_numbers(name: str, value: Any, axes: tuple[int, ...]) -> None:
         require((values >= _LEAST).all(), name, shown, f"above 0, {_LEAST:g} or more")
     fits = values.ndim in axes
     require(fits, name, f"shape {values.shape}", f"{' or '.join(map(str, axes))} axes")
+
+
+def _nominal(name: str, value: Any) -> bool:
+    return name in ("offset", "sheet", "ground", "electrodes") and not np.any(value)
+
+
+def _range(value: Any) -> str:
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iuf" or numbers.size <= _PRINTED:
+        return shown(numbers if numbers.dtype.kind in "iuf" else value)
+    return f"{shown(float(numbers.min()))} to {shown(float(numbers.max()))}"
 
 
 def _is_day(made: Any) -> bool:

@@ -14,6 +14,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._shown import named, shown
 
 # A reading of the paper's converter, rms, of the drive: 0.3 mV of noise and zeros of as
 # much at 4.5 V, 16 bits.
@@ -77,3 +78,7 @@ class Converter(eqx.Module):
             jnp.round(volts / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
         )
         return volts + jax.lax.stop_gradient(codes * step - volts)
+
+    def __repr__(self) -> str:
+        noise, full_scale = shown(self.noise, "V"), shown(self.full_scale, "V")
+        return named(self, noise=noise, full_scale=full_scale, bits=shown(self.bits))

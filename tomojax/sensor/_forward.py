@@ -37,8 +37,9 @@ from tomojax.kernels.sheet import (
     subpoints,
 )
 from tomojax.sensor._converter import Converter
+from tomojax.sensor._off_sheet import require_on_sheet
+from tomojax.sensor._outline import AbstractShape
 from tomojax.sensor._sensor import element_values, Sensor
-from tomojax.sensor._shapes import AbstractShape
 
 Route = Literal["fem", "series"]
 Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
@@ -215,9 +216,10 @@ def _jacobian(
     return contact_jacobian(t, loop, rho)
 
 
-@eqx.filter_jit
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
     """Computes a scene's conductance (S) on each element: S/m² at 16 points, times area.
+
+    **Raises:** `ValueError` for a shape of which no part lies on the sheet.
 
     **Example:**
 
@@ -229,6 +231,12 @@ def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " 
     >>> print(f"{1e6 * float(siemens.sum()):.0f} µS")  # 0.5 S/m² on π·(6 mm)²
     57 µS
     """
+    require_on_sheet(sensor.size, scene)
+    return _contact_conductance(sensor, scene)
+
+
+@eqx.filter_jit
+def _contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
     points = subpoints(sensor.divisions, sensor.size, _LEVEL)
     area = element_area(sensor.divisions, sensor.size)
     blur = jnp.sqrt(area / points.shape[1])
@@ -265,7 +273,8 @@ def voltages(
     - `times` (L,): when each slot is read, s; each slot then has a scene of its own.
     - `converter`: noise and quantisation; a converter with noise needs a `key`.
 
-    **Returns:** (L, M). **Raises:** `ValueError` that names the argument.
+    **Returns:** (L, M). **Raises:** `ValueError` that names the argument; also for a shape
+    that lies off the sheet (lengths are in metres).
 
     **Example:**
 

@@ -14,7 +14,10 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax.sensor._shapes import AbstractShape, Density, Points
+from tomojax.sensor._outline import AbstractShape, Density, Points
+
+# Shapes of a scene that are printed.
+_SHOWN = 4
 
 
 class Mask(AbstractShape):
@@ -75,6 +78,11 @@ class Scene(AbstractShape):
     ) -> Density:
         zero = jnp.zeros(points.shape[:-1], points.dtype)
         return sum((s.density(points, blur, size) for s in self.shapes), zero)
+
+    def __repr__(self) -> str:
+        count, each = len(self.shapes), [repr(shape) for shape in self.shapes[:_SHOWN]]
+        more = [f"… {count} shapes"] if count > _SHOWN else []
+        return f"Scene({', '.join(each + more)})"
 
 
 class Shifted(AbstractShape):

@@ -20,6 +20,8 @@ from tomojax._checks import (
 )
 from tomojax._custom_types import Numbers
 from tomojax._require import check_electrodes
+from tomojax._shown import named, shown
+from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 
 
@@ -182,6 +184,24 @@ class Sensor(eqx.Module):
     def all_grounds(self) -> np.ndarray:
         """Returns each electrode grounded once, in order: the paper's *All*."""
         return np.arange(self.electrode_count)
+
+    def __repr__(self) -> str:
+        nx, ny = self.divisions
+        return named(
+            self,
+            size=shown(self.size, "mm", 1e3),
+            electrodes=shown(getattr(self.electrode_xy, "shape", (None,))[0]),
+            electrode_diameter=shown(self.electrode_diameter, "mm", 1e3),
+            sheet_resistance=shown(self.sheet_resistance, "Ω/sq"),
+            ground_resistance=shown(self.ground_resistance, "Ω"),
+            drive_voltage=shown(self.drive_voltage, "V"),
+            mesh=f"{nx} × {ny}",
+            dtype=str(getattr(self.electrode_xy, "dtype", None)),
+        )
+
+    def _repr_png_(self) -> bytes | None:
+        """A notebook's picture: the sheet and its electrodes."""
+        return png(lambda ax: sheet(self, ax))
 
 
 def _whole_divisions(divisions: Any) -> tuple[int, int]:

@@ -1,120 +1,46 @@
-"""Describes what touches the sheet: shapes with a conductance per area.
+"""Defines shapes that touch the sheet: an outline each, and the conductance inside."""
 
-A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are signed
-distances (negative inside). Across an outline the conductance falls over the distance
-between two sample points. So the conductance is smooth in the shape's place and size.
-"""
+from dataclasses import replace
+from typing import TypeVar
 
-from abc import abstractmethod
-
-import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax._checks import (
     float_array,
     require,
     require_finite,
-    require_not_negative,
     require_positive,
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax.sensor._outline import (
+    AbstractOutline,
+    checked_center,
+    checked_conductance,
+    checked_lengths,
+    Density,
+    norm,
+    Points,
+    turned,
+)
 
-Points = Float[Array, "*points 2"]
-Density = Float[Array, "*points"]
-
-
-class AbstractShape(eqx.Module):
-    """A contact on the sheet.
-
-    **Example:**
-
-    >>> import jax.numpy as jnp
-    >>> import tomojax as tx
-    >>> class Everywhere(tx.sensor.AbstractShape):
-    ...     def density(self, points, blur, size):
-    ...         return jnp.full(points.shape[:-1], 0.1, points.dtype)
-    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> tx.voltages(sensor, Everywhere(), [0, 15]).shape
-    (2, 16)
-    """
-
-    @abstractmethod
-    def density(
-        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
-    ) -> Density:
-        """Returns conductance per area (S/m²) at `points` (m) on a sheet of `size` (m)."""
+Outline = TypeVar("Outline", bound=AbstractOutline)
 
 
-class AbstractOutline(AbstractShape):
-    """A contact of even conductance inside an outline.
-
-    **Example:**
-
-    >>> import jax
-    >>> import jax.numpy as jnp
-    >>> import tomojax as tx
-    >>> class Square(tx.sensor.AbstractOutline):
-    ...     conductance: jax.Array
-    ...     def distance(self, points):  # to a square of 20 mm at the sheet's corner
-    ...         return points.max(-1) - 0.02
-    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> siemens = tx.sensor.contact_conductance(sensor, Square(jnp.array(2.0))).sum()
-    >>> print(f"{1e6 * float(siemens):.0f} µS")  # 2 S/m² on 400 mm²
-    800 µS
-    """
-
-    conductance: eqx.AbstractVar[Float[Array, ""]]
-
-    @abstractmethod
-    def distance(self, points: Points) -> Density:
-        """Returns the distance to the outline, m, negative inside."""
-
-    def density(
-        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
-    ) -> Density:
-        inside = jnp.clip(0.5 - self.distance(points) / blur, 0, 1)
-        return self.conductance * inside**2 * (3 - 2 * inside)
-
-
-def _length(vector: Float[Array, "*points 2"]) -> Density:
-    """Computes |v| with a zero gradient at v = 0, where jnp.linalg.norm has NaN."""
-    square = (vector**2).sum(-1)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
-
-
-def _turned(points: Points, center: Array, angle: Array) -> Points:
-    """Returns `points` in axes at `center`, turned by `angle`."""
-    x, y = jnp.moveaxis(points - center, -1, 0)
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([cos * x + sin * y, cos * y - sin * x], -1)
-
-
-def _center(value: Numbers) -> Array:
-    center = float_array("center", value)
-    require_shape("center", center, (2,))
-    require_finite("center", center)
-    return center
-
-
-def _lengths(**values: Numbers) -> list[Array]:
-    arrays = [float_array(name, value) for name, value in values.items()]
-    for name, array in zip(values, arrays):
-        require_shape(name, array, ())
-        require_positive(name, array)
-    return arrays
-
-
-def _conductance(value: Numbers) -> Array:
-    conductance = float_array("conductance", value)
-    require_shape("conductance", conductance, ())
-    require_not_negative("conductance", conductance)
-    return conductance
+def _of_total(shape: Outline, siemens: Numbers, area: Array) -> Outline:
+    total = checked_conductance(siemens, "siemens")
+    return replace(shape, conductance=total / area.astype(total.dtype))
 
 
 class Disc(AbstractOutline):
     """A round contact: `center` (2,) m, `radius` m, `conductance` S/m².
+
+    `conductance` counts per area: a disc of 6 mm and 0.5 S/m² conducts 57 µS in all.
+    `Disc.of_total` takes the whole conductance in S, as `simulate_scenes` and results have
+    it. The mesh then holds that total to 1 % where the disc lies on the sheet whole and
+    is wider than a cell.
 
     **Example:**
 
@@ -124,6 +50,9 @@ class Disc(AbstractOutline):
     >>> siemens = tx.sensor.contact_conductance(sensor, disc).sum()
     >>> print(f"{1e6 * float(siemens):.0f} µS")  # 0.5 S/m² on π·(6 mm)²
     57 µS
+    >>> total = tx.Disc.of_total([0.03, 0.05], radius=0.006, siemens=57e-6)
+    >>> print(f"{float(total.conductance):.2f} S/m²")
+    0.50 S/m²
     """
 
     center: Float[Array, "2"]
@@ -131,12 +60,18 @@ class Disc(AbstractOutline):
     conductance: Float[Array, ""]
 
     def __init__(self, center: Numbers, radius: Numbers, conductance: Numbers):
-        self.center = _center(center)
-        (self.radius,) = _lengths(radius=radius)
-        self.conductance = _conductance(conductance)
+        self.center = checked_center(center)
+        (self.radius,) = checked_lengths(radius=radius)
+        self.conductance = checked_conductance(conductance)
+
+    @classmethod
+    def of_total(cls, center: Numbers, radius: Numbers, siemens: Numbers) -> "Disc":
+        """Makes a disc that conducts so many `siemens` in all."""
+        disc = cls(center, radius, 1.0)
+        return _of_total(disc, siemens, np.pi * disc.radius**2)
 
     def distance(self, points: Points) -> Density:
-        return _length(points - self.center) - self.radius
+        return norm(points - self.center) - self.radius
 
 
 class Ellipse(AbstractOutline):
@@ -164,19 +99,27 @@ class Ellipse(AbstractOutline):
         angle: Numbers,
         conductance: Numbers,
     ):
-        self.center = _center(center)
+        self.center = checked_center(center)
         self.semi_axes = float_array("semi_axes", semi_axes)
         require_shape("semi_axes", self.semi_axes, (2,))
         require_positive("semi_axes", self.semi_axes)
         self.angle = float_array("angle", angle)
         require_finite("angle", self.angle)
-        self.conductance = _conductance(conductance)
+        self.conductance = checked_conductance(conductance)
+
+    @classmethod
+    def of_total(
+        cls, center: Numbers, semi_axes: Numbers, angle: Numbers, siemens: Numbers
+    ) -> "Ellipse":
+        """Makes an ellipse that conducts so many `siemens` in all, as `Disc.of_total`."""
+        ellipse = cls(center, semi_axes, angle, 1.0)
+        return _of_total(ellipse, siemens, np.pi * ellipse.semi_axes.prod())
 
     def distance(self, points: Points) -> Density:
         # First order in the distance, exact on the outline: all that `density` uses.
-        local = _turned(points, self.center, self.angle)
-        scaled = _length(local / self.semi_axes)
-        slope = _length(local / self.semi_axes**2)
+        local = turned(points, self.center, self.angle)
+        scaled = norm(local / self.semi_axes)
+        slope = norm(local / self.semi_axes**2)
         middle = slope == 0
         return jnp.where(
             middle,
@@ -212,16 +155,29 @@ class Bar(AbstractOutline):
         angle: Numbers,
         conductance: Numbers,
     ):
-        self.center = _center(center)
-        self.length, self.width = _lengths(length=length, width=width)
+        self.center = checked_center(center)
+        self.length, self.width = checked_lengths(length=length, width=width)
         self.angle = float_array("angle", angle)
         require_finite("angle", self.angle)
-        self.conductance = _conductance(conductance)
+        self.conductance = checked_conductance(conductance)
+
+    @classmethod
+    def of_total(
+        cls,
+        center: Numbers,
+        length: Numbers,
+        width: Numbers,
+        angle: Numbers,
+        siemens: Numbers,
+    ) -> "Bar":
+        """Makes a bar that conducts so many `siemens` in all, as `Disc.of_total`."""
+        bar = cls(center, length, width, angle, 1.0)
+        return _of_total(bar, siemens, bar.length * bar.width)
 
     def distance(self, points: Points) -> Density:
-        local = _turned(points, self.center, self.angle)
+        local = turned(points, self.center, self.angle)
         beyond = jnp.abs(local) - jnp.stack([self.length, self.width]) / 2
-        return _length(jnp.maximum(beyond, 0)) + jnp.minimum(beyond.max(-1), 0)
+        return norm(jnp.maximum(beyond, 0)) + jnp.minimum(beyond.max(-1), 0)
 
 
 class Ring(AbstractOutline):
@@ -249,13 +205,21 @@ class Ring(AbstractOutline):
         outer: Numbers,
         conductance: Numbers,
     ):
-        self.center = _center(center)
-        self.inner, self.outer = _lengths(inner=inner, outer=outer)
+        self.center = checked_center(center)
+        self.inner, self.outer = checked_lengths(inner=inner, outer=outer)
         require_positive("outer − inner", self.outer - self.inner)
-        self.conductance = _conductance(conductance)
+        self.conductance = checked_conductance(conductance)
+
+    @classmethod
+    def of_total(
+        cls, center: Numbers, inner: Numbers, outer: Numbers, siemens: Numbers
+    ) -> "Ring":
+        """Makes a ring that conducts so many `siemens` in all, as `Disc.of_total`."""
+        ring = cls(center, inner, outer, 1.0)
+        return _of_total(ring, siemens, np.pi * (ring.outer**2 - ring.inner**2))
 
     def distance(self, points: Points) -> Density:
-        radius = _length(points - self.center)
+        radius = norm(points - self.center)
         return jnp.abs(radius - (self.inner + self.outer) / 2) - (
             (self.outer - self.inner) / 2
         )
@@ -282,14 +246,14 @@ class Polygon(AbstractOutline):
         require_shape("vertices", self.vertices, (None, 2))
         require(len(self.vertices) >= 3, "vertices", len(self.vertices), "3 or more")
         require_finite("vertices", self.vertices)
-        self.conductance = _conductance(conductance)
+        self.conductance = checked_conductance(conductance)
 
     def distance(self, points: Points) -> Density:
         start = self.vertices
         end = jnp.roll(start, -1, 0)
         edge, to = end - start, points[..., None, :] - start
         along = (to * edge).sum(-1) / (edge**2).sum(-1)
-        nearest = _length(to - jnp.clip(along, 0, 1)[..., None] * edge).min(-1)
+        nearest = norm(to - jnp.clip(along, 0, 1)[..., None] * edge).min(-1)
         # Even-odd rule: edges that a ray along +x crosses.
         x, y = points[..., None, 0], points[..., None, 1]
         spans = (start[:, 1] > y) != (end[:, 1] > y)

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from tomojax._shown import tuple_shown
+
 
 class Packed(NamedTuple):
     """A pytree's numbers: two arrays, to be saved and restored unchanged.
@@ -22,6 +24,9 @@ class Packed(NamedTuple):
 
     numbers: Float[Array, "*batch n"]
     whole: Int[Array, "*batch k"]  # int32; also truths
+
+    def __repr__(self) -> str:
+        return tuple_shown(self)
 
 
 class Packing:

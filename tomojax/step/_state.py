@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, Bool, Float, Int
 
+from tomojax._shown import tuple_shown
 from tomojax.kernels.images import Contacts
 from tomojax.step._policies import Plan
 
@@ -36,6 +37,9 @@ class Output(NamedTuple):
     residual: Float[Array, ""]  # V rms
     flags: Int[Array, ""]  # bits of `Flag`
     ground: Int[Array, ""]  # to be grounded next
+
+    def __repr__(self) -> str:
+        return tuple_shown(self, residual=("V", 1.0))
 
 
 class Read(NamedTuple):

@@ -1,6 +1,7 @@
 """The step of a robot: one slot in, contacts and the next ground out, compiled once."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._require import require
+from tomojax._shown import named
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.kernels.levels import level_bits
@@ -20,16 +22,20 @@ from tomojax.step._methods import AbstractStepMethod, Told
 from tomojax.step._one_function import one_function
 from tomojax.step._packing import Packed, Packing
 from tomojax.step._policies import AbstractPolicy, Plan, Seen
+from tomojax.step._saving import load_state, save_state
 from tomojax.step._state import Doubt, Output, Read, Remembered, Slot
 
 # Slots of a compiled call of `replay`: a tenth of a second of work, 1 MB.
 _BLOCK = 4096
 
+# As a step gives it, or its two arrays as some file has kept them.
+State = Packed | tuple[Any, Any]
+
 
 class Step:
     """A method and a policy as one compiled function of a state and a slot.
 
-    `state` is the first state: two arrays, to be saved and restored unchanged.
+    `state` is the first state: two arrays, which `save` and `load` keep in a file.
     `step(state, voltages, ground)` gives the state after that slot and an `Output` in
     NumPy's arrays. The input is converted and checked for its shape. Nothing else in the
     input can raise or compile anew: flags tell of wrong input. `replay` runs recorded slots
@@ -47,6 +53,8 @@ class Step:
     >>> state, out = step(state, volts[0], 0)
     >>> step.policies, step.image(state).shape
     (('boundary', 'all'), (8, 8))
+    >>> step.save("state.npz", state)
+    >>> state, out = step(step.load("state.npz"), volts[1], 15)  # goes on
     """
 
     def __init__(
@@ -79,9 +87,20 @@ class Step:
         self._image = jax.jit(self._drawn)
         self._replay = jax.jit(self._replayed)
 
+    def __repr__(self) -> str:
+        method = getattr(self._method, "method", self._method)
+        return named(
+            self,
+            method=type(method).__name__,
+            policies=repr(self.policies),
+            electrodes=str(self.electrode_count),
+            contacts_at_most=str(self.contact_count),
+            dtype=str(self.dtype),
+        )
+
     def __call__(
         self,
-        state: Packed,
+        state: State,
         voltages: Any,
         ground: Any,
         lost: int | np.integer = 0,
@@ -89,11 +108,11 @@ class Step:
     ) -> tuple[Packed, Output]:
         """Returns the state after a slot, and the slot's results."""
         slot = self._slot(voltages, ground, lost, hurried)
-        state, said = self._compiled(state, *slot)
+        state, said = self._compiled(_packed(state), *slot)
         return state, self._output(said)
 
     def replay(
-        self, state: Packed, voltages: Any, grounds: Any, lost: Any = None
+        self, state: State, voltages: Any, grounds: Any, lost: Any = None
     ) -> tuple[Packed, Output]:
         """Runs a step for each row of `voltages` (n, M); outputs have n rows."""
         v = np.asarray(voltages, self.dtype)
@@ -105,7 +124,7 @@ class Step:
         require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
         whole = np.stack([g.astype(np.int32), gone, np.zeros_like(gone)], 1)
         # Blocks of one size, the last filled up: one program serves any number of slots.
-        parts = []
+        parts, state = [], _packed(state)
         for start in range(0, max(1, len(v)), _BLOCK):
             some = v[start : start + _BLOCK], whole[start : start + _BLOCK]
             count = len(some[0])
@@ -115,11 +134,22 @@ class Step:
         numbers, whole = map(np.concatenate, zip(*parts))
         return state, self._output(Packed(numbers, whole))  # pyright: ignore
 
-    def image(self, state: Packed) -> Float[Array, "nx ny"]:
+    def image(self, state: State) -> Float[Array, "nx ny"]:
         """Returns the last slot's image, in the method's unit; NaN for an unusable slot."""
-        return self._image(state)
+        return self._image(_packed(state))
 
-    def switch(self, state: Packed, policy: str) -> Packed:
+    def save(self, path: Path | str, state: State) -> None:
+        """Writes a state to an .npz file; the file is there whole or not at all."""
+        save_state(path, _packed(state), self.policies)
+
+    def load(self, path: Path | str) -> Packed:
+        """Reads a state that a step like this has saved.
+
+        **Raises:** `ValueError` for a file that is none, or of another step.
+        """
+        return load_state(path, self.state, self.policies)
+
+    def switch(self, state: State, policy: str) -> Packed:
         """Returns the state with another of the step's policies, from the next slot on."""
         names = ", ".join(self.policies)
         require(policy in self.policies, "policy", repr(policy), f"one of {names}")
@@ -302,6 +332,10 @@ class Step:
         last = remembered.last
         image = self._method.image(remembered.memory, last.voltages, last.ground)
         return jnp.where(remembered.used.any(), image, jnp.nan)
+
+
+def _packed(state: State) -> Packed:
+    return state if isinstance(state, Packed) else Packed(*state)
 
 
 def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:

@@ -17,6 +17,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._shown import tuple_shown
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
 from tomojax.kernels.sheet import centroids, cosine_waves
 from tomojax.methods import sheet_of
@@ -89,6 +90,9 @@ class SimulatedScenes(NamedTuple):
 
     places: Float[Array, "P ..."]  # (P, 2), or (P, C, 2), m
     voltages: Float[Array, "P L M"]  # V
+
+    def __repr__(self) -> str:
+        return tuple_shown(self)
 
 
 def simulate_scenes(

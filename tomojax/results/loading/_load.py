@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from tomojax._require import require
+from tomojax._shown import html_table, named
 from tomojax.files import open_container
 from tomojax.methods import fields_of_rows
+from tomojax.results.loading._frames import to_pandas, to_xarray
 
 SCHEMA, VERSION = "tomojax-results", 1
 
@@ -22,8 +24,19 @@ _ROUNDING, _LEAST = 1e-3, 1e-15
 class LoadedResults:
     """An open results file, and a context that closes the file.
 
-    `attributes` and `names` are the file's; `rows` is the number of rows.
+    `results["contact_xy"]` gives a dataset as an array; `names` lists the datasets.
+    `attributes` are the file's. `rows` is the number of rows, `contacts` the most of a row.
     **Raises:** `ValueError`, one line that names the file and the field.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> import tomojax as tx
+    >>> try:
+    ...     tx.results.LoadedResults(Path("none.h5"))
+    ... except ValueError as error:
+    ...     print(error)
+    none.h5: not a results file: file: got none, or a folder, expected a file
     """
 
     def __init__(self, path: Path):
@@ -107,6 +120,30 @@ class LoadedResults:
             raise ValueError(f"{self.path}: {text}") from None
         return values
 
+    def __getitem__(self, name: str) -> np.ndarray:
+        known = ", ".join(self.names)
+        require(name in self.names, f"{self.path}: name", repr(name), f"one of {known}")
+        return self.read(name)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """A dataset's."""
+        return self._file.shape(name)
+
+    def to_pandas(self) -> Any:
+        """Returns a DataFrame: a line for each contact of each row, units in the names.
+
+        A row without contacts has a line of its own, with `contact` 0. Images have no
+        column. pandas is an extra, `tomojax[tables]`.
+        """
+        return to_pandas(self)
+
+    def to_xarray(self) -> Any:
+        """Returns a Dataset with the variables, dimensions and units of a NetCDF export.
+
+        All is read into memory, images too. xarray is an extra, `tomojax[tables]`.
+        """
+        return to_xarray(self)
+
     def stretch(
         self, name: str, start: int | np.integer, stop: int | np.integer
     ) -> np.ndarray:
@@ -129,6 +166,18 @@ class LoadedResults:
         """Returns the attributes of a dataset."""
         return self._file.attributes_of(name)
 
+    def __repr__(self) -> str:
+        return named(self, **dict(self._told()), datasets=", ".join(self.names))
+
+    def _repr_html_(self) -> str:
+        each = [(n, f"{self.shape(n)} {self.unit(n).get('unit', '')}") for n in self.names]
+        return html_table([*self._told(), *each], title="Results")
+
+    def _told(self) -> list[tuple[str, str]]:
+        method = str(self.attributes.get("method"))
+        rows = f"{self.rows} of up to {self.contacts} contacts"
+        return [("path", str(self.path)), ("method", method), ("rows", rows)]
+
     def close(self) -> None:
         self._file.close()
 
@@ -137,6 +186,32 @@ class LoadedResults:
 
     def __exit__(self, *_: Any) -> None:
         self.close()
+
+
+def open_results(path: Path | str) -> LoadedResults:
+    """Opens a results file to be read.
+
+    **Raises:** `ValueError`, one line that names the file and the field.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> volts = np.asarray(tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15]))
+    >>> recording = tx.recordings.ArrayRecording(
+    ...     tx.recordings.Rig.of(sensor), volts[None], [0, 15]
+    ... )
+    >>> settings = tx.results.Settings(method="source", grid=16, contacts=2)
+    >>> path = tx.reconstruct_recording(recording, "touch.h5", settings)
+    >>> with tx.results.open_results(path) as results:
+    ...     places, table = results["contact_xy"], results.to_pandas()
+    >>> places.shape
+    (1, 2, 2)
+    >>> [str(name) for name in table][:5], (1e3 * table.x_m).round().tolist()  # mm
+    (['row', 't_s', 'contact', 'x_m', 'y_m'], [30.0])
+    """
+    return LoadedResults(Path(path))
 
 
 def _check_values(name: str, values: np.ndarray, contacts: int) -> None:

@@ -1,0 +1,262 @@
+"""Ground patterns side by side: images by Eq. 3, each pattern at the λ of one width.
+
+λ is a trade of place for width: patterns at one λ have images of different widths, whose
+errors of place say little. So each takes the λ that makes its images equally wide.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Integer
+
+from tomojax._custom_types import Numbers
+from tomojax._require import library, require
+from tomojax._shown import html_table
+from tomojax.design.objectives import design_places, simulate_scenes
+from tomojax.kernels.images import half_width, image_place
+from tomojax.methods import Linear, method
+from tomojax.paper import AdaptiveScan, exploration, pattern, PATTERNS
+from tomojax.sensor import ground_set, Sensor
+from tomojax.step import ADAPTIVE
+
+# λ/σ₁² of the search, two for each decade, and bisections after it; a width that is off by
+# less is reached.
+_LAMS, _BISECTIONS, _ALIKE = 10.0 ** np.arange(-8, 0.1, 0.5), 12, 0.03
+
+# Radius of a contact, of the pitch; it holds the sheet at the drive, as in Eq. 1.
+_RADIUS, _SIEMENS = 0.1, 1.0
+
+
+class PatternFigures(NamedTuple):
+    """A pattern at the width that it shares with the others.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> row = tx.design.PatternFigures("mine", 3, 0, 0.3, 1e-4, 20.0, 1.5, 4.0, True)
+    >>> row.slots, row.place_median_mm
+    (3, 1.5)
+    """
+
+    pattern: str
+    slots: int  # of a scan, without the exploratory ones
+    exploratory_slots: int  # 2 of an adaptive pattern
+    dt_ms: float  # of `slots`, as the paper counts
+    lam_relative: float  # λ/σ₁², σ₁ of all grounds
+    width_mm: float  # full width at half maximum, the median
+    place_median_mm: float  # error of place
+    place_p90_mm: float
+    equally_wide: bool  # False: no λ makes its images so wide
+
+
+@dataclass(frozen=True)
+class PatternTable:
+    """Patterns compared: `rows`, at the width `width_mm`, over so many `contacts`.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> row = tx.design.PatternFigures("mine", 3, 0, 0.3, 1e-4, 20.0, 1.5, 4.0, True)
+    >>> tx.design.PatternTable((row,), 20.0, 48)
+    images 20 mm wide, 48 simulated contacts
+    pattern       slots  Δt, ms  λ/σ₁²    width, mm  place, mm: median  90 %
+    mine              3    0.30  1.0e-04       20.0               1.50  4.00
+    """
+
+    rows: tuple[PatternFigures, ...]
+    width_mm: float
+    contacts: int
+
+    def __repr__(self) -> str:
+        lines = [
+            self._title(),
+            "pattern       slots  Δt, ms  λ/σ₁²    width, mm  place, mm: median  90 %",
+        ]
+        for r in self.rows:
+            slots = f"{r.slots}+{r.exploratory_slots}" if r.exploratory_slots else r.slots
+            note = "" if r.equally_wide else "  (another width)"
+            lines.append(
+                f"{r.pattern[:12]:12s}  {slots!s:>5s}  {r.dt_ms:6.2f}"
+                f"  {r.lam_relative:.1e}  {r.width_mm:9.1f}"
+                f"  {r.place_median_mm:17.2f}  {r.place_p90_mm:4.2f}{note}"
+            )
+        return "\n".join(lines)
+
+    def _title(self) -> str:
+        return f"images {self.width_mm:.3g} mm wide, {self.contacts} simulated contacts"
+
+    def _repr_html_(self) -> str:
+        rows = [[f"{v:.3g}" if isinstance(v, float) else v for v in r] for r in self.rows]
+        return html_table(rows, PatternFigures._fields, self._title())
+
+    def to_pandas(self) -> Any:
+        """Returns a DataFrame; pandas is an extra, `tomojax[tables]`."""
+        return library("pandas", "tables").DataFrame(list(self.rows))
+
+
+def compare_patterns(
+    sensor: Sensor,
+    patterns: Mapping[str, str | Numbers] | Sequence[str] = PATTERNS,
+    *,
+    width: float | None = None,
+    contacts: int = 48,
+    f_switch: float = 10e3,
+    rigs: int = 4,
+    seed: int = 0,
+) -> PatternTable:
+    """Compares ground patterns on simulated contacts, where their images are equally wide.
+
+    Contacts lie evenly over the sheet on rigs that are not nominal, see `simulate_scenes`;
+    Eq. 3 knows nominal values. An adaptive pattern explores each contact by two slots,
+    which neither `slots` nor `dt_ms` counts.
+
+    **Arguments:** `patterns`: by your names, numbers of electrodes or one of the paper's
+    patterns; `width` m, full at half maximum, an electrodes' pitch by default; `contacts`
+    that are simulated; `f_switch` slots/s; `rigs` that take turns; `seed` of rigs and
+    random patterns.
+    **Raises:** `ValueError` for no patterns, unknown names, grounds that are no electrodes
+    or repeat.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> patterns = {"mine": [0, 7, 14], "around": "around", "all": "all"}
+    >>> table = tx.design.compare_patterns(sensor, patterns, contacts=8, rigs=1)
+    >>> [(row.pattern, row.slots) for row in table.rows]
+    [('mine', 3), ('around', 8), ('all', 16)]
+    >>> table.rows[2].place_median_mm < table.rows[0].place_median_mm
+    True
+    """
+    given = patterns if isinstance(patterns, Mapping) else {name: name for name in patterns}
+    require(len(given) > 0, "patterns", "none", "at least one")
+    wide = sensor.mean_pitch if width is None else float(width)
+    require(np.isfinite(wide) and wide > 0, "width", width, "m, above 0")
+    rate = np.isfinite(f_switch) and f_switch > 0
+    require(rate, "f_switch", f_switch, "slots/s, above 0")
+    checked = {name: _checked(sensor, name, one) for name, one in given.items()}
+    places = design_places(sensor, count=contacts)
+    simulated = {"radius": _RADIUS * sensor.mean_pitch, "conductance": _SIEMENS}
+    scenes = simulate_scenes(sensor, places, rigs=rigs, seed=seed, **simulated)
+    explored = scenes.voltages[:, exploration(sensor)]
+    linear = method(sensor, "linear")
+    assert isinstance(linear, Linear)
+    images = _Images.of(linear, np.asarray(scenes.voltages, float))
+    rows = []
+    for name, one in checked.items():
+        sets = _sets(sensor, one, explored, seed)
+        found = _at_width(images.of_sets(sets), images.scale, wide, linear, places)
+        explores = 2 if isinstance(one, str) and one in ADAPTIVE else 0
+        slots = sets.shape[1]
+        rows.append(PatternFigures(name, slots, explores, 1e3 * slots / f_switch, *found))
+    return PatternTable(tuple(rows), 1e3 * wide, contacts)
+
+
+def _checked(sensor: Sensor, name: str, one: str | Numbers) -> str | np.ndarray:
+    if isinstance(one, str):
+        known = ", ".join(PATTERNS)
+        require(
+            one in PATTERNS, f"patterns[{name!r}]", repr(one), f"grounds or one of {known}"
+        )
+        return one
+    grounds = np.asarray(ground_set(sensor, one))
+    whole = grounds.ndim == 1 and len(np.unique(grounds)) == len(grounds)
+    require(whole, f"patterns[{name!r}]", one, "numbers of electrodes, each at most once")
+    return grounds
+
+
+def _sets(
+    sensor: Sensor, one: str | np.ndarray, explored: Float[Array, "P 2 M"], seed: int
+) -> Integer[np.ndarray, "P L"]:
+    """Returns the grounds of each contact."""
+    if not isinstance(one, str):
+        grounds = one
+    elif one in ADAPTIVE:
+        scan = AdaptiveScan(sensor, one)  # pyright: ignore
+        return np.asarray(jax.jit(jax.vmap(lambda v: scan(v)[0]))(explored))
+    else:
+        grounds = np.asarray(pattern(sensor, one, seed=seed))
+    return np.broadcast_to(grounds, (len(explored), len(grounds)))
+
+
+class _Images(NamedTuple):
+    """What Eq. 3 takes of each slot, for all contacts."""
+
+    grams: Float[np.ndarray, "L r r"]
+    rights: Float[np.ndarray, "P L r"]
+    basis: Float[np.ndarray, "r pixels"]
+    scale: float  # σ₁²
+
+    @classmethod
+    def of(cls, linear: Linear, volts: Float[np.ndarray, "P L M"]) -> "_Images":
+        factors = np.asarray(linear.factors, float)
+        grams = factors.transpose(0, 2, 1) @ factors
+        rights = np.einsum("lmr,plm->plr", factors, volts, optimize=True)
+        return cls(grams, rights, np.asarray(linear.basis, float), linear.scale())
+
+    def of_sets(
+        self, sets: Integer[np.ndarray, "P L"]
+    ) -> Callable[[float], Float[np.ndarray, "P pixels"]]:
+        """Returns the images of all contacts as a function of λ."""
+        rights = np.stack([b[some].sum(0) for b, some in zip(self.rights, sets)])
+        alike, which = np.unique(np.sort(sets, 1), axis=0, return_inverse=True)
+        parts = []
+        for k, grounds in enumerate(alike):
+            values, vectors = np.linalg.eigh(self.grams[grounds].sum(0))
+            mine = np.flatnonzero(which.ravel() == k)
+            parts.append((mine, np.maximum(values, 0), vectors, rights[mine] @ vectors))
+
+        def images(lam: float) -> Float[np.ndarray, "P pixels"]:
+            solved = np.empty_like(rights)
+            for mine, values, vectors, turned in parts:
+                solved[mine] = turned / (values + lam) @ vectors.T
+            return solved @ self.basis
+
+        return images
+
+
+def _at_width(
+    images: Callable[[float], np.ndarray],
+    scale: float,
+    wide: float,
+    linear: Linear,
+    places: Float[Array, "P 2"],
+) -> tuple[float, float, float, float, bool]:
+    """Returns λ/σ₁² at that width; the width, and the place's error, mm."""
+
+    def measured(lam: float) -> tuple[float, np.ndarray]:
+        found = jnp.asarray(images(lam * scale), linear.cell.dtype)
+        widths, at = _measured(found.reshape(-1, *linear.shape), linear.cell)
+        return 2 * float(np.median(widths)), np.asarray(at)
+
+    # From the narrow end: with the smallest λ noise makes an image of its own.
+    widths = np.array([measured(lam)[0] for lam in _LAMS])
+    narrow = int(widths.argmin())
+    beyond = np.flatnonzero(widths[narrow:] >= wide)
+    if not len(beyond):
+        lam = float(_LAMS[-1])
+    elif beyond[0] == 0:
+        lam = float(_LAMS[narrow])
+    else:
+        high = float(_LAMS[narrow + beyond[0]])
+        low = float(_LAMS[narrow + beyond[0] - 1])
+        for _ in range(_BISECTIONS):
+            lam = float(np.sqrt(low * high))
+            low, high = (lam, high) if measured(lam)[0] < wide else (low, lam)
+        lam = high
+    width, at = measured(lam)
+    off = 1e3 * np.linalg.norm(at - np.asarray(places), axis=1)
+    fits = abs(width / wide - 1) < _ALIKE
+    return lam, 1e3 * width, float(np.median(off)), float(np.quantile(off, 0.9)), fits
+
+
+@jax.jit
+def _measured(
+    images: Float[Array, "P nx ny"], cell: Float[Array, "2"]
+) -> tuple[Float[Array, " P"], Float[Array, "P 2"]]:
+    widths = jax.vmap(half_width, (0, None))(images, cell)
+    return widths, jax.vmap(image_place, (0, None))(images, cell)
