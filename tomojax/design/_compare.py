@@ -184,7 +184,7 @@ def _sets(
 
 
 class _Images(NamedTuple):
-    """What Eq. 3 takes of each slot, for all contacts."""
+    """Holds what Eq. 3 takes of each slot, for all contacts."""
 
     grams: Float[np.ndarray, "L r r"]
     rights: Float[np.ndarray, "P L r"]

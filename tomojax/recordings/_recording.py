@@ -177,7 +177,7 @@ class Recording(ABC):
         return html_table(self._told(), title=type(self).__name__)
 
     def _told(self) -> list[tuple[str, str]]:
-        """What is known without reading: names and texts."""
+        """Returns what is known without reading: names and texts."""
         lost = int(np.sum(self.gaps[:, 1])) if len(self.gaps) else 0
         return [
             ("path", str(self.path)),

@@ -102,7 +102,7 @@ class Calibration:
             _require_numbers(f"deviation of {name}"[:60], value, (0, 1, 2))
 
     def __repr__(self) -> str:
-        """What is not nominal; of a value for each channel the range."""
+        """Shows what is not nominal; values of channels by their range."""
         told = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.deviation:
             told["deviation"] = tuple(self.deviation)  # of which values it is known

@@ -1,8 +1,8 @@
-"""What touches the sheet: shapes with a conductance per area.
+"""Describes what touches the sheet: shapes with a conductance per area.
 
-A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are
-signed distances (negative inside); across an outline the conductance falls over the
-distance between two sample points, so that it is smooth in the shape's place and size.
+A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are signed
+distances (negative inside). Across an outline the conductance falls over the distance
+between two sample points. So the conductance is smooth in the shape's place and size.
 """
 
 from abc import abstractmethod

@@ -157,7 +157,7 @@ def chart(rows: list[dict[str, Any]]) -> Any:
 
 
 def _area(slots: int) -> float:
-    """Of a mark, square points."""
+    """Returns the area of a mark, square points."""
     return 24 + 14 * np.log2(slots)
 
 
