@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from tomojax._pictures import lay_sheet, style
 from tomojax._require import require
 from tomojax._stretch import stretch_of
 from tomojax._whole import reason, whole
@@ -119,7 +120,6 @@ def picture(path: Path, out: Path) -> Any:
     """Places and conductances before and after, and the ellipses of the places."""
     from matplotlib.figure import Figure
 
-    from tomojax._pictures import lay_sheet, style
     from tomojax.results.plots import ellipses
 
     with LoadedResults(path) as raw:
