@@ -122,13 +122,13 @@ def _on_sheet(axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray) -
     axes.figure.colorbar(dots, ax=axes, label="time, s")
     crosses = "; crosses: in doubt" if doubt.any() else ""
     axes.set_title(f"Where contacts were{crosses}", fontsize=11)
-    if _nearer(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * size):
+    if enlarge(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * size):
         axes.set_title(f"Where contacts were, enlarged{crosses}", fontsize=11)
     if "contact_covariance" in rows:
         ellipses(axes, xy[:, 0], rows["contact_covariance"][:, 0])
 
 
-def _nearer(axes: Any, places: np.ndarray, size: np.ndarray) -> bool:
+def enlarge(axes: Any, places: np.ndarray, size: np.ndarray) -> bool:
     """Shows only the part of the sheet with the places, where that is small; mm."""
     if not len(places):
         return False
