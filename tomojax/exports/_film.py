@@ -138,7 +138,8 @@ class _Picture:
         electrodes = lay_sheet(sheet, source.size, source.electrode_xy)
         (self._dots,) = sheet.plot([], [], ".", color=SKY, ms=2, alpha=0.6)
         (self._rings,) = sheet.plot([], [], color=SKY, lw=1.2)
-        self._title = sheet.set_title("", fontsize=10, loc="left", family="monospace")
+        # The layout leaves room for a title that is there.
+        self._title = sheet.set_title("0 s", fontsize=10, loc="left", family="monospace")
         draw_overview(line, whole)
         self._now = line.axvline(whole.t[0], color="k", lw=1)
         moving = self._shown, electrodes, self._dots, self._rings

@@ -33,23 +33,21 @@ def timeline(path: Path) -> Figure:
     figure = Figure(figsize=(14, 9), layout="constrained")
     of = f", found by {method}" if method else ""
     figure.suptitle(f"Contacts in {path.name}{of}")
-    grid = figure.add_gridspec(30, 3)
-    left = [figure.add_subplot(grid[6 * k : 6 * k + 6, :2]) for k in range(5)]
-    _over_time(left, rows)
+    left, right = figure.subfigures(1, 2, width_ratios=(2, 1))
+    _over_time(left.subplots(5, 1, sharex=True), rows)
     each = shown.get("residual_by_electrode")
     maps = [
         "places",
         *(["image"] if shown else []),
         *(["each"] if each is not None else []),
     ]
-    high = 30 // max(2, len(maps))
-    right = {m: figure.add_subplot(grid[high * k : high * k + high, 2])
-             for k, m in enumerate(maps)}  # fmt: skip
+    right = dict(zip(maps, right.subplots(len(maps), 1, squeeze=False).ravel()))
     _on_sheet(right["places"], rows, size, electrodes)
     if "image" in right:
         label = f"image, {shown['unit'].replace('^2', '²')}"
         show_image(right["image"], shown["image"], size, label)
-        right["image"].set_title(f"Image at {shown['t']:.3f} s, the largest current")
+        title = f"Image at {shown['t']:.3f} s, the largest current"
+        right["image"].set_title(title, fontsize=11)
     if "each" in right:
         _on_electrodes(right["each"], each, size, electrodes)
     return figure
@@ -73,10 +71,11 @@ def _largest(file: LoadedResults) -> dict[str, Any]:
     return told | {"unit": str(file.unit("image").get("unit", ""))}
 
 
-def _over_time(panels: list, rows: dict[str, np.ndarray]) -> None:
+def _over_time(panels: Any, rows: dict[str, np.ndarray]) -> None:
     """Draws places, currents, residuals and flags against time, one below the other."""
     t, xy, current = rows["t"], rows["contact_xy"], rows["contact_current"]
-    for c in range(max(1, int(np.isfinite(current).any(0).sum()))):
+    most = max(1, int(np.isfinite(current).any(0).sum()))
+    for c in range(most):
         look = style(c, linestyle="none", markersize=3, label=f"{c + 1}")
         panels[0].plot(t, 1e3 * xy[:, c, 0], **look)
         panels[1].plot(t, 1e3 * xy[:, c, 1], **look)
@@ -84,13 +83,12 @@ def _over_time(panels: list, rows: dict[str, np.ndarray]) -> None:
     panels[3].plot(t, 1e3 * rows["residual"], ".", color=GREY, markersize=3)
     for axes, label in zip(panels, ("x, mm", "y, mm", "current, µA", "residual, mV rms")):
         axes.set_ylabel(label)
-        axes.sharex(panels[4])
-        axes.tick_params(labelbottom=False)
         axes.grid(alpha=0.3)
-    panels[0].set_title("Contacts of each row, 1 is the strongest", loc="left")
-    panels[0].legend(
-        loc="lower right", bbox_to_anchor=(1, 1), ncols=8, markerscale=2, frameon=False
-    )
+    words = "Contacts of each row" + ", 1 is the strongest" * (most > 1)
+    panels[0].set_title(words, loc="left")
+    if most > 1:
+        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 8}
+        panels[0].legend(**place, markerscale=2, frameon=False)
     _flags(panels[4], t, rows["flags"])
 
 
@@ -125,8 +123,25 @@ def _on_sheet(axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray) -
     axes.figure.colorbar(dots, ax=axes, label="time, s")
     crosses = "; crosses: in doubt" if doubt.any() else ""
     axes.set_title(f"Where contacts were{crosses}", fontsize=11)
+    if enlarge(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * size):
+        axes.set_title(f"Where contacts were, enlarged{crosses}", fontsize=11)
     if "contact_covariance" in rows:
         ellipses(axes, xy[:, 0], rows["contact_covariance"][:, 0])
+
+
+def enlarge(axes: Any, places: np.ndarray, size: np.ndarray) -> bool:
+    """Shows only the part of the sheet with the places, where that is small; mm."""
+    if not len(places):
+        return False
+    low, high = places.min(0), places.max(0)
+    half = 0.6 * float((high - low).max()) + 0.08 * float(size.max())
+    small = 2 * half < 0.7 * size.min()
+    if small:
+        # The window stays on the sheet.
+        middle = np.clip((low + high) / 2, half, size - half)
+        for limit, at in zip((axes.set_xlim, axes.set_ylim), middle):
+            limit(at - half, at + half)
+    return bool(small)
 
 
 def _on_electrodes(axes: Any, each: np.ndarray, size: np.ndarray, xy: np.ndarray) -> None:

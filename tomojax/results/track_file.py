@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from tomojax._pictures import lay_sheet, style
 from tomojax._require import require
 from tomojax._stretch import stretch_of
 from tomojax._whole import reason, whole
@@ -119,8 +120,7 @@ def picture(path: Path, out: Path) -> Any:
     """Draws places and conductances before and after, and the places' ellipses."""
     from matplotlib.figure import Figure
 
-    from tomojax._pictures import lay_sheet, style
-    from tomojax.results.plots import ellipses
+    from tomojax.results.plots import ellipses, enlarge
 
     with LoadedResults(path) as raw:
         t, before = raw.read("t"), raw.read("contact_xy")
@@ -142,12 +142,12 @@ def picture(path: Path, out: Path) -> Any:
         (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
         ("x, mm", "y, mm", "conductance, µS"),
     ):
-        dots = axes.plot(t[::step], old[::step], ".", ms=2, color="0.7")
+        dots = axes.plot(t[::step], old[::step], ".", ms=4, color="0.6")
         axes.set_prop_cycle(color=colours)
         lines = axes.plot(later[::step], new[::step], lw=1)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    left[0].set_title("Each contact slot over time", loc="left")
+    left[0].set_title("Places and conductances", loc="left")
     left[0].legend(
         [dots[0], lines[0]], ["row by row", "followed"], loc="lower right",
         bbox_to_anchor=(1, 1), ncols=2, frameon=False,
@@ -161,5 +161,8 @@ def picture(path: Path, out: Path) -> Any:
         colour = style(int(number))["color"]
         sheet.plot(*path_xy.T, lw=0.8, color=colour)
         ellipses(sheet, xy[row, column], spread[row, column], 6, ec=colour)
-    sheet.set_title("Paths on the sheet,\nwith ellipses of two standard deviations")
+    shown = (
+        "enlarged" if enlarge(sheet, 1e3 * xy[names > 0], 1e3 * size) else "on the sheet"
+    )
+    sheet.set_title(f"Paths, {shown};\nellipses: two standard deviations")
     return figure
