@@ -28,3 +28,4 @@ from tomojax.hardware.sources._source import (
 )
 from tomojax.hardware.sources._udp import UdpSource as UdpSource
 from tomojax.hardware.sources._wire import Link as Link, WireSource as WireSource
+from tomojax.hardware.sources.checking import check_source as check_source

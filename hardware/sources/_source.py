@@ -40,8 +40,31 @@ class Counters:
 class SlotSource(ABC):
     """A rig's slots, one `read` each; a context that starts and stops the source.
 
-    Codes are int16: V = `scale`·code + `offset`. These two and `rate` (slots a second) are
-    known once the source is started. A gap is a number (`Got.lost`), never a made-up slot.
+    A source of one's own is a subclass that keeps these promises; `check_source` tries
+    them. One thread calls all methods, `set_grounds` between reads.
+
+    - **Units.** `electrodes` M, 1 to 256, and `counters` are known before `start`. `rate`
+      (slots a second), `scale` and `offset` are known after `start` and stay: codes are
+      int16, V = `scale`·code + `offset`.
+    - **Clocks.** `Got.time` is the rig's clock, s, 0 at the first slot that came; the
+      clock rises with each slot, by 1/`rate` for each number. `Got.arrived` is the
+      `time.perf_counter()` of this machine at the slot's last byte.
+    - **Numbers.** `Got.number` counts all slots since the start. A lost slot is counted
+      too: the next slot's `lost` says how many are missing, and its number jumps by as
+      many. A source never makes up a slot, repeats none and sorts none in later.
+    - **Grounds.** `Got.ground` is the electrode that was grounded, whatever was asked for;
+      a number beyond M − 1 says that none was. Such a slot is flagged.
+    - **Arrays.** The caller owns `codes`. The source fills all M of them in place, and
+      touches the array no more once `read` has returned.
+    - **Time.** `read` returns within `timeout` and a little. `set_grounds` waits for
+      nothing. `waiting` is 0 where no slot is here: the loop works on no slot that
+      another waits behind.
+    - **Trouble.** A cut line or a silent rig is None until slots come again, counted in
+      `counters.disconnects` and told as lost slots. `read` raises `EOFError` where the
+      slots have an end, as those of a recording. `stop` can be called twice; after `start`
+      slots come again.
+
+    Raise `ValueError` for wrong arguments; `check_grounds` judges grounds.
     """
 
     electrodes: int

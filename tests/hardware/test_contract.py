@@ -10,6 +10,7 @@ from nidaqmx import utils
 
 import tomojax as tx
 from tomojax.hardware import open_source, ReplaySource
+from tomojax.hardware.sources import check_source
 from tomojax.hardware.sources.ni import NiSource
 from tomojax.hardware.sources.virtual_rig import VirtualRig
 
@@ -117,6 +118,16 @@ def test_waiting_for_what_does_not_come_ends(source):
             if got is None:
                 break
     assert time.perf_counter() < end
+
+
+def test_what_is_promised_is_kept(source):
+    """As `check_source` tries it on sources of one's own."""
+    assert check_source(source, obeys=not isinstance(source, ReplaySource)) == []
+
+
+def test_a_replay_that_is_asked_for_grounds():
+    (text,) = check_source(ReplaySource(recorded()))
+    assert "set_grounds([0, 63]) is not obeyed" in text and "obeys=False" in text
 
 
 def test_a_replay_is_the_recording():

@@ -257,6 +257,30 @@ def test_policies_ground_what_they_say(step, sensor, scenes):
     assert np.hypot(*(xy - PLACE).T).max() < 0.05
 
 
+def test_grounds_of_ones_own():
+    """One policy, beside others by name or alone."""
+    small = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    volts = np.asarray(tx.voltages(small, tx.Disc([0.03, 0.05], 0.006, 1.0)))
+    several = ["all", [0, 7, 14], np.array([3]), jnp.array([4, 5]), "6,7"]
+    step = tx.make_step(small, "source", several, contacts=1, grid=8)
+    assert step.policies == ("all", "0,7,14", "3", "4,5", "6,7")
+    _, outs = run(step, step.switch(step.state, "0,7,14"), volts, 12)
+    asked = [int(out.ground) for out in outs[-6:]]
+    assert sorted(asked) == [0, 0, 7, 7, 14, 14]
+    assert asked[1:] + asked[:1] == [{0: 7, 7: 14, 14: 0}[g] for g in asked]
+    alone = tx.make_step(small, "source", np.array([0, 7]), contacts=1, grid=8)
+    assert alone.policies == ("0,7",)
+
+
+@pytest.mark.parametrize(
+    "wrong", ["0,16", [0, -1], "0,,1", "-", [0.5, 1.0], [[]], [0, "all"], [True, False]]
+)
+def test_what_is_no_policy(wrong):
+    small = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    with pytest.raises(ValueError, match="policy: got"):
+        tx.make_step(small, "source", wrong, contacts=1, grid=8)
+
+
 def test_a_table_of_ones_own(sensor, scenes):
     """Four ground conditions by the half of the sheet."""
     table = np.zeros((2, 1, 4), int)

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Array
 
 from tomojax._require import require
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
-from tomojax.step._policies import AbstractPolicy, policy as make_policy
+from tomojax.step._policies import AbstractPolicy, policy as make_policy, policy_names
 from tomojax.step._step import Step
 
 STEP_METHODS = ("follow", *METHODS)
@@ -18,7 +19,7 @@ STEP_METHODS = ("follow", *METHODS)
 def make_step(
     sensor: Sensor,
     method: str = "follow",
-    policy: str | Sequence[str] = "around_contacts",
+    policy: str | Sequence[Any] | np.ndarray | Array = "around_contacts",
     *,
     contacts: int = 2,
     f_switch: float = 10e3,
@@ -36,7 +37,8 @@ def make_step(
     contacts on from slot to slot; other methods see each slot alone. `policy` is a name, or
     several to `switch` between. The patterns "around", "cop_line" and "point" begin with
     two corner slots each. "around_contacts" is *Around* by the contacts' places.
-    "information" grounds the slot that is expected to say most of the places. `tables`
+    "information" grounds the slot that is expected to say most of the places. Electrodes in
+    order, [0, 7, 14], are a policy of the name "0,7,14". `tables`
     holds your own policies by name, such as a `Lookup`. `contacts` is the highest number of
     contacts. `f_switch` (slots/s) limits how far a contact moves in one slot. `lam` is λ
     (by default the method's own without a recording). `cheaper` names a method that answers
@@ -56,6 +58,8 @@ def make_step(
     >>> state, out = step(step.state, volts[0], 0)  # electrode 0 was grounded
     >>> int(out.contacts.count), int(out.ground)  # the next to be grounded
     (1, 15)
+    >>> tx.make_step(sensor, "source", ["all", [0, 3, 15]], contacts=1, grid=8).policies
+    ('all', '0,3,15')
     """
     whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
     require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")
@@ -65,7 +69,7 @@ def make_step(
     require(used.sum() >= 4, "good", f"{used.sum()} channels", "4 or more")
     rate = np.isfinite(f_switch) and f_switch > 0
     require(rate, "f_switch", f_switch, "slots/s, above 0")
-    names = [policy] if isinstance(policy, str) else list(policy)
+    names = policy_names(policy)
     require(names, "policy", names, "at least one")
     own = tables or {}
 

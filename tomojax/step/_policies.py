@@ -167,13 +167,42 @@ class Information(AbstractPolicy):
         return jnp.where(there.any(), best, self.idle)[None]
 
 
+def policy_name(policy: Any) -> str:
+    """Names a policy; grounds of one's own are named by their numbers: "0,7,14".
+
+    **Raises:** `ValueError` for what is neither a name nor whole numbers.
+    """
+    if isinstance(policy, str):
+        return policy
+    expected = "a name, or electrodes in order: [0, 7, 14]"
+    try:
+        grounds = np.asarray(policy)
+    except ValueError:  # lists of unlike lengths
+        grounds = np.zeros(0)
+    whole = grounds.ndim == 1 and grounds.size > 0 and grounds.dtype.kind in "iu"
+    require(whole, "policy", repr(policy), expected)
+    return ",".join(map(str, grounds.tolist()))
+
+
+def policy_names(policy: Any) -> list[str]:
+    """Names each of one or several policies; whole numbers in a row are one policy."""
+    if isinstance(policy, str):
+        return [policy]
+    each = list(policy)
+    numbers = bool(each) and all(np.ndim(p) == 0 and not isinstance(p, str) for p in each)
+    return [policy_name(policy)] if numbers else [policy_name(p) for p in each]
+
+
 def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
     """Makes the policy of that name: a pattern's, "around_contacts" or "information".
 
-    `follow`, of the sensor, gives "information" its tables; other policies do not use
-    `follow`.
+    A name of numbers, "0,7,14", grounds these electrodes over and over. `follow`, of the
+    sensor, gives "information" its tables; other policies do not use `follow`.
     """
-    require(name in POLICIES, "policy", repr(name), f"one of {', '.join(POLICIES)}")
+    if name and set(name) <= set("0123456789,- "):
+        return Fixed(_grounds(name, sensor.electrode_count))
+    expected = f"electrodes with commas, or one of {', '.join(POLICIES)}"
+    require(name in POLICIES, "policy", repr(name), expected)
     if name in ADAPTIVE:
         return Adaptive(AdaptiveScan(sensor, cast(AdaptivePattern, name)))
     if name == "around_contacts":
@@ -184,6 +213,20 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
         told = _information(follow)
         return Information(follow.candidates.place, told, exploration(sensor)[0])
     return Fixed(pattern(sensor, name))
+
+
+def _grounds(name: str, electrodes: int) -> Int[Array, " L"]:
+    """Reads the electrodes of a policy that is named by them."""
+    try:
+        grounds = np.array([int(part) for part in name.split(",")])
+    except ValueError:
+        grounds = np.array([-1])
+    last = electrodes - 1
+    inside = bool((grounds >= 0).all() and (grounds <= last).all())
+    require(inside, "policy", repr(name), f"electrodes from 0 to {last} with commas")
+    few = len(grounds) <= electrodes
+    require(few, "policy", f"{len(grounds)} grounds", f"{electrodes} or fewer")
+    return jnp.asarray(grounds, jnp.int32)
 
 
 def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
