@@ -10,6 +10,15 @@ import click
 from tomojax._whole import whole, write_text
 from tomojax.cli.entry import Command, InputFile, NUMBER, OutputFile, OutputFolder
 
+# What a criterion is of, in a picture.
+_WORDS = {
+    "place": "error of place",
+    "a": "variance",
+    "d": "volume of what stays unknown",
+    "worst": "largest error",
+    "rigs": "error on simulated rigs",
+}
+
 # Cells of the map of what a design tells, along a side.
 _MAP = 32
 
@@ -251,10 +260,11 @@ def _draw(sensor: Any, report: dict[str, Any]) -> Any:
     figure = Figure(figsize=(14, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     xy = 1e3 * np.asarray(sensor.electrode_xy)
-    figure.suptitle(f"Grounds designed for {s['method']}, criterion {s['criterion']}")
+    word = _WORDS[s["criterion"]]
+    figure.suptitle(f"Grounds designed for {s['method']}: the least {word}")
     if report["_map"] is not None:
         image = scale * report["_map"]
-        label = f"{s['criterion']} of a contact there, {unit}"
+        label = f"{word} there, {unit}"
         show_image(left, image, sensor.size, label, cmap=f"{VALUE}_r", norm="log")
     lay_sheet(left, sensor.size, sensor.electrode_xy, float(sensor.electrode_diameter))
     left.plot(*1e3 * report["_places"].T, "k.", ms=2)
@@ -277,12 +287,18 @@ def _draw(sensor: Any, report: dict[str, Any]) -> Any:
     right.loglog(
         *at, "*", color=VERMILION, ms=12, ls="none", label="the design on the left"
     )
-    name_points(right, [(row["name"], row["slots"], scale * row["value"]) for row in rows])
+    name_points(
+        right,
+        [
+            (row["name"].replace("_", " "), row["slots"], scale * row["value"])
+            for row in rows
+        ],
+    )
     right.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
     slots = sorted({row["slots"] for row in rows})
     right.set_xticks(slots, [str(n) for n in slots], minor=False)
     right.set_xticks([], minor=True)
     plain(right.yaxis)
-    right.set(xlabel="slots", ylabel=f"{s['criterion']}, {unit}")
+    right.set(xlabel="slots", ylabel=f"{word}, {unit}")
     right.set_title("Patterns and designs, the lower the better")
     return figure

@@ -44,8 +44,9 @@ def table(study: Study) -> Figure:
     places.plot([], [], "k_", markersize=10, label="nine in ten are nearer")
     places.set(ylabel="place error, mm (median)", title="Place of a contact")
     for axes in (widths, places):
+        axes.set_ylim(0, 1.35 * axes.get_ylim()[1])  # room for the legend
         axes.set_xticks(x, _LABELS, rotation=30, ha="right")
-        axes.legend()
+        axes.legend(loc="upper right")
     _trade(trade, column)
     _scores(scores, column)
     return figure
@@ -124,7 +125,8 @@ def images(study: Study) -> Figure:
         axes.imshow(image.T / image.max(), origin="lower", extent=extent, cmap=DENSITY)
         grounds = study.patterns[name]
         at = xy[grounds if grounds.ndim == 1 else grounds[i]]
-        axes.plot(*at.T, "s", color="none", markeredgecolor="w", markersize=6)
+        for colour, size in (("k", 7.5), ("w", 6)):
+            axes.plot(*at.T, "s", color="none", markeredgecolor=colour, markersize=size)
         axes.plot(*(1e3 * study.places[i]), "+", color=SKY, mew=2, markersize=12)
         width = 1e3 * float(study.own[name].half_width[i, -1])
         axes.set_title(f"{name.replace('_', ' ')}: {width:.0f} mm")
