@@ -29,6 +29,8 @@ class InputFile(click.Path):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not self.empty and not path.exists():
+            self.fail(f"{path}: no such file", param, ctx)
         if not self.empty and path.is_file() and path.stat().st_size == 0:
             expected = "expected one with something in it"
             self.fail(f"{path}: got an empty file, {expected}", param, ctx)
@@ -121,10 +123,15 @@ def _files(kind: OutputFile | OutputFolder, option: str, path: Path) -> Iterator
     yield Written(path, option, kind.kind, kind.makes, tuple(beside))
 
 
-def check_paths(read: list[Path], written: list[Written], overwrite: bool | None) -> None:
+def check_paths(
+    read: list[Path],
+    written: list[Written],
+    overwrite: bool | None = None,
+    resume: bool | None = None,
+) -> None:
     """**Raises:** `ValueError` where work would destroy, or could not be kept.
 
-    `overwrite`: of a command that has such an option.
+    `overwrite`, `resume`: of a command that has such options.
     """
     known = {_identity(path): f"read from {path}" for path in read}
     for one in written:
@@ -140,6 +147,16 @@ def check_paths(read: list[Path], written: list[Written], overwrite: bool | None
             known[_identity(path)] = f"written by {one.option}"
         _check_place(one)
         _check_replaced(one, overwrite)
+        if one.kind == "results" and overwrite is False and not resume:
+            _check_fresh(one, goes_on=resume is not None)
+
+
+def _check_fresh(one: Written, goes_on: bool) -> None:
+    """Results are begun where there are none; the command itself looks again later."""
+    require(not one.path.exists(), f"{one.path}", "a file", "a new name, or --overwrite")
+    begun = one.path.with_name(one.path.name + ".partial")
+    mend = "--resume to go on with it, or --overwrite"
+    require(not (goes_on and begun.exists()), f"{begun}", "work begun there", mend)
 
 
 def _identity(path: Path) -> Any:
