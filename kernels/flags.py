@@ -22,6 +22,8 @@ class Level(enum.IntEnum):
 class Flag(enum.IntFlag):
     """Bits of a flag; `level` says how much the bits lower the trust in a row of results.
 
+    `meaning` says what was seen, `advice` what to do, `explanation` both in sentences.
+
     **Example:**
 
     >>> import tomojax as tx
@@ -30,33 +32,35 @@ class Flag(enum.IntFlag):
     True
     >>> [flag.name for flag in tx.Flag(flags)]
     ['NO_CONTACT', 'HIGH_RESIDUAL']
+    >>> tx.Flag.GAP.meaning
+    'scans or slots were lost just before this row'
     """
 
-    NO_CONTACT = 1  # no voltage above the threshold
-    BAD_VOLTAGES = 2  # NaN or infinite
-    NO_DIRECTION = 4  # a contact as wide as long
-    WHOLE_SHEET = 8  # every electrode in contact: nothing to adapt to
-    BAD_LAMBDA = 16  # λ not above 0, below what float32 holds, or no rule could choose one
-    BAD_GROUNDS = 32  # out of range, repeated, or no weight
-    SOLVE_FAILED = 64  # a factorisation or the image is not finite
+    NO_CONTACT = 1
+    BAD_VOLTAGES = 2
+    NO_DIRECTION = 4
+    WHOLE_SHEET = 8
+    BAD_LAMBDA = 16
+    BAD_GROUNDS = 32
+    SOLVE_FAILED = 64
     # Of a recording's rows:
-    DEAD_CHANNEL = 128  # a channel reads 0 while others change
-    STUCK_CHANNEL = 256  # a channel repeats another value while others change
-    SATURATED = 512  # voltages at the converter's rail, or beyond what the drive can make
-    UNKNOWN_GROUND = 1024  # a slot whose ground is no electrode of the sensor
-    GAP = 2048  # scans lost just before this row
-    ALL_ZERO = 4096  # every channel reads 0
-    STUCK_SCAN = 8192  # every voltage repeats the scan before or after
-    HIGH_RESIDUAL = 16384  # the model leaves too much of the voltages unexplained
-    NO_DATA = 32768  # too few good channels: no result
-    MODEL_LIMITED = 65536  # voltages err more than nominal values let them: σ is wider
-    HURRIED = 131072  # a cheaper method answered, to keep a step's deadline
-    CONTACTS_UNEXPLAINED = 262144  # the contacts read off an image are not all it shows
-    PLACE_UNCERTAIN = 524288  # a place is no better known than to half a pitch
-    CONDUCTANCE_UNCERTAIN = 1048576  # a contact imposes its potential: g is hardly told
-    CLOCK_MENDED = 2097152  # the row's time is not the rig's clock's, which fell or stood
-    GROUND_NOT_LOWEST = 4194304  # another electrode is lower than the one told as grounded
-    AGAINST_DRIVE = 8388608  # voltages are against the direction of the drive
+    DEAD_CHANNEL = 128
+    STUCK_CHANNEL = 256
+    SATURATED = 512
+    UNKNOWN_GROUND = 1024
+    GAP = 2048
+    ALL_ZERO = 4096
+    STUCK_SCAN = 8192
+    HIGH_RESIDUAL = 16384
+    NO_DATA = 32768
+    MODEL_LIMITED = 65536
+    HURRIED = 131072
+    CONTACTS_UNEXPLAINED = 262144
+    PLACE_UNCERTAIN = 524288
+    CONDUCTANCE_UNCERTAIN = 1048576
+    CLOCK_MENDED = 2097152
+    GROUND_NOT_LOWEST = 4194304
+    AGAINST_DRIVE = 8388608
 
     @property
     def level(self) -> Level:
@@ -65,6 +69,122 @@ class Flag(enum.IntFlag):
             return Level.NO_ANSWER
         return Level.DOUBT if self & DOUBT else Level.INFORMATION
 
+    @property
+    def meaning(self) -> str:
+        """Says what was seen, bit by bit."""
+        return "; ".join(_TOLD[one][0] for one in self)
+
+    @property
+    def advice(self) -> str:
+        """Says what to do about it, bit by bit."""
+        return "; ".join(_TOLD[one][1] for one in self)
+
+    @property
+    def explanation(self) -> str:
+        """Gives meaning and advice as two sentences, bit by bit."""
+        parts = (part for one in self for part in _TOLD[one])
+        return " ".join(f"{part[:1].upper()}{part[1:]}." for part in parts)
+
+
+# The sentence and the advice of each flag: for reports, results files and the page.
+_TOLD = {
+    Flag.NO_CONTACT: (
+        "no voltage is above the threshold, so nothing touches the sheet",
+        "nothing is wrong; lower --threshold for very faint contacts",
+    ),
+    Flag.BAD_VOLTAGES: (
+        "some voltages are NaN or infinite",
+        "look at the converter; the other channels were used",
+    ),
+    Flag.NO_DIRECTION: (
+        "the contact is as wide as it is long, so it has no direction",
+        "nothing is wrong; do not use its angle",
+    ),
+    Flag.WHOLE_SHEET: (
+        "every electrode is in contact, so there is nothing to adapt to",
+        "use a fixed pattern, such as all",
+    ),
+    Flag.BAD_LAMBDA: (
+        "λ is not above 0, is below what float32 holds, or no rule could choose one",
+        "give --lam",
+    ),
+    Flag.BAD_GROUNDS: (
+        "a ground is out of range or repeated, or no slot has a weight",
+        "check the numbers of the grounded electrodes",
+    ),
+    Flag.SOLVE_FAILED: (
+        "a factorisation or the image is not finite",
+        "raise --lam; if it stays, the recording's voltages are not usable",
+    ),
+    Flag.DEAD_CHANNEL: (
+        "a channel reads 0 while others change, and is not used",
+        "check its wire; tomojax check names it",
+    ),
+    Flag.STUCK_CHANNEL: (
+        "a channel repeats one value while others change, and is not used",
+        "check its wire; tomojax check names it",
+    ),
+    Flag.SATURATED: (
+        "voltages are at the converter's rail, or beyond what the drive can make",
+        "lower the drive or the converter's gain",
+    ),
+    Flag.UNKNOWN_GROUND: (
+        "the slot's ground is no electrode of the sensor",
+        "check the ground lines and their numbers; tomojax check names them",
+    ),
+    Flag.GAP: (
+        "scans or slots were lost just before this row",
+        "the row holds; if gaps are many, lower the rate or look at the link",
+    ),
+    Flag.ALL_ZERO: (
+        "every channel reads 0",
+        "check that the object is driven and the converter runs",
+    ),
+    Flag.STUCK_SCAN: (
+        "every voltage repeats the scan before or after",
+        "the rig sent old values: look at its firmware or its buffer",
+    ),
+    Flag.HIGH_RESIDUAL: (
+        "the model leaves too much of the voltages unexplained",
+        "allow more --contacts, calibrate the rig, or take --method auto or shape",
+    ),
+    Flag.NO_DATA: (
+        "too few good channels are left for a result",
+        "look at the other flags of these rows",
+    ),
+    Flag.MODEL_LIMITED: (
+        "voltages err more than nominal values let them, so σ is wider",
+        "calibrate the rig: tomojax calibrate",
+    ),
+    Flag.HURRIED: (
+        "a cheaper method answered, to keep the step's deadline",
+        "the row holds; raise --budget or lower the rate for the full method",
+    ),
+    Flag.CONTACTS_UNEXPLAINED: (
+        "the contacts read off an image are not all that it shows",
+        "look at the image; allow more --contacts, or take --method auto or points",
+    ),
+    Flag.PLACE_UNCERTAIN: (
+        "a place is no better known than to half a pitch",
+        "measure more slots, press harder, or calibrate the rig",
+    ),
+    Flag.CONDUCTANCE_UNCERTAIN: (
+        "a contact imposes its potential, so its conductance is hardly told",
+        "trust the place; put a resistor in series to measure the conductance",
+    ),
+    Flag.CLOCK_MENDED: (
+        "the rig's clock fell or stood, so the row's time is made up from its rate",
+        "trust places, not times; tomojax repair writes the times into the file",
+    ),
+    Flag.GROUND_NOT_LOWEST: (
+        "another electrode is lower than the one told as grounded",
+        "check the ground lines and their order: tomojax check",
+    ),
+    Flag.AGAINST_DRIVE: (
+        "voltages are against the direction of the drive",
+        "check the sign of drive_voltage and of the converter's scale",
+    ),
+}
 
 # Of one of these a row says nothing.
 NO_ANSWER = Flag.SOLVE_FAILED | Flag.NO_DATA

@@ -9,11 +9,13 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tomojax.hardware.loop._real_time import beside
 from tomojax.hardware.loop._ring import SlotRing
+from tomojax.hardware.loop._told import flag_text, latency_text, load_text
 from tomojax.kernels.flags import Flag
 
 _EVERY = 0.1  # s
@@ -31,9 +33,8 @@ def blocks(image: np.ndarray) -> list[str]:
     ]
 
 
-def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
-    """Returns the view's lines of text."""
-    p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
+def lines(ring: SlotRing, last: Any, rate: float, explained: set[Flag]) -> list[str]:
+    """Returns the view's lines of text; flags in `explained` are named alone."""
     counted = {name: n for name, n in ring.counted().items() if n}
     slots = counted.pop("slots", 0)
     rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
@@ -42,21 +43,23 @@ def lines(ring: SlotRing, last: np.ndarray | None, rate: float) -> list[str]:
     dropped = int(ring.head["dropped"])
     found = [
         f"{rate:.0f} slots/s; {slots} slots, {rest}",
-        f"last byte to ground command, 50, 99, 99.9 %: {p50:.0f}, {p99:.0f}, {p999:.0f} µs",
+        load_text(ring),
+        latency_text(ring, 0.5, 0.99, 0.999),
         (f"{recorded}, {dropped} NOT" if dropped else recorded)
         if ring.head["recorded"]
         else "not recorded",
     ]
-    found += ring.said().splitlines()
+    found = [line for line in found if line] + ring.said().splitlines()
     if last is None:
         return [*found, "no slot yet"]
     flags = Flag(int(last["flags"]))
-    names = ", ".join(str(f.name).lower() for f in Flag if f & flags) or "no flags"
+    names = ", ".join(str(f.name) for f in flags) or "no flags"
     level = f"{flags.level.name.replace('_', ' ')}: " if flags.level else ""
     found.append(f"{last['time']:.3f} s, ground {last['ground']}, {level}{names}")
     for xy, g in zip(last["xy"][: last["count"]], last["conductance"]):
         x, y = 1e3 * xy
         found.append(f"contact at {x:6.2f}, {y:6.2f} mm, {1e6 * g:9.2f} µS")
+    found += [flag_text(flag) for flag in flags if flag not in explained]
     return found
 
 
@@ -64,6 +67,7 @@ def watch(ring: SlotRing, terminal: bool) -> None:
     """Shows the ring until the ring is done."""
     period = _EVERY if terminal else 1.0
     before, rows = time.monotonic(), int(ring.head["rows"])
+    explained: set[Flag] = set()
     if terminal:
         print(_CLEAR, end="")
     done = False
@@ -78,13 +82,15 @@ def watch(ring: SlotRing, terminal: bool) -> None:
             back += 1  # the last that was worked on
             worked = ring.rows["latency"][(count - 1 - back) % ring.length]
         last = ring.rows[(count - 1 - back) % ring.length].copy() if count else None
-        told = lines(ring, last, rate)
+        told = lines(ring, last, rate, explained)
         if terminal:
             shown = blocks(ring.head["image"]) + told
             text = "\n".join(line + _REST for line in shown)
             print(_HOME + text + "\n\x1b[J", end="", flush=True)
         else:
             print("; ".join(told), flush=True)
+            if last is not None:
+                explained |= set(Flag(int(last["flags"])))
 
 
 def main() -> None:

@@ -46,6 +46,10 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
             return UdpSource(host, int(port), electrodes=electrodes, **options)
         from tomojax.hardware.sources._replay import ReplaySource
 
+        named = os.path.exists(where) or os.path.splitext(where)[1] and ":" not in where
+        expected = "serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording's path, "
+        expected += "or virtual in a command"
+        require(named, "source", repr(where), expected)
         stretch = (options.pop(name, None) for name in ("since", "until"))
         return ReplaySource(between(open_recording(where), *stretch), **options)
     except TypeError as error:

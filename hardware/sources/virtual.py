@@ -295,7 +295,10 @@ def main() -> None:
         link.close()
         if isinstance(link, Pty):
             link.name.unlink(missing_ok=True)
-        print(json.dumps({"slots": rig.sequence}), flush=True)
+        try:
+            print(json.dumps({"slots": rig.sequence}), flush=True)
+        except BrokenPipeError:  # who started it has ended; Python would write once more
+            os._exit(0)
 
 
 if __name__ == "__main__":

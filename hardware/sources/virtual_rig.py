@@ -31,9 +31,18 @@ class VirtualRig:
         command = [sys.executable, "-m", "tomojax.hardware.sources.virtual", *words]
         command.append("--attached")
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        # Ctrl-C in the terminal is for who started it.
+        group = 0 if os.name == "posix" else None
+        self._process = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, text=True, process_group=group
+        )
         assert self._process.stdout is not None
-        told = self._process.stdout.readline()
+        try:
+            told = self._process.stdout.readline()
+        except BaseException:  # Ctrl-C, before there is anything to end
+            self._process.kill()
+            self._process.communicate()
+            raise
         if not told:
             raise ValueError(f"scene: {scene}: the virtual rig did not start")
         self.where: str = json.loads(told)["where"]

@@ -6,33 +6,6 @@ import numpy as np
 
 from tomojax.kernels.flags import Flag
 
-_MEANING = {
-    "NO_CONTACT": "no voltage above the threshold",
-    "BAD_VOLTAGES": "voltages that are no numbers",
-    "NO_DIRECTION": "a contact as wide as long",
-    "WHOLE_SHEET": "every electrode is in contact",
-    "BAD_LAMBDA": "no usable λ",
-    "BAD_GROUNDS": "grounds out of range or repeated",
-    "SOLVE_FAILED": "no finite answer",
-    "DEAD_CHANNEL": "a channel reads 0 while others change",
-    "STUCK_CHANNEL": "a channel repeats a value while others change",
-    "SATURATED": "voltages at the converter's rail",
-    "UNKNOWN_GROUND": "the grounded line is no electrode of the sensor",
-    "GAP": "scans are lost just before",
-    "ALL_ZERO": "every channel reads 0",
-    "STUCK_SCAN": "every voltage repeats the scan beside it",
-    "HIGH_RESIDUAL": "the model leaves too much unexplained",
-    "NO_DATA": "too few good channels for an answer",
-    "MODEL_LIMITED": "voltages err more than nominal values let them",
-    "HURRIED": "a cheaper method answered in time",
-    "CONTACTS_UNEXPLAINED": "the image shows more than the contacts",
-    "PLACE_UNCERTAIN": "a place is no better known than to half a pitch",
-    "CONDUCTANCE_UNCERTAIN": "the conductance is hardly told",
-    "CLOCK_MENDED": "the time is not the rig's clock's",
-    "GROUND_NOT_LOWEST": "another electrode is lower than the grounded one",
-    "AGAINST_DRIVE": "voltages are against the drive",
-}
-
 
 def numbers(values: Any) -> list[float | None]:
     """Returns a list of finite numbers; others become None, which the page leaves out."""
@@ -77,7 +50,7 @@ def ellipse_columns(xy: Any, covariance: Any) -> dict[str, list]:
 def flag_lines(flags: int) -> list[tuple[str, str, int]]:
     """Returns each flag's name, its meaning, and how much it takes from a row."""
     some = [flag for flag in Flag if flag.value & flags]
-    return [(str(f.name), _MEANING.get(str(f.name), ""), int(f.level)) for f in some]
+    return [(str(f.name), f.explanation, int(f.level)) for f in some]
 
 
 def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, list]]:

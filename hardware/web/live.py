@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop import beside, SlotRing
+from tomojax.hardware.loop import beside, latency_text, load_text, SlotRing
 from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,
@@ -99,16 +99,16 @@ class LivePage:
 
     def _said(self, last: Any) -> list[tuple[str, str]]:
         ring = self._ring
-        p50, p99, p999 = (1e6 * q for q in ring.latency(0.5, 0.99, 0.999))
         newest = float(ring.rows["time"][(int(ring.head["rows"]) - 1) % ring.length])
         (since, first), (now, slots) = self._seen[0], self._seen[-1]
         rate = (slots - first) / max(now - since, 1e-9)
         age = 1e3 * (newest - float(last["time"]))
-        delay = "not worked on" if np.isnan(p50) else f"{p50:.0f}, {p99:.0f}, {p999:.0f} µs"
+        delay = latency_text(ring, 0.5, 0.99, 0.999).partition(": ")[2]
         return [
             ("rig's clock", f"{float(last['time']):.3f} s, ground {int(last['ground'])}"),
             ("slots", f"{rate:.0f}/s"),
-            ("last byte to ground command, 50, 99, 99.9 %", delay),
+            ("last byte to ground command, 50, 99, 99.9 %", delay or "not worked on"),
+            ("load", load_text(ring) or "not worked on"),
             ("picture's age", f"{age:.0f} ms behind the newest slot"),
         ]
 

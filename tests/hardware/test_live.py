@@ -1,5 +1,7 @@
 """The live loop against virtual rigs, and its commands."""
 
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -184,6 +186,55 @@ def test_mistakes_are_one_line(words, told, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().err.strip().splitlines()
     said = [line for line in said if line != "scenes for a virtual rig …"]
     assert stop.value.code == 2 and len(said) == 1 and told in said[0]
+
+
+def test_record_grounds_of_ones_own(scene, tmp_path):
+    with VirtualRig(scene, rate=RATE, link="udp") as rig:
+        words = "record", rig.where, "-o", "a.h5", "--seconds", 2, "--pattern", "9,40,3"
+        done = command(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    # Nothing is worked on, and so nothing is said of latencies.
+    assert "nan" not in done.stdout and "ground command" not in done.stdout
+    with tx.open_recording(tmp_path / "a.h5") as recording:
+        grounds = recording.read(0, recording.scans).grounds[200:, 0]
+    assert set(grounds.tolist()) == {9, 40, 3}
+
+
+_OWNER = """
+import os, sys
+from tomojax.hardware.sources.virtual_rig import VirtualRig
+rig = VirtualRig(sys.argv[1], link="udp")
+print(os.getpgid(rig._process.pid) == os.getpgid(0), flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no groups of processes")
+def test_a_virtual_rig_whose_owner_is_gone_ends_without_a_word(scene):
+    """Ctrl-C in the terminal is its owner's: the rig is in no group with that."""
+    line = [sys.executable, "-c", _OWNER, str(scene)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=60)
+    assert done.stdout == "False\n" and done.stderr == ""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no groups of processes")
+@pytest.mark.parametrize("seconds", [0.0, 2.0, 6.0])
+def test_ctrl_c_while_live_prepares_is_a_line(tmp_path, seconds):
+    """As in a terminal, where all processes of the group hear it."""
+    code = "from tomojax.cli import main; main()"
+    words = "--no-cache", "live", "virtual", "--view", "none"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path, stdout=-1, stderr=-1, text=True, process_group=0,
+    )  # fmt: skip
+    assert process.stderr is not None
+    assert "later runs start in seconds" in process.stderr.readline()
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert errors.strip().splitlines()[-1].startswith("tomojax: stopped")
 
 
 def test_a_mistake_ends_the_process(tmp_path):

@@ -13,6 +13,7 @@ import recordings
 from click.testing import CliRunner
 from PIL import Image
 
+import tomojax as tx
 from tomojax.cli import app
 
 
@@ -113,12 +114,28 @@ def test_reconstruct_and_info(recording_path, tmp_path) -> None:
     report = json.loads((tmp_path / "o.json").read_text())
     assert report["summary"]["rows_by_contacts"] == {"0": 20, "1": 10}
     assert set(report) == {"rows", "summary", "environment"}
+    # Something is said before the first result, also to those who see no bar.
+    assert "preparing auto: its programs are compiled the first time" in done.stderr
+    assert "no forces: they need --calibration" in done.stdout
+    assert done.stdout.count(tx.Flag.NO_CONTACT.explanation) == 1
+    with h5py.File(out) as file:
+        meanings = json.loads(file["flags"].attrs["meanings"])
+    assert meanings == {flag.name: flag.explanation for flag in tx.Flag}
     slots = invoke(
         *arguments[:3], tmp_path / "s.h5", "--rate", "slot", "--method", "linear"
     )
     assert slots.exit_code == 0, slots.output
     with h5py.File(tmp_path / "s.h5") as file:
         assert len(file["t"]) == 60 and "image" not in file
+
+
+def test_info_explains_each_flag_once(tmp_path) -> None:
+    codes, _ = recordings.touched(scans=30)
+    codes[:, :, 9] = 0
+    rec = recordings.write(tmp_path / "rec.h5", codes)
+    shown = invoke("info", rec)
+    assert shown.exit_code == 0, shown.output
+    assert shown.output.count(tx.Flag.DEAD_CHANNEL.explanation) == 1
 
 
 def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_path) -> None:

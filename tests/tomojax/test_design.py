@@ -344,9 +344,25 @@ def test_the_command(tmp_path, monkeypatch):
     assert table.table.shape == (32, 32, 8)
 
 
+def test_grounds_of_ones_own_are_rated(tmp_path):
+    words = ["--region", "60", "60", "100", "100", "--contacts", "4", "--slots", "8"]
+    own = ["--grounds", "0,7,14,21,28,35,42,49", "--json", str(tmp_path / "d.json")]
+    result = CliRunner().invoke(app, ["design", *words, *own])
+    assert result.exit_code == 0, result.output
+    first, *rows = json.loads((tmp_path / "d.json").read_text())["rows"]
+    assert first["name"] == "yours" and first["slots"] == 8
+    assert first["designed"] < first["value"]
+    assert [row["name"] for row in rows] == list(tx.paper.PATTERNS)
+    assert "yours" in result.output
+
+
 @pytest.mark.parametrize(
     "words, message",
     [
+        (["--grounds", "0,64"], "--grounds: got '0,64', expected electrodes from 0 to 63"),
+        (["--grounds", "0,0"], "--grounds: got '0,0', expected electrodes with commas"),
+        (["--grounds", "edge"], "--grounds: got 'edge', expected electrodes with commas"),
+        (["--region", "0", "0", "9", "900"], "on the sheet, 0 to 160, 160 mm"),
         (["--policy", "x.txt"], "--policy: got x.txt, expected a name that ends in .npz"),
         (["--place", "1", "2", "--region", "0", "0", "9", "9"], "--place: got a region"),
         (["--like", "none.h5"], "none.h5"),

@@ -46,6 +46,17 @@ def test_levels_of_flags():
     assert tx.methods.NO_ANSWER & tx.methods.DOUBT == tx.methods.NO_ANSWER
 
 
+def test_each_flag_says_what_it_means_and_what_to_do():
+    for flag in tx.Flag:
+        for text in (flag.meaning, flag.advice):
+            assert text and text[0] == text[0].lower() and not text.endswith("."), flag
+            assert len(text.split()) <= 25, flag
+        assert flag.explanation.count(".") >= 2, flag
+    both = tx.Flag.GAP | tx.Flag.ALL_ZERO
+    assert both.meaning == f"{tx.Flag.GAP.meaning}; {tx.Flag.ALL_ZERO.meaning}"
+    assert tx.Flag(0).explanation == ""
+
+
 @pytest.mark.parametrize("name", ["source", "points", "linear"])
 def test_a_drive_of_either_sign_gives_the_same_places(sensor, made, name):
     plain = rows_of(sensor, made, name)

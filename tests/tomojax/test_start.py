@@ -12,7 +12,8 @@ import pytest
 import recordings
 from click.testing import CliRunner
 
-from tomojax.cli import app, compiled
+import tomojax as tx
+from tomojax.cli import app, compiled, entry
 
 # The process tells at its end what it imported and what other processes would inherit.
 _COMMAND = """
@@ -60,6 +61,65 @@ def test_info_loads_no_jax_and_sets_the_cache(tmp_path) -> None:
     assert folder.stat().st_mode & 0o777 == 0o700
     assert settings["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] == "0"
     assert settings["OPENBLAS_NUM_THREADS"] == "1"
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (
+            "reconstruct rec.h5 --method magic",
+            "--method: got 'magic', expected one of auto",
+        ),
+        ("reconstruct none.h5", "none.h5: no such file"),
+        ("reconstruct text.h5", "text.h5: "),
+        ("reconstruct rec.h5 -o there.h5", "there.h5: got a file, expected a new name"),
+        ("reconstruct rec.h5 --picture a.txt", "a.txt: got '.txt', expected a name with"),
+        ("reconstruct rec.h5 --from 99", "from: got 99 s, expected a stretch of the file"),
+        ("reconstruct rec.h5 --calibration none.json", "none.json: no such file"),
+        ("calibrate text.h5", "text.h5: "),
+        ("check text.h5", "text.h5: "),
+        ("track text.h5", "text.h5: "),
+        ("live virtual --method magic", "--method: got 'magic', expected one of follow"),
+        ("live virtual --policy magic", "--policy: got 'magic', expected one of all"),
+        ("live virtual --policy 0,64", "expected electrodes from 0 to 63"),
+        ("live virtual --policy none.npz", "none.npz: no such file"),
+        ("live usb:3", "source: got 'usb:3', expected serial:PORT"),
+        ("live none.h5", "none.h5: no such file"),
+        ("live virtual --send smoke:3", "send: got 'smoke:3', expected one of udp"),
+        ("record virtual -o a.h5 --pattern around", "expected one of all, boundary"),
+        ("record virtual -o a.h5 --pattern 0,64", "expected electrodes from 0 to 63"),
+        ("record virtual -o rec.h5", "rec.h5: is there"),
+        ("design --region 0 0 900 9", "--region: got 0, 0, 900, 9, expected on the sheet"),
+        ("design --grounds 64", "--grounds: got '64', expected electrodes from 0 to 63"),
+    ],
+)
+def test_mistakes_are_told_before_jax_is_imported(
+    tmp_path, monkeypatch, words, told
+) -> None:
+    """So they are told in under a second."""
+    monkeypatch.chdir(tmp_path)
+    recordings.write(tmp_path / "rec.h5", recordings.touched(scans=3)[0])
+    (tmp_path / "text.h5").write_text("volts")
+    (tmp_path / "there.h5").write_text("results")
+    run = process(tmp_path, _COMMAND, *words.split())
+    loaded, _ = json.loads(run.stdout.splitlines()[-1])
+    assert run.returncode == 2 and told in run.stderr, run.stderr
+    assert len(run.stderr.strip().splitlines()) == 1
+    assert not {"jax", "scipy", "matplotlib"} & set(loaded)
+
+
+def test_names_of_commands_are_those_of_the_rooms() -> None:
+    """Commands know them without importing a room."""
+    assert entry.METHODS == tuple(tx.methods.METHODS)
+    assert set(entry.POLICIES) == set(tx.step.POLICIES)
+    assert set(entry.FIXED) == set(tx.step.POLICIES) - {
+        *tx.step.ADAPTIVE,
+        "around_contacts",
+        "information",
+    }
+    sensor = tx.Sensor.grid()
+    assert entry.sheet_of(None) == (None, entry.SIZE, sensor.electrode_count)
+    np.testing.assert_allclose(entry.SIZE, sensor.size)
 
 
 def test_programs_are_kept_and_loaded_without_a_word(tmp_path) -> None:

@@ -182,7 +182,7 @@ def test_commands_bad_input(results, tmp_path, capsys):
             if name != "contact_covariance":
                 file.copy(name, other)
     for arguments, match in (
-        ((tmp_path / "none.h5",), "none.h5: not a results file"),
+        ((tmp_path / "none.h5",), "none.h5: no such file"),
         ((plain,), "expected results of points or auto"),
         ((results, "--drift", "fast"), "expected auto or M,LN_G"),
         ((results, "--hold", "-1"), "hold: got -1"),

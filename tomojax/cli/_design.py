@@ -7,8 +7,17 @@ from typing import Any
 
 import click
 
+from tomojax._require import require
 from tomojax._whole import whole, write_text
-from tomojax.cli.entry import Command, InputFile, NUMBER, OutputFile, OutputFolder
+from tomojax.cli.entry import (
+    Command,
+    ground_numbers,
+    InputFile,
+    NUMBER,
+    OutputFile,
+    OutputFolder,
+    sheet_of,
+)
 
 # What a criterion is of, in a picture.
 _WORDS = {
@@ -41,6 +50,11 @@ _MAP = 32
     help="Design for a contact at X Y, mm. May be repeated.",
 )
 @click.option("--slots", type=int, default=8, show_default=True)
+@click.option(
+    "--grounds",
+    metavar="E,E,…",
+    help="Rate these electrodes as well, as 0,7,14: the row `yours` of the table.",
+)
 @click.option(
     "--method",
     type=click.Choice(["points", "linear", "source"]),
@@ -86,6 +100,7 @@ _MAP = 32
 def design(
     region: tuple | None,
     spots: tuple,
+    grounds: str | None,
     json_path: Path | None,
     out: Path | None,
     policy: Path | None,
@@ -98,13 +113,6 @@ def design(
     paper's nine patterns follow for comparison. Beside each pattern stands a design of as
     many slots.
     """
-    import jax
-    import numpy as np
-
-    from tomojax._environment import environment
-    from tomojax.recordings import open_recording
-    from tomojax.sensor import Sensor
-
     for folder in (out, json_path and json_path.parent, policy and policy.parent):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
@@ -112,13 +120,23 @@ def design(
         raise ValueError(f"--policy: got {policy}, expected a name that ends in .npz")
     if region and spots:
         raise ValueError("--place: got a region as well, expected one of both")
+    rig, size, electrodes = sheet_of(like)
+    if region:
+        _check_region(region, size)
+    own = _own(grounds, electrodes)
+
+    import jax
+    import numpy as np
+
+    from tomojax._environment import environment
+    from tomojax.sensor import Sensor
+
     # Variances of a small λ want all digits.
     with jax.enable_x64(True):
         sensor = Sensor.grid(divisions=(32, 32), dtype=np.float64)
-        if like is not None:
-            with open_recording(like) as recording:
-                sensor = recording.rig.sensor(dtype=np.float64)
-        report = _designed(sensor, region, spots, options)
+        if rig is not None:
+            sensor = rig.sensor(dtype=np.float64)
+        report = _designed(sensor, region, spots, own, options)
         print(_text(report))
         if json_path:
             told = {k: v for k, v in report.items() if not k.startswith("_")}
@@ -134,7 +152,30 @@ def design(
             _table(sensor, policy, options)
 
 
-def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str, Any]:
+def _check_region(region: tuple, size: Any) -> None:
+    """**Raises:** `ValueError` for an empty region, and for one off the sheet; mm and m."""
+    x0, y0, x1, y1 = region
+    text = ", ".join(f"{v:g}" for v in region)
+    require(x0 < x1 and y0 < y1, "--region", text, "x0 < x1 and y0 < y1, mm")
+    width, height = (1e3 * float(side) for side in size)
+    inside = min(x0, y0) >= 0 and x1 <= width * (1 + 1e-6) and y1 <= height * (1 + 1e-6)
+    require(inside, "--region", text, f"on the sheet, 0 to {width:g}, {height:g} mm")
+
+
+def _own(grounds: str | None, electrodes: int) -> list[int]:
+    """Reads the electrodes of `--grounds`; none where there is no such option."""
+    if grounds is None:
+        return []
+    found = ground_numbers("--grounds", grounds, electrodes)
+    if found is None or len(set(found)) < len(found):
+        expected = "electrodes with commas, each once"
+        raise ValueError(f"--grounds: got {grounds!r}, expected {expected}")
+    return found
+
+
+def _designed(
+    sensor: Any, region: Any, spots: tuple, own: list[int], options: dict
+) -> dict[str, Any]:
     import jax
     import numpy as np
 
@@ -159,6 +200,7 @@ def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str
         bar.update(1)
         explored = problem.exploratory_voltages(sensor, jax.numpy.asarray(places))
         rows = d.patterns_beside(sensor, made, explored)
+        rows = ([_yours(made, own)] if own else []) + rows
         # What knows the contact is beside designs that do, the others beside one for all.
         kinds = {(row["slots"], row["adaptive"]) for row in rows}
         best = {kind: _best(made, *kind) for kind in kinds}
@@ -191,6 +233,17 @@ def _designed(sensor: Any, region: Any, spots: tuple, options: dict) -> dict[str
         "_places": places,
         "_map": None if figures is None else figures.reshape(_MAP, _MAP),
     }
+
+
+def _yours(objective: Any, grounds: list[int]) -> dict[str, Any]:
+    """A row of the table, as those of the paper's patterns."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    weights = np.zeros(objective.slots)
+    weights[grounds] = 1
+    value = float(objective.value(jnp.asarray(weights, objective.dtype)))
+    return {"name": "yours", "slots": len(grounds), "value": value, "adaptive": False}
 
 
 def _best(objective: Any, slots: int, by_place: bool) -> float:

@@ -12,12 +12,22 @@ import click
 from tomojax.cli._session import session
 from tomojax.cli.entry import (
     AMOUNT,
+    check_name,
     Command,
     COUNT,
+    FIXED,
+    ground_numbers,
     InputFile,
+    METHODS,
     OutputFile,
+    POLICIES,
     stretch_options,
     whole_number,
+)
+
+# While JAX is imported and compiles, nothing else is seen.
+_COMPILING = (
+    "compiling the step: up to half a minute the first time; later runs start in seconds"
 )
 
 
@@ -142,8 +152,8 @@ def _shared(command: Any) -> Any:
     "--pattern",
     default="all",
     show_default=True,
-    help="Ground these electrodes in turn, over and over: all, boundary, edge, "
-    "v_line, random_16 or random_8.",
+    help="Ground these electrodes in turn, over and over: a pattern's name (all, boundary, "
+    "edge, v_line, random_16, random_8), or electrodes as 0,7,14.",
 )
 @click.option(
     "--calibrate",
@@ -160,17 +170,25 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
     For --calibrate, rub the whole sheet with one finger. A map fills, and lines say how
     well each part is known. Ctrl-C ends the rub and makes OUT.calibration.json.
     """
-    import numpy as np
 
-    from tomojax.paper import pattern as patterns_pattern
+    def check(electrodes: int) -> list[int] | None:
+        return ground_numbers("--pattern", pattern, electrodes)
+
+    if ground_numbers("--pattern", pattern) is None:
+        check_name("--pattern", pattern, FIXED, ", or electrodes with commas: 0,7,14")
 
     def grounds(sensor: Any) -> list[int]:
-        return np.asarray(patterns_pattern(sensor, pattern)).tolist()
+        import numpy as np
+
+        from tomojax.paper import pattern as patterns_pattern
+
+        own = check(sensor.electrode_count)
+        return own or np.asarray(patterns_pattern(sensor, pattern)).tolist()
 
     made = out.with_name(out.stem + ".calibration.json")
     if calibrate and made.exists():
         raise ValueError(f"{made}: is there already; give another -o")
-    with session(source, out, options, grounds) as (opened, asked):
+    with session(source, out, options, grounds, check) as (opened, asked):
         opened.source.set_grounds(asked)
         if calibrate:
             opened.beside("loop.calibrating", str(out))
@@ -202,8 +220,8 @@ def _calibrated(rec: Path, made: Path) -> None:
     "--policy",
     default="around_contacts",
     show_default=True,
-    help="Choose the next grounds by this policy: a name of tomojax.POLICIES, or a table "
-    "of `tomojax design --policy`.",
+    help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, electrodes "
+    "as 0,7,14, or a table of `tomojax design --policy`.",
 )
 @click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(
@@ -260,29 +278,38 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     SOURCE is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording, or virtual, a
     simulated rig. The command sends the next grounds back to SOURCE.
     """
-    from tomojax import Calibration, make_step
-    from tomojax.hardware import real_time
     from tomojax.hardware.sinks import check_all
-    from tomojax.step import load_policy
 
+    for option, name in (("--method", method), ("--cheaper", options["cheaper"])):
+        check_name(option, name or method, ("follow", *METHODS))
+    own = policy.endswith(".npz")
+    if own and not Path(policy).is_file():
+        raise ValueError(f"--policy: {policy}: no such file")
+    if not own and ground_numbers("--policy", policy) is None:
+        more = ", electrodes with commas: 0,7,14, or a table, .npz"
+        check_name("--policy", policy, POLICIES, more)
     sinks = check_all(options["send"], out)
     # What is read line by line has no pictures of a terminal in between.
     lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)
     if lines and options["view"] != "none":
         raise ValueError("--send jsonl:-: got a view as well, expected --view none")
-    path = options["calibration"]
-    calibration = None if path is None else Calibration.load(path)
-    law = _law(calibration, options["radius"])
+    path, calibration, law = options["calibration"], None, None
+
+    def check(electrodes: int) -> None:
+        nonlocal calibration, law
+        if not own:
+            ground_numbers("--policy", policy, electrodes)
+        if path is not None:
+            from tomojax.sensor import Calibration
+
+            calibration = Calibration.load(path, electrodes)
+        law = _law(calibration, options["radius"])
+        print(_COMPILING, file=sys.stderr)
 
     def compiled(sensor: Any) -> Any:
-        if calibration is not None:
-            try:
-                calibration.check_count(sensor.electrode_count)
-            except ValueError as error:
-                raise ValueError(f"{path}: {error}") from None
-        print("compiling …", file=sys.stderr)
-        own = policy.endswith(".npz")
-        return make_step(
+        from tomojax.step import load_policy, make_step
+
+        step = make_step(
             sensor,
             method,
             policy,
@@ -291,12 +318,18 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
             cheaper=options["cheaper"],
             calibration=calibration,
         )
+        # The view's image is compiled here as well: in the loop slots would wait for it.
+        if not options["shapes"]:
+            step.image(step.state).block_until_ready()
+        return step
 
     with ExitStack() as stack:
         if options["real_time"]:
+            from tomojax.hardware import real_time
+
             allowed = stack.enter_context(real_time())
             print(f"real time: {', '.join(allowed)}", file=sys.stderr)
-        opened, step = stack.enter_context(session(source, out, options, compiled))
+        opened, step = stack.enter_context(session(source, out, options, compiled, check))
         if options["adapt"]:
             log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
             opened.beside("loop.adapter", str(path or ""), log)

@@ -76,9 +76,6 @@ def calibrate(
     is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
     uses the result.
     """
-    from tomojax import calibration as room
-    from tomojax.sensor import Calibration
-
     if out.exists() and not overwrite:
         raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
     if frames < 16:
@@ -90,6 +87,10 @@ def calibrate(
             print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
 
     with opened(rec, layout, since, until) as recording:
+        # JAX is imported from here on: what is wrong with REC is told without.
+        from tomojax import calibration as room
+        from tomojax.sensor import Calibration
+
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
         older = Calibration.load(before, recording.electrodes) if before else None
@@ -232,8 +233,6 @@ def check(
 
     Exit status: 0 no fault, 1 faults, 2 nothing could be said.
     """
-    from tomojax import bringup
-
     path = Path(source)
     if source.startswith(_SOURCES) and not path.is_file():
         if min(quiet, rub, touch) <= 0:
@@ -249,6 +248,8 @@ def check(
     with opened(path, layout, since, until) as recording:
         if like is not None:
             _same_sensor(path, recording, like)
+        from tomojax import bringup  # imports JAX, without which a bad file is told
+
         try:
             found = bringup.check(recording, corners, progress=say)
         except ValueError as error:

@@ -7,15 +7,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from tomojax.cli.entry import interrupts
+from tomojax.cli.entry import interrupts, sheet_of
 
 # Seconds that a process beside the loop has to end: `shape` may be compiling.
 _PATIENCE = 60.0
+
+_NO_FORCE = (
+    "no forces: they need --calibration with presses of known force "
+    "(tomojax.calibration.calibrate_presses) and --radius"
+)
 
 
 class _Session:
@@ -32,7 +38,7 @@ class _Session:
         self.source, self.ring, self.recorder = source, ring, recorder
         self._told, self._beside = json.dumps(told), []
         self.words = sys.stdout  # where what is said at the end goes
-        self._seconds = options["seconds"]
+        self._seconds, self._forces = options["seconds"], bool(options.get("radius"))
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))
         if options["view"] == "web":
             recorded = ["--recorded"] if recorder is not None else []
@@ -45,7 +51,7 @@ class _Session:
         # It has the cores that the loop leaves; its threads would not wait idly.
         flags = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
         given = {**os.environ, "XLA_FLAGS": flags}
-        self._beside.append(subprocess.Popen(command, env=given))
+        self._beside.append(_started(command, given))
 
     def run(
         self,
@@ -61,7 +67,7 @@ class _Session:
         """
         from tomojax.hardware import run
 
-        view = subprocess.Popen(self._view) if self._view else None
+        view = _started(self._view) if self._view else None
         end = math.inf if self._seconds is None else time.perf_counter() + self._seconds
         began = time.perf_counter()
 
@@ -110,11 +116,21 @@ class _Session:
         counted = {name: n for name, n in self.ring.counted().items() if n}
         told = ", ".join(f"{n} {name}" for name, n in counted.items())
         print(told or "no slots", file=self.words)
-        if worked:
-            parts = self.ring.latency(0.5, 0.99, 0.999, 0.9999)
-            told = (f"{1e6 * q:.0f}" for q in parts)
-            words = "last byte to ground command, 50, 99, 99.9, 99.99 %"
-            print(f"{words}: {', '.join(told)} µs", file=self.words)
+        if not worked:
+            return
+        from tomojax.hardware.loop import flags_text, latency_text, load_text
+
+        latency = latency_text(self.ring, 0.5, 0.99, 0.999, 0.9999)
+        lines = [load_text(self.ring), latency, *flags_text(self.ring)]
+        for line in [*lines, "" if self._forces else _NO_FORCE]:
+            if line:
+                print(line, file=self.words)
+
+
+def _started(command: list[str], environment: Any = None) -> subprocess.Popen:
+    """Starts a process that Ctrl-C in the terminal does not reach: the loop ends it."""
+    group = 0 if os.name == "posix" else None
+    return subprocess.Popen(command, env=environment, process_group=group)
 
 
 def _wait(process: subprocess.Popen) -> None:
@@ -149,49 +165,53 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
 
 @contextmanager
 def session(
-    source: str, out: Path | None, options: dict[str, Any], prepare: Callable[[Any], Any]
+    source: str,
+    out: Path | None,
+    options: dict[str, Any],
+    prepare: Callable[[Any], Any],
+    check: Callable[[int], Any] = lambda electrodes: None,
 ):
     """Yields a session, and what `prepare` makes of the sensor before the source starts.
 
-    A rig that already sends while a step is compiled would lose slots.
+    A rig that already sends while a step is compiled would lose slots. `check` is told the
+    number of electrodes before JAX is imported, which takes seconds.
     """
-    import numpy as np
-
-    from tomojax import Sensor
-    from tomojax.hardware import open_source, SlotRing
-    from tomojax.hardware.loop import own_folder
-    from tomojax.hardware.loop.recorder import attributes, Recorder
-    from tomojax.hardware.sources import OrderedSource, ReplaySource
-    from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
-    from tomojax.recordings import open_recording, Rig
-
     names = "baud", "bind", "speed", "since", "until"
     given = {n: options[n] for n in names if options[n] is not None}
     if out is not None and out.exists():
         raise ValueError(f"{out}: is there; give another name")
     # What is not installed is told before anything is compiled.
     _viewer(options["view"], options["rrd"], "")
-    with ExitStack() as stack:
-        rig = None
-        if options["like"]:
-            with open_recording(options["like"]) as recording:
-                rig = recording.rig
-        sensor = Sensor.grid(dtype=np.float32, divisions=(32, 32))
-        sensor = sensor if rig is None else rig.sensor()
-        if source == "virtual":
-            print("scenes for a virtual rig …", file=sys.stderr)
-            with own_folder("tomojax-scene-") as folder:
-                draw_eight(sensor, folder / "scene.npz")
-                rig_process = VirtualRig(folder / "scene.npz", link="udp")
-            source = stack.enter_context(rig_process).where
-        slots = open_source(source, sensor.electrode_count, **given)
+    from tomojax.hardware import open_source, SlotRing
+    from tomojax.hardware.sources import OrderedSource, ReplaySource
+
+    rig, _, electrodes = sheet_of(options["like"])
+    order = options.get("channels"), options.get("grounds")
+
+    def opened(where: str) -> Any:
+        nonlocal rig
+        slots = open_source(where, electrodes, **given)
         if isinstance(slots, ReplaySource):
             rig = slots.rig
-            sensor = rig.sensor()
-        order = options.get("channels"), options.get("grounds")
-        if order != (None, None):
-            slots = OrderedSource(slots, *order)
-        prepared = prepare(sensor)
+        return slots if order == (None, None) else OrderedSource(slots, *order)
+
+    slots = None if source == "virtual" else opened(source)
+    check(electrodes if slots is None else slots.electrodes)
+
+    import numpy as np
+
+    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.recordings import Rig
+    from tomojax.sensor import Sensor
+
+    with ExitStack() as stack:
+        sensor = Sensor.grid(dtype=np.float32, divisions=(32, 32))
+        sensor = sensor if rig is None else rig.sensor()
+        if slots is None:
+            where, prepared = _virtual(sensor, prepare, stack)
+            slots = opened(where)
+        else:
+            prepared = prepare(sensor)
         stack.enter_context(slots)
         ring = SlotRing.create(slots.electrodes, options.get("contacts") or 1)
         stack.callback(ring.remove)
@@ -201,3 +221,20 @@ def session(
             recorder = Recorder(ring, out, told, options["file_seconds"])
             stack.callback(recorder.stop)
         yield _Session(slots, ring, recorder, told, options), prepared
+
+
+def _virtual(
+    sensor: Any, prepare: Callable[[Any], Any], stack: ExitStack
+) -> tuple[str, Any]:
+    """Starts a virtual rig, whose scene is drawn while `prepare` compiles."""
+    from tomojax.hardware.loop import own_folder
+    from tomojax.hardware.sources.virtual_rig import draw_eight, VirtualRig
+
+    print("scenes for a virtual rig …", file=sys.stderr)
+    with own_folder("tomojax-scene-") as folder, ThreadPoolExecutor(1) as beside:
+        path = folder / "scene.npz"
+        drawn = beside.submit(draw_eight, sensor, path)
+        prepared = prepare(sensor)
+        drawn.result()
+        rig = stack.enter_context(VirtualRig(path, link="udp"))
+    return rig.where, prepared

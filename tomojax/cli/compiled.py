@@ -156,8 +156,14 @@ class Compiling:
 
 
 @contextmanager
-def compiling(say: Callable[[str], None] = lambda text: None) -> Iterator[Compiling]:
-    """Counts what is compiled until the end; calls `say` before each long program."""
+def compiling(
+    say: Callable[[str], None] = lambda text: None,
+    begun: Callable[[], None] = lambda: None,
+) -> Iterator[Compiling]:
+    """Counts what is compiled until the end; calls `say` before each long program.
+
+    `begun` is called once, before the first program of any length.
+    """
     import jax
 
     told = Compiling()
@@ -168,6 +174,8 @@ def compiling(say: Callable[[str], None] = lambda text: None) -> Iterator[Compil
         if event == _FOUND:
             told.kept += 1
         elif event == _LOWERED:
+            if not told.seconds:
+                begun()
             told.seconds[name] += duration_secs
             if duration_secs > _LONG:
                 say(f"compiling program {sum(told.programs.values()) + 1}: {name}")

@@ -104,4 +104,7 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
         where = ", ".join(f"{a}" if a == b else f"{a}–{b}" for a, b in row["where"])
         count = "" if row["scans"] is None else f": {row['scans']} scans"
         lines.append(f"  {row['fault']}{count}" + (f": {where}" if where else ""))
+        flag = Flag.__members__.get(row["fault"])
+        if flag is not None:
+            lines.append(f"    {flag.explanation}")
     return "\n".join(lines)

@@ -98,6 +98,8 @@ class ResultsFile:
                 file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
                 levels = {f.name: f.level.name for f in Flag}
                 file["flags"].attrs["levels"] = json.dumps(levels)
+                meanings = {f.name: f.explanation for f in Flag}
+                file["flags"].attrs["meanings"] = json.dumps(meanings, ensure_ascii=False)
                 if "rung" in layout:
                     names = {rung.name.lower(): rung.value for rung in Rung}
                     file["rung"].attrs["models"] = json.dumps(names)

@@ -10,6 +10,12 @@ from tomojax.results.loading import LoadedResults
 
 _ROWS = 1 << 20  # read at once
 
+# Why there is no `contact_force`; a live session says the same.
+NO_FORCE = (
+    "no forces: they need --calibration with presses of known force, "
+    "see tomojax.calibration.calibrate_presses"
+)
+
 
 def summary(path: Path) -> dict:
     """Counts contacts and flags, with units in the keys; `rows` has the stretches."""
@@ -52,6 +58,7 @@ def summary(path: Path) -> dict:
             },
             "residual_median_V": float(np.median(residual)),
             "images": "image" in file.names,
+            "forces": "contact_force" in file.names,
         }
 
 
@@ -97,8 +104,12 @@ def text(found: dict, path: Path) -> str:
     if found["rows_by_flag"]:
         lines.append("flag                        rows  what it takes from them")
     for name, count in found["rows_by_flag"].items():
-        level = Flag[name].level.name.lower().replace("_", " ")
+        flag = Flag[name]
+        level = flag.level.name.lower().replace("_", " ")
         lines.append(f"{name:22s}  {count:8d}  {level}")
+        lines.append(f"    {flag.explanation}")
+    if not found["forces"]:
+        lines.append(NO_FORCE)
     if found["rows"]:
         lines.append("first stretches of contact, the strongest one's median")
         lines.append("  from s     to s  contacts   x mm   y mm   current µA")

@@ -20,6 +20,15 @@ from tomojax.cli.entry._interrupts import (
     listening as listening,
     STOPPED as STOPPED,
 )
+from tomojax.cli.entry._names import (
+    check_name as check_name,
+    FIXED as FIXED,
+    ground_numbers as ground_numbers,
+    METHODS as METHODS,
+    POLICIES as POLICIES,
+    sheet_of as sheet_of,
+    SIZE as SIZE,
+)
 from tomojax.cli.entry._paths import (
     check_paths as check_paths,
     InputFile as InputFile,

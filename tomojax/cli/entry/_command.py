@@ -20,7 +20,8 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         read, written = paths_read(ctx), paths_written(ctx)
-        check_paths(read, written, ctx.params.get("overwrite"))
+        names = "overwrite", "resume"
+        check_paths(read, written, *(ctx.params.get(name) for name in names))
         _running[:] = [(one, _state(one.path)) for one in written]
         try:
             return super().invoke(ctx)

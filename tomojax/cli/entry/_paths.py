@@ -29,6 +29,8 @@ class InputFile(click.Path):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if not self.empty and not path.exists():
+            self.fail(f"{path}: no such file", param, ctx)
         if not self.empty and path.is_file() and path.stat().st_size == 0:
             expected = "expected one with something in it"
             self.fail(f"{path}: got an empty file, {expected}", param, ctx)
@@ -124,11 +126,15 @@ def _files(kind: OutputFile | OutputFolder, option: str, path: Path) -> Iterator
     yield Written(path, option, kind.kind, kind.makes, tuple(beside))
 
 
-def check_paths(read: list[Path], written: list[Written], overwrite: bool | None) -> None:
+def check_paths(
+    read: list[Path],
+    written: list[Written],
+    overwrite: bool | None = None,
+    resume: bool | None = None,
+) -> None:
     """Checks that the command can write its files, and that no file is destroyed.
 
-    `overwrite` is the value of the command's option of that name, or None without the
-    option.
+    `overwrite` and `resume` are the values of the command's options, or None without them.
     **Raises:** `ValueError` where the command would destroy a file, or could not keep its
     work.
     """
@@ -146,6 +152,16 @@ def check_paths(read: list[Path], written: list[Written], overwrite: bool | None
             known[_identity(path)] = f"written by {one.option}"
         _check_place(one)
         _check_replaced(one, overwrite)
+        if one.kind == "results" and overwrite is False and not resume:
+            _check_fresh(one, goes_on=resume is not None)
+
+
+def _check_fresh(one: Written, goes_on: bool) -> None:
+    """Results are begun where there are none; the command itself looks again later."""
+    require(not one.path.exists(), f"{one.path}", "a file", "a new name, or --overwrite")
+    begun = one.path.with_name(one.path.name + ".partial")
+    mend = "--resume to go on with it, or --overwrite"
+    require(not (goes_on and begun.exists()), f"{begun}", "work begun there", mend)
 
 
 def _identity(path: Path) -> Any:

@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ import click
 
 from tomojax._whole import whole, write_text
 from tomojax.cli.entry import (
+    check_name,
     Command,
     InputFile,
     interrupts,
+    METHODS,
     NUMBER,
     OutputFile,
     STOPPED,
@@ -23,6 +26,13 @@ from tomojax.cli.recordings._opened import layout_option, opened
 
 # Where results of several recordings go.
 _FOLDER = Path("tomojax-results")
+
+# Said as the first program begins; and seconds between lines where there is no bar.
+_COMPILING = (
+    "preparing {}: its programs are compiled the first time, which takes up to a minute or "
+    "two; later runs start in seconds"
+)
+_NEWS = 10.0
 
 
 def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
@@ -142,12 +152,13 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     several machines that share a folder. Give each command the same --coordinator and
     --processes. Start a killed command again with --resume.
     """
-    settings = _settings(options)
+    method = options["method"]
+    check_name("--method", method or METHODS[0], (*METHODS, "follow"))
     if _several(rec):
-        _all(rec, out or _FOLDER, settings, options)
+        _all(rec, out or _FOLDER, options)
         return
     assert out is not None
-    _one(rec[0], out, settings, options)
+    _one(rec[0], out, options)
 
 
 def _several(rec: Sequence[Path]) -> bool:
@@ -180,23 +191,34 @@ def _settings(options: dict[str, Any]) -> Any:
     return settings
 
 
-def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
-    from tomojax._environment import environment
+def _one(rec: Path, out: Path, options: dict[str, Any]) -> None:
+    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
+        # JAX is imported from here on: what is wrong with REC is told without.
+        settings = _settings(options)
+        share, compiled = _reconstructed(recording, out, settings, options)
+    _tell(out, share, compiled, options)
+
+
+def _reconstructed(
+    recording: Any, out: Path, settings: Any, options: dict[str, Any]
+) -> tuple[tuple[int, int], Any]:
+    """Makes the results; which share of them this process had, and what it compiled."""
     from tomojax.cli.compiled import compiling
-    from tomojax.results import distributed, reconstruct_recording, report, write_outlines
+    from tomojax.results import distributed, reconstruct_recording
 
     given = [options[n] for n in ("coordinator", "processes", "process")]
     share = distributed.join(*given, out=out, resume=options["resume"])
     with (
-        opened(rec, options["layout"], options["since"], options["until"]) as recording,
         _bar(share) as bar,
         interrupts() as interrupted,
-        compiling(bar.set_postfix_str) as compiled,
+        compiling(bar.set_postfix_str, _said_once(settings.method)) as compiled,
     ):
+        news = _news()
 
         def progress(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
+            news(done, total)
             if interrupted.is_set():
                 raise KeyboardInterrupt
 
@@ -215,6 +237,16 @@ def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
             print(f"\n{stopped()}", file=sys.stderr)
             raise SystemExit(STOPPED) from None
     distributed.leave(share, out)
+    return share, compiled
+
+
+def _tell(
+    out: Path, share: tuple[int, int], compiled: Any, options: dict[str, Any]
+) -> None:
+    """Prints and writes what is asked for of results that are there."""
+    from tomojax._environment import environment
+    from tomojax.results import report, write_outlines
+
     if options["verbose"]:
         print(compiled.table())
     if share[0] > 0:
@@ -240,10 +272,10 @@ def _one(rec: Path, out: Path, settings: Any, options: dict[str, Any]) -> None:
         print(f"picture: {options['picture']}")
 
 
-def _all(given: Sequence[Path], out: Path, settings: Any, options: dict[str, Any]) -> None:
+def _all(given: Sequence[Path], out: Path, options: dict[str, Any]) -> None:
     """Reconstructs all with the same settings; a rig's first compiles the programs."""
+    from tomojax.cli.compiled import compiling
     from tomojax.cli.recordings import _many
-    from tomojax.results import reconstruct_recording
 
     for name in ("picture", "outlines", "coordinator", "processes", "process"):
         if options[name] is not None:
@@ -253,7 +285,11 @@ def _all(given: Sequence[Path], out: Path, settings: Any, options: dict[str, Any
     if not out.absolute().parent.is_dir():
         raise ValueError(f"{out}: no such folder; make it, or give another")
     recordings = _many.found_in(given)
-    with interrupts() as interrupted:
+    settings = _settings(options)
+    from tomojax.results import reconstruct_recording
+
+    begun = _said_once(settings.method)
+    with interrupts() as interrupted, compiling(begun=begun):
 
         def work(rec: Path, place: Path, say: Any) -> None:
             def progress(done: int, total: int) -> None:
@@ -295,3 +331,24 @@ def _bar(share: tuple[int, int]):
     from tqdm import tqdm
 
     return tqdm(desc="reconstruct", unit="chunk", disable=None, position=share[0])
+
+
+def _said_once(method: str) -> Callable[[], None]:
+    """Says what goes on before the first result; above a bar, where there is one."""
+    from tqdm import tqdm
+
+    return lambda: tqdm.write(_COMPILING.format(method), file=sys.stderr)
+
+
+def _news() -> Callable[[int, int], None]:
+    """Tells now and then how far it is, where there is no bar."""
+    began = last = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > _NEWS and not sys.stderr.isatty():
+            last = now
+            print(f"{done} of {total} chunks, {now - began:.0f} s", file=sys.stderr)
+
+    return tell

@@ -81,6 +81,8 @@ def track(results: Path, out: Path, **options: Any) -> None:
     contact's place and conductance are found from all rows that show the contact. Each
     contact gets a number. The command prints when each contact began and ended.
     """
+    _check_stretch(results, options["since"], options["until"])
+
     from tomojax._environment import environment
     from tomojax.results import track_file as work
 
@@ -99,6 +101,21 @@ def track(results: Path, out: Path, **options: Any) -> None:
         with whole(options["picture"]) as part:
             work.picture(results, out).savefig(part, dpi=110)
         print(f"picture: {options['picture']}")
+
+
+def _check_stretch(results: Path, since: float | None, until: float | None) -> None:
+    """**Raises:** `ValueError` for a file of no results, or without that stretch.
+
+    The work itself looks again, once JAX is imported.
+    """
+    from tomojax._stretch import stretch_of
+    from tomojax.results.loading import LoadedResults
+
+    with LoadedResults(results) as file:
+        try:
+            stretch_of(file.read("t"), since, until)
+        except ValueError as error:
+            raise ValueError(f"{results}: {error}") from None
 
 
 def _track_of(results: Path) -> Path:
