@@ -2,6 +2,8 @@
 
 import enum
 
+import numpy as np
+
 
 class Level(enum.IntEnum):
     """How much a flag lowers the trust in a row of results.
@@ -61,6 +63,12 @@ class Flag(enum.IntFlag):
     CLOCK_MENDED = 2097152
     GROUND_NOT_LOWEST = 4194304
     AGAINST_DRIVE = 8388608
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Flag | None":
+        """Takes NumPy's integers, which is what arrays of flags hold."""
+        whole = isinstance(value, np.integer)
+        return cls(int(value)) if whole else super()._missing_(value)
 
     @property
     def level(self) -> Level:

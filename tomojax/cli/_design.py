@@ -49,7 +49,9 @@ _MAP = 32
     multiple=True,
     help="Design for a contact at X Y, mm. May be repeated.",
 )
-@click.option("--slots", type=int, default=8, show_default=True)
+@click.option(
+    "--slots", type=int, default=8, show_default=True, help="Ground so many electrodes."
+)
 @click.option(
     "--grounds",
     metavar="E,E,…",
@@ -60,6 +62,7 @@ _MAP = 32
     type=click.Choice(["points", "linear", "source"]),
     default="points",
     show_default=True,
+    help="Choose the grounds for this method.",
 )
 @click.option(
     "--criterion",

@@ -85,6 +85,7 @@ def _shared(command: Any) -> Any:
             type=click.Choice(["terminal", "web", "rerun", "none"]),
             default="terminal",
             show_default=True,
+            help="Show the session in the terminal, in a browser (web), in Rerun, or nowhere.",
         ),
         click.option(
             "--rrd",
@@ -215,13 +216,18 @@ def _calibrated(rec: Path, made: Path) -> None:
 
 @click.command(cls=Command)
 @_shared
-@click.option("--method", default="follow", show_default=True)
+@click.option(
+    "--method",
+    default="follow",
+    show_default=True,
+    help="Find contacts by this method: follow, or one that sees each slot alone.",
+)
 @click.option(
     "--policy",
     default="around_contacts",
     show_default=True,
-    help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, electrodes "
-    "as 0,7,14, or a table of `tomojax design --policy`.",
+    help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
+    "electrodes as 0,7,14, or a table of `tomojax design --policy`.",
 )
 @click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(

@@ -34,7 +34,13 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
         click.option(
             "--scenes", type=int, help=f"Number of scenes, {scenes[0].lower()}{scenes[1:]}"
         ),
-        click.option("--seed", type=int, default=0, show_default=True),
+        click.option(
+            "--seed",
+            type=int,
+            default=0,
+            show_default=True,
+            help="Draw rigs and scenes from this seed; from 1000000 on nothing was set on it.",
+        ),
         click.option(
             "--like",
             type=InputFile(),
