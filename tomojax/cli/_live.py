@@ -85,7 +85,7 @@ def _shared(command: Any) -> Any:
             type=click.Choice(["terminal", "web", "rerun", "none"]),
             default="terminal",
             show_default=True,
-            help="Show the session in the terminal, in a browser (web), in Rerun, or nowhere.",
+            help="Show the session here: in the terminal, a browser (web), Rerun, or not.",
         ),
         click.option(
             "--rrd",

@@ -39,7 +39,7 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
             type=int,
             default=0,
             show_default=True,
-            help="Draw rigs and scenes from this seed; from 1000000 on nothing was set on it.",
+            help="Draw rigs and scenes from this seed; those from 1000000 on judge.",
         ),
         click.option(
             "--like",
