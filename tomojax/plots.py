@@ -49,8 +49,9 @@ def sheet(sensor: Any, ax: Any = None, *, numbers: bool = True) -> Any:
     for number, place in enumerate(places):
         ax.add_patch(patches.Circle(place, radius, fc="0.85", ec="0.5", lw=0.6, zorder=1.5))
         if numbers and len(places) <= _NUMBERED:
-            style = {"size": 6, "color": "0.25", "ha": "center", "va": "center"}
-            ax.text(*place, f"{number}", clip_on=True, **style)
+            # Beside the disc, which is small and may have a mark.
+            style = {"size": 7, "color": "0.35", "ha": "left", "va": "bottom"}
+            ax.text(*(place + 0.5 * radius), f"{number}", clip_on=True, **style)
     return ax
 
 
