@@ -32,11 +32,11 @@ def sheet(sensor: Any, ax: Any = None, *, numbers: bool = True) -> Any:
 
     **Example:**
 
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
+    >>> import matplotlib.pyplot as plt
     >>> import tomojax as tx
     >>> from tomojax import plots
-    >>> ax = plots.sheet(tx.Sensor.grid(4, 4, divisions=(16, 16)))
+    >>> _, ax = plt.subplots()
+    >>> ax = plots.sheet(tx.Sensor.grid(4, 4, divisions=(16, 16)), ax)
     >>> ax.get_xlabel(), len(ax.texts)
     ('x, mm', 16)
     """
@@ -49,8 +49,9 @@ def sheet(sensor: Any, ax: Any = None, *, numbers: bool = True) -> Any:
     for number, place in enumerate(places):
         ax.add_patch(patches.Circle(place, radius, fc="0.85", ec="0.5", lw=0.6, zorder=1.5))
         if numbers and len(places) <= _NUMBERED:
-            style = {"size": 6, "color": "0.25", "ha": "center", "va": "center"}
-            ax.text(*place, f"{number}", clip_on=True, **style)
+            # Beside the disc, which is small and may have a mark.
+            style = {"size": 7, "color": "0.35", "ha": "left", "va": "bottom"}
+            ax.text(*(place + 0.5 * radius), f"{number}", clip_on=True, **style)
     return ax
 
 
@@ -63,14 +64,14 @@ def image(sensor: Any, image: Any, ax: Any = None, *, unit: str = "", **style: A
 
     **Example:**
 
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
+    >>> import matplotlib.pyplot as plt
     >>> import tomojax as tx
     >>> from tomojax import plots
+    >>> _, ax = plt.subplots()
     >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
     >>> volts = tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15])
     >>> result = tx.reconstruct(tx.jacobian(sensor, [0, 15]), volts)
-    >>> ax = plots.image(sensor, result.image, unit="V")
+    >>> ax = plots.image(sensor, result.image, ax, unit="V")
     >>> ax.images[0].get_array().shape
     (16, 16)
     """
@@ -96,13 +97,13 @@ def contacts(found: Any, ax: Any = None, **style: Any) -> Any:
 
     **Example:**
 
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
+    >>> import matplotlib.pyplot as plt
     >>> import tomojax as tx
     >>> from tomojax import plots
+    >>> _, ax = plt.subplots()
     >>> rows = tx.methods.empty_rows(1, {"C": 2})
     >>> rows.contact_xy[0, 0] = [0.03, 0.05]  # m
-    >>> print(plots.contacts(rows).lines[0].get_xydata())  # mm
+    >>> print(plots.contacts(rows, ax).lines[0].get_xydata().round())  # mm
     [[30. 50.]]
     """
     ax = _axes(ax)
@@ -134,13 +135,13 @@ def grounds(sensor: Any, grounds: Any, ax: Any = None, **style: Any) -> Any:
 
     **Example:**
 
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
+    >>> import matplotlib.pyplot as plt
     >>> import tomojax as tx
     >>> from tomojax import plots
+    >>> _, ax = plt.subplots()
     >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> ax = plots.grounds(sensor, tx.pattern(sensor, "edge"))
-    >>> print(ax.lines[0].get_xydata()[0])  # mm
+    >>> ax = plots.grounds(sensor, tx.pattern(sensor, "edge"), ax)
+    >>> print(ax.lines[0].get_xydata()[0].round())  # mm
     [10. 10.]
     """
     given, places = np.asarray(grounds), np.asarray(sensor.electrode_xy, float)
@@ -163,12 +164,12 @@ def truth(sensor: Any, scene: Any, ax: Any = None, **style: Any) -> Any:
 
     **Example:**
 
-    >>> import matplotlib
-    >>> matplotlib.use("agg")
+    >>> import matplotlib.pyplot as plt
     >>> import tomojax as tx
     >>> from tomojax import plots
+    >>> _, ax = plt.subplots()
     >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> ax = plots.truth(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0))
+    >>> ax = plots.truth(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), ax)
     >>> outline, = ax.collections
     >>> low, high = outline.get_datalim(ax.transData).get_points()
     >>> print(low.round(), high.round())  # mm

@@ -5,7 +5,7 @@ errors of place say little. So each takes the λ that makes its images equally w
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -18,14 +18,23 @@ from tomojax._require import library, require
 from tomojax._shown import html_table
 from tomojax.design.objectives import design_places, simulate_scenes
 from tomojax.kernels.images import half_width, image_place
-from tomojax.methods import Linear, method
-from tomojax.paper import AdaptiveScan, exploration, pattern, PATTERNS
-from tomojax.sensor import ground_set, Sensor
+from tomojax.paper import (
+    AdaptiveScan,
+    cell_size,
+    exploration,
+    pattern,
+    PATTERNS,
+    pixels,
+    reduce_jacobian,
+)
+from tomojax.sensor import ground_set, jacobian, Sensor
 from tomojax.step import ADAPTIVE
 
-# λ/σ₁² of the search, two for each decade, and bisections after it; a width that is off by
-# less is reached.
-_LAMS, _BISECTIONS, _ALIKE = 10.0 ** np.arange(-8, 0.1, 0.5), 12, 0.03
+# λ/σ₁² of the search, and bisections after it; a width that is off by less is reached.
+_LAMS, _BISECTIONS, _ALIKE = 10.0 ** np.arange(-8, 0.1), 10, 0.03
+
+# Rows of the basis that stands for J, for each electrode.
+_RANK = 2
 
 # Radius of a contact, of the pitch; it holds the sheet at the drive, as in Eq. 1.
 _RADIUS, _SIEMENS = 0.1, 1.0
@@ -141,19 +150,27 @@ def compare_patterns(
     checked = {name: _checked(sensor, name, one) for name, one in given.items()}
     places = design_places(sensor, count=contacts)
     simulated = {"radius": _RADIUS * sensor.mean_pitch, "conductance": _SIEMENS}
+    sensor = _on_coarse_mesh(sensor)
     scenes = simulate_scenes(sensor, places, rigs=rigs, seed=seed, **simulated)
     explored = scenes.voltages[:, exploration(sensor)]
-    linear = method(sensor, "linear")
-    assert isinstance(linear, Linear)
-    images = _Images.of(linear, np.asarray(scenes.voltages, float))
+    images = _Images.of(sensor, np.asarray(scenes.voltages, float))
     rows = []
     for name, one in checked.items():
         sets = _sets(sensor, one, explored, seed)
-        found = _at_width(images.of_sets(sets), images.scale, wide, linear, places)
+        found = _at_width(sensor, images.of_sets(sets), images.scale, wide, places)
         explores = 2 if isinstance(one, str) and one in ADAPTIVE else 0
         slots = sets.shape[1]
         rows.append(PatternFigures(name, slots, explores, 1e3 * slots / f_switch, *found))
     return PatternTable(tuple(rows), 1e3 * wide, contacts)
+
+
+def _on_coarse_mesh(sensor: Sensor) -> Sensor:
+    """On the coarsest mesh that the electrodes allow; values per element keep theirs."""
+    if sensor.sheet_resistance.ndim:
+        return sensor
+    diameter = float(sensor.electrode_diameter) * (1 + 1e-5)
+    nx, ny = np.ceil(np.asarray(sensor.size, float) / diameter).astype(int)
+    return replace(sensor, divisions=(max(2, int(nx)), max(2, int(ny))))
 
 
 def _checked(sensor: Sensor, name: str, one: str | Numbers) -> str | np.ndarray:
@@ -192,11 +209,16 @@ class _Images(NamedTuple):
     scale: float  # σ₁²
 
     @classmethod
-    def of(cls, linear: Linear, volts: Float[np.ndarray, "P L M"]) -> "_Images":
-        factors = np.asarray(linear.factors, float)
-        grams = factors.transpose(0, 2, 1) @ factors
+    def of(cls, sensor: Sensor, volts: Float[np.ndarray, "P L M"]) -> "_Images":
+        # An even sheet has a J without the mesh's errors, as in method "linear".
+        maps = jacobian(sensor, route="fem" if sensor.sheet_resistance.ndim else "series")
+        most = min(len(maps) * maps.shape[1], maps.shape[2])
+        reduced = reduce_jacobian(maps, min(_RANK * sensor.electrode_count, most))
+        factors, grams = (np.asarray(a, float) for a in (reduced.factors, reduced.grams))
         rights = np.einsum("lmr,plm->plr", factors, volts, optimize=True)
-        return cls(grams, rights, np.asarray(linear.basis, float), linear.scale())
+        basis = np.asarray(pixels(sensor, reduced.basis), float)
+        scale = float(np.linalg.eigvalsh(grams.sum(0))[-1])
+        return cls(grams, rights, basis.reshape(len(basis), -1), scale)
 
     def of_sets(
         self, sets: Integer[np.ndarray, "P L"]
@@ -220,17 +242,17 @@ class _Images(NamedTuple):
 
 
 def _at_width(
+    sensor: Sensor,
     images: Callable[[float], np.ndarray],
     scale: float,
     wide: float,
-    linear: Linear,
     places: Float[Array, "P 2"],
 ) -> tuple[float, float, float, float, bool]:
     """Returns λ/σ₁² at that width; the width, and the place's error, mm."""
 
     def measured(lam: float) -> tuple[float, np.ndarray]:
-        found = jnp.asarray(images(lam * scale), linear.cell.dtype)
-        widths, at = _measured(found.reshape(-1, *linear.shape), linear.cell)
+        found = jnp.asarray(images(lam * scale), sensor.dtype)
+        widths, at = _measured(found.reshape(-1, *sensor.divisions), cell_size(sensor))
         return 2 * float(np.median(widths)), np.asarray(at)
 
     # From the narrow end: with the smallest λ noise makes an image of its own.

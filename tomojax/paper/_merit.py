@@ -40,7 +40,7 @@ class Figures(NamedTuple):
     >>> print(np.round(1e3 * figures.place), np.round(1e3 * figures.half_width))  # mm
     [30. 50.] 10.0
     >>> figures._replace(greit=None)  # its print-out has units
-    Figures(half_width=10 mm, half_area_radius=10.09 mm, place=[30, 50] mm,
+    Figures(half_width=9.781 mm, half_area_radius=9.772 mm, place=[30, 50] mm,
         image_error=0, greit=None)
     """
 

@@ -39,8 +39,7 @@ class Disc(AbstractOutline):
 
     `conductance` counts per area: a disc of 6 mm and 0.5 S/m² conducts 57 µS in all.
     `Disc.of_total` takes the whole conductance in S, as `simulate_scenes` and results have
-    it. The mesh then holds that total to 1 % where the disc lies on the sheet whole and
-    is wider than a cell.
+    it. A mesh holds that total to 2 % for a radius of one cell, to 1 % from two cells on.
 
     **Example:**
 
