@@ -63,9 +63,17 @@ class Links(HTMLParser):
                 self.links.append(str(told[name]))
 
 
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    """A server that does not tell of each request."""
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
 def broken(site: Path) -> list[str]:
     """Links inside the site that lead nowhere."""
-    pages = {path: Links(path.read_text()) for path in site.rglob("*.html")}
+    made = (path for path in site.rglob("*.html") if "_static" not in path.parts)
+    pages = {path: Links(path.read_text()) for path in made}
     wrong = []
     for path, page in pages.items():
         for link in page.links:
@@ -84,8 +92,7 @@ def broken(site: Path) -> list[str]:
 
 def looked_at(site: Path, out: Path) -> dict:
     """Pictures of pages at two widths, and what the search finds."""
-    handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(site))
-    handler.log_message = lambda *_: None  # pyright: ignore
+    handler = partial(Quiet, directory=str(site))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     where, found = f"http://127.0.0.1:{server.server_port}", {}
