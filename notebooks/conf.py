@@ -53,6 +53,7 @@ html_theme_options = {
     "footer_end": [],
     "header_links_before_dropdown": 7,
 }
+html_sidebars = {"index": [], "start": []}
 html_show_sourcelink = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
