@@ -45,8 +45,11 @@ def named(thing: Any, **fields: str) -> str:
 
 def tuple_shown(thing: Any, **units: tuple[str, float]) -> str:
     """Returns a named tuple as text; `units`: of some fields the unit and a factor."""
-    each = thing._asdict().items()
-    return named(thing, **{name: shown(v, *units.get(name, ())) for name, v in each})
+    told = {}
+    for name, value in thing._asdict().items():
+        unit, factor = units.get(name, ("", 1.0))
+        told[name] = shown(value, unit, factor)
+    return named(thing, **told)
 
 
 def _nested(value: Any) -> str:

@@ -196,7 +196,8 @@ def ellipses(axes, xy: np.ndarray, covariance: np.ndarray, most: int = 40, **sty
         narrow, wide = 4 * np.sqrt(np.maximum(sides, 0))
         angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
         style = {"fill": False, "ec": "k", "lw": 0.5} | style
-        axes.add_patch(Ellipse(1e3 * xy[k], wide, narrow, angle=angle, **style))
+        at = tuple(1e3 * xy[k])
+        axes.add_patch(Ellipse(at, wide, narrow, angle=angle, **style))
 
 
 def png(draw: Callable[[Any], Any], size: tuple[float, float] = (4.2, 4.0)) -> bytes | None:

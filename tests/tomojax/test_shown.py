@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import recordings
 
 import tomojax as tx
 from tomojax import plots
@@ -108,3 +109,13 @@ def test_no_picture_without_matplotlib(sensor, monkeypatch) -> None:
     assert sensor._repr_png_() is None
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'tomojax\[app\]'"):
         plots.sheet(sensor)
+
+
+def test_recordings_of_files(tmp_path) -> None:
+    path = recordings.write(
+        tmp_path / "r.h5", recordings.noise(np.random.default_rng(0), 40)
+    )
+    with tx.open_recording(path) as opened:
+        short(opened, "r.h5", "40 of 2 slots", "electrodes=64")
+        assert "r.h5" in opened._repr_html_()
+    short(opened, "40 of 2 slots")  # nothing is read

@@ -171,12 +171,12 @@ class Recording(ABC):
         return np.concatenate([self.read(k, k + _SOME).t0 for k in each])
 
     def __repr__(self) -> str:
-        return named(self, **dict(self._told()))
+        return named(self, **dict(self._in_short()))
 
     def _repr_html_(self) -> str:
-        return html_table(self._told(), title=type(self).__name__)
+        return html_table(self._in_short(), title=type(self).__name__)
 
-    def _told(self) -> list[tuple[str, str]]:
+    def _in_short(self) -> list[tuple[str, str]]:
         """Returns what is known without reading: names and texts."""
         lost = int(np.sum(self.gaps[:, 1])) if len(self.gaps) else 0
         return [

@@ -108,8 +108,8 @@ class Step:
     ) -> tuple[Packed, Output]:
         """Returns the state after a slot, and the slot's results."""
         slot = self._slot(voltages, ground, lost, hurried)
-        state, said = self._compiled(_packed(state), *slot)
-        return state, self._output(said)
+        after, said = self._compiled(_packed(state), *slot)
+        return after, self._output(said)
 
     def replay(
         self, state: State, voltages: Any, grounds: Any, lost: Any = None
