@@ -29,6 +29,7 @@ from tomojax.kernels.contacts._points import (
     LEAST_DROP,
     polarisability,
     Sheet,
+    SIZE_WIDTH,
 )
 from tomojax.kernels.contacts._search import (
     Candidates,
@@ -51,7 +52,7 @@ _LATELY = 8
 
 # A contact's current is at least this part of the strongest's; sizes are no further than
 # this from usual.
-_WEAKEST, _LARGEST = 0.05, 3.0
+_WEAKEST, _LARGEST, _BELOW = 0.05, 3.0, 1e-3
 
 
 def follow(
@@ -111,7 +112,7 @@ def follow(
         # What begins that faint is what errors make of the others.
         there=there & (weak < OFTEN) & ~(new & faint),
         place=place,
-        size=jnp.clip(size + moved[:, 2], -_LARGEST, _LARGEST),
+        size=jnp.clip(size + moved[:, 2], -_LARGEST, _largest(sheet)),
         covariance=covariance,
         alone=alone,
         current=current,
@@ -123,6 +124,15 @@ def follow(
     at_ground = jax.lax.dynamic_index_in_dim(raw[:, 0], ground, 1, keepdims=False)
     conductance = _conductance(sheet, now, at_ground, ground, offset)
     return now._replace(conductance=conductance), jnp.where(used, rest, 0)
+
+
+def _largest(sheet: Sheet) -> Float[Array, ""]:
+    """The largest size: below the largest disc of the table, where slopes by size end.
+
+    At or beyond that a contact that grew in wrong slots would never shrink again.
+    """
+    table = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
+    return jnp.minimum(_LARGEST, table - _BELOW)
 
 
 def _left(

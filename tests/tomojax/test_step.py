@@ -190,6 +190,24 @@ def test_one_contact_more_than_may_be_is_doubted_in_every_slot(sensor, scenes):
     assert not any(int(out.flags) for out in outs)
 
 
+@pytest.mark.parametrize("contacts", [2, 3])
+def test_two_contacts_without_noise_are_not_doubted(sensor, contacts):
+    """Nor while both contacts that may be are there: no doubt is older than the second.
+
+    The first is on an electrode: slots that do not know of the second make it grow to the
+    largest disc there is, and it has to shrink again.
+    """
+    fine = tx.Sensor.grid(dtype=np.float32, divisions=(64, 64))
+    discs = tx.Disc([0.052, 0.071], 0.006, 1.0), tx.Disc([0.118, 0.103], 0.005, 0.6)
+    volts = np.asarray(tx.voltages(fine, tx.Scene(*discs)))
+    step = tx.make_step(sensor, "follow", "information", contacts=contacts)
+    _, outs = run(step, step.state, volts, 60)
+    assert all(int(out.contacts.count) == 2 for out in outs[15:])
+    assert not any(int(out.flags) for out in outs[15:])
+    rest = [float(out.residual) / volts.std(1).mean() for out in outs[15:]]
+    assert np.median(rest) < 0.005
+
+
 def test_replay_is_the_same_and_a_state_can_be_saved(step, scenes):
     grounds = np.random.default_rng(3).integers(0, 64, 30)
     volts = np.concatenate([scenes["one"][grounds[:15]], scenes["two"][grounds[15:]]])

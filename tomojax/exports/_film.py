@@ -51,6 +51,7 @@ def write(
     due = t[0] + np.arange(int(length * rate * slow + 1e-6) + 1) / (rate * slow)
     rows = np.maximum(np.searchsorted(t, due + 1e-9, "right") - 1, 0)
     picture = _Picture(source, overview(source), rows, int(_TRAIL * rate))
+    picture.pace = "" if slow == 1 else f"{slow:g} × slower"
     with whole(out) as part:
         keep = _gif if gif else _mp4
         with keep(part, rate, picture.shape) as put:
@@ -111,7 +112,7 @@ class _Picture:
 
         from tomojax.results.plots import still
 
-        self._source, self._trail = source, trail
+        self._source, self._trail, self.pace = source, trail, ""
         names = ("t", "contact_count", "contact_xy", "contact_radius", "flags", "image")
         self._names = [name for name in names if name in source.names]
         width, height = 1e3 * source.size
@@ -132,7 +133,8 @@ class _Picture:
                 cmap=DENSITY,
             )
             unit = source.unit("image").replace("^2", "²")
-            figure.colorbar(self._shown, ax=sheet, label=f"image, {unit}")
+            bar = f"image, {unit}"
+            figure.colorbar(self._shown, ax=sheet, label=bar, extend="max")
         else:
             sheet.set_facecolor("black")
         electrodes = lay_sheet(sheet, source.size, source.electrode_xy)
@@ -163,7 +165,7 @@ class _Picture:
         flags = Flag(int(told["flags"]))
         level = flags.level.name.lower().replace("_", " ") if flags.level else ""
         what = "no contact" if not count else f"{count} contact{'s'[: count > 1]}"
-        self._title.set_text(f"{told['t']:8.3f} s  {what}  {level}")
+        self._title.set_text(f"{told['t']:8.3f} s  {self.pace}  {what}  {level}")
         self._now.set_xdata([told["t"]] * 2)
         self._canvas.restore_region(self._still)
         for artist in self._moving:

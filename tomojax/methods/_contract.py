@@ -286,7 +286,10 @@ def judge(
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
     flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
     flags = flags | jnp.where(cut_off(voltages, noise), Flag.SATURATED.value, 0)
-    flags = flags | jnp.where(contacts.count == 0, Flag.NO_CONTACT.value, 0)
+    # A row without a contact has no place that could be uncertain.
+    nothing = contacts.count == 0
+    flags = jnp.where(nothing, flags & ~Flag.PLACE_UNCERTAIN.value, flags)
+    flags = flags | jnp.where(nothing, Flag.NO_CONTACT.value, 0)
     return contacts, flags
 
 

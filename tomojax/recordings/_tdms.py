@@ -73,6 +73,10 @@ class TdmsRecording(Recording):
         self.gaps = np.zeros((0, 2), int)
         rail = abs(_number("rail", rail))
         numbers = {n: _number(n, properties.get(n, d)) for n, d in PAPER.items()}
+        taken = ", ".join(f"{n} {d:g}" for n, d in PAPER.items() if n not in properties)
+        if taken:
+            said = f"the file does not say, the paper's is taken: {taken}"
+            self.mended = (*self.mended, said)
         index = np.indices((8, 8)).reshape(2, -1).T
         paper = self.electrodes == len(index)
         require(paper, "channels", f"{self.electrodes} electrodes", "the paper's 64")

@@ -58,6 +58,7 @@ class Doubt(NamedTuple):
 
     stretch: Bool[Array, ""]  # in a slot of this stretch of grounds
     held: Int[Array, ""]  # slots that an earlier doubt still counts in
+    full: Bool[Array, ""]  # whether every contact that may be was there in the last slot
 
 
 class Remembered(NamedTuple):

@@ -175,7 +175,7 @@ class Step:
         corners = whole.at[:2].set(self._corners)
         two = jnp.zeros((2, m), self.dtype)
         plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
-        doubt = Doubt(jnp.array(False), none)
+        doubt = Doubt(jnp.array(False), none, jnp.array(False))
         cheaper = () if self._cheaper is None else self._cheaper.first()
         last = Slot(volts, none, none, jnp.array(False))
         return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
@@ -287,15 +287,21 @@ class Step:
     ) -> tuple[Doubt, Array]:
         """Returns the doubt after a slot, and whether the slot is flagged with the doubt.
 
+<<<<<<< HEAD
         Some slots of a stretch see a hidden contact, others do not: one slot's doubt holds
         for all. The doubt holds for longer while every contact place is taken.
+=======
+        Slots of a stretch see a hidden contact or not: what one has shown holds for all,
+        and for longer where no contact can be added that would explain it. What came
+        before the last contact, or with it, that contact explains.
+>>>>>>> 08d9f63fea1289eaa428bdec14592dfeffeda02f
         """
         high = (bits & Flag.HIGH_RESIDUAL.value) > 0
+        full = contacts.count == len(contacts.radius)
         left = jnp.maximum(doubt.held - ok.astype(jnp.int32), 0)
-        held = jnp.where(high, self.electrode_count // 2, left)
+        held = jnp.where(high & full & doubt.full, self.electrode_count // 2, left)
         stretch = doubt.stretch | high
-        full = (contacts.count == len(contacts.radius)) & (held > 0)
-        return Doubt(stretch, held), stretch | full
+        return Doubt(stretch, held, full), stretch | (full & (held > 0))
 
     def _explored(self, plan: Plan, slot: Slot, read: Read) -> Array:
         corner = (slot.ground == self._corners) & read.ok

@@ -103,6 +103,9 @@ def export(results: Sequence[Path], to: dict, **options: Any) -> None:
         require(kind, "--to", "none", f"a kind: {', '.join(KINDS)}")
     check_kind(kind)
     together = kind == "lerobot"
+    if len(results) > 1 and out is not None and not together:
+        one = out.suffix in KINDS[kind].endings
+        require(not one, "--out", f"{out}", "a folder, as each of RESULTS has its file")
     work = {r: _place(r, out, kind, len(results) > 1 and not together) for r in results}
     if together:
         work = {tuple(results): work[results[0]]}

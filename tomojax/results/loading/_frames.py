@@ -5,7 +5,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 
 from tomojax._require import library
-from tomojax.methods import fields_of_rows
+from tomojax.methods import DOUBT, fields_of_rows
 from tomojax.results.loading._labels import DIMENSIONS, flag_names, IMAGES, label, parts_of
 
 if TYPE_CHECKING:
@@ -15,7 +15,10 @@ _EXTRA = "tables"
 
 
 def to_pandas(results: "LoadedResults") -> Any:
-    """Returns a line for each contact of each row; a row without contacts keeps one."""
+    """Returns a line for each contact of each row; a row without contacts keeps one.
+
+    `contact` counts from 1 and is 0 in a row without; `doubt` says which to leave out.
+    """
     pandas = library("pandas", _EXTRA)
     count = results.read("contact_count").astype(int)
     most = max(1, results.contacts)
@@ -35,6 +38,7 @@ def to_pandas(results: "LoadedResults") -> Any:
             table[label(part, unit=unit)] = columns[:, k]
     if "flags" in whole:
         whole["flag_names"] = flag_names(whole["flags"])
+        whole["doubt"] = (whole["flags"] & int(DOUBT)) > 0
     return pandas.DataFrame(table | whole)
 
 
