@@ -287,14 +287,9 @@ class Step:
     ) -> tuple[Doubt, Array]:
         """Returns the doubt after a slot, and whether the slot is flagged with the doubt.
 
-<<<<<<< HEAD
         Some slots of a stretch see a hidden contact, others do not: one slot's doubt holds
-        for all. The doubt holds for longer while every contact place is taken.
-=======
-        Slots of a stretch see a hidden contact or not: what one has shown holds for all,
-        and for longer where no contact can be added that would explain it. What came
-        before the last contact, or with it, that contact explains.
->>>>>>> 08d9f63fea1289eaa428bdec14592dfeffeda02f
+        for all. The doubt holds for longer while every contact place is
+        taken. The last contact to come explains doubts that came before it, or with it.
         """
         high = (bits & Flag.HIGH_RESIDUAL.value) > 0
         full = contacts.count == len(contacts.radius)
