@@ -181,7 +181,7 @@ def test_a_crashed_file_that_is_cut_short(tmp_path, capsys, crashed, part):
         told = f"cut off: {cut.scans} of 300 scans"
         assert told in " ".join(cut.mended)
     status, out, _ = command(capsys, "info", path)
-    assert status == 0 and f"MENDED: the file is {told}" in out
+    assert status == 0 and f"put right: the file is {told}" in out
 
 
 def test_thin_electrodes(tmp_path, capsys):

@@ -91,7 +91,6 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
     ]
     if found["notes"]:
         lines.append(f"  notes: {found['notes']}")
-    lines += [f"  MENDED: {sentence}" for sentence in found["mended"]]
     if found["scans_lost"]:
         lines.append(
             f"  {found['scans_lost']} scans lost; numbers below count those present"
