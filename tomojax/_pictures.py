@@ -129,6 +129,8 @@ def gallery(figure: Any, lines: dict[str, Any], size: Any, names: Any = ()) -> N
             )  # fmt: skip
             place.set(xticks=(0, width), yticks=(0, height))
         axes[0].set_title(title, loc="left", fontsize=10)
+    for place in grid[-1, 1:]:  # one picture's labels would stand on the next one's
+        place.tick_params(labelbottom=False)
     for place, name in zip(grid[0], names):
         place.set_title(name, fontsize=9)
     figure.supxlabel("x, mm")
