@@ -162,7 +162,6 @@ def name_points(
         # 0, 1, -1, 2, -2, … points up.
         for step in range(1, 200):
             text.set_position((beside, step // 2 * (-1) ** step))
-            box = text.get_window_extent()
-            if not any(box.overlaps(other) for other in taken):
+            if not any(text.get_window_extent().overlaps(other) for other in taken):
                 break
-        taken.append(box)
+        taken.append(text.get_window_extent())
