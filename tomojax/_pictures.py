@@ -129,6 +129,8 @@ def gallery(figure: Any, lines: dict[str, Any], size: Any, names: Any = ()) -> N
             )  # fmt: skip
             place.set(xticks=(0, width), yticks=(0, height))
         axes[0].set_title(title, loc="left", fontsize=10)
+    for place in grid[-1, 1:]:  # one picture's labels would stand on the next one's
+        place.tick_params(labelbottom=False)
     for place, name in zip(grid[0], names):
         place.set_title(name, fontsize=9)
     figure.supxlabel("x, mm")
@@ -160,7 +162,6 @@ def name_points(
         # 0, 1, -1, 2, -2, … points up.
         for step in range(1, 200):
             text.set_position((beside, step // 2 * (-1) ** step))
-            box = text.get_window_extent()
-            if not any(box.overlaps(other) for other in taken):
+            if not any(text.get_window_extent().overlaps(other) for other in taken):
                 break
-        taken.append(box)
+        taken.append(text.get_window_extent())

@@ -120,7 +120,7 @@ def picture(path: Path, out: Path) -> Any:
     """Draws places and conductances before and after, and the places' ellipses."""
     from matplotlib.figure import Figure
 
-    from tomojax.results.plots import ellipses, enlarge
+    from tomojax.results.plots import enlarge
 
     with LoadedResults(path) as raw:
         t, before = raw.read("t"), raw.read("contact_xy")
@@ -142,27 +142,33 @@ def picture(path: Path, out: Path) -> Any:
         (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
         ("x, mm", "y, mm", "conductance, µS"),
     ):
-        dots = axes.plot(t[::step], old[::step], ".", ms=4, color="0.6")
+        axes.plot(t[::step], old[::step], ".", ms=4, color="0.6")
         axes.set_prop_cycle(color=colours)
-        lines = axes.plot(later[::step], new[::step], lw=1)
+        axes.plot(later[::step], new[::step], lw=1)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     left[0].set_title("Places and conductances", loc="left")
-    left[0].legend(
-        [dots[0], lines[0]], ["row by row", "followed"], loc="lower right",
-        bbox_to_anchor=(1, 1), ncols=2, frameon=False,
-    )  # fmt: skip
+    for look, label in (({"marker": ".", "ls": "none"}, "row by row"), ({}, "followed")):
+        colour = "0.6" if look else colours[0]
+        left[0].plot([], [], color=colour, **look, label=label)
+    place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 2}
+    left[0].legend(**place, frameon=False)
     left[2].set(xlabel="time, s", yscale="log")
     sheet = figure.add_subplot(grid[:, 2])
     lay_sheet(sheet, size, electrodes)
-    for number in np.unique(names[names > 0])[:_PATHS]:
-        row, column = np.nonzero(names == number)
-        path_xy = 1e3 * xy[row, column]
-        colour = style(int(number))["color"]
-        sheet.plot(*path_xy.T, lw=0.8, color=colour)
-        ellipses(sheet, xy[row, column], spread[row, column], 6, ec=colour)
-    shown = (
-        "enlarged" if enlarge(sheet, 1e3 * xy[names > 0], 1e3 * size) else "on the sheet"
-    )
+    _paths(sheet, xy, spread, names)
+    small = enlarge(sheet, 1e3 * xy[names > 0], 1e3 * size)
+    shown = "enlarged" if small else "on the sheet"
     sheet.set_title(f"Paths, {shown};\nellipses: two standard deviations")
     return figure
+
+
+def _paths(axes: Any, xy: np.ndarray, spread: np.ndarray, names: np.ndarray) -> None:
+    """Draws the path of each contact, and ellipses about some of its places."""
+    from tomojax.results.plots import ellipses
+
+    for number in np.unique(names[names > 0])[:_PATHS]:
+        row, column = np.nonzero(names == number)
+        colour = style(int(number))["color"]
+        axes.plot(*(1e3 * xy[row, column].T), lw=0.8, color=colour)
+        ellipses(axes, xy[row, column], spread[row, column], 6, ec=colour)
