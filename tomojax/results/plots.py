@@ -33,7 +33,7 @@ def timeline(path: Path) -> Figure:
     figure = Figure(figsize=(14, 9), layout="constrained")
     of = f", found by {method}" if method else ""
     figure.suptitle(f"Contacts in {path.name}{of}")
-    left, right = figure.subfigures(1, 2, width_ratios=(2, 1), squeeze=False)[0]
+    left, right = figure.subfigures(1, 2, width_ratios=(2, 1), squeeze=False)[0]  # pyright: ignore
     _over_time(left.subplots(5, 1, sharex=True), rows)
     each = shown.get("residual_by_electrode")
     maps = [

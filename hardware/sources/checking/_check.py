@@ -102,17 +102,18 @@ class _Trial:
         counted = isinstance(getattr(self.source, "counters", None), Counters)
         if not counted:
             self.say("counters is not a Counters; make one in __init__")
-        return whole and counted
+        return bool(whole) and counted
 
     def _start(self) -> bool:
         self.source.start()
         fine = True
         for name in ("rate", "scale", "offset"):
             value = getattr(self.source, name, None)
-            number = isinstance(value, int | float | np.number) and np.isfinite(value)
+            number = isinstance(value, int | float | np.number)
+            told = float(value) if number else np.nan  # pyright: ignore
             wanted = {"rate": "slots/s above 0", "scale": "V per code, not 0"}
-            right = number and (name == "offset" or float(value) != 0)
-            if not right or (name == "rate" and float(value) < 0):
+            right = bool(np.isfinite(told)) and (name == "offset" or told != 0)
+            if not right or (name == "rate" and told < 0):
                 expected = wanted.get(name, "V at code 0")
                 self.say(f"{name} is {value!r} after start(), expected {expected}")
                 fine = False

@@ -74,9 +74,10 @@ def _demo(name: str, out: Path) -> None:
 def _truth(path: Path):
     """Reads what touched (scans, P, P), and the fingers' middles (scans, K, 2), m."""
     import h5py
+    import numpy as np
 
     with h5py.File(path) as file:
-        return file["truth_touched"][:], file["truth_xy"][:]  # pyright: ignore
+        return np.asarray(file["truth_touched"]), np.asarray(file["truth_xy"])
 
 
 def _judged(told, xy) -> str:

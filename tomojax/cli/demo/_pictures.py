@@ -109,7 +109,8 @@ def still(told: Told, words: str, out: Path) -> None:
             for axes in place:
                 axes.set_xlabel("")
     label = "touched: 0 no, 1 yes (Eq. 3: of its highest); ▽ grounded electrodes"
-    bar = figure.colorbar(panels.shown[0], ax=grid, location="bottom", shrink=0.6)
+    shown = grid[0, 0].images[0]
+    bar = figure.colorbar(shown, ax=grid, location="bottom", shrink=0.6)
     bar.set_label(label)
     figure.savefig(out, dpi=110)
 
