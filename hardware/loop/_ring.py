@@ -76,6 +76,12 @@ class SlotRing:
     `head` has numbers beside the rows, each an array that can be written into. `trim` (2,
     M) has a factor and an offset, V, of each channel. The loop works on readings times the
     factor plus the offset. The process that follows the rig's drift writes `trim`.
+
+    A row has what came (`number`, `ground`, `lost`, `time`, s, `codes`) and
+    what was answered: `next`, the ground to come, `count` contacts with `xy`, m, and
+    `conductance`, S, strongest first, `flags`, and `latency`, s. A slot that a newer one
+    overtook has no answer: `next` is −1 and `latency` NaN. `counted()` has the numbers of
+    `Counters`, and `skipped`, slots without an answer.
     """
 
     def __init__(self, path: Path | str, writable: bool = True):
@@ -139,7 +145,10 @@ class SlotRing:
         self.head["rows"][...] = written + 1
 
     def since(self, row: int, most: int = 1 << 14) -> tuple[np.ndarray, int, int]:
-        """Returns a copy of rows from `row` on, the row after, and how many are lost."""
+        """Returns a copy of the first `most` rows from `row` on.
+
+        Then come the row to go on with, and how many rows are gone already.
+        """
         end = int(self.head["rows"])
         # One that is written into just now is no row any more.
         first = max(row, end - self.length + 1)

@@ -266,7 +266,7 @@ def voltages(
     **Arguments:**
 
     - `scene`: a shape or `Scene`, or conductances (K,) in S per element. If `times` are
-      given: a function of time that returns a shape, such as `Moving`.
+      given: a function of time that returns a shape, such as `sensor.Moving`.
     - `grounds`: electrode numbers (L,), or conductances to ground (L, M) in S for
       several or partial grounds (the sensor's `ground_resistance` is then not used).
       None stands for every electrode once.

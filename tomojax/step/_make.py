@@ -38,10 +38,10 @@ def make_step(
     several to `switch` between. The patterns "around", "cop_line" and "point" begin with
     two corner slots each. "around_contacts" is *Around* by the contacts' places.
     "information" grounds the slot that is expected to say most of the places. Electrodes in
-    order, [0, 7, 14], are a policy of the name "0,7,14". `tables`
-    holds your own policies by name, such as a `Lookup`. `contacts` is the highest number of
-    contacts. `f_switch` (slots/s) limits how far a contact moves in one slot. `lam` is λ
-    (by default the method's own without a recording). `cheaper` names a method that answers
+    order, [0, 7, 14], are a policy of the name "0,7,14". `tables` holds your own policies
+    by name, such as a `Lookup`. `contacts` is the highest number of contacts. `f_switch`,
+    the rig's rate (slots/s), limits how far a contact moves in one slot. `lam` is λ (by
+    default the method's own without a recording). `cheaper` names a method that answers
     slots that are `hurried`. `calibration` is the rig's: its zeros and gains are taken off
     the readings. `good` (M,) marks the channels that are used. `highest` is |V| that no
     channel can have, V.
