@@ -93,13 +93,17 @@ with h5py.File(by_slot) as file:
     current = file["contact_current"][:].ravel()
 there = np.isfinite(current)
 fig, axes = plt.subplots(1, 2, figsize=(12, 5), layout="constrained")
-for axis, weights, title in zip(axes, (None, 1e6 * current[there]), ("slots", "µA·slots")):
+for axis, weights, title in zip(
+    axes, (None, 1e6 * current[there]), ("slots", "current, µA·slots")
+):
     places = 1e3 * xy[there].T
     sheet = [[0, 160], [0, 160]]
     style = dict(bins=64, range=sheet, norm="log", cmap="magma", weights=weights)
     *_, picture = axis.hist2d(*places, **style)
     axis.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", facecolor="k")
     fig.colorbar(picture, ax=axis, label=title)
+axes[0].set_title("Where contacts were")
+axes[1].set_title("Where current flowed")
 plt.show()
 
 # %% [markdown]
@@ -116,8 +120,9 @@ method = tx.method(sensor, "source", 40)
 batch = tx.Batch(method, 1e-4 * method.scale())
 rows = batch(some.voltages, some.grounds, faults.good)
 plt.figure(figsize=(5, 4))
-plt.imshow(rows.image[60].T, origin="lower", extent=(0, 160, 0, 160))
-plt.plot(*(1e3 * rows.contact_xy[60].T), "r+")
-plt.colorbar(label=method.image_unit)
+plt.imshow(rows.image[60].T, origin="lower", extent=(0, 160, 0, 160), cmap="magma")
+plt.plot(*(1e3 * rows.contact_xy[60].T), "c+")
+plt.colorbar(label=f"image, {method.image_unit.replace('^2', '²')}")
+plt.gca().set(xlabel="x, mm", ylabel="y, mm", title="The 61st scan; cross: the contact")
 plt.show()
 print("contacts of the 61st scan, mm:", 1e3 * rows.contact_xy[60, : rows.contact_count[60]])

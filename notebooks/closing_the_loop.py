@@ -88,12 +88,12 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constraine
 on = rows["count"] == 1
 x, y = 1e3 * rows["xy"][on, 0].T
 points = left.scatter(x, y, c=rows["time"][on], s=3)
-figure.colorbar(points, label="s")
+figure.colorbar(points, label="time, s")
 xy = 1e3 * np.asarray(sensor.electrode_xy)
 left.plot(*xy.T, ".", color="0.8", zorder=0)
 left.set(aspect="equal", xlabel="x, mm", ylabel="y, mm", title="The contact, slot by slot")
 right.plot(rows["time"], rows["ground"], ".", ms=2)
-right.set(xlabel="s", ylabel="electrode grounded", title="What was grounded")
+right.set(xlabel="time, s", ylabel="electrode grounded", title="What was grounded")
 plt.show()
 
 # %% [markdown]

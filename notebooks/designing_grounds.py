@@ -87,8 +87,8 @@ for axes, values, title in (
     )
     axes.plot(*xy.T, "o", color="w", mec="0.4", ms=4)
     axes.set(title=title, xlabel="x, mm", ylabel="y, mm")
-left.plot(*xy[found.grounds].T, "o", color="C3", ms=9)
-figure.colorbar(image, ax=(left, right), label="place, mm (1 σ)")
+left.plot(*xy[found.grounds].T, "o", color="#D55E00", ms=9)
+figure.colorbar(image, ax=(left, right), label="place error, mm (1 σ)")
 plt.show()
 
 # %% [markdown]

@@ -42,10 +42,12 @@ print({name: part.shape for name, part in table._asdict().items()})
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(15, 4), layout="constrained")
-plots.sheet(axes[0], sensor, table.elements[27], "Ω")
+plots.sheet(axes[0], sensor, table.elements[27], "potential, V per A")
+axes[0].set_title("One ampere into electrode 27")
 for axis, rho in zip(axes[1:], (0.0, 2e5)):
     j = tx.jacobian(sensor, [0], rho)
-    plots.sheet(axis, sensor, j[0, 27], f"J of electrode 27, ρ = {rho:g} Ω", vmin=0)
+    plots.sheet(axis, sensor, j[0, 27], "J of electrode 27, V per V", vmin=0)
+    axis.set_title(f"Contact through {rho:g} Ω, corner 0 grounded")
 
 # %% [markdown]
 # ## Recorded scenes
@@ -114,7 +116,7 @@ if data.is_dir():
     axis.bar(x - 0.2, 100 * (nominal / largest)[x], 0.4, label="nominal")
     axis.bar(x + 0.2, 100 * (shunted[best] / largest)[x], 0.4, label=f"floating, {best:g}")
     axis.set_xticks(x, [scenes[i]["name"] for i in x], rotation=30, ha="right")
-    axis.set_ylabel("rms, % of largest voltage")
+    axis.set(ylabel="rms, % of largest voltage", title="Model beside recorded scenes")
     axis.legend()
     plt.show()
 else:

@@ -86,7 +86,7 @@ def figure_7(volts, scenes, lam):
             grounds = tx.pattern(sensor, pattern, frame[tx.paper.exploration(sensor)])
             result = tx.reconstruct(reduced, frame[grounds], grounds, lam=lam)
             image = np.asarray(result.image)
-            sheet(axes, sensor, image / image.max(), "", vmin=0)
+            sheet(axes, sensor, image / image.max(), "image / largest", vmin=0)
             for contact in scene["contacts"]:
                 outline(axes, contact)
             width = 1e3 * float(tx.paper.figures_of_merit(sensor, image, image).half_width)
@@ -158,6 +158,6 @@ if data.is_dir():
             )
         when = np.arange(len(truth)) / rate
         axes.plot(when, truth / truth.max(), "k", lw=0.8, label="truth, conductance")
-        axes.set(xlabel="s", ylabel="of the largest", title=thing)
+        axes.set(xlabel="time, s", ylabel="value / its largest", title=thing)
         axes.legend()
     plt.show()
