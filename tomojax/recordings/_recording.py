@@ -177,7 +177,7 @@ class Recording(ABC):
         return html_table(self._in_short(), title=type(self).__name__)
 
     def _in_short(self) -> list[tuple[str, str]]:
-        """What is known without reading: names and texts."""
+        """Tells what is known without reading: names and texts."""
         lost = int(np.sum(self.gaps[:, 1])) if len(self.gaps) else 0
         return [
             ("path", str(self.path)),

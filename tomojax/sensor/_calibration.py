@@ -102,7 +102,7 @@ class Calibration:
             _require_numbers(f"deviation of {name}"[:60], value, (0, 1, 2))
 
     def __repr__(self) -> str:
-        """What is not nominal; of a value for each channel the range."""
+        """Tells what is not nominal, and the range of values that channels have apart."""
         told = {f.name: getattr(self, f.name) for f in fields(self)}
         if self.deviation:
             told["deviation"] = tuple(self.deviation)  # of which values it is known
