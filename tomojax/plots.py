@@ -256,6 +256,6 @@ def _densities(sensor: Any, scene: Any) -> tuple[np.ndarray, np.ndarray, list[np
 
 
 def _halo() -> list[Any]:
-    """A white rim, which shows lines on every colour of an image."""
+    """Returns a white rim, which shows lines on every colour of an image."""
     effects = library("matplotlib.patheffects", "app")
     return [effects.withStroke(linewidth=3.5, foreground="white")]

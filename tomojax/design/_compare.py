@@ -165,7 +165,7 @@ def compare_patterns(
 
 
 def _on_coarse_mesh(sensor: Sensor) -> Sensor:
-    """On the coarsest mesh that the electrodes allow; values per element keep theirs."""
+    """Returns the sensor on the coarsest mesh that its electrodes and its sheet allow."""
     if sensor.sheet_resistance.ndim:
         return sensor
     diameter = float(sensor.electrode_diameter) * (1 + 1e-5)

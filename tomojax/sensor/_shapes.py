@@ -30,6 +30,7 @@ Outline = TypeVar("Outline", bound=AbstractOutline)
 
 
 def _of_total(shape: Outline, siemens: Numbers, area: Array) -> Outline:
+    """Returns the shape with so many siemens spread over its area, m²."""
     total = checked_conductance(siemens, "siemens")
     return replace(shape, conductance=total / area.astype(total.dtype))
 

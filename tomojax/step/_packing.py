@@ -29,6 +29,15 @@ class Packed(NamedTuple):
         return tuple_shown(self)
 
 
+# As a step gives it, or its two arrays as some file has kept them.
+State = Packed | tuple[Any, Any]
+
+
+def packed(state: State) -> Packed:
+    """Returns a state as a step takes it."""
+    return state if isinstance(state, Packed) else Packed(*state)
+
+
 class Packing:
     """The packing of a pytree: an `example` gives shapes and types."""
 

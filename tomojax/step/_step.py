@@ -20,16 +20,13 @@ from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, Told
 from tomojax.step._one_function import one_function
-from tomojax.step._packing import Packed, Packing
+from tomojax.step._packing import Packed, packed, Packing, State
 from tomojax.step._policies import AbstractPolicy, Plan, Seen
 from tomojax.step._saving import load_state, save_state
 from tomojax.step._state import Doubt, Output, Read, Remembered, Slot
 
 # Slots of a compiled call of `replay`: a tenth of a second of work, 1 MB.
 _BLOCK = 4096
-
-# As a step gives it, or its two arrays as some file has kept them.
-State = Packed | tuple[Any, Any]
 
 
 class Step:
@@ -108,7 +105,7 @@ class Step:
     ) -> tuple[Packed, Output]:
         """Returns the state after a slot, and the slot's results."""
         slot = self._slot(voltages, ground, lost, hurried)
-        after, said = self._compiled(_packed(state), *slot)
+        after, said = self._compiled(packed(state), *slot)
         return after, self._output(said)
 
     def replay(
@@ -124,7 +121,7 @@ class Step:
         require(gone.shape == g.shape, "lost", f"shape {gone.shape}", f"{g.shape}")
         whole = np.stack([g.astype(np.int32), gone, np.zeros_like(gone)], 1)
         # Blocks of one size, the last filled up: one program serves any number of slots.
-        parts, state = [], _packed(state)
+        parts, state = [], packed(state)
         for start in range(0, max(1, len(v)), _BLOCK):
             some = v[start : start + _BLOCK], whole[start : start + _BLOCK]
             count = len(some[0])
@@ -136,11 +133,11 @@ class Step:
 
     def image(self, state: State) -> Float[Array, "nx ny"]:
         """Returns the last slot's image, in the method's unit; NaN for an unusable slot."""
-        return self._image(_packed(state))
+        return self._image(packed(state))
 
     def save(self, path: Path | str, state: State) -> None:
         """Writes a state to an .npz file; the file is there whole or not at all."""
-        save_state(path, _packed(state), self.policies)
+        save_state(path, packed(state), self.policies)
 
     def load(self, path: Path | str) -> Packed:
         """Reads a state that a step like this has saved.
@@ -333,10 +330,6 @@ class Step:
         last = remembered.last
         image = self._method.image(remembered.memory, last.voltages, last.ground)
         return jnp.where(remembered.used.any(), image, jnp.nan)
-
-
-def _packed(state: State) -> Packed:
-    return state if isinstance(state, Packed) else Packed(*state)
 
 
 def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:

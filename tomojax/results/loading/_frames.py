@@ -71,7 +71,7 @@ def to_xarray(results: "LoadedResults") -> Any:
 
 
 def _fields(results: "LoadedResults") -> list[str]:
-    """Datasets with an entry for each row: the usual ones first."""
+    """Returns datasets with an entry for each row, the usual ones first."""
     usual = ("t", *fields_of_rows())
     names = [name for name in usual if name in results.names]
     others = [name for name in results.names if name not in usual]
@@ -87,5 +87,5 @@ def _middles(count: int, side: float) -> np.ndarray:
 
 
 def _plain(attributes: dict[str, Any]) -> dict[str, Any]:
-    """Without the places of electrodes, which are coordinates."""
+    """Leaves out the places of electrodes, which are coordinates."""
     return {name: v for name, v in attributes.items() if name != "electrode_xy"}

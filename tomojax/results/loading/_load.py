@@ -126,7 +126,7 @@ class LoadedResults:
         return self.read(name)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """A dataset's."""
+        """Returns a dataset's shape."""
         return self._file.shape(name)
 
     def to_pandas(self) -> Any:
