@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -208,17 +209,21 @@ def _reconstructed(
 
     given = [options[n] for n in ("coordinator", "processes", "process")]
     share = distributed.join(*given, out=out, resume=options["resume"])
-    with (
-        _bar(share) as bar,
-        interrupts() as interrupted,
-        compiling(bar.set_postfix_str, _said_once(settings.method)) as compiled,
-    ):
-        news = _news()
+    news = _news()
+
+    with _bar(share) as bar, interrupts() as interrupted, ExitStack() as stack:
+
+        def say(text: str) -> None:
+            bar.set_postfix_str(text)
+            news(text)
+
+        begun = _said_once(settings.method)
+        compiled = stack.enter_context(compiling(say, begun))
 
         def progress(done: int, total: int) -> None:
             bar.total = total
             bar.update(done - bar.n)
-            news(done, total)
+            news(f"{done} of {total} chunks")
             if interrupted.is_set():
                 raise KeyboardInterrupt
 
@@ -340,15 +345,15 @@ def _said_once(method: str) -> Callable[[], None]:
     return lambda: tqdm.write(_COMPILING.format(method), file=sys.stderr)
 
 
-def _news() -> Callable[[int, int], None]:
-    """Tells now and then how far it is, where there is no bar."""
+def _news() -> Callable[[str], None]:
+    """Tells now and then what goes on, where there is no bar."""
     began = last = time.monotonic()
 
-    def tell(done: int, total: int) -> None:
+    def tell(text: str) -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last > _NEWS and not sys.stderr.isatty():
+        if text and now - last > _NEWS and not sys.stderr.isatty():
             last = now
-            print(f"{done} of {total} chunks, {now - began:.0f} s", file=sys.stderr)
+            print(f"{text}; {now - began:.0f} s so far", file=sys.stderr)
 
     return tell
