@@ -71,7 +71,7 @@ class PatternTable:
     >>> import tomojax as tx
     >>> row = tx.design.PatternFigures("mine", 3, 0, 0.3, 1e-4, 20.0, 1.5, 4.0, True)
     >>> tx.design.PatternTable((row,), 20.0, 48)
-    images 20 mm wide, 48 simulated contacts
+    images 20 mm wide (full width at half maximum), 48 simulated contacts of metal
     pattern       slots  Δt, ms  λ/σ₁²    width, mm  place, mm: median  90 %
     mine              3    0.30  1.0e-04       20.0               1.50  4.00
     """
@@ -93,10 +93,13 @@ class PatternTable:
                 f"  {r.lam_relative:.1e}  {r.width_mm:9.1f}"
                 f"  {r.place_median_mm:17.2f}  {r.place_p90_mm:4.2f}{note}"
             )
+        if any(r.exploratory_slots for r in self.rows):
+            lines.append("+2: two corner slots explore first; Δt leaves them out")
         return "\n".join(lines)
 
     def _title(self) -> str:
-        return f"images {self.width_mm:.3g} mm wide, {self.contacts} simulated contacts"
+        wide = f"images {self.width_mm:.3g} mm wide (full width at half maximum)"
+        return f"{wide}, {self.contacts} simulated contacts of metal"
 
     def _repr_html_(self) -> str:
         rows = [[f"{v:.3g}" if isinstance(v, float) else v for v in r] for r in self.rows]

@@ -60,7 +60,7 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
 
     Exchanges improve the relaxed problem's heaviest slots, a greedy search's set, and sets
     drawn by the relaxed weights. The best set is the result. `bound` tells how far from the
-    best possible the result can be at most.
+    best possible the result can be at most; NaN where the objective is not convex.
     **Raises:** `ValueError` for a number of slots outside 1 to the objective's.
 
     **Example:**

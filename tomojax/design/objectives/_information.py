@@ -23,8 +23,9 @@ Criterion = Literal["place", "a", "d", "worst", "rigs"]
 class AbstractObjective(eqx.Module):
     """P figures of a weighting, the lower the better.
 
-    A figure `convex` in the weights has a bound. `swaps` limits an exchange to the swaps
-    that the slope promises most of; None tries all swaps.
+    A class says `convex = True` where its figures are convex in the weights; a design then
+    has a bound. `swaps` = n tries n swaps of slots in each step of an exchange, those where
+    the slope is steepest; None tries all swaps.
 
     **Example:**
 
@@ -41,7 +42,7 @@ class AbstractObjective(eqx.Module):
     (16, 'm', True)
     """
 
-    convex: ClassVar[bool] = True
+    convex: ClassVar[bool] = False
     swaps: ClassVar[int | None] = None
 
     @property
@@ -87,6 +88,7 @@ class PlaceInformation(AbstractObjective):
     contacts.
     """
 
+    convex: ClassVar[bool] = True
     criterion: str = eqx.field(static=True)
     information: Float[Array, "P L n n"]  # of x, y (per unit) and size, of each contact
     prior: Float[Array, "n n"]
@@ -143,6 +145,7 @@ class ImageVariance(AbstractObjective):
     True
     """
 
+    convex: ClassVar[bool] = True
     criterion: str = eqx.field(static=True)
     grams: Float[Array, "L r r"]  # A_lᵀN⁻¹A_l
     columns: Float[Array, "P r"]

@@ -35,6 +35,7 @@ class ShapeInformation(AbstractObjective):
     (True, '1')
     """
 
+    convex: ClassVar[bool] = True
     information: Float[Array, "P L K K"]
     worst: ClassVar[bool] = False  # pyright: ignore
     swaps: ClassVar[int | None] = 32
