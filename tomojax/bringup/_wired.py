@@ -70,9 +70,15 @@ def _lines(reading: Reading) -> Lines:
     never = np.setdiff1d(np.arange(m), lines.asked)
     if len(never):
         reading.unjudged["ground lines not commanded"] = (
-            f"{len(never)} of {m} were never commanded: record with --pattern all"
+            f"{len(never)} of {m} ({_few(never)}) were never commanded: "
+            "record with --pattern all"
         )
     return lines
+
+
+def _few(numbers: Integer[np.ndarray, " n"]) -> str:
+    """Names the first numbers, and tells that more follow."""
+    return ", ".join(map(str, numbers[:5])) + (", …" if len(numbers) > 5 else "")
 
 
 def _turned(reading: Reading, lines: Lines, image: Integer[np.ndarray, " M"]) -> Lines:
