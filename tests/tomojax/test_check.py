@@ -169,6 +169,17 @@ def invoke(*arguments):
     return CliRunner().invoke(app.app, [*map(str, arguments)], standalone_mode=False)
 
 
+def test_a_rig_is_recorded_first(tmp_path, capfd):
+    """By default the corners are told in words; the virtual rig is touched nowhere still."""
+    seconds = ("--quiet", 0.3, "--rub", 0.5, "--touch", 0.2)
+    done = invoke("check", "virtual", *seconds, "-o", tmp_path / "rig.h5")
+    said = capfd.readouterr().err
+    assert done.return_value in (0, 1) or "slots with a contact" in str(done.exception)
+    for words in ("leave the sheet alone", "rub the sheet", "electrode 0", "end of row 0"):
+        assert words in said + done.output
+    assert tx.open_recording(tmp_path / "rig.h5").scans > 1000
+
+
 def test_the_command(made, tmp_path):
     wrong = {"channels": swapped((5, 14)), "lines": swapped((2, 3))}
     path = faulty.write(tmp_path / "bad.h5", faulty.recorded(made, 10, **wrong))

@@ -219,7 +219,7 @@ def check(
     """Check a new rig: wires, grounds, noise, places and sheet.
 
     The command also judges the drive and the gains. REC is judged, or SOURCE (serial:PORT,
-    udp://HOST:PORT, ni:INPUTS,LINES) is recorded first. While SOURCE is recorded, the
+    udp://HOST:PORT, ni:INPUTS,LINES, or virtual) is recorded first. While SOURCE is recorded, the
     command says what to do in turn.
 
     REC begins with some seconds of nothing, and some of rubbing anywhere with a finger or a
@@ -259,7 +259,7 @@ def check(
     print(bringup.text(found))
     if write:
         bringup.write_order(found, write)
-        print(f"order: {write}; use it with --config {write}")
+        print(f"order of channels and grounds: {write}; use it with --config {write}")
     if picture:
         with whole(picture) as part:
             bringup.picture(found).savefig(part, dpi=110)
@@ -300,10 +300,10 @@ def _record(
 
     from tomojax.cli._session import session
 
-    first, second = (f"the corner of electrode {c}" for c in corners or (0, 0))
-    if corners == "auto":
-        first = "the corner of electrode 0 (x and y least)"
-        second = "the corner at the end of row 0 (x least, y most)"
+    first = "the corner of electrode 0 (x and y least)"
+    second = "the corner at the end of row 0 (x least, y most)"
+    if corners not in ("auto", None):
+        first, second = (f"the corner of electrode {c}" for c in corners)
     pause = 2.0
     words = [
         (quiet, "leave the sheet alone"),
@@ -328,8 +328,8 @@ def _record(
             due.extend([one] if (one := next(said, None)) else [])
 
     options = given | {
-        "like": like, "speed": None, "view": "none", "rrd": None,
-        "seconds": starts[-1], "file_seconds": 1e6,
+        "like": like, "speed": None, "view": "none", "rrd": None, "since": None,
+        "until": None, "seconds": starts[-1], "file_seconds": 1e6,
     }  # fmt: skip
     prepare = lambda sensor: list(range(sensor.electrode_count))  # noqa: E731
     with session(source, out, options, prepare) as (opened, asked):
