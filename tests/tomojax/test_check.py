@@ -170,7 +170,7 @@ def invoke(*arguments):
 
 
 def test_a_rig_is_recorded_first(tmp_path, capfd):
-    """By default the corners are told in words; the virtual rig is touched nowhere still."""
+    """The corners are told in words by default."""
     seconds = ("--quiet", 0.3, "--rub", 0.5, "--touch", 0.2)
     done = invoke("check", "virtual", *seconds, "-o", tmp_path / "rig.h5")
     said = capfd.readouterr().err

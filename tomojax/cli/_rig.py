@@ -219,8 +219,8 @@ def check(
     """Check a new rig: wires, grounds, noise, places and sheet.
 
     The command also judges the drive and the gains. REC is judged, or SOURCE (serial:PORT,
-    udp://HOST:PORT, ni:INPUTS,LINES, or virtual) is recorded first. While SOURCE is recorded, the
-    command says what to do in turn.
+    udp://HOST:PORT, ni:INPUTS,LINES, or virtual) is recorded first. While SOURCE is
+    recorded, the command says what to do in turn.
 
     REC begins with some seconds of nothing, and some of rubbing anywhere with a finger or a
     blunt pen. REC ends with two touches that hold still, with pauses before and after.
