@@ -139,7 +139,7 @@ def gallery(figure: Any, lines: dict[str, Any], size: Any, names: Any = ()) -> N
 
 
 def name_points(
-    axes: Any, points: list[tuple[str, float, float]], size: int = 7, aside: float = 6.0
+    axes: Any, points: list[tuple[str, Any, Any]], size: int = 7, aside: float = 6.0
 ) -> None:
     """Writes names beside points, a little higher or lower where they would overlap.
 

@@ -107,7 +107,14 @@ def test_the_command_says_what_it_cannot_do(tmp_path):
         (["--method", "shape", "--no-images", "--outlines", "a.svg"], "images off"),
         (["--method", "shape", "--outlines", "a.txt"], "ending '.txt'"),
     ):
-        given = ["reconstruct", "nothing.h5", "-o", str(tmp_path / "o.h5"), *words]
+        (tmp_path / "rec.h5").write_bytes(b"not looked into")
+        given = [
+            "reconstruct",
+            str(tmp_path / "rec.h5"),
+            "-o",
+            str(tmp_path / "o.h5"),
+            *words,
+        ]
         result = CliRunner().invoke(app.app, given)
         assert result.exit_code != 0
         assert text in str(result.exception) + result.output

@@ -59,12 +59,13 @@ def test_a_line_for_each_contact(path, tmp_path) -> None:
         assert line.current_A == truth["contact_current"][k, c]
         assert (line.t_s, line.flags) == (truth["t"][k], truth["flags"][k])
         assert line.residual_V == truth["residual"][k]
+        assert line.doubt == bool(truth["flags"][k] & int(tx.methods.DOUBT))
     # The columns are those of the CSV, without a contact's number.
     export(path, tmp_path / "a.csv", "csv")
     import pandas as pd
 
     wide = pd.read_csv(tmp_path / "a.csv").columns
-    assert set(table) - {"row", "contact"} == {
+    assert set(table) - {"row", "contact", "doubt"} == {
         c.removeprefix("contact1_") for c in wide
     } - {c for c in wide if c.startswith(("contact2", "contact3"))}
 

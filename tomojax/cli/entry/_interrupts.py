@@ -47,12 +47,24 @@ def listening(words: Callable[[], str]) -> Iterator[None]:
     before = signal.set_wakeup_fd(mouth.fileno(), warn_on_full_buffer=False)
     Thread(target=_hear, args=(ear, words), daemon=True).start()
     _listens.set()
+    told, sys.unraisablehook = sys.unraisablehook, _untold(sys.unraisablehook)
     try:
         yield
     finally:
+        sys.unraisablehook = told
         _listens.clear()
         signal.set_wakeup_fd(before)
         mouth.close()
+
+
+def _untold(tell: Callable[[Any], Any]) -> Callable[[Any], None]:
+    """Leaves out a Ctrl-C that came while Python cleared up: the listener ends the process."""
+
+    def said(raised: Any) -> None:
+        if not issubclass(raised.exc_type, KeyboardInterrupt):
+            tell(raised)
+
+    return said
 
 
 def _hear(ear: socket.socket, words: Callable[[], str]) -> None:
