@@ -48,15 +48,18 @@ def slot_size(electrodes: int) -> int:
 
 
 def sealed(body: bytes) -> bytes:
+    """Adds the CRC-32 that ends each message."""
     return body + _CRC.pack(zlib.crc32(body))
 
 
 def pack_slot(ground: int, sequence: int, microseconds: int, codes: np.ndarray) -> bytes:
+    """Packs one slot; codes (M,) are the converter's numbers."""
     head = _HEAD.pack(SLOT, ground, 0, sequence & 0xFFFFFFFF, microseconds)
     return sealed(head + codes.astype("<i2").tobytes())
 
 
 def pack_description(told: Description) -> bytes:
+    """Packs what a rig says of itself before its first slot."""
     m, session, sequence = told.electrodes, told.session, told.sequence & 0xFFFFFFFF
     numbers = told.rate, told.scale, told.offset
     return sealed(_DESCRIPTION.pack(DESCRIPTION, VERSION, m, session, sequence, *numbers))

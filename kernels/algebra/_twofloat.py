@@ -40,6 +40,7 @@ def multiply(a: Array, b: TwoFloat) -> TwoFloat:
 
 
 def add(a: TwoFloat, b: TwoFloat) -> TwoFloat:
+    """Adds a + b, elementwise."""
     high, low = _two_sum(a[0], b[0])
     low = low + a[1] + b[1]
     total = high + low
@@ -47,10 +48,12 @@ def add(a: TwoFloat, b: TwoFloat) -> TwoFloat:
 
 
 def negative(a: TwoFloat) -> TwoFloat:
+    """Returns −a."""
     return -a[0], -a[1]
 
 
 def widen(a: Array) -> TwoFloat:
+    """Takes a float as two, of which the low one is zero."""
     return a, jnp.zeros_like(a)
 
 

@@ -85,6 +85,7 @@ def slot_weights(
 
 
 def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
+    """Multiplies rows by the inverse covariance of a slot's errors, x·W."""
     shares = product(x, weights.common.T)
     return x * weights.each - product(shares, weights.filtered)
 

@@ -90,6 +90,7 @@ def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:
 
 
 def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
+    """Returns the function x ↦ ρ·G(x, place), V for each ampere that a disc feeds in."""
     # Evenly fed discs, whose own mean is that of a rim at a·e^(−1/4).
     rim = radius * float(np.exp(-0.25))
     rho, size = sheet.sheet_resistance, sheet.field.size

@@ -33,7 +33,7 @@ def test_widths_are_equal_and_more_slots_are_nearer(table) -> None:
 
 def test_tables_for_people_and_for_pandas(table) -> None:
     text, html, frame = repr(table), table._repr_html_(), table.to_pandas()
-    assert len(text.splitlines()) == 6 and "around" in text and "8+2" in text
+    assert len(text.splitlines()) == 7 and "around" in text and "8+2" in text
     assert html.count("<tr>") == 5 and "place_median_mm" in html
     assert frame.pattern.tolist() == list(MINE)
     assert frame.place_p90_mm.tolist() == [row.place_p90_mm for row in table.rows]

@@ -2,12 +2,14 @@
 
 import json
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import tomojax
 from tomojax.cli import app
 from tomojax.results import outlines_of, write_outlines
 
@@ -102,19 +104,13 @@ def test_geojson_and_svg(results, tmp_path):
 
 def test_the_command_says_what_it_cannot_do(tmp_path):
     """Before any work: another method, another ending."""
+    demo = Path(tomojax.__file__).with_name("demo.h5")
     for words, text in (
         (["--outlines", "a.geojson"], "method 'shape'"),
         (["--method", "shape", "--no-images", "--outlines", "a.svg"], "images off"),
         (["--method", "shape", "--outlines", "a.txt"], "ending '.txt'"),
     ):
-        (tmp_path / "rec.h5").write_bytes(b"not looked into")
-        given = [
-            "reconstruct",
-            str(tmp_path / "rec.h5"),
-            "-o",
-            str(tmp_path / "o.h5"),
-            *words,
-        ]
+        given = ["reconstruct", str(demo), "-o", str(tmp_path / "o.h5"), *words]
         result = CliRunner().invoke(app.app, given)
         assert result.exit_code != 0
         assert text in str(result.exception) + result.output

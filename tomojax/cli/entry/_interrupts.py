@@ -58,7 +58,7 @@ def listening(words: Callable[[], str]) -> Iterator[None]:
 
 
 def _untold(tell: Callable[[Any], Any]) -> Callable[[Any], None]:
-    """Leaves out a Ctrl-C that came while Python cleared up: the listener ends the process."""
+    """Leaves out a Ctrl-C that came in a clean-up: the listener ends the process."""
 
     def said(raised: Any) -> None:
         if not issubclass(raised.exc_type, KeyboardInterrupt):
