@@ -8,10 +8,6 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 import _reference  # noqa: E402
-from jupyter_client.manager import KernelManager  # noqa: E402
-
-# Two kernels that start at once may draw the same port: they listen on files instead.
-KernelManager.transport.default_value = "ipc"
 
 project, author = "tomojax", "the tomojax authors"
 copyright = author
