@@ -21,7 +21,7 @@
 #
 # `linear` has all 64 grounds, the others the two corners; `follow` grounds as it likes.
 
-# %%
+# %% tags=["hide-input"]
 import json
 from pathlib import Path
 
@@ -37,10 +37,10 @@ display(report.chart(summary["values"], limits))
 # %% [markdown]
 # A red ring marks what must not be: a place far off, of which nothing warns.
 
-# %%
+# %% tags=["hide-input"]
 print(report.text(limits))
 
-# %%
+# %% tags=["hide-input"]
 print(report.flagged_text(summary["flagged"]))
 
 # %% [markdown]
@@ -51,6 +51,6 @@ print(report.flagged_text(summary["flagged"]))
 # are over all sweeps. Below stand images of Eq. 3 for a contact resistance ρ that is told
 # wrongly, and where optimisers end that start at a bad λ.
 
-# %%
+# %% tags=["hide-input"]
 display(report.numbers_chart(summary["numbers"], limits))
 print(report.numbers_text(summary["numbers"]))

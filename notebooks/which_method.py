@@ -18,7 +18,7 @@
 # Voltages are a resistor network's with a rig's errors, which no method is told. A scene's
 # place error is that of its worst contact.
 
-# %%
+# %% tags=["hide-input"]
 import json
 from pathlib import Path
 
@@ -40,7 +40,7 @@ for name, value in found["environment"].items():
 # hollow. A peer is full where it is ahead of all of ours of the same dtype, output and
 # batch.
 
-# %%
+# %% tags=["hide-input"]
 display(report.chart(rows))
 
 # %% [markdown]
@@ -49,7 +49,7 @@ display(report.chart(rows))
 # The list has, for each kind of scene, the quickest row whose median place error is small
 # enough. Nothing larger is needed: rows to the right of it buy accuracy alone.
 
-# %%
+# %% tags=["hide-input"]
 for kind in report.KINDS:
     print(report.WORDS[kind])
     for wanted in (10, 3, 1, 0.5):
@@ -70,14 +70,14 @@ for kind in report.KINDS:
 # flagged where the image shows more. `auto` takes the smallest model that
 # explains a frame.
 
-# %%
+# %% tags=["hide-input"]
 display(report.rungs(rows))
 
 # %% [markdown]
 # A day of a robot's frames is mostly nothing: 70 % empty, 20 % one contact, 8 % two or
 # three, 2 % something large. `auto` beside always taking its largest rung:
 
-# %%
+# %% tags=["hide-input"]
 for line in report.machine_lines([], found["day"]):
     print(line)
 
@@ -89,7 +89,7 @@ for line in report.machine_lines([], found["day"]):
 # multiplications at the rate of a matrix product. The same run measured both rates. Below
 # some 256 frames a call's dispatch is what takes the time; above, the product is.
 
-# %%
+# %% tags=["hide-input"]
 display(report.rate_chart(found["rates"]))
 for line in report.machine_lines(found["rates"], []):
     print(line)
