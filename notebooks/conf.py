@@ -51,6 +51,7 @@ html_theme_options = {
 }
 html_sidebars = {"index": [], "start": []}
 html_show_sourcelink = False
+smartquotes = False  # would make a dash of the two hyphens of an option
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
