@@ -292,6 +292,8 @@ def main() -> None:
     except KeyboardInterrupt:
         pass
     finally:
+        # Its input may end while the process does: that is no news any more.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         link.close()
         if isinstance(link, Pty):
             link.name.unlink(missing_ok=True)

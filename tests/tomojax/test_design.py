@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from jaxtyping import Array, Float
 
 import tomojax as tx
 from tomojax.cli.app import app, run
@@ -228,6 +229,40 @@ def test_sets_by_gradients_through_draws(simulated):
         w[rng.permutation(16)[:4]] = 1
         others.append(float(found.objective.value(jnp.asarray(w))))
     assert float(found.objective.value(found.weights)) < np.quantile(others, 0.25)
+
+
+class Own(tx.design.AbstractObjective):
+    """An objective of one's own: how far weights and λ are from some."""
+
+    goal: Float[Array, " L"]
+    log_lam: Float[Array, ""]
+    unit = "1"
+    worst = False
+
+    @property
+    def slots(self):
+        return len(self.goal)
+
+    def __call__(self, weights):
+        return ((weights - self.goal) ** 2).sum(keepdims=True) + (self.log_lam - 2.0) ** 2
+
+    def alone(self, k):
+        return self
+
+
+class Fixed(Own):
+    log_lam: None = None
+
+
+def test_objectives_of_ones_own_are_tuned_and_descended():
+    goal = jnp.zeros(9).at[jnp.array([1, 4, 8])].set(1.0)
+    found = tx.design.descend_sets(Own(goal, jnp.array(0.5)), 3, steps=60)
+    assert found.weights.tolist() == goal.tolist()
+    tuned = tx.design.tune(found.objective, found.weights)
+    assert tuned.value < 1e-3 and abs(float(tuned.objective.log_lam) - 2) < 0.02
+    for search in (tx.design.tune, tx.design.descend_sets):
+        with pytest.raises(ValueError, match="objective: got Fixed without log_lam"):
+            search(Fixed(goal), goal if search is tx.design.tune else 3)
 
 
 def test_policy_by_place(sensor, tmp_path):

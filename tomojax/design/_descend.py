@@ -1,15 +1,16 @@
-"""Finds λ and sets of slots by gradients through simulated images."""
+"""Finds λ and sets of slots by gradients through an objective."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from tomojax.design.objectives import ImageError
+from tomojax._require import require
+from tomojax.design.objectives import AbstractObjective
 from tomojax.kernels.algebra import adam, draw_subset, drawn_weights, heaviest
 
 # Sets that are drawn in the end.
@@ -18,31 +19,43 @@ _LAST = 64
 # Decades of λ on both sides that are tried at first, and steps from the best of them.
 _DECADES, _STEPS = 3, 12
 
-# How often a search is gone on with; the least λ, of what is rounded off the slots' sum.
-_SCANS, _LEAST = 4, 1e-3
+# How often a search for λ is gone on with.
+_SCANS = 4
 
 
-def _in_reach(objective: ImageError) -> ImageError:
-    """Clips λ into reach of a descent: images beyond are rounding, or 0."""
-    total = jnp.trace(objective.grams.sum(0))
-    low = _LEAST * jnp.finfo(objective.dtype).eps * total
-    log_lam = jnp.clip(objective.log_lam, jnp.log(low), jnp.log(total))
-    return replace(objective, log_lam=log_lam)
+def _parameters(objective: AbstractObjective) -> list:
+    """ln λ, and ln of a length where the objective has one."""
+    names = ("log_lam", "log_length")
+    some = [getattr(objective, name, None) for name in names]
+    return [p for p in some if p is not None]
+
+
+def _with(objective: AbstractObjective, parameters: list[Array]) -> AbstractObjective:
+    return eqx.tree_at(_parameters, objective, parameters)
+
+
+def _startable(objective: AbstractObjective) -> AbstractObjective:
+    has = isinstance(getattr(objective, "log_lam", None), jax.Array)
+    need = "one with ln λ as its field log_lam, a JAX array"
+    require(has, "objective", f"{type(objective).__name__} without log_lam", need)
+    return objective.in_reach()
 
 
 class Tuned(NamedTuple):
     """An objective with its best λ and length, and the number of solves."""
 
-    objective: ImageError
+    objective: AbstractObjective
     value: Float[Array, ""]
     solves: int  # systems that were solved, one with its gradient counting as two
 
 
-def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
-    """Finds the λ (and length) of least mean error.
+def tune(objective: AbstractObjective, weights: Float[Array, " L"]) -> Tuned:
+    """Finds the λ (and length) that make the objective least for these slots.
 
     A few λ, a decade apart, are tried about the objective's own λ. The search moves on
-    while the best λ is at an end. BFGS starts from the best λ.
+    while the best λ is at an end. BFGS starts from the best λ. An objective of your own
+    takes part if it has ln λ as its field `log_lam`; a field `log_length` is tuned too.
+    **Raises:** `ValueError` for an objective without `log_lam`.
 
     **Example:**
 
@@ -57,40 +70,42 @@ def tune(objective: ImageError, weights: Float[Array, " L"]) -> Tuned:
     >>> bool(tuned.value <= objective.value(jnp.ones(16))), tuned.objective.lam > 0
     (True, True)
     """
-    objective = _in_reach(objective)
-
-    def value(parameters: tuple, rest: tuple) -> tuple[Array, Array]:
-        log_lam, log_length = parameters
-        one, weights = rest
-        now = replace(one, log_lam=log_lam, log_length=log_length)
-        return now.value(weights), jnp.zeros(())
-
-    apart = jnp.arange(-_DECADES, _DECADES + 1, dtype=objective.dtype)
-    middle, length = objective.log_lam, objective.log_length
-    rest = objective, weights
-    coarse = jax.jit(
-        lambda r, some: jax.lax.map(lambda lam: value((lam, length), r)[0], some)
-    )
+    objective = _startable(objective)
+    middle, *lengths = _parameters(objective)
+    apart = jnp.arange(-_DECADES, _DECADES + 1, dtype=middle.dtype)
     scans, best = 0, -1
     while scans < _SCANS and best in (-1, 0, len(apart) - 1):
         lams = middle + float(np.log(10)) * apart
         # What is no number is no minimum.
-        best = int(jnp.argmin(jnp.nan_to_num(coarse(rest, lams), nan=jnp.inf)))
+        values = jnp.nan_to_num(_tried(objective, weights, lams), nan=jnp.inf)
+        best = int(jnp.argmin(values))
         middle, scans = lams[best], scans + 1
+    # BFGS ends by absolute tolerances: the objective's unit must not matter.
+    scale = jnp.maximum(jnp.abs(values[best]), jnp.finfo(values.dtype).tiny)
     solver = optimistix.BFGS(rtol=1e-3, atol=1e-3)
     found = optimistix.minimise(
-        value,
+        _value,
         solver,
-        (middle, length),
-        rest,
+        [middle, *lengths],
+        (objective, weights, scale),
         has_aux=True,
         max_steps=_STEPS,
         throw=False,
     )
-    log_lam, log_length = found.value
-    best = replace(objective, log_lam=log_lam, log_length=log_length)
+    tuned = _with(objective, found.value)
     solves = scans * len(apart) + 2 * int(found.stats["num_steps"])
-    return Tuned(best, best.value(weights), solves)
+    return Tuned(tuned, tuned.value(weights), solves)
+
+
+def _value(parameters: list[Array], rest: tuple) -> tuple[Array, Array]:
+    objective, weights, scale = rest
+    return _with(objective, parameters).value(weights) / scale, jnp.zeros(())
+
+
+@eqx.filter_jit
+def _tried(objective: AbstractObjective, weights: Array, lams: Array) -> Array:
+    lengths = _parameters(objective)[1:]
+    return jax.lax.map(lambda lam: _with(objective, [lam, *lengths]).value(weights), lams)
 
 
 class Drawn(NamedTuple):
@@ -98,11 +113,11 @@ class Drawn(NamedTuple):
 
     weights: Float[Array, " L"]
     logits: Float[Array, " L"]
-    objective: ImageError
+    objective: AbstractObjective
 
 
 def descend_sets(
-    objective: ImageError,
+    objective: AbstractObjective,
     n: int,
     *,
     steps: int = 200,
@@ -113,7 +128,9 @@ def descend_sets(
     """Finds sets of `n` slots and λ together, by gradients through drawn sets.
 
     Sets come from `subset_marginals`' distribution, gradients by SIMPLE (`drawn_weights`),
-    steps by Adam (Kingma and Ba, ICLR 2015). The best of some last sets is the result.
+    steps by Adam (Kingma and Ba, ICLR 2015). The best of some last sets is the result. An
+    objective of your own takes part if it has ln λ as its field `log_lam`.
+    **Raises:** `ValueError` for an objective without `log_lam`.
 
     **Example:**
 
@@ -128,21 +145,8 @@ def descend_sets(
     >>> int(found.weights.sum()), found.weights.shape
     (2, (16,))
     """
-    objective = _in_reach(objective)
-    logits = jnp.zeros(objective.slots, objective.log_lam.dtype)
-
-    def value(parameters: tuple[Array, Array], keys: Array) -> Array:
-        logits, log_lam = parameters
-        now = replace(objective, log_lam=log_lam)
-        one = lambda key: now.value(drawn_weights(key, logits, n))  # noqa: E731
-        return jax.vmap(one)(keys).mean()
-
-    def slope(parameters: tuple[Array, Array], key: Array) -> tuple[Array, Array]:
-        return jax.grad(value)(parameters, jax.random.split(key, draws))
-
     keys = jax.random.split(jax.random.key(seed), steps)
-    logits, log_lam = adam(slope, (logits, objective.log_lam), keys, rate)
-    now = replace(objective, log_lam=log_lam)
+    logits, now = _descended(_startable(objective), keys, n, draws, rate)
     keys = jax.random.split(jax.random.key(seed), _LAST)
     sets = (
         jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
@@ -151,3 +155,23 @@ def descend_sets(
     )
     values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(now, sets)
     return Drawn(sets[jnp.argmin(values)], logits, now)
+
+
+@eqx.filter_jit
+def _descended(
+    objective: AbstractObjective, keys: Array, n: int, draws: int, rate: float
+) -> tuple[Array, AbstractObjective]:
+    first, *lengths = _parameters(objective)
+    logits = jnp.zeros(objective.slots, first.dtype)
+
+    def value(parameters: tuple[Array, Array], keys: Array) -> Array:
+        logits, log_lam = parameters
+        now = _with(objective, [log_lam, *lengths])
+        one = lambda key: now.value(drawn_weights(key, logits, n))  # noqa: E731
+        return jax.vmap(one)(keys).mean()
+
+    def slope(parameters: tuple[Array, Array], key: Array) -> tuple[Array, Array]:
+        return jax.grad(value)(parameters, jax.random.split(key, draws))
+
+    logits, log_lam = adam(slope, (logits, first), keys, rate)
+    return logits, _with(objective, [log_lam, *lengths])

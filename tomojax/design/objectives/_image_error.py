@@ -25,6 +25,9 @@ from tomojax.methods import Linear, Source
 # Of λ/σ₁², where the search for λ begins.
 _FIRST = 1e-5
 
+# The least λ of a search, of what is rounded off the slots' sum.
+_LEAST = 1e-3
+
 
 class ImageError(AbstractObjective):
     """1 − cos² of the angle between each scene's image and a Gaussian at its contact.
@@ -93,6 +96,12 @@ class ImageError(AbstractObjective):
     def alone(self, k: Array) -> "ImageError":
         k = jnp.atleast_1d(k)
         return replace(self, rights=self.rights[k], targets=self.targets[k])
+
+    def in_reach(self) -> "ImageError":
+        """Clips λ into reach of a descent: images beyond are rounding, or 0."""
+        total = jnp.trace(self.grams.sum(0))
+        low = _LEAST * jnp.finfo(self.dtype).eps * total
+        return replace(self, log_lam=jnp.clip(self.log_lam, jnp.log(low), jnp.log(total)))
 
     def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
         """Computes φ of every scene, from one set of slots."""

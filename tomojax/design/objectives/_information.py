@@ -72,6 +72,10 @@ class AbstractObjective(eqx.Module):
     def alone(self, k: Array) -> "AbstractObjective":
         """Returns the objective of figure k only."""
 
+    def in_reach(self) -> "AbstractObjective":
+        """Returns the objective with parameters that a descent can start from."""
+        return self
+
     def value(self, weights: Float[Array, " L"]) -> Float[Array, ""]:
         """Returns the one number that a design makes small."""
         figures = self(weights)
