@@ -129,7 +129,7 @@ def picture(checked: Checked) -> Any:
     from matplotlib.figure import Figure
 
     plane, swing = checked.seen
-    figure = Figure(figsize=(8.4, 6.0), layout="constrained")
+    figure = Figure(figsize=(7.6, 6.6), layout="compressed")
     axes = figure.subplots()
     xy, radius = 1e3 * plane.xy, 500 * plane.diameter
     lay_sheet(axes, plane.size, plane.xy, plane.diameter)
@@ -138,7 +138,7 @@ def picture(checked: Checked) -> Any:
     )
     look = {"cmap": VALUE, "edgecolors": "0.3", "lw": 0.5, "zorder": 2}
     drawn = axes.scatter(*xy.T, c=swing, s=90, **look)
-    figure.colorbar(drawn, label="median voltage in touches, V", shrink=0.8)
+    figure.colorbar(drawn, label="median voltage while something touches, V")
     back = np.argsort(checked.channels)
     for e, (x, y) in enumerate(xy):
         axes.annotate(

@@ -63,11 +63,12 @@ def text(sensor: Sensor, found: Calibrated) -> str:
         "gains {gain_percent:.3f} % rms, each known to {gain_known_percent:.3f} %",
         "zeros {zero_mV:.2f} mV rms, each known to {zero_known_mV:.2f} mV",
         "sheet uneven by {sheet_percent:.1f} % rms, known to {sheet_known_percent:.2f} %",
-        "ground paths {ground_ohm:+.0f} Ω in the mean, known to {ground_known_ohm:.0f} Ω",
-        "electrodes {electrodes_mm:.2f} mm off rms; relative to each other known to "
-        "{relative_known_mm:.3f} mm, as a whole to {whole_known_mm:.2f} mm",
-        "left of nominal errors: {errors_left_percent:.0f} % of what channels share, "
-        "{own_errors_left_percent:.0f} % of their own",
+        "ground paths {ground_ohm:+.0f} Ω from nominal in the mean, known to "
+        "{ground_known_ohm:.0f} Ω",
+        "electrodes {electrodes_mm:.2f} mm rms off their places; each is known to "
+        "{relative_known_mm:.3f} mm, the whole array to {whole_known_mm:.2f} mm",
+        "of the nominal model's errors are left: {errors_left_percent:.0f} % of those that "
+        "channels share, {own_errors_left_percent:.0f} % of each channel's own",
     ]
     if told["not_told"]:
         names = ", ".join(told["not_told"])

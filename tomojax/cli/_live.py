@@ -21,6 +21,7 @@ from tomojax.cli.entry import (
     METHODS,
     OutputFile,
     POLICIES,
+    stages,
     stretch_options,
     whole_number,
 )
@@ -203,12 +204,14 @@ def _calibrated(rec: Path, made: Path) -> None:
     from tomojax.calibration import calibrated_recording, text
     from tomojax.recordings import open_recording
 
-    print("calibrating …", file=sys.stderr)
+    say = stages()
+    say("calibrating, for one to two minutes")
     with open_recording(rec) as recording:
         try:
-            found = calibrated_recording(recording)
+            found = calibrated_recording(recording, progress=say)
         except ValueError as error:
             raise ValueError(f"{rec}: {error}") from None
+        say("")
         print(text(recording.rig.sensor(), found))
     found.calibration.save(made)
     print(f"calibration: {made}")

@@ -15,6 +15,7 @@ from tomojax.cli.entry import (
     COUNT,
     InputFile,
     OutputFile,
+    stages,
     stretch_options,
 )
 from tomojax.cli.recordings import layout_option, opened
@@ -81,11 +82,7 @@ def calibrate(
     if frames < 16:
         raise ValueError(f"frames: got {frames}, expected 16 or more")
 
-    def say(text: str) -> None:
-        if sys.stderr.isatty():
-            end = "" if text else "\r"
-            print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
-
+    say = stages()
     with opened(rec, layout, since, until) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
         from tomojax import calibration as room
@@ -240,11 +237,7 @@ def check(
         path = out or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
         _record(source, path, like, quiet, rub, touch, corners, baud=baud, bind=bind)
 
-    def say(text: str) -> None:
-        if sys.stderr.isatty():
-            end = "" if text else "\r"
-            print(f"\r\033[K{text}", end=end, file=sys.stderr, flush=True)
-
+    say = stages()
     with opened(path, layout, since, until) as recording:
         if like is not None:
             _same_sensor(path, recording, like)

@@ -78,10 +78,12 @@ def _runs(where: np.ndarray, most: int = 5) -> list[list[int]]:
 
 def text(path: Path, found: dict, rows: list[dict]) -> str:
     """Formats the description for people."""
+    slots, alone = found["slots"], found["slots"] == 1
+    held = "slots, each a scan of its own," if alone else f"scans of {slots} slots"
     lines = [
         f"{path}: can be read",
-        f"  {found['scans']} scans of {found['slots']} slots of {found['electrodes']} "
-        f"electrodes, {found['duration_s']:.6g} s at {found['f_switch_Hz']:g} slots/s",
+        f"  {found['scans']} {held} of {found['electrodes']} electrodes, "
+        f"{found['duration_s']:.6g} s at {found['f_switch_Hz']:g} slots/s",
         f"  first scan grounds {found['first_pattern'][:12]}"
         + (" …" if found["slots"] > 12 else ""),
         f"  object at {found['drive_V']:g} V; sheet of "

@@ -33,8 +33,12 @@ def timeline(path: Path) -> Figure:
     figure = Figure(figsize=(14, 9), layout="constrained")
     of = f", found by {method}" if method else ""
     figure.suptitle(f"Contacts in {path.name}{of}")
-    left, right = figure.subfigures(1, 2, width_ratios=(2, 1), squeeze=False)[0]  # pyright: ignore
-    _over_time(left.subplots(5, 1, sharex=True), rows)
+    left, right = figure.subfigures(1, 2, width_ratios=(3, 2), squeeze=False)[0]  # pyright: ignore
+    flags = _flags_of(rows["flags"])
+    # A line of flags needs less height than a curve.
+    heights = [1, 1, 1, 1, min(1.0, 0.15 + 0.12 * len(flags))]
+    panels = left.subplots(5, 1, sharex=True, height_ratios=heights)
+    _over_time(panels, rows)
     each = shown.get("residual_by_electrode")
     maps = [
         "places",
@@ -42,7 +46,9 @@ def timeline(path: Path) -> Figure:
         *(["each"] if each is not None else []),
     ]
     right = dict(zip(maps, right.subplots(len(maps), 1, squeeze=False).ravel()))
-    _on_sheet(right["places"], rows, size, electrodes)
+    # A bar is as tall as its map: one map alone does not fill its column.
+    tall = 0.5 if len(maps) == 1 else 0.9
+    _on_sheet(right["places"], rows, size, electrodes, tall)
     if "image" in right:
         label = f"image, {shown['unit'].replace('^2', '²')}"
         show_image(right["image"], shown["image"], size, label)
@@ -92,8 +98,12 @@ def _over_time(panels: Any, rows: dict[str, np.ndarray]) -> None:
     _flags(panels[4], t, rows["flags"])
 
 
+def _flags_of(flags: np.ndarray) -> list[Flag]:
+    return [flag for flag in Flag if (flags & flag.value).any()]
+
+
 def _flags(axes: Any, t: np.ndarray, flags: np.ndarray) -> None:
-    found = [flag for flag in Flag if (flags & flag.value).any()]
+    found = _flags_of(flags)
     for k, flag in enumerate(found):
         when = t[flags & flag.value > 0]
         look = {"color": VERMILION, "ms": 10} if flag.level else {"color": GREY, "ms": 5}
@@ -105,7 +115,9 @@ def _flags(axes: Any, t: np.ndarray, flags: np.ndarray) -> None:
     axes.set_title(words, loc="left", fontsize=10)
 
 
-def _on_sheet(axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray) -> None:
+def _on_sheet(
+    axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray, tall: float
+) -> None:
     """Draws where contacts were: by time, the larger the current; rows in doubt grey."""
     lay_sheet(axes, size, electrodes)
     xy, current = rows["contact_xy"], np.nan_to_num(rows["contact_current"])
@@ -120,7 +132,7 @@ def _on_sheet(axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray) -
         *(1e3 * xy[sound].T), c=time, s=np.maximum(area, smallest), cmap=VALUE, lw=0,
         zorder=2,
     )  # fmt: skip
-    axes.figure.colorbar(dots, ax=axes, label="time, s")
+    axes.figure.colorbar(dots, ax=axes, label="time, s", shrink=tall)
     crosses = "; crosses: in doubt" if doubt.any() else ""
     axes.set_title(f"Where contacts were{crosses}", fontsize=11)
     if enlarge(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * size):

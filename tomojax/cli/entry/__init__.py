@@ -36,4 +36,5 @@ from tomojax.cli.entry._paths import (
     OutputFolder as OutputFolder,
     Written as Written,
 )
+from tomojax.cli.entry._said import stages as stages
 from tomojax.cli.entry._stretch import stretch_options as stretch_options
