@@ -58,6 +58,33 @@ def test_order(path, tmp_path):
         assert tx.recordings.read_chunk(new, 0, 40).flags[0] & tx.Flag.UNKNOWN_GROUND
 
 
+def test_slots_of_a_rig_are_joined_to_scans(tmp_path):
+    """Slots are lost at two places; scans that lack a slot count as lost."""
+    pattern, present = np.array([3, 9, 20, 40]), np.ones(40, bool)
+    present[9:16], present[22:30], present[38:] = False, False, False
+    slots = np.flatnonzero(present)
+    codes = (slots[:, None, None] * np.ones((1, 1, 64))).astype(np.int16)
+    starts = np.flatnonzero(np.diff(slots) > 1)
+    gaps = np.stack([slots[starts] + 1, np.diff(slots)[starts] - 1], 1)
+    rec = recordings.write(
+        tmp_path / "rec.h5", codes, pattern[slots % 4][:, None], t0=slots / 10e3, gaps=gaps
+    )
+    out = tmp_path / "scans.h5"
+    done = run(rec, "-o", out, "--join", 4)
+    assert done.exit_code == 0, done.output
+    with tx.open_recording(rec) as old, tx.open_recording(out) as new:
+        assert old.read(0, 1).voltages.shape == (1, 1, 64) and new.slots == 4
+        held, scale = new.read(0, new.scans), recordings.ATTRIBUTES["scale"]
+        whole = [0, 1, 4, 8]  # 2, 3 lack slots, 5 to 7 too, 9 ends early
+        assert new.scans == len(whole) and new.mended == ()
+        expected = 4 * np.array(whole)[:, None] + np.arange(4)
+        np.testing.assert_allclose(held.voltages[..., 5], scale * expected)
+        assert (held.grounds == pattern).all()
+        np.testing.assert_allclose(held.t0, 4 * np.array(whole) / 10e3)
+        assert new.gaps.tolist() == [[2, 2], [5, 3]]
+        assert "each 4 scans joined" in new.rig.notes
+
+
 def test_a_file_that_says_too_little(path, tmp_path):
     with h5py.File(path, "r+") as file:
         del file.attrs["drive_voltage"]
@@ -77,6 +104,8 @@ def test_a_file_that_says_too_little(path, tmp_path):
         (["--set", "scale=0"], "scale"),
         (["--scans", "all"], "FIRST:BEHIND"),
         (["--scans", "30:90"], "scans"),
+        (["--join", "0"], "join"),
+        (["--join", "41"], "join"),
     ],
 )
 def test_mistakes(path, tmp_path, words, told):

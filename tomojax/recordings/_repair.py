@@ -20,6 +20,7 @@ def repair_recording(
     scans: tuple[int, int] | None = None,
     channels: Sequence[int] | None = None,
     grounds: Sequence[int] | None = None,
+    join: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Writes a recording, put right, as a new file; the old file stays unchanged.
@@ -28,7 +29,9 @@ def repair_recording(
     reader has put the times right. `scans`: the first scan to keep, and the scan behind the
     last. `channels` (M,): the electrode that each channel reads. `grounds` (M,): the
     electrode that each line switches (−1: none). `check` writes `channels` and `grounds`.
-    Codes are copied, not rounded again.
+    `join`: so many scans become one, as the single slots that a rig sends; a scan with a
+    part that was lost is left out, and counted as lost. Codes are copied, not rounded
+    again.
     **Raises:** `ValueError` for arguments that do not fit; `OSError` for a full disk.
 
     **Example:**
@@ -59,37 +62,44 @@ def repair_recording(
         lines = np.asarray(grounds)
         fits = lines.shape == (m,) and ((lines >= -1) & (lines < m)).all()
         require(fits, "grounds", list(grounds)[:8], f"{m} electrodes, or -1")
-    total = last - first
+    require(join >= 1, "join", join, "1 or more")
+    starts, gaps = _starts(recording, first, last, join)
+    require(len(starts), "join", join, "so many scans in a row, of which none is lost")
+    total, together = len(starts), np.arange(join)
     with whole(Path(out)) as part, h5py.File(part, "w") as file:
-        _describe(file, recording)
-        shape = total, recording.slots
+        _describe(file, recording, join)
+        shape = total, join * recording.slots
         packed: dict[str, Any] = {"compression": "gzip", "shuffle": True}
         v = file.create_dataset("v", (*shape, m), recording.code_type, **packed)
         ground = file.create_dataset("ground", shape, "u1" if m < 255 else "u2", **packed)
         t0 = file.create_dataset("t0", total, "f8")
-        file["gaps"] = _gaps(recording, first, last)
+        file["gaps"] = gaps
         _mark(file, recording, first, last)
-        each = max(1, CHUNK_SLOTS // recording.slots)
-        for start in range(first, last, each):
-            stop = min(start + each, last)
-            codes, asked = recording.read_codes(start, stop)
+        each = max(1, CHUNK_SLOTS // shape[1])
+        for begin in range(0, total, each):
+            rows = slice(begin, min(begin + each, total))
+            some = starts[rows]
+            low, high = int(some[0]), int(some[-1]) + join
+            at = (some - low)[:, None] + together
+            codes, asked = (a[at] for a in recording.read_codes(low, high))
+            asked = asked.reshape(len(some), -1)
             known = (asked >= 0) & (asked < m)
             switched = np.where(known, lines[np.where(known, asked, 0)], asked)
             # A line that switches none is no electrode: the slot says so of itself.
             none = np.iinfo(ground.dtype).max
-            rows = slice(start - first, stop - first)
-            v[rows] = codes[..., back]
+            v[rows] = codes.reshape(*asked.shape, m)[..., back]
             ground[rows] = np.where((switched < 0) | (switched > none), none, switched)
-            t0[rows] = recording.times(start, stop)
-            progress(stop - first, total)
+            t0[rows] = recording.times(low, high)[some - low]
+            progress(rows.stop, total)
     return Path(out)
 
 
-def _describe(file: h5py.File, recording: Hdf5Recording) -> None:
+def _describe(file: h5py.File, recording: Hdf5Recording, join: int) -> None:
     rig = recording.rig
     names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
     file.attrs.update({name: getattr(rig, name) for name in names})
-    said = "; ".join((f"repaired from {recording.path.name}", *recording.mended))
+    joined = (f"each {join} scans joined",) if join > 1 else ()
+    said = "; ".join((f"repaired from {recording.path.name}", *joined, *recording.mended))
     scale, offset = recording.codes_to_volts
     file.attrs.update(
         schema=SCHEMA,
@@ -117,11 +127,24 @@ def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> N
         file["marks"] = np.array([text.encode() for _, text in kept], "S")
 
 
-def _gaps(recording: Hdf5Recording, first: int, last: int) -> np.ndarray:
-    """Returns the gaps between the kept scans, by the new file's scan numbers."""
-    rows, found, lost = recording.rows_after_gaps(), [], 0
-    for row, gone in zip(rows.tolist(), recording.gaps[:, 1].tolist()):
-        if first < row <= last:
-            found.append((row - first + lost, gone))
-            lost += gone
-    return np.array(found, np.int64).reshape(-1, 2)
+def _starts(
+    recording: Hdf5Recording, first: int, last: int, join: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the row of each new scan's first part, and the gaps by the new numbers."""
+    gone = np.zeros(recording.scans + 1, np.int64)
+    after = np.minimum(recording.rows_after_gaps(), recording.scans)
+    np.add.at(gone, after, recording.gaps[:, 1])
+    gone[first] = 0  # what was lost before the first kept scan
+    rows = np.arange(first, last)
+    # Lost parts have numbers too: a rig goes on in its pattern while they are lost.
+    number = rows - first + np.cumsum(gone[first:last])
+    begins = np.flatnonzero(number % join == 0)
+    ends = begins + join - 1
+    begins = begins[ends < len(rows)]
+    begins = begins[number[begins + join - 1] == number[begins] + join - 1]
+    end = number[-1] + 1 + gone[last]
+    lost = np.diff(np.append(number[begins], end) // join, prepend=-1) - 1
+    after = np.flatnonzero(lost)
+    # A gap's number counts the scans lost before it.
+    before = np.cumsum(lost)[after] - lost[after]
+    return rows[begins], np.stack([after + before, lost[after]], 1).astype(np.int64)

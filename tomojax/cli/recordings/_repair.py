@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
+from tomojax.cli.entry import Command, COUNT, InputFile, OutputFile, stretch_options
 
 _NAMES = (
     "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
@@ -72,6 +72,13 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     type=InputFile(),
     help="Put channels and grounds in the order of this file of `tomojax check --write`.",
 )
+@click.option(
+    "--join",
+    type=COUNT,
+    default=1,
+    help="Make one scan of so many, as of a rig's single slots: 64 after `record "
+    "--pattern all`. [default: 1]",
+)
 @stretch_options
 def repair(
     rec: Path,
@@ -79,6 +86,7 @@ def repair(
     header: dict,
     scans: Any,
     order: Path | None,
+    join: int,
     since: float | None,
     until: float | None,
 ) -> None:
@@ -113,7 +121,7 @@ def repair(
 
         scans = scans or between(recording, since, until).stretch
         given = order_of.get("channels"), order_of.get("grounds")
-        repair_recording(recording, out, scans, *given, progress)  # pyright: ignore
+        repair_recording(recording, out, scans, *given, join, progress)  # pyright: ignore
         told = recording.mended
     for sentence in told:
         print(f"put right: {sentence}")
