@@ -204,8 +204,8 @@ def _calibrated(rec: Path, made: Path) -> None:
     from tomojax.calibration import calibrated_recording, text
     from tomojax.recordings import open_recording
 
+    print("calibrating: one to two minutes the first time …", file=sys.stderr)
     say = stages()
-    say("calibrating, for one to two minutes")
     with open_recording(rec) as recording:
         try:
             found = calibrated_recording(recording, progress=say)
