@@ -73,7 +73,7 @@ def tune(objective: AbstractObjective, weights: Float[Array, " L"]) -> Tuned:
     objective = _startable(objective)
     middle, *lengths = _parameters(objective)
     apart = jnp.arange(-_DECADES, _DECADES + 1, dtype=middle.dtype)
-    scans, best = 0, -1
+    values, scans, best = jnp.full_like(apart, jnp.inf), 0, -1
     while scans < _SCANS and best in (-1, 0, len(apart) - 1):
         lams = middle + float(np.log(10)) * apart
         # What is no number is no minimum.

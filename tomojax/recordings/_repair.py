@@ -29,9 +29,8 @@ def repair_recording(
     reader has put the times right. `scans`: the first scan to keep, and the scan behind the
     last. `channels` (M,): the electrode that each channel reads. `grounds` (M,): the
     electrode that each line switches (−1: none). `check` writes `channels` and `grounds`.
-    `join`: so many scans become one, as the single slots that a rig sends; a scan with a
-    part that was lost is left out, and counted as lost. Codes are copied, not rounded
-    again.
+    `join`: so many scans become one, as the single slots that a rig sends. A scan with a
+    lost part is left out, and counted as lost. Codes are copied, not rounded again.
     **Raises:** `ValueError` for arguments that do not fit; `OSError` for a full disk.
 
     **Example:**
