@@ -47,6 +47,8 @@ def built(out: Path, tree: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
+    # setuptools packs what an older build of the checkout has left there.
+    shutil.rmtree(ROOT / "build", ignore_errors=True)
     return built(tmp_path_factory.mktemp("wheel"), ROOT)
 
 
