@@ -22,6 +22,7 @@
 # `linear` has all 64 grounds, the others the two corners; `follow` grounds as it likes.
 
 # %% tags=["hide-input"]
+# %matplotlib inline
 import json
 from pathlib import Path
 

@@ -19,6 +19,7 @@
 # place error is that of its worst contact.
 
 # %% tags=["hide-input"]
+# %matplotlib inline
 import json
 from pathlib import Path
 
