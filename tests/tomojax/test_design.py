@@ -250,6 +250,13 @@ class Own(tx.design.AbstractObjective):
         return self
 
 
+class Small(Own):
+    """The same in a unit in which figures are small."""
+
+    def __call__(self, weights):
+        return 1e-6 * super().__call__(weights)
+
+
 class Fixed(Own):
     log_lam: None = None
 
@@ -260,6 +267,8 @@ def test_objectives_of_ones_own_are_tuned_and_descended():
     assert found.weights.tolist() == goal.tolist()
     tuned = tx.design.tune(found.objective, found.weights)
     assert tuned.value < 1e-3 and abs(float(tuned.objective.log_lam) - 2) < 0.02
+    small = tx.design.tune(Small(goal, jnp.array(0.5)), goal)
+    assert abs(float(small.objective.log_lam) - 2) < 0.02
     for search in (tx.design.tune, tx.design.descend_sets):
         with pytest.raises(ValueError, match="objective: got Fixed without log_lam"):
             search(Fixed(goal), goal if search is tx.design.tune else 3)

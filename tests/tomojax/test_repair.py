@@ -83,6 +83,12 @@ def test_slots_of_a_rig_are_joined_to_scans(tmp_path):
         np.testing.assert_allclose(held.t0, 4 * np.array(whole) / 10e3)
         assert new.gaps.tolist() == [[2, 2], [5, 3]]
         assert "each 4 scans joined" in new.rig.notes
+    # Not joined, and a part: gaps by the new file's own numbers.
+    for words, expected in (([], gaps.tolist()), (["--scans", "9:20"], [[6, 8]])):
+        same = tmp_path / f"same{len(words)}.h5"
+        assert run(rec, "-o", same, *words).exit_code == 0
+        with tx.open_recording(same) as new:
+            assert new.gaps.tolist() == expected
 
 
 def test_a_file_that_says_too_little(path, tmp_path):

@@ -138,8 +138,7 @@ def _starts(
     # Lost parts have numbers too: a rig goes on in its pattern while they are lost.
     number = rows - first + np.cumsum(gone[first:last])
     begins = np.flatnonzero(number % join == 0)
-    ends = begins + join - 1
-    begins = begins[ends < len(rows)]
+    begins = begins[begins + join <= len(rows)]
     begins = begins[number[begins + join - 1] == number[begins] + join - 1]
     end = number[-1] + 1 + gone[last]
     lost = np.diff(np.append(number[begins], end) // join, prepend=-1) - 1
