@@ -4,9 +4,16 @@ import gc
 import os
 from pathlib import Path
 
-# Before JAX starts its CPU backend: xdist's workers share the cores, and threads that wait
-# for each other in OpenBLAS spin on them.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+# Before JAX starts its CPU backend. xdist's workers share the cores, and threads that wait
+# for each other in OpenBLAS spin on them. LLVM optimises nothing: of a test's time, most is
+# compiling, and programs that run once gain nothing from it. Pages, notebooks and the demo
+# run in .ci/run as a user's do.
+_QUICK = (
+    "--xla_cpu_multi_thread_eigen=false",
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_backend_optimization_level=0",
+)
+os.environ.setdefault("XLA_FLAGS", " ".join(_QUICK))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # What one process compiles serves the others, workers and commands that tests start, and
 # later runs: a folder of the user's, by versions and processor.
@@ -19,6 +26,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 
 import jax
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -34,6 +42,10 @@ gc.freeze()
 gc.set_threshold(100_000, 50, 50)
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+# Bytes and mappings that a worker may have before it drops its programs. Linux allows a
+# process 65 530 mappings and kills it then; a file of tests adds 13 000 at most.
+_MOST_BYTES, _MOST_MAPPINGS = 3 << 29, 45_000
 
 
 @pytest.fixture
@@ -73,13 +85,55 @@ def small_sensor() -> tx.Sensor:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _little_compiled_code():
-    """Before a process has as many mappings as Linux allows it (65 530): then it dies.
-
-    A file of tests adds 13 000 at most.
-    """
+def _little_memory():
+    """Drops programs and what they hold, where a worker has grown large."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > 45_000:
+    here = Path("/proc/self")
+    if not (here / "statm").exists():
+        return
+    held = int((here / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    if held > _MOST_BYTES or (here / "maps").read_bytes().count(b"\n") > _MOST_MAPPINGS:
         forget()
         jax.clear_caches()
+        gc.collect()
+
+
+# Where types and shapes are the subject: checks at each call take a sixth of the time.
+_CHECKED = "kernels", "properties", "examples"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    checked = any(name in item.path.parts for name in _CHECKED)
+    jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+_LEFT_OUT = pytest.StashKey[int]()
+
+
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    if items:
+        stash = items[0].config.stash
+        stash[_LEFT_OUT] = stash.get(_LEFT_OUT, 0) + sum(
+            item.get_closest_marker("long") is not None for item in items
+        )
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):
+        told = session.config.stash.get(_LEFT_OUT, 0)
+        session.config.workeroutput["long"] = told  # pyright: ignore
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error) -> None:
+    told = getattr(node, "workeroutput", {}).get("long", 0)
+    node.config.stash[_LEFT_OUT] = told  # each worker collects all
+
+
+def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
+    left = config.stash.get(_LEFT_OUT, 0)
+    if left:
+        terminalreporter.write_line(
+            f"{left} long tests were left out; `pytest -n 2 -m long` runs them, .ci/run too"
+        )
