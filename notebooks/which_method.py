@@ -12,8 +12,9 @@
 # %% [markdown]
 # # Which method for my scene
 #
-# The rows come from a committed run of `tomojax frontier`. Run it on your own machine, with
-# `--like REC` for your own sheet and electrodes, and put its `frontier.json` here.
+# The rows come from a committed run of `tomojax frontier`. Run it in a checkout of the
+# repository on your own machine, with `--like REC` for your own sheet and electrodes, and
+# put its `frontier.json` here.
 #
 # Voltages are a resistor network's with a rig's errors, which no method is told. A scene's
 # place error is that of its worst contact.

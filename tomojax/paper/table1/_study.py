@@ -83,7 +83,7 @@ class Study(NamedTuple):
     def inside(self, margin: float = MARGIN) -> Bool[np.ndarray, " P"]:
         """Tells which contacts are so far from the sheet's edge, m."""
         size = np.asarray(self.sensor.size)
-        return ((self.places >= margin) & (self.places <= size - margin)).all(1)
+        return np.all((self.places >= margin) & (self.places <= size - margin), axis=1)
 
     @property
     def shown(self) -> int:

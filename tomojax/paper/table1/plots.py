@@ -49,9 +49,15 @@ def table(study: Study) -> Figure:
 def _bars(axes: Axes, found: dict[str, np.ndarray], key: str, at: float, **more) -> None:
     x = np.arange(len(PAPER)) + at
     axes.bar(x, found[key], 0.27, color=BLUE, label="predicted: voltages of J(0)", **more)
-    exact = {"color": ORANGE, "hatch": "//", "edgecolor": "w"}
-    exact["label"] = "predicted: exact voltages with noise"
-    axes.bar(x + 0.27, found[f"exact_{key}"], 0.27, **exact)
+    axes.bar(
+        x + 0.27,
+        found[f"exact_{key}"],
+        0.27,
+        color=ORANGE,
+        hatch="//",
+        edgecolor="w",
+        label="predicted: exact voltages with noise",
+    )
 
 
 def _trade(axes: Axes, found: dict[str, np.ndarray]) -> None:
@@ -127,14 +133,14 @@ def images(study: Study) -> Figure:
     grid = figure.subplots(3, 3)
     for axes, (name, image) in zip(grid.flat, study.images.items()):
         look = {"cmap": DENSITY, "vmin": 0, "vmax": 1, "origin": "lower"}
-        shown = axes.imshow(image.T / image.max(), extent=(0, width, 0, height), **look)
+        axes.imshow(image.T / image.max(), extent=(0, width, 0, height), **look)
         at = electrodes[study.grounds[name][i]]
         for colour, size in (("k", 7.5), ("w", 6)):
             axes.plot(*at.T, "s", color="none", markeredgecolor=colour, markersize=size)
         axes.plot(*(1e3 * study.places[i]), "+", color=SKY, mew=2, markersize=12)
         found = study.own[name].half_width[i, -1]
         axes.set_title(f"{name.replace('_', ' ')}: {found:.0f} mm")
-    figure.colorbar(shown, ax=grid, label="image / maximum", shrink=0.6)
+    figure.colorbar(grid[0, 0].images[0], ax=grid, label="image / maximum", shrink=0.6)
     figure.supxlabel("x, mm; squares: grounded electrodes, cross: the contact")
     figure.supylabel("y, mm")
     return figure
