@@ -60,13 +60,8 @@ _FINE = (64, 64)  # mesh of the exact voltages; not the reconstruction's
 _SWEEP = np.geomspace(0.03, 10, 11)  # λ over the table's
 _SHOWN = (0.094, 0.067)  # m: a contact off centre and off the electrodes
 
-
-class Measured(NamedTuple):
-    """Figures of images, mm, for each contact and λ."""
-
-    half_width: Float[np.ndarray, "P G"]
-    half_area_radius: Float[np.ndarray, "P G"]
-    place_error: Float[np.ndarray, "P G"]
+# Figures of images, mm, for each contact and λ: half_width, half_area_radius, place_error.
+Figures = dict[str, Float[np.ndarray, "P G"]]
 
 
 class Study(NamedTuple):
@@ -76,8 +71,8 @@ class Study(NamedTuple):
     places: Float[np.ndarray, "P 2"]  # m, of the contacts
     lams: Float[np.ndarray, " G"]  # of the sweep, and the table's
     grounds: dict[str, Integer[np.ndarray, "P L"]]
-    own: dict[str, Measured]  # on J's own voltages
-    exact: dict[str, Measured]  # the table's contacts: exact, converted voltages, its λ
+    own: dict[str, Figures]  # on J's own voltages
+    exact: dict[str, Figures]  # the table's contacts: exact, converted voltages, its λ
     images: dict[str, Float[np.ndarray, "nx ny"]]  # of the contact `shown`
 
     def inside(self, margin: float = MARGIN) -> Bool[np.ndarray, " P"]:
@@ -172,26 +167,23 @@ def _measured(
     lams: Float[Array, " G"],
     places: Float[np.ndarray, "P 2"],
     cell: Float[Array, "2"],
-) -> Measured:
+) -> Figures:
     """Measures all contacts' images for each λ."""
-    widths, radii, away = _figures(*sums, reduced.basis, lams, places, cell)
-    return Measured(
-        half_width=_mm(widths), half_area_radius=_mm(radii), place_error=_mm(away)
-    )
-
-
-def _mm(values: Array) -> np.ndarray:
-    return 1e3 * np.asarray(values, float)
+    found = _figures(*sums, reduced.basis, lams, places, cell)
+    return {name: 1e3 * np.asarray(values, float) for name, values in found.items()}
 
 
 @jax.jit
-def _figures(grams, rights, basis, lams, places, cell) -> tuple[Array, ...]:
-    def one(gram: Array, right: Array, place: Array, lam: Array) -> tuple[Array, ...]:
+def _figures(grams, rights, basis, lams, places, cell) -> dict[str, Float[Array, "P G"]]:
+    def one(gram: Array, right: Array, place: Array, lam: Array) -> dict[str, Array]:
         image = _image(gram, right, basis, lam)
-        away = jnp.linalg.norm(image_place(image, cell) - place)
-        return half_width(image, cell), half_area_radius(image, cell), away
+        return {
+            "half_width": half_width(image, cell),
+            "half_area_radius": half_area_radius(image, cell),
+            "place_error": jnp.linalg.norm(image_place(image, cell) - place),
+        }
 
-    def over_lams(contact: tuple[Array, Array, Array]) -> tuple[Array, ...]:
+    def over_lams(contact: tuple[Array, Array, Array]) -> dict[str, Array]:
         return jax.lax.map(lambda lam: one(*contact, lam), lams)
 
     return jax.lax.map(over_lams, (grams, rights, places))
@@ -211,7 +203,7 @@ def _calibrated(reduced: ReducedSlots, sums: tuple[Array, Array], places, cell) 
     for _ in range(4):
         grid = np.linspace(low, high, 9)
         lams = jnp.asarray(strongest * 10.0**grid, strongest.dtype)
-        widths = _measured(reduced, sums, lams, places, cell).half_width
+        widths = _measured(reduced, sums, lams, places, cell)["half_width"]
         above = int(np.argmax(widths.mean(0) > PAPER["all"][0]))
         low, high = grid[max(above - 1, 0)], grid[above]
     return float(strongest) * 10.0 ** ((low + high) / 2)

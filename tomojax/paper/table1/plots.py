@@ -138,7 +138,7 @@ def images(study: Study) -> Figure:
         for colour, size in (("k", 7.5), ("w", 6)):
             axes.plot(*at.T, "s", color="none", markeredgecolor=colour, markersize=size)
         axes.plot(*(1e3 * study.places[i]), "+", color=SKY, mew=2, markersize=12)
-        found = study.own[name].half_width[i, -1]
+        found = study.own[name]["half_width"][i, -1]
         axes.set_title(f"{name.replace('_', ' ')}: {found:.0f} mm")
     figure.colorbar(grid[0, 0].images[0], ax=grid, label="image / maximum", shrink=0.6)
     figure.supxlabel("x, mm; squares: grounded electrodes, cross: the contact")

@@ -13,12 +13,11 @@ _MARGINS = (0.010, 0.020, 0.030, 0.040, 0.050, 0.060)  # m from the edge, of `se
 def rows(study: Study) -> list[dict[str, Any]]:
     """Returns a row per pattern, units in the keys; spreads are standard deviations."""
     inside = study.inside()
-    width_of_all = study.own["all"].half_width[inside, -1].mean()
+    width_of_all = study.own["all"]["half_width"][inside, -1].mean()
     table = []
     for name, (paper_width, paper_dt) in PAPER.items():
-        widths = study.own[name].half_width[inside, -1]
-        error = study.own[name].place_error[inside, -1]
-        exact_error = study.exact[name].place_error
+        own, exact = study.own[name], study.exact[name]
+        widths, error = own["half_width"][inside, -1], own["place_error"][inside, -1]
         slots = study.grounds[name].shape[-1]
         dt = 1e3 * slots / F_SWITCH
         table.append(
@@ -36,9 +35,9 @@ def rows(study: Study) -> list[dict[str, Any]]:
                 "paper_dt_ms": paper_dt,
                 "place_error_mm": float(np.median(error)),
                 "place_error_p90_mm": float(np.percentile(error, 90)),
-                "exact_width_mm": float(study.exact[name].half_width.mean()),
-                "exact_place_error_mm": float(np.median(exact_error)),
-                "exact_place_error_p90_mm": float(np.percentile(exact_error, 90)),
+                "exact_width_mm": float(exact["half_width"].mean()),
+                "exact_place_error_mm": float(np.median(exact["place_error"])),
+                "exact_place_error_p90_mm": float(np.percentile(exact["place_error"], 90)),
             }
         )
     return table
@@ -70,7 +69,7 @@ def agreement(
     The correlation is Spearman's, of the nine widths. The error is relative, of the eight
     ratios to *All*. Both are against the paper's widths.
     """
-    ours = np.array([getattr(study.own[name], figure)[kept, at].mean() for name in PAPER])
+    ours = np.array([study.own[name][figure][kept, at].mean() for name in PAPER])
     paper = np.array([width for width, _ in PAPER.values()])
     # The paper's widths have no ties, nor have means of floats: ranks are sort orders.
     ranks = np.corrcoef(ours.argsort().argsort(), paper.argsort().argsort())[0, 1]
@@ -88,7 +87,7 @@ def sensitivity(study: Study) -> list[dict[str, Any]]:
         kept = study.inside(margin)
         for figure in ("half_width", "half_area_radius"):
             for at, lam in enumerate(study.lams):
-                width = getattr(study.own["all"], figure)[kept, at].mean()
+                width = study.own["all"][figure][kept, at].mean()
                 told = {"margin_mm": 1e3 * margin, "width": figure, "lam": float(lam)}
                 told |= {"all_width_mm": float(width), "contacts": int(kept.sum())}
                 found.append(told | agreement(study, kept, at, figure))
