@@ -17,6 +17,7 @@
 
 # %%
 import json
+import sys
 from pathlib import Path
 
 import jax
@@ -26,7 +27,9 @@ from matplotlib import pyplot as plt
 jax.config.update("jax_enable_x64", True)
 
 import tomojax as tx
-from tomojax.studies import plots
+
+sys.path += ["../tests/benchmarks", "tests/benchmarks"]  # of a checkout
+from bench import plots
 
 sensor = tx.Sensor.grid()
 table = tx.sensor.resistances(sensor)

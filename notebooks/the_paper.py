@@ -18,6 +18,7 @@
 
 # %%
 import json
+import sys
 from io import BytesIO
 from pathlib import Path
 
@@ -30,8 +31,10 @@ from matplotlib import pyplot as plt
 jax.config.update("jax_enable_x64", True)
 
 import tomojax as tx
-from tomojax.studies.plots import sheet
-from tomojax.studies.table1 import plots, report, run
+from tomojax.paper.table1 import plots, report, run
+
+sys.path += ["../tests/benchmarks", "tests/benchmarks"]  # of a checkout
+from bench.plots import sheet
 
 # %% [markdown]
 # ## Table I, Fig. 3 (images) and Fig. 4 (weighted score)

@@ -24,11 +24,13 @@
 # %% tags=["hide-input"]
 # %matplotlib inline
 import json
+import sys
 from pathlib import Path
 
 from IPython.display import display
 
-from tomojax.studies.stability import report
+sys.path += ["../tests/benchmarks", "tests/benchmarks"]  # of a checkout
+from bench.stability import report
 
 results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
 found = json.loads((results / "stability.json").read_text())

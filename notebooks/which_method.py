@@ -12,8 +12,9 @@
 # %% [markdown]
 # # Which method for my scene
 #
-# The rows come from a committed run of `tomojax frontier`. Run it on your own machine, with
-# `--like REC` for your own sheet and electrodes, and put its `frontier.json` here.
+# The rows come from a committed run of `tomojax frontier`. Run it in a checkout of the
+# repository on your own machine, with `--like REC` for your own sheet and electrodes, and
+# put its `frontier.json` here.
 #
 # Voltages are a resistor network's with a rig's errors, which no method is told. A scene's
 # place error is that of its worst contact.
@@ -21,11 +22,13 @@
 # %% tags=["hide-input"]
 # %matplotlib inline
 import json
+import sys
 from pathlib import Path
 
 from IPython.display import display
 
-from tomojax.studies.frontier import report
+sys.path += ["../tests/benchmarks", "tests/benchmarks"]  # of a checkout
+from bench.frontier import report
 
 results = next(p for p in (Path("results"), Path("notebooks/results")) if p.is_dir())
 found = json.loads((results / "frontier.json").read_text())

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 import tomojax as tx
-from tomojax.studies.rigs import draw_rig, draw_touch, Elements, Touch
+from bench.rigs import draw_rig, draw_touch, Elements, Touch
 
 
 def grid(rows: int, columns: int, pitch: float = 0.02, **others: Any) -> tx.Sensor:

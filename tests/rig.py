@@ -1,4 +1,4 @@
-"""A rig that is not ours: `tomojax.studies.network` with the paper's sensor.
+"""A rig that is not ours: `bench.network` with the paper's sensor.
 
 Its model is no other's: squares instead of elements, SciPy's LU instead of our solves.
 """
@@ -6,7 +6,7 @@ Its model is no other's: squares instead of elements, SciPy's LU instead of our 
 import numpy as np
 
 import tomojax as tx
-from tomojax.studies.network import Network
+from bench.network import Network
 
 SIDE = 0.16
 NOMINAL = 0.01 + 0.02 * np.indices((8, 8)).reshape(2, -1).T

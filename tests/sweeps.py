@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import tomojax as tx
-from tomojax.studies.stability import Bench, FLAGGED, right, SWEEPS, Trial, trial_row
+from bench.stability import Bench, FLAGGED, right, SWEEPS, Trial, trial_row
 
 STATED = json.loads((Path(__file__).parent / "stability" / "stated.json").read_text())
 SCENES, SEED = 5, 577

@@ -17,7 +17,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 MOST = 24  # words of a sentence
 OPENINGS = {"Of", "As", "With", "What", "Where"}
-FOLDERS = ("tomojax", "kernels", "hardware", "notebooks")
+FOLDERS = ("tomojax", "kernels", "hardware", "notebooks", "tests/benchmarks/bench")
 PAGES = ("README.md", "CONTRIBUTING.md")
 _DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 _FENCE = re.compile(r"^(`{3,}|:{3,}).*?^\1$", re.M | re.S)

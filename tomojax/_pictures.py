@@ -110,34 +110,6 @@ def show_image(axes: Any, image: Any, size: Any, label: str, **more: Any) -> Any
     return shown
 
 
-def gallery(figure: Any, lines: dict[str, Any], size: Any, names: Any = ()) -> None:
-    """Draws lines of images, each by its title; an image is shown as parts of its largest.
-
-    The largest is what one pixel in 500 exceeds; `names` stand above the columns.
-    """
-    width, height = 1e3 * np.asarray(size, float)
-    count = max(len(images) for images in lines.values())
-    grid = figure.subplots(len(lines), count, squeeze=False, sharex=True, sharey=True)
-    shown = None
-    for axes, (title, images) in zip(grid, lines.items()):
-        for place, image in zip(axes, images):
-            image = np.asarray(image, float)
-            top = float(np.quantile(image, 0.998)) or 1.0
-            shown = place.imshow(
-                image.T / top, origin="lower", extent=(0, width, 0, height),
-                cmap=DENSITY, vmin=0, vmax=1,
-            )  # fmt: skip
-            place.set(xticks=(0, width), yticks=(0, height))
-        axes[0].set_title(title, loc="left", fontsize=10)
-    for place in grid[-1, 1:]:  # one picture's labels would stand on the next one's
-        place.tick_params(labelbottom=False)
-    for place, name in zip(grid[0], names):
-        place.set_title(name, fontsize=9)
-    figure.supxlabel("x, mm")
-    figure.supylabel("y, mm")
-    figure.colorbar(shown, ax=grid, label="image / its largest value", shrink=0.5)
-
-
 def name_points(
     axes: Any, points: list[tuple[str, Any, Any]], size: int = 7, aside: float = 6.0
 ) -> None:

@@ -3,7 +3,7 @@
     python tests/benchmarks/adapt.py [--seed N] [--hours 24]
 
 Four rigs come from two models: a resistor network and finite elements
-(`tomojax.studies.rigs`). Each model makes the paper's sensor, and one of 6 × 6 electrodes
+(`bench.rigs`). Each model makes the paper's sensor, and one of 6 × 6 electrodes
 on 300 mm and 30 kΩ/sq. Each rig is calibrated from 120 contacts at unknown places. Every 30
 s of the day has two scans of silence and one of a contact. There are 200 contacts, which
 come again in any order. The day includes two hours of silence, and an hour in which one
@@ -66,7 +66,7 @@ def grounds_of(m: int) -> np.ndarray:
 def drawn(case: tuple[str, str, str], seed: int) -> dict[str, Any]:
     """A rig, its calibration, and voltages and places of contacts on it."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, draw_touch, Elements, network_of
+    from bench.rigs import draw_rig, draw_touch, Elements, network_of
 
     rng = np.random.default_rng([seed, CASES.index(case)])
     sensor = sensor_of(case[1])

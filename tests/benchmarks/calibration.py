@@ -3,7 +3,7 @@
     python tests/benchmarks/calibration.py [--rigs 10] [--touches 100] [--seed N]
 
 Every second rig is a resistor network, every other one is of finite elements
-(`tomojax.studies.rigs`). Rigs are drawn by default: sheet uneven by 2 %, electrodes off by
+(`bench.rigs`). Rigs are drawn by default: sheet uneven by 2 %, electrodes off by
 3 % of their diameter, gains, zeros, noise. Half of the rigs have electrodes that are off by
 10 %. Each frame has one lone contact in ten slots: two corners and eight others, drawn
 anew. Other lone contacts, pairs and bars, with all 64 grounds, are for judging. Zeros are
@@ -66,7 +66,7 @@ def scene(exact: Any, touches: list[Any], grounds: Any = None) -> np.ndarray:
 
 def judged_scenes(sensor: Any, rng: np.random.Generator) -> list[tuple[str, list[Any]]]:
     """Lone contacts, pairs and bars, by what they are for."""
-    from tomojax.studies.rigs import draw_touch, Touch
+    from bench.rigs import draw_touch, Touch
 
     pitch, size = sensor.mean_pitch, np.asarray(sensor.size, float)
     square = 1 / float(np.mean(np.asarray(sensor.sheet_resistance)))
@@ -96,7 +96,7 @@ def judged_scenes(sensor: Any, rng: np.random.Generator) -> list[tuple[str, list
 def drawn(number: int, seed: int, touches: int) -> dict[str, Any]:
     """Voltages of all grounds under each contact of one rig, and what was true."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, draw_touch, Elements, network_of
+    from bench.rigs import draw_rig, draw_touch, Elements, network_of
 
     rng = np.random.default_rng([seed, number])
     sensor = tx.Sensor.grid(dtype=np.float32)
@@ -208,7 +208,7 @@ def _relative(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 def switched_off(number: int, seed: int) -> list[dict[str, Any]]:
     """Places on rigs without some of their errors, told as if they were calibrated."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, draw_touch, Elements, network_of
+    from bench.rigs import draw_rig, draw_touch, Elements, network_of
 
     sensor = tx.Sensor.grid(dtype=np.float32)
     rows = []

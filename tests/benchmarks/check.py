@@ -220,7 +220,7 @@ def _sound(sensor: Any, row: str, rng: np.random.Generator, model: Any) -> Any:
     """A sound rig of a kind, and its touches."""
     import faulty
 
-    from tomojax.studies.rigs import make_rig
+    from bench.rigs import make_rig
 
     return faulty.touched(make_rig(sensor, row, rng), rng, 70, model, row)
 
@@ -233,8 +233,8 @@ def main() -> None:
     options = parser.parse_args()
     import faulty
 
+    from bench.rigs import Elements, network_of
     from tomojax import bringup
-    from tomojax.studies.rigs import Elements, network_of
 
     sensors = {name: faulty.grid(**words) for name, words in SENSORS.items()}
     models = {"elements": Elements, "network": network_of}

@@ -185,7 +185,7 @@ def rigs_of(sensor: Any, seed: int, rigs: int, each: int) -> list[Any]:
     """Exact voltages of touches on rigs drawn by default."""
     import faulty
 
-    from tomojax.studies.rigs import draw_touch, make_rig, network_of
+    from bench.rigs import draw_touch, make_rig, network_of
 
     rng, found = np.random.default_rng([seed, sensor.electrode_count]), []
     size, grounds = np.asarray(sensor.size, float), np.arange(sensor.electrode_count)
@@ -407,7 +407,7 @@ def plot(rows: list[dict[str, Any]], signs: list[dict[str, Any]], path: Path) ->
 
 
 def main() -> None:
-    from tomojax.studies.rigs import JUDGING
+    from bench.rigs import JUDGING
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=JUDGING + 300)

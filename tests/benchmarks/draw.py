@@ -52,7 +52,7 @@ def electrodes(told: dict, path: Path) -> None:
 
 
 def frontier(told: dict, path: Path) -> None:
-    from tomojax.studies.frontier import report
+    from bench.frontier import report
 
     report.chart(told["rows"]).savefig(path, dpi=110)
     report.rungs(told["rows"]).savefig(path.with_name("frontier_rungs.png"), dpi=110)
@@ -72,7 +72,7 @@ def sensors(told: dict, path: Path) -> None:
 
 
 def stability(told: dict, path: Path) -> None:
-    from tomojax.studies.stability import report
+    from bench.stability import report
 
     limits, more = told["rows"], told["summary"]
     report.chart(more["values"], limits).savefig(path, dpi=100)

@@ -23,9 +23,9 @@ sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 from benchmarks.physics import environment  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from bench.frontier import repeated  # noqa: E402
+from bench.network import Network  # noqa: E402
 from tomojax.sensor import compiled_resistances  # noqa: E402
-from tomojax.studies.frontier import repeated  # noqa: E402
-from tomojax.studies.network import Network  # noqa: E402
 
 BATCH, FRAMES = 256, 32
 # What theory has for large ones, and why.

@@ -25,7 +25,8 @@ from benchmarks.contacts import errors, grounds_of  # noqa: E402
 from benchmarks.physics import environment  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax._pictures import gallery, style  # noqa: E402
+from bench.plots import gallery  # noqa: E402
+from tomojax._pictures import style  # noqa: E402
 from tomojax.results.track_file import track_results  # noqa: E402
 
 MODELS = ("linear", "source", "positive", "points", "conductance", "auto")

@@ -18,8 +18,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import tomojax as tx
+from bench.rigs import draw_rig, draw_strokes, network_of, Strokes
 from tomojax.cli.demo import demo
-from tomojax.studies.rigs import draw_rig, draw_strokes, network_of, Strokes
 
 SIDE, PIXELS = 0.16, 64
 TEN = np.array([0, 7, 56, 63, 3, 24, 31, 60, 27, 36])

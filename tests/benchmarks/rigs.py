@@ -2,7 +2,7 @@
 
     python tests/benchmarks/rigs.py [--rigs 12] [--each 10] [--seed N] [--model elements]
 
-Every row of `tomojax.studies.rigs.FAMILY` changes one property of the rig or the contact. A
+Every row of `bench.rigs.FAMILY` changes one property of the rig or the contact. A
 method is told nominal values. Stated deviations of places are judged, too. The default
 seeds are for judging: no threshold was set on them. `points`, `source` and `auto` have the
 two corner slots, `follow` ten slots. `conductance` has the two corners of a part of the
@@ -24,15 +24,15 @@ import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax._pictures import plain, style  # noqa: E402
-from tomojax.studies.frontier import DOUBT  # noqa: E402
-from tomojax.studies.rigs import (  # noqa: E402
+from bench.frontier import DOUBT  # noqa: E402
+from bench.rigs import (  # noqa: E402
     Elements,
     FAMILY,
     JUDGING,
     lone_contacts,
     LoneContacts,
 )
+from tomojax._pictures import plain, style  # noqa: E402
 
 RESULTS = Path(__file__).parents[2] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "conductance")

@@ -3,7 +3,7 @@
     python tests/benchmarks/rubs.py [--rigs 4] [--seed N]
 
 Every second rig is a resistor network, every other one is of finite elements
-(`tomojax.studies.rigs`), drawn by default. A finger wanders over the sheet at about 0.1
+(`bench.rigs`), drawn by default. A finger wanders over the sheet at about 0.1
 m/s, and presses now more, now less. Ten times a second, a frame of ten slots is read: two
 corners and eight other grounds. The finger hardly moves within a frame. Five minutes have
 600 frames.
@@ -44,7 +44,7 @@ def wandering(n: int, often: float, rng: np.random.Generator) -> np.ndarray:
 
 def finger(sensor: Any, unit: np.ndarray, rng: np.random.Generator) -> list[Any]:
     """Contacts of one finger that goes through places of the unit square."""
-    from tomojax.studies.rigs import Touch
+    from bench.rigs import Touch
 
     pitch, size = sensor.mean_pitch, np.asarray(sensor.size, float)
     square = 1 / float(np.mean(np.asarray(sensor.sheet_resistance)))
@@ -89,7 +89,7 @@ def _paused(n: int) -> np.ndarray:
 def planned(number: int, seed: int) -> tuple[Any, dict[str, list], dict[str, np.ndarray]]:
     """One rig, and the contacts and grounds of each kind of rub and of what is judged."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, draw_touch
+    from bench.rigs import draw_rig, draw_touch
 
     rng = np.random.default_rng([seed, number])
     sensor = tx.Sensor.grid(dtype=np.float32)
@@ -112,7 +112,7 @@ def part(number: int, seed: int, k: int, parts: int) -> list[np.ndarray]:
     """Exact voltages of one of `parts` shares of a rig's frames, repeated ones once."""
     from benchmarks.calibration import scene
 
-    from tomojax.studies.rigs import Elements, network_of
+    from bench.rigs import Elements, network_of
 
     rig, kinds, grounds = planned(number, seed)
     exact = (Elements if number % 2 else network_of)(rig)

@@ -3,7 +3,7 @@
     python tests/benchmarks/sensors.py [--rigs 6] [--each 6] [--pairs 40] [--seed N]
 
 Sensors differ from the default in one property or in all. Lone contacts are drawn by the
-defaults of `tomojax.studies.rigs`; pairs have centres one pitch apart. A method is told
+defaults of `bench.rigs`; pairs have centres one pitch apart. A method is told
 nominal values and has the two corner slots, `follow` ten slots. Errors are in pitches. The
 default seeds are for judging. Writes notebooks/results/sensors.json and sensors.png; parts
 that --only leaves out stay in them.
@@ -25,9 +25,8 @@ import numpy as np  # noqa: E402
 from rigs import figures, followed, in_batch, RESULTS, ten_grounds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax._pictures import plain, style  # noqa: E402
-from tomojax.studies.frontier import DOUBT  # noqa: E402
-from tomojax.studies.rigs import (  # noqa: E402
+from bench.frontier import DOUBT  # noqa: E402
+from bench.rigs import (  # noqa: E402
     FAMILY,
     JUDGING,
     lone_contacts,
@@ -35,6 +34,7 @@ from tomojax.studies.rigs import (  # noqa: E402
     network_of,
     Touch,
 )
+from tomojax._pictures import plain, style  # noqa: E402
 
 
 class Kind(NamedTuple):

@@ -5,7 +5,7 @@
 Shapes are letters, digits, hands, feet, tools, rings, cables, frames and two objects. They
 are 30 to 140 mm large, with strokes of 8 to 30 mm, at any place and turn. They conduct
 0.005 to 5 S/m², and are pressed evenly, softly, or through a resistance. Every second rig
-is a resistor network, every other one of finite elements (`tomojax.studies.rigs`), drawn by
+is a resistor network, every other one of finite elements (`bench.rigs`), drawn by
 default. Nominal values are told; `calibrated` rows have a calibration of 40 contacts at
 unknown places.
 
@@ -129,7 +129,7 @@ def judged(
 def rig_of(number: int, seed: int) -> tuple[Any, Any, np.random.Generator]:
     """A rig, the model that makes its voltages, and what draws."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_rig, Elements, network_of
+    from bench.rigs import draw_rig, Elements, network_of
 
     rng = np.random.default_rng([seed, number])
     rig = draw_rig(tx.Sensor.grid(dtype=np.float32), rng)
@@ -156,7 +156,7 @@ def middle_for(size: np.ndarray, reach: float, rng: np.random.Generator) -> np.n
 
 def draw_scene(size: np.ndarray, rng: np.random.Generator, wide: bool) -> Any:
     """A shape: strokes of 12 to 16 mm, 0.02 to 2 S/m²; `wide`: of all kinds."""
-    from tomojax.studies.rigs import draw_strokes, GLYPHS, THINGS
+    from bench.rigs import draw_strokes, GLYPHS, THINGS
 
     mm, laws = 1e-3, {}
     decades = (-2.3, 0.7) if wide else (-1.7, 0.3)
@@ -192,7 +192,7 @@ def draw_scene(size: np.ndarray, rng: np.random.Generator, wide: bool) -> Any:
 
 def touched_for(rig: Any, exact: Any, rng: np.random.Generator) -> tuple:
     """What a calibration is made of: 40 contacts at unknown places, ten slots each."""
-    from tomojax.studies.rigs import draw_touch
+    from bench.rigs import draw_touch
 
     grounds = np.array(
         [[0, 63, *rng.choice(np.arange(1, 63), 8, replace=False)] for _ in range(40)]
@@ -281,7 +281,7 @@ def reliability(touch: np.ndarray, truth: np.ndarray) -> list[list[float]]:
 def digits_of(number: int, seed: int, turns: int) -> list[dict]:
     """Ten digits of one rig, told apart by the nearest outline."""
     import tomojax as tx
-    from tomojax.studies.rigs import draw_strokes
+    from bench.rigs import draw_strokes
 
     rig, exact, rng = rig_of(number, seed + 1)
     size, names = np.asarray(rig.sensor.size, float), [str(k) for k in range(10)]
@@ -344,7 +344,7 @@ def nearest(inside: np.ndarray, templates: list[tuple[str, np.ndarray]]) -> str:
 def gaps_of(number: int, seed: int) -> list[dict]:
     """Two bars of 40 mm, and rings: whether the gap or the hole is seen."""
     import tomojax as tx
-    from tomojax.studies.rigs import Strokes
+    from bench.rigs import Strokes
 
     rig, exact, rng = rig_of(number, seed + 2)
     size, rows, cases = np.asarray(rig.sensor.size, float), [], []

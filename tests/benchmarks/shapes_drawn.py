@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from tomojax._pictures import gallery as lines_of_images, name_points, style
+from bench.plots import gallery as lines_of_images
+from tomojax._pictures import name_points, style
 
 OTHERS = ("linear", "source", "positive", "conductance")
 SHOWN, HATCHES = (2, 10, 64), ("", "//", "..", "xx")

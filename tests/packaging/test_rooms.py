@@ -9,13 +9,17 @@ import pytest
 import tomojax as tx
 
 ROOT = Path(__file__).parents[2]
+BENCH = ROOT / "tests" / "benchmarks" / "bench"
 INSIDE = {
     "tomojax": "tomojax",
     "kernels": "tomojax.kernels",
     "hardware": "tomojax.hardware",
+    "tests/benchmarks/bench": "bench",
 }
 # Rooms that have rooms.
-HALLS = ("tomojax.kernels", "tomojax.hardware", "tomojax.studies")
+HALLS = ("tomojax.kernels", "tomojax.hardware")
+# The rooms of `bench`, from the top floor down: each imports those below it.
+FLOORS = ("cli", "stability", "frontier", "rigs", "network plots")
 
 
 def room_of(module: str) -> str:
@@ -25,11 +29,15 @@ def room_of(module: str) -> str:
 
 def imported(path: Path) -> Iterator[str]:
     """The modules of ours that a file imports, by their whole names."""
+    ours = ("tomojax", "bench")
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from (a.name for a in node.names if a.name.startswith("tomojax"))
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tomojax"):
-            yield from (f"{node.module}.{a.name}" for a in node.names)
+            names = [a.name for a in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{a.name}" for a in node.names]
+        else:
+            continue
+        yield from (name for name in names if name.partition(".")[0] in ours)
 
 
 def private(name: str) -> bool:
@@ -64,9 +72,19 @@ def test_tests_and_notebooks_use_faces(folder) -> None:
         f"{path.relative_to(ROOT)} imports {name}"
         for path in sorted((ROOT / folder).rglob("*.py"))
         for name in imported(path)
-        if private(name) and path.name != _BY_ITSELF
+        if private(name) and path.name != _BY_ITSELF and BENCH not in path.parents
     ]
     assert not wrong
+
+
+def test_bench_imports_downwards_and_is_not_imported() -> None:
+    floors = {room: i for i, rooms in enumerate(FLOORS) for room in rooms.split()}
+    for module, path in modules():
+        for name in imported(path):
+            if name.startswith("bench."):
+                assert module.startswith("bench"), f"{module} imports {name}"
+                above, below = (one.split(".")[1] for one in (module, name))
+                assert above == below or floors[above] < floors[below], (module, name)
 
 
 def test_rooms_have_few_modules_and_say_what_they_are_for() -> None:

@@ -84,15 +84,30 @@ def test_wheel_holds_every_file(wheel, tmp_path) -> None:
         for source in (ROOT / folder).rglob("*.py"):
             assert f"{inside}/{source.relative_to(ROOT / folder)}" in held
     assert {"tomojax/py.typed", "tomojax/demo.h5", "tomojax/demo_palm.h5"} <= held
-    # Apart from the checkout, from the wheel alone.
-    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
-    check = "import tomojax.kernels as k, tomojax.hardware; print(k.__file__)"
-    run = subprocess.run(
-        [sys.executable, "-P", "-c", check],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(tmp_path / "site"), "PATH": ""},
+
+
+def run_from(wheel: Path, folder: Path, *words: str) -> subprocess.CompletedProcess:
+    """Runs Python apart from the checkout, on what the wheel alone holds."""
+    zipfile.ZipFile(wheel).extractall(folder / "site")
+    return subprocess.run(
+        [sys.executable, "-P", *words],
+        cwd=folder,
+        env={"PYTHONPATH": str(folder / "site"), "PATH": ""},
         capture_output=True,
         text=True,
     )
+
+
+def test_wheel_is_imported(wheel, tmp_path) -> None:
+    check = "import tomojax.kernels as k, tomojax.hardware; print(k.__file__)"
+    run = run_from(wheel, tmp_path, "-c", check)
     assert run.returncode == 0, run.stderr
     assert str(tmp_path / "site") in run.stdout
+
+
+@pytest.mark.parametrize("name", ["frontier", "stability"])
+def test_studies_ask_for_a_checkout(name, wheel, tmp_path) -> None:
+    command = "from tomojax.cli import main; main()"
+    run = run_from(wheel, tmp_path, "-c", command, name, "--quick", "--out", "here")
+    told = f"tomojax: {name} needs a checkout of the repository\n"
+    assert (run.returncode, run.stderr) == (2, told)

@@ -12,14 +12,14 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent), str(HERE.parent / "benchmarks")]
 SEEDS = (2026, 4711, 90210, 1618)
 
 
 def main() -> None:
     from sweeps import row
 
-    from tomojax.studies.stability import holds, SWEEPS
+    from bench.stability import holds, SWEEPS
 
     told = json.loads(Path(sys.argv[1]).read_text())["rows"]
     stated: dict = {}

@@ -8,8 +8,8 @@ import pytest
 from recordings import write
 
 import tomojax as tx
+from bench.stability import Bench, HOLDS, limits, report, run, SWEEPS
 from tomojax.cli.app import run as run_command
-from tomojax.studies.stability import Bench, HOLDS, limits, report, run, SWEEPS
 
 
 def row(value, near, far=0, undoubted=0, method="points", raised=None, **more):
@@ -96,7 +96,7 @@ def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
         done.append(name)
         return [row(1, 1.0) | {"sweep": name}]
 
-    monkeypatch.setattr("tomojax.studies.stability._study.sweep_rows", rows)
+    monkeypatch.setattr("bench.stability._study.sweep_rows", rows)
     sensor = tx.Sensor.grid(dtype=np.float32)
     first = run(sensor, tmp_path, True, ("white",))
     both = run(sensor, tmp_path, True, ("white", "dead"))
@@ -111,7 +111,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch, capsys):
     codes = np.zeros((4, 2, 5), np.int16)
     told = {"electrode_xy": near, "size": [0.06, 0.06], "settle_delay": 2e-5}
     write(tmp_path / "rig.h5", codes, [0, 4], **told)
-    monkeypatch.setattr("tomojax.studies.stability._study.QUICK", ("source",))
+    monkeypatch.setattr("bench.stability._study.QUICK", ("source",))
     words = ["tomojax", "stability", "--quick", "--only", "saturated", "--scenes", "2"]
     words += ["--like", str(tmp_path / "rig.h5"), "--out", str(tmp_path / "out")]
     monkeypatch.setattr(sys, "argv", words)
@@ -136,7 +136,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch, capsys):
 def test_the_command_draws_and_says(tmp_path, monkeypatch, capsys):
     values = SWEEPS["white"].values
     made = [row(v, 1.0 if v < 0.1 else 0.0, 2 * (v > 0.2)) for v in values]
-    monkeypatch.setattr("tomojax.studies.stability._study.sweep_rows", lambda *_: made)
+    monkeypatch.setattr("bench.stability._study.sweep_rows", lambda *_: made)
     numbers = {
         "solvers": [
             {"solver": "qr", "relative_lam": 0.1, "error": 1e-6},
@@ -156,10 +156,8 @@ def test_the_command_draws_and_says(tmp_path, monkeypatch, capsys):
             {"optimiser": "tune", "start": 1.0, "excess": None},
         ],
     }
-    monkeypatch.setattr("tomojax.studies.stability.numbers", lambda *_: numbers)
-    monkeypatch.setattr(
-        "tomojax.studies.stability._study.SWEEPS", {"white": SWEEPS["white"]}
-    )
+    monkeypatch.setattr("bench.stability.numbers", lambda *_: numbers)
+    monkeypatch.setattr("bench.stability._study.SWEEPS", {"white": SWEEPS["white"]})
     words = ["tomojax", "stability", "--quick", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as stop:

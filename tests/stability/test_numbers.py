@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.kernels.sheet import centroids
-from tomojax.methods import Frame
-from tomojax.studies.stability import (
+from bench.stability import (
     gradient_rows,
     pipeline,
     random_points,
@@ -18,6 +16,8 @@ from tomojax.studies.stability import (
     start_rows,
     symmetric_points,
 )
+from tomojax.kernels.sheet import centroids
+from tomojax.methods import Frame
 
 
 def test_gradients_are_finite_and_right():

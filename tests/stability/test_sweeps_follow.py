@@ -3,7 +3,7 @@
 import pytest
 from sweeps import check, scenes, stated
 
-from tomojax.studies.stability import SWEEPS, takes_part
+from bench.stability import SWEEPS, takes_part
 
 
 @pytest.mark.parametrize("name", stated("follow"))

@@ -3,7 +3,7 @@
 import pytest
 from sweeps import check
 
-from tomojax.studies.stability import CONTACTS, SLOW_TESTS
+from bench.stability import CONTACTS, SLOW_TESTS
 
 
 @pytest.mark.parametrize("name", SLOW_TESTS)

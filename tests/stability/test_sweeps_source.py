@@ -3,7 +3,7 @@
 import pytest
 from sweeps import check, stated
 
-from tomojax.studies.stability import SWEEPS
+from bench.stability import SWEEPS
 
 
 @pytest.mark.parametrize("name", stated("source"))

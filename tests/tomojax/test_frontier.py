@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.cli.app import run
-from tomojax.sensor import nominal_noise
-from tomojax.studies.frontier import (
+from bench.frontier import (
     DAY,
     day_rows,
     Job,
@@ -23,7 +21,9 @@ from tomojax.studies.frontier import (
     run as run_study,
     save_trials,
 )
-from tomojax.studies.network import Network
+from bench.network import Network
+from tomojax.cli.app import run
+from tomojax.sensor import nominal_noise
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +79,9 @@ def test_one_job(kept):
 def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
     sensor = tx.Sensor.grid(dtype=np.float32)
     jobs = [Job("linear", ("all",)), Job("source", ("all",)), Job("points", ("all",))]
-    monkeypatch.setattr("tomojax.studies.frontier._study.jobs", lambda *_: jobs)
+    monkeypatch.setattr("bench.frontier._study.jobs", lambda *_: jobs)
     monkeypatch.setattr(
-        "tomojax.studies.frontier._study.make_trials",
+        "bench.frontier._study.make_trials",
         lambda *_: load_trials(kept, "float32")[1],
     )
     asked = []
@@ -92,7 +92,7 @@ def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
         asked.append(job.method)
         return [{"method": job.method}]
 
-    monkeypatch.setattr("tomojax.studies.frontier._study.measured", measured)
+    monkeypatch.setattr("bench.frontier._study.measured", measured)
     with pytest.raises(KeyboardInterrupt):
         run_study(sensor, tmp_path, True)
     path = tmp_path / "frontier-rows.jsonl"
@@ -111,11 +111,9 @@ def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
 
 def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
     sensor, tried = tx.Sensor.grid(dtype=np.float32), []
+    monkeypatch.setattr("bench.frontier._study.jobs", lambda *_: [Job("linear", ("all",))])
     monkeypatch.setattr(
-        "tomojax.studies.frontier._study.jobs", lambda *_: [Job("linear", ("all",))]
-    )
-    monkeypatch.setattr(
-        "tomojax.studies.frontier._study.make_trials",
+        "bench.frontier._study.make_trials",
         lambda *_: load_trials(kept, "float32")[1],
     )
 
@@ -123,7 +121,7 @@ def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
         tried.append(job.method)
         return [{"failed": "killed"} if len(tried) == 1 else {"method": "linear"}]
 
-    monkeypatch.setattr("tomojax.studies.frontier._study.measured", measured)
+    monkeypatch.setattr("bench.frontier._study.measured", measured)
     assert run_study(sensor, tmp_path, True)[0]["failed"] == "killed"
     for _ in range(2):
         assert run_study(sensor, tmp_path, True)[0]["method"] == "linear"
@@ -168,9 +166,7 @@ def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
 
 def test_rates_stay_below_the_machine_s(kept, monkeypatch):
     sensor, trials = load_trials(kept, "float32")
-    monkeypatch.setattr(
-        "tomojax.studies.frontier._rates.machine", lambda dtype: (1e15, 1e18)
-    )
+    monkeypatch.setattr("bench.frontier._rates.machine", lambda dtype: (1e15, 1e18))
     job = Job("rates", ("corner",), batches=(1, 4), pixels=16)
     rates = list(rate_rows(job, sensor, trials))
     assert [(r["method"], r["batch"]) for r in rates] == [
@@ -194,7 +190,7 @@ def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
         "auto": tx.method(sensor, "source", 16),
         "conductance": tx.method(sensor, "linear", 16),
     }
-    rates, given, told = "tomojax.studies.frontier._rates", [], []
+    rates, given, told = "bench.frontier._rates", [], []
 
     def watched(model, *options):
         batch = tx.Batch(model, *options)

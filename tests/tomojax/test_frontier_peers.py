@@ -8,8 +8,7 @@ import references
 import scipy.sparse.linalg
 
 import tomojax as tx
-from tomojax.kernels.sheet import nodes as mesh_nodes
-from tomojax.studies.frontier import (
+from bench.frontier import (
     best_lambda,
     Job,
     jobs as study_jobs,
@@ -23,6 +22,7 @@ from tomojax.studies.frontier import (
     read_half,
     read_peak,
 )
+from tomojax.kernels.sheet import nodes as mesh_nodes
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_the_range_of_lambda_has_the_best_inside(best, at_end):
 
 
 def test_rows_of_peers(small, monkeypatch):
-    monkeypatch.setattr("tomojax.studies.frontier._measure._SECONDS", 0.0)
+    monkeypatch.setattr("bench.frontier._measure._SECONDS", 0.0)
     trials = make_trials(small, 2, 3)
     job = Job("peers", ("corners", "around"), batches=(1, 4), pixels=8)
     rows = list(peer_rows(job, small, trials))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.studies.frontier import (
+from bench.frontier import (
     beside_peers,
     mark_front,
     report,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.studies.rigs import (
+from bench.rigs import (
     Chain,
     draw_rig,
     Elements,

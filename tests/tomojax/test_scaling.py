@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.studies.rigs import make_rig, network_of, Touch
+from bench.rigs import make_rig, network_of, Touch
 
 # Lengths, ohms, volts.
 SCALES = [(0.1, 0.01, 0.2), (10.0, 100.0, 3.0), (0.1, 100.0, 3.0), (10.0, 0.01, 0.2)]

@@ -1,4 +1,4 @@
-"""`shape` on voltages of rigs that are not ours (`tomojax.studies.rigs`)."""
+"""`shape` on voltages of rigs that are not ours (`bench.rigs`)."""
 
 import jax
 import jax.numpy as jnp
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import tomojax as tx
+from bench.rigs import draw_rig, draw_strokes, network_of, Strokes
 from tomojax import Flag
 from tomojax.methods import Rung
-from tomojax.studies.rigs import draw_rig, draw_strokes, network_of, Strokes
 
 TEN = np.array([0, 7, 56, 63, 3, 24, 31, 60, 27, 36])
 ALL = np.arange(64)

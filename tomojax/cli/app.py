@@ -8,12 +8,13 @@ import click
 from tomojax.cli._design import design
 from tomojax.cli._live import live, record
 from tomojax.cli._rig import calibrate, check
+from tomojax.cli._studies import studies
+from tomojax.cli._table1 import table1
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.demo import demo
 from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track, view
-from tomojax.cli.studies import frontier, stability, table1
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -57,8 +58,7 @@ for command in (
     record,
     live,
     design,
-    frontier,
-    stability,
+    *studies(),
 ):
     app.add_command(command)
 

@@ -1,0 +1,64 @@
+"""Runs one job of `tomojax frontier` in its own process: a method on one mesh and dtype.
+
+    python -m bench.frontier._job SCENES.npz JOB
+
+Prints a JSON row for each pattern, rule for λ, kind of scene, batch size and output. The
+process's memory is the job's own. A crash loses only this job.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from bench.frontier._measure import Job, kinds_of
+from bench.frontier._peers import peer_rows
+from bench.frontier._rates import day_rows, rate_rows
+from bench.frontier._rows import follow_rows, method_rows
+from bench.frontier._scenes import load_trials
+
+
+def peak_mb() -> float:
+    """Returns this process's own peak, MB; Linux's getrusage may give the parent's peak."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        import resource  # not on Windows
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
+
+
+def main() -> None:
+    path = Path(sys.argv[1])
+    words: dict[str, Any] = json.loads(sys.argv[2])
+    told: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in words.items()
+    }
+    job = Job(**told)
+    if job.threads:  # before JAX makes its threads
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
+    sensor, trials = load_trials(path, job.dtype)
+    if job.most:
+        trials = trials.of(np.concatenate([at[: job.most] for _, at in kinds_of(trials)]))
+    if job.method == "follow":
+        rows = follow_rows(job, sensor, trials)
+    elif job.method == "peers":
+        rows = peer_rows(job, sensor, trials)
+    elif job.method in ("rates", "day"):
+        kinds = {"rates": rate_rows, "day": day_rows}
+        rows = kinds[job.method](job, sensor, trials)
+    else:
+        rows = method_rows(job, sensor, trials)
+    made = list(rows)
+    common = {"dtype": job.dtype, "device": str(jax.devices()[0].device_kind)}
+    for row in made:
+        print(json.dumps({**common, "peer": False, **row, "memory_mb": peak_mb()}))
+
+
+if __name__ == "__main__":
+    main()
