@@ -24,6 +24,7 @@ ROOMS = {
     "tomojax.results": "recordings to results, tracks, reports, plots",
     "tomojax.calibration": "a rig's true values",
     "tomojax.bringup": "faults of a new rig",
+    "tomojax.bringup.signs": "signs of wrong wiring in any recording",
     "tomojax.design": "ground sets, λ, electrodes",
     "tomojax.events": "touch-down, lift-off, marks",
     "tomojax.exports": "results for other programs",
@@ -56,15 +57,12 @@ def rooms() -> Iterator[ModuleType]:
 
 def public(room: ModuleType) -> Iterator[tuple[str, Any]]:
     """Yields the names that a room offers; rooms inside it have pages of their own."""
-    names = getattr(room, "__all__", None)
-    if names is None:
-        names = [name for name in vars(room) if not name.startswith("_")]
-    for name in names:
+    told = getattr(room, "__all__", None)
+    for name in told or [name for name in vars(room) if not name.startswith("_")]:
         thing = getattr(room, name)
-        if inspect.ismodule(thing):
-            continue
         module = getattr(thing, "__module__", None) or room.__name__
-        if str(module).startswith("tomojax"):
+        # Types that are put together, such as a Literal, say that they are of `typing`.
+        if not inspect.ismodule(thing) and (told or str(module).startswith("tomojax")):
             yield name, thing
 
 
