@@ -41,7 +41,8 @@ class HeldCalibration(eqx.Module):
     ...     places = np.random.default_rng(0).uniform(0.008, 0.052, (24, 2))
     ...     discs, corners = [tx.Disc(xy, 0.004, 0.3) for xy in places], [0, 2, 6, 8]
     ...     volts = np.stack([tx.voltages(sensor, disc, corners) for disc in discs])
-    ...     found = tx.calibration.calibrated(sensor, volts, np.tile(corners, (24, 1)))
+    ...     grounds = np.tile(corners, (24, 1))
+    ...     found = tx.calibration.calibrated(sensor, volts, grounds, places)
     ...     held = tx.calibration.HeldCalibration(sensor, found)
     >>> first = held.parts["gain"].start
     >>> by_voltages = jax.grad(lambda v: held.values(v)[first])  # call it where x64 is on

@@ -49,7 +49,7 @@ def calibrate_recording(
     >>> import numpy as np
     >>> import tomojax as tx
     >>> sensor = tx.Sensor.grid(2, 2, divisions=(8, 8), dtype=np.float32)
-    >>> places = np.random.default_rng(0).uniform(0.012, 0.028, (20, 2))
+    >>> places = np.random.default_rng(0).uniform(0.012, 0.028, (16, 2))
     >>> volts = np.stack([tx.voltages(sensor, tx.Disc(xy, 0.004, 1.0)) for xy in places])
     >>> rig = tx.recordings.Rig.of(sensor)
     >>> recording = tx.recordings.ArrayRecording(rig, volts, np.arange(4))

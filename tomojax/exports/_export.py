@@ -89,11 +89,10 @@ def export(
     >>> from tomojax.exports import export
     >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
     >>> touch = tx.Disc([0.03, 0.05], 0.006, 1.0)
-    >>> volts = np.tile(tx.voltages(sensor, touch, [0, 15]), (20, 1, 1))
-    >>> volts += np.random.default_rng(0).normal(0, 1e-3, volts.shape)
+    >>> volts = np.asarray(tx.voltages(sensor, touch, [0, 15]))
     >>> rig = tx.recordings.Rig.of(sensor)
-    >>> recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
-    >>> settings = tx.results.Settings(method="points", images=False, contacts=1)
+    >>> recording = tx.recordings.ArrayRecording(rig, volts[None], [0, 15])
+    >>> settings = tx.results.Settings(method="source", grid=16, contacts=2)
     >>> out = tx.reconstruct_recording(recording, "touch.h5", settings)
     >>> export("touch.h5", "touch.csv", "csv")
     >>> with open("touch.csv") as file:

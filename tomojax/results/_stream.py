@@ -68,7 +68,7 @@ def reconstruct_recording(
     >>> volts = np.asarray(tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15]))
     >>> rig = tx.recordings.Rig.of(sensor)
     >>> recording = tx.recordings.ArrayRecording(rig, volts[None], [0, 15])
-    >>> settings = tx.results.Settings(grid=16, contacts=2)
+    >>> settings = tx.results.Settings(method="source", grid=16, contacts=2)
     >>> path = tx.reconstruct_recording(recording, "out.h5", settings, overwrite=True)
     >>> with h5py.File(path) as results:
     ...     print(results["contact_xy"].shape, results["image"].shape)
