@@ -1,12 +1,10 @@
 """Every public function and class has an example, and examples do what they say."""
 
-import doctest
 import inspect
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import jax
+import examples
 import pytest
 
 import tomojax as tx
@@ -14,11 +12,14 @@ import tomojax.events
 import tomojax.exports
 import tomojax.plots
 
-ROOT = Path(__file__).parents[2]
 ROOMS = [name for name in tx.__all__ if inspect.ismodule(getattr(tx, name))]
 # Rooms that are imported by their own names.
 BESIDE = [tomojax.events, tomojax.exports, tomojax.plots]
-OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@pytest.mark.parametrize("example", examples.share("test_examples"))
+def test_example(example, tmp_path) -> None:
+    examples.run(example, tmp_path)
 
 
 def public() -> Iterator[tuple[str, Any]]:
@@ -30,20 +31,20 @@ def public() -> Iterator[tuple[str, Any]]:
                 yield f"{room.__name__}.{name}", thing
 
 
-EXAMPLES = {id(thing): (name, thing) for name, thing in public()}
+def test_every_public_name_has_an_example() -> None:
+    texts = {each.text for each in examples.examples()}
+    named = dict(public())
+    without = [
+        name
+        for name, thing in named.items()
+        if "**Example:**" not in (inspect.getdoc(thing) or "")
+        or inspect.getdoc(thing) not in texts
+    ]
+    assert len(named) > 130 and not without
 
 
-@pytest.mark.parametrize(
-    "name, thing", [pytest.param(*each, id=each[0]) for each in EXAMPLES.values()]
-)
-def test_example(name, thing, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = inspect.getdoc(thing) or ""
-    assert "**Example:**" in text
-    example = doctest.DocTestParser().get_doctest(text, {}, name, None, None)
-    assert example.examples
-    said: list[str] = []
-    # As a user runs it: JAX's own settings.
-    with jax.enable_x64(False), jax.numpy_dtype_promotion("standard"):
-        done = doctest.DocTestRunner(optionflags=OPTIONS).run(example, out=said.append)
-    assert not done.failed, "".join(said)
+def test_every_example_runs_in_one_file() -> None:
+    shared = [one.values[0] for file in examples.SHARES for one in examples.share(file)]
+    assert sorted(shared) == sorted(examples.examples())
+    names = {each.name for each in shared}
+    assert examples.LONG < names
