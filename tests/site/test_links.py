@@ -15,7 +15,7 @@ from tomojax.cli.app import app
 _PATH = re.compile(
     r"(?<![\w/.~-])((?:tests|notebooks|tomojax|hardware|kernels|\.ci)/(?:[\w./\[\]*-]*[\w\]*/])?)"
 )
-_NAME = re.compile(r"(tx|tomojax)((?:\.[A-Za-z_]\w*)+)")
+_NAME = re.compile(r"\b(?:tx|tomojax)(?:\.[A-Za-z_]\w*)+")
 _CAPITALS = re.compile(r"\b[A-Z]+(?:_[A-Z]+)+\b")
 # Linux' names and environment variables; all other names of this form are flags.
 _NO_FLAGS = {
@@ -114,10 +114,11 @@ def scripts(each: Page) -> Iterator[str]:
 
 def names(each: Page) -> Iterator[str]:
     """Yields names of the package that lead to nothing."""
-    for line, text in each.code():
-        found = _NAME.match(text)
-        if found and not resolved(found[0]):
-            yield f"{line}: no {found[0]}"
+    told = [(line, found[0]) for line, text in each.code() if (found := _NAME.match(text))]
+    for block in (one for one in each.blocks if one.language == "python"):
+        for line, text in enumerate(block.code.splitlines(), block.line):
+            told += [(line, found[0]) for found in _NAME.finditer(text)]
+    yield from (f"{line}: no {name}" for line, name in told if not resolved(name))
 
 
 def resolved(name: str) -> bool:
