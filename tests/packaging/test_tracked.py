@@ -53,13 +53,17 @@ def tracked() -> frozenset[str]:
     return frozenset(git("ls-files"))
 
 
+@cache
+def folders() -> frozenset[str]:
+    return frozenset(str(folder) for one in tracked() for folder in Path(one).parents)
+
+
 def holds(path: str) -> bool:
     """Whether the repository has a file, or files of a folder or of a pattern."""
     if any(mark in path for mark in "*["):
         found = (str(one.relative_to(ROOT)) for one in ROOT.glob(path))
         return any(one in tracked() for one in found)
-    folder = path.rstrip("/") + "/"
-    return path in tracked() or any(one.startswith(folder) for one in tracked())
+    return path in tracked() or path.rstrip("/") in folders()
 
 
 def named(path: str) -> bool:
@@ -107,17 +111,17 @@ def named_by_pyproject() -> Iterator[str]:
     yield from pytest_options["testpaths"]
     yield from (one for one in pytest_options["pythonpath"] if one != ".")
     yield from tool["ruff"]["lint"]["per-file-ignores"]
-    folders = tool["setuptools"]["package-dir"]
+    own = tool["setuptools"]["package-dir"]
     for package in tool["setuptools"]["packages"]:
-        yield f"{folder_of(package, folders)}/__init__.py"
+        yield f"{folder_of(package, own)}/__init__.py"
     for package, patterns in tool["setuptools"]["package-data"].items():
-        yield from (f"{folder_of(package, folders)}/{one}" for one in patterns)
+        yield from (f"{folder_of(package, own)}/{one}" for one in patterns)
 
 
-def folder_of(package: str, folders: dict[str, str]) -> str:
+def folder_of(package: str, own: dict[str, str]) -> str:
     """The folder of a package, by the longest name that has one of its own."""
-    near = max((one for one in folders if f"{package}.".startswith(f"{one}.")), key=len)
-    return folders[near] + package.removeprefix(near).replace(".", "/")
+    near = max((one for one in own if f"{package}.".startswith(f"{one}.")), key=len)
+    return own[near] + package.removeprefix(near).replace(".", "/")
 
 
 def test_what_pyproject_names_is_there() -> None:
@@ -135,9 +139,9 @@ def imports(path: Path) -> Iterator[str]:
             yield node.module
 
 
-def ours(name: str, folders: dict[str, str]) -> bool:
+def ours(name: str, own: dict[str, str]) -> bool:
     """Whether a module of the package is a file that is tracked."""
-    path = folder_of(name, folders)
+    path = folder_of(name, own)
     found = (f"{path}.py", f"{path}/__init__.py")
     return any(one in tracked() for one in found)
 
@@ -156,19 +160,19 @@ def installed(name: str) -> bool:
 
 
 def test_what_tests_and_notebooks_import_is_there() -> None:
-    folders = configuration()["tool"]["setuptools"]["package-dir"]
+    packages = configuration()["tool"]["setuptools"]["package-dir"]
     places = configuration()["tool"]["pytest"]["ini_options"]["pythonpath"]
     wrong = []
     for path in sorted(
         one for one in tracked() if re.match(r"(tests|notebooks)/.*\.py", one)
     ):
-        own = str(Path(path).parent)
+        here = str(Path(path).parent)
         for module in imports(ROOT / path):
             first = module.partition(".")[0]
             if first == "tomojax":
-                fine = ours(module, folders)
+                fine = ours(module, packages)
             else:
-                near = [str(Path(place, *module.split("."))) for place in (own, *places)]
+                near = [str(Path(place, *module.split("."))) for place in (here, *places)]
                 fine = any(holds(f"{one}.py") or holds(one) for one in near)
                 fine = fine or first in BY_HAND or installed(first)
             wrong += [] if fine else [f"{path}: {module}"]

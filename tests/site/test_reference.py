@@ -20,7 +20,6 @@ from tomojax.cli.app import app
 ELSEWHERE = {
     "tomojax.cli": "its names are commands",
     "tomojax.files": "a floor below the formats, which the page of formats describes",
-    "tomojax.studies": "commands of their own; not library",
     "tomojax.hardware.web": "the pages that `live --view web` serves",
     "tomojax.kernels": "its rooms have pages; its flags are on the page of flags",
     "tomojax.kernels.flags": "on the page of flags",

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Iterator
 from typing import Any
 
-import examples
+import docstrings
 import pytest
 
 import tomojax as tx
@@ -17,9 +17,9 @@ ROOMS = [name for name in tx.__all__ if inspect.ismodule(getattr(tx, name))]
 BESIDE = [tomojax.events, tomojax.exports, tomojax.plots]
 
 
-@pytest.mark.parametrize("example", examples.share("test_examples"))
+@pytest.mark.parametrize("example", docstrings.share(""))
 def test_example(example, tmp_path) -> None:
-    examples.run(example, tmp_path)
+    docstrings.run(example, tmp_path)
 
 
 def public() -> Iterator[tuple[str, Any]]:
@@ -32,7 +32,7 @@ def public() -> Iterator[tuple[str, Any]]:
 
 
 def test_every_public_name_has_an_example() -> None:
-    texts = {each.text for each in examples.examples()}
+    texts = {each.text for each in docstrings.examples()}
     named = dict(public())
     without = [
         name
@@ -44,7 +44,7 @@ def test_every_public_name_has_an_example() -> None:
 
 
 def test_every_example_runs_in_one_file() -> None:
-    shared = [one.values[0] for file in examples.SHARES for one in examples.share(file)]
-    assert sorted(shared) == sorted(examples.examples())
+    shared = [one.values[0] for name in docstrings.SHARES for one in docstrings.share(name)]
+    assert sorted(shared) == sorted(docstrings.examples())
     names = {each.name for each in shared}
-    assert examples.LONG < names
+    assert docstrings.LONG < names

@@ -1,9 +1,9 @@
 """Examples of the rooms from recordings to results, exports and steps."""
 
-import examples
+import docstrings
 import pytest
 
 
-@pytest.mark.parametrize("example", examples.share("test_examples_results"))
+@pytest.mark.parametrize("example", docstrings.share("results"))
 def test_example(example, tmp_path) -> None:
-    examples.run(example, tmp_path)
+    docstrings.run(example, tmp_path)

@@ -1,4 +1,4 @@
-"""Examples of docstrings, as users run them; for the files of tests that share them out.
+"""Examples of docstrings, as users run them; for the files of tests/examples.
 
 What xdist hands to a worker is a file: one file with all examples kept one worker busy
 after the others had ended. Examples of a room have sensor and shapes in common.
@@ -15,15 +15,15 @@ from typing import Any, NamedTuple
 import jax
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 SOURCES = ("tomojax", "kernels", "hardware")
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-# The folders of each file of tests; the first file has all others.
+# The folders whose examples a file of tests/examples has; `test_all` has all others.
 SHARES = {
-    "test_examples": (),
-    "test_examples_calibration": ("tomojax/bringup", "tomojax/calibration"),
-    "test_examples_design": ("tomojax/design",),
-    "test_examples_results": ("tomojax/exports", "tomojax/results", "tomojax/step"),
+    "": (),
+    "calibration": ("tomojax/bringup", "tomojax/calibration"),
+    "design": ("tomojax/design",),
+    "results": ("tomojax/exports", "tomojax/results", "tomojax/step"),
 }
 # A minute each; tests of the room hold what they show.
 LONG = {"calibrated_recording"}
@@ -55,9 +55,9 @@ def _in(path: Path) -> Iterator[Example]:
                 yield Example(str(path.relative_to(ROOT)), name, text)
 
 
-def share(file: str) -> list[Any]:
+def share(name: str) -> list[Any]:
     """Returns the examples of one file of tests, as its parameters."""
-    own = SHARES[file]
+    own = SHARES[name]
     others = tuple(one for folders in SHARES.values() for one in folders)
 
     def mine(path: str) -> bool:
