@@ -85,13 +85,6 @@ def test_no_source_is_ignored() -> None:
     assert not git("ls-files", "--cached", "--ignored", "--exclude-standard")
 
 
-def test_no_source_waits_to_be_added() -> None:
-    """Tests pass where a file lies, and fail on a clone."""
-    tracked()
-    words = ("ls-files", "--others", "--exclude-standard", "--", *SOURCES)
-    assert not [one for one in git(*words) if one.endswith((".py", ".md", ".json", ".c"))]
-
-
 def test_what_configurations_name_is_there() -> None:
     wrong = [
         f"{name}: {path}"
