@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_origin
 
 # Rooms in the order in which a reader needs them, with what each is for.
 ROOMS = {
@@ -114,10 +114,10 @@ def _described(name: str, thing: Any) -> str:
     if inspect.isclass(thing):
         text = "\n\n".join([_fenced(text), *_members(thing)])
         return f":::::{{py:class}} {name}{_signature(thing)}\n\n{text}\n:::::"
-    if callable(thing):
+    if callable(thing) and get_origin(thing) is None:
         told = _signature(thing)
         return f":::::{{py:function}} {name}{told}\n\n{_fenced(text)}\n:::::"
-    shown = repr(thing)
+    shown = repr(thing).removeprefix("typing.")
     shown = shown if len(shown) < 200 else f"{type(thing).__name__} of {len(thing)}"
     return f":::::{{py:data}} {name}\n\n`{shown}`\n:::::"
 
