@@ -6,6 +6,8 @@ from ._batch import (
 )
 from ._contract import (
     AbstractMethod as AbstractMethod,
+    bits_of as bits_of,
+    centred as centred,
     Estimate as Estimate,
     Frame as Frame,
     judge as judge,

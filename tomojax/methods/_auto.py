@@ -151,9 +151,9 @@ class Auto(AbstractMethod):
         volts = matmul(self.source.factors[frame.grounds], coefficients)
         columns = whitened_columns(frame, volts)
         _, rest = currents(frame, columns[None])
-        slots = jnp.maximum(prepared.errors.used.any(1).sum(), 1).astype(rest.dtype)
         tolerance = prepared.errors.tolerance
-        cost = misfit_cost((rest**2).sum(1), tolerance).sum() / slots
+        costs = misfit_cost((rest**2).sum(1), tolerance)
+        cost = costs.sum() / prepared.errors.slot_count
         rung = jnp.asarray(Rung.SOURCE.value)
         # Its flags stay: the image explains the slots, the contacts read off it may not.
         return cost < highest_cost(tolerance), estimate._replace(rung=rung)

@@ -4,6 +4,8 @@ A method prepares once for a set of grounds and of good channels, and then fits 
 A new method needs only a file of its own and a line in `METHODS`.
 """
 
+import functools
+import operator
 from abc import abstractmethod
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple
@@ -20,9 +22,11 @@ from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
 from tomojax.sensor import Calibration
 
-# Residual that a converter's noise and zeros may leave in any case, and what a range that
-# ended is at least, in the noise.
-_FLOOR, _RANGE = 2.0, 20.0
+# Residual that a converter's noise and zeros may leave in any case, in the noise.
+_FLOOR = 2.0
+
+# Voltage that a range that ended has at least, in the noise.
+_RANGE = 20.0
 
 # So many channels of a slot, or one in so many, do not share the highest value by chance.
 _SHARED = 8
@@ -41,7 +45,7 @@ class Rung(IntEnum):
     NOTHING = 0
     POINTS = 1
     SOURCE = 2
-    CONDUCTANCE = 3  # of files before `shape` took its place
+    CONDUCTANCE = 3  # in files before `shape` took its place
     SHAPE = 4
 
 
@@ -103,6 +107,21 @@ def rms(
     return jnp.sqrt((jnp.where(used, values, 0) ** 2).sum() / count)
 
 
+def centred(
+    values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]
+) -> Float[Array, "*before M"]:
+    """Subtracts the mean over the channels that are used; other channels become 0."""
+    count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
+    mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
+    return jnp.where(used, values - mean, 0)
+
+
+def bits_of(*told: tuple[Bool[Array, ""], Flag]) -> Int[Array, ""]:
+    """Returns the bits of the flags that are on."""
+    each = [jnp.where(on, flag.value, 0) for on, flag in told]
+    return functools.reduce(operator.or_, each)
+
+
 def rms_by_electrode(
     misfit: Float[Array, "S M"], used: Bool[Array, "S M"]
 ) -> Float[Array, " M"]:
@@ -126,6 +145,9 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
+    electrode_count: eqx.AbstractVar[int]  # M
+    drive_sign: eqx.AbstractVar[Float[Array, ""]]  # the drive's direction: 1 or −1
+    noise: eqx.AbstractVar[Float[Array, ""]]  # of a reading, V rms
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -152,21 +174,6 @@ class AbstractMethod(eqx.Module):
     padded: ClassVar[bool] = True
 
     @property
-    @abstractmethod
-    def electrode_count(self) -> int:
-        """Returns M, the number of electrodes."""
-
-    @property
-    @abstractmethod
-    def drive_sign(self) -> Float[Array, ""]:
-        """Returns the drive's direction: 1 or −1."""
-
-    @property
-    @abstractmethod
-    def noise(self) -> Float[Array, ""]:
-        """Returns the noise of a reading, V rms."""
-
-    @property
     def threshold(self) -> Float[Array, ""]:
         """Returns volts that no channel exceeds without a contact; skips lower frames."""
         return self.stands_out * self.noise
@@ -182,13 +189,16 @@ class AbstractMethod(eqx.Module):
         """Returns the method with a calibration's noise and model error, where used."""
         return self
 
-    @abstractmethod
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """Chooses λ for a recording, from a few of its frames with a contact."""
+        """Chooses λ for a recording, from a few of its frames with a contact.
 
-    @abstractmethod
+        λ = 1 is the error of a sheet with nominal values, for methods that model errors.
+        """
+        return 1.0
+
     def scale(self) -> float:
         """Returns σ₁², to which λ is relative."""
+        return 1.0
 
     @abstractmethod
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
@@ -284,13 +294,15 @@ def judge(
     none = no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
-    flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-    flags = flags | jnp.where(cut_off(voltages, noise), Flag.SATURATED.value, 0)
-    # A row without a contact has no place that could be uncertain.
     nothing = contacts.count == 0
+    # A row without a contact has no place that could be uncertain.
     flags = jnp.where(nothing, flags & ~Flag.PLACE_UNCERTAIN.value, flags)
-    flags = flags | jnp.where(nothing, Flag.NO_CONTACT.value, 0)
-    return contacts, flags
+    found = bits_of(
+        (high, Flag.HIGH_RESIDUAL),
+        (cut_off(voltages, noise), Flag.SATURATED),
+        (nothing, Flag.NO_CONTACT),
+    )
+    return contacts, flags | found
 
 
 def cut_off(voltages: Float[Array, "*slots M"], noise: Float[Array, ""]) -> Bool[Array, ""]:

@@ -1,6 +1,5 @@
 """The step of a robot: one slot in, contacts and the next ground out, compiled once."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from tomojax._shown import named
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.kernels.levels import level_bits
-from tomojax.methods import judge
+from tomojax.methods import bits_of, judge
 from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, Told
@@ -75,7 +74,9 @@ class Step:
         zero, gain = calibration.offset, calibration.gain
         self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
         self.traces = 0
+        self.contact_count = method.count
         self._packing = Packing(jax.eval_shape(self._begun), self.dtype)
+        self._said = Packing(jax.eval_shape(self._silent), self.dtype)
         # One program for all of it: each operation by itself would be one to compile.
         self.state = jax.jit(lambda: self._packing.pack(self._begun()))()
         self._each = one_function(self._packed)
@@ -150,10 +151,12 @@ class Step:
         """Returns the state with another of the step's policies, from the next slot on."""
         names = ", ".join(self.policies)
         require(policy in self.policies, "policy", repr(policy), f"one of {names}")
-        remembered = self._packing.unpack(state)
-        number = jnp.asarray(self.policies.index(policy), jnp.int32)
-        plan = remembered.plan._replace(policy=number, length=jnp.zeros((), jnp.int32))
-        return self._packing.pack(remembered._replace(plan=plan))
+        numbers, whole = packed(state)
+        whole = np.array(whole)
+        # NumPy's leaves are views of the packed arrays: no program has to be compiled.
+        plan = self._packing.unpack((np.asarray(numbers), whole)).plan
+        plan.policy[...], plan.length[...] = self.policies.index(policy), 0
+        return Packed(jnp.asarray(numbers), jnp.asarray(whole))
 
     def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> tuple:
         v = np.asarray(voltages, self.dtype)
@@ -177,19 +180,23 @@ class Step:
         last = Slot(volts, none, none, jnp.array(False))
         return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
 
+    def _silent(self) -> Output:
+        """Returns an output without a contact: every output has its shapes and types."""
+        none = jnp.zeros((), jnp.int32)
+        contacts = no_contacts(self.contact_count, self.dtype)
+        return Output(contacts, jnp.zeros((), self.dtype), none, none)
+
     def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
-        """Runs one slot; notes while tracing how the output is packed."""
+        """Runs one slot."""
         self.traces += 1
         slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
         remembered, said = self._run(self._packing.unpack(state), slot)
-        self._said = Packing(said, self.dtype)
-        self.contact_count = len(said.contacts.radius)
         return self._packing.pack(remembered), self._said.pack(said)
 
     def _replayed(self, state: Packed, volts: Array, whole: Array, count: Array) -> tuple:
         """Runs the first `count` slots; the outputs of the other slots are 0."""
-        said = jax.eval_shape(self._each, state, volts[0], whole[0])[1]
-        said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), said)
+        silent = self._said.pack(self._silent())
+        said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), silent)
 
         def turn(k: Array, carry: tuple) -> tuple:
             state, said = carry
@@ -207,13 +214,13 @@ class Step:
             self._explored(state.plan, slot, read), contacts, doubt.stretch, read.ground
         )
         plan, over = self._planned(state.plan, seen)
-        flags = (
+        more = bits_of(
             (late, Flag.HURRIED),
             (~read.ok, Flag.NO_DATA),
             (doubted & read.ok, Flag.HIGH_RESIDUAL),
         )
         residual: Array = jnp.where(read.ok, told.residual, jnp.nan)
-        flags = read.flags | bits | _bits(flags)
+        flags = read.flags | bits | more
         output = Output(contacts, residual, flags, plan.grounds[plan.at])
         kept = state.memory, state.cheaper
         memory, cheaper = _where(read.ok, (memory, cheaper), kept)
@@ -232,7 +239,7 @@ class Step:
         voltages: Array = jnp.where(used, (volts - self._zero) / self._gain, 0)
         known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
         enough = 2 * used.sum() >= self._good.sum()
-        flags = (
+        flags = bits_of(
             ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
             ((self._good & high).any(), Flag.SATURATED),
             (~known, Flag.UNKNOWN_GROUND),
@@ -240,9 +247,15 @@ class Step:
             (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
         )
         ground = jnp.clip(slot.ground, 0, self.electrode_count - 1).astype(jnp.int32)
-        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
-        bits = _bits(flags) | jnp.where(known, self._against(voltages, used, ground), 0)
-        return Read(voltages, used, ground, elapsed, known & enough, bits)
+        against = jnp.where(known, self._against(voltages, used, ground), 0)
+        return Read(
+            voltages,
+            used,
+            ground,
+            elapsed=(1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype),
+            ok=known & enough,
+            flags=flags | against,
+        )
 
     def _against(self, voltages: Array, used: Array, ground: Array) -> Int[Array, ""]:
         """Flags levels that cannot be, see `level_bits`."""
@@ -257,16 +270,15 @@ class Step:
         self, state: Remembered, slot: Slot, read: Read
     ) -> tuple[Any, Any, Told, Array]:
         """Returns the memories after the slot, the slot's results and whether hurried."""
-        asked = read.voltages, read.used, read.ground, read.elapsed
         if self._cheaper is None:
-            memory, told = self._method(state.memory, *asked)
+            memory, told = self._method(state.memory, read)
             return memory, (), told, jnp.array(False)
         # The cheaper one goes along, so that it can answer at any time.
-        cheaper, quick = self._cheaper(state.cheaper, *asked)
+        cheaper, quick = self._cheaper(state.cheaper, read)
         memory, told = lax.cond(
             slot.hurried,
             lambda: (state.memory, quick),
-            lambda: self._method(state.memory, *asked),
+            lambda: self._method(state.memory, read),
         )
         return memory, cheaper, told, slot.hurried
 
@@ -327,15 +339,8 @@ class Step:
 
     def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
         remembered = self._packing.unpack(state)
-        last = remembered.last
-        image = self._method.image(remembered.memory, last.voltages, last.ground)
+        image = self._method.image(remembered.memory, remembered.last)
         return jnp.where(remembered.used.any(), image, jnp.nan)
-
-
-def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:
-    """Sums the bits of the flags that are on; each flag appears once."""
-    each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in flags]
-    return jnp.stack(each).sum(dtype=jnp.int32)
 
 
 def _where(condition: Array, one: Any, other: Any) -> Any:

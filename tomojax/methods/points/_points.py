@@ -15,7 +15,7 @@ from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
 from tomojax.kernels.sheet import cell_centres
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
+from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames, searched
@@ -93,13 +93,6 @@ class Points(AbstractMethod):
     def electrode_count(self) -> int:
         return self.potentials.shape[1]
 
-    def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns λ = 1: the error of a sheet with nominal values."""
-        return 1.0
-
-    def scale(self) -> float:
-        return 1.0
-
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         return self.errors.prepare(grounds, good, lam)
 
@@ -152,15 +145,16 @@ class Points(AbstractMethod):
             self.cell,
             self.shape,
         )
-        flags = jnp.where(found.limited, Flag.MODEL_LIMITED.value, 0)
-        # Of all channels together: what is left of a part of them is little of the whole.
-        flags = flags | jnp.where(found.high, Flag.HIGH_RESIDUAL.value, 0)
         # Half of a pitch.
         limit = 0.5 / UNIT * self.sheet.unit
-        vague = (largest_variance(found.covariance) > limit**2).any()
-        flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
-        vague = found.vague.any()
-        flags = flags | jnp.where(vague, Flag.CONDUCTANCE_UNCERTAIN.value, 0)
+        apart = largest_variance(found.covariance) > limit**2
+        flags = bits_of(
+            (found.limited, Flag.MODEL_LIMITED),
+            # Of all channels together: what is left of a part is little of the whole.
+            (found.high, Flag.HIGH_RESIDUAL),
+            (apart.any(), Flag.PLACE_UNCERTAIN),
+            (found.vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
+        )
         each = found.by_electrode
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 

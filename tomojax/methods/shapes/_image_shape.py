@@ -4,13 +4,12 @@ from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, Integer
 
 from tomojax._programs import kept
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
-from tomojax.methods._rows import Rows
+from tomojax.methods._contract import AbstractMethod, Estimate, judged
+from tomojax.methods._rows import empty_rows, Rows
 from tomojax.methods.shapes._described import described
 from tomojax.methods.shapes._model import Before, CELLS, PreparedShape, ShapeModel
 from tomojax.sensor import Calibration, Sensor
@@ -70,13 +69,6 @@ class ImageShape(AbstractMethod):
     def electrode_count(self) -> int:
         return self.model.source.electrode_count
 
-    def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns λ = 1: the error of a sheet with nominal values."""
-        return 1.0
-
-    def scale(self) -> float:
-        return 1.0
-
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
         nx, ny = self.shape
         return super().sizes(contacts, images) | ({"tx": nx, "ty": ny} if images else {})
@@ -105,13 +97,14 @@ class ImageShape(AbstractMethod):
         films: Int[np.ndarray, " n"] | None = None,
     ) -> Rows:
         """Estimates frames one by one; a film's frame goes on from the frame before."""
-        rows, nothing, before = [], self.model.nothing_before(), None
+        rows = empty_rows(len(voltages), self.sizes(count, images))
+        before = nothing = self.model.nothing_before()
         for k, v in enumerate(voltages):
             follows = films is not None and k > 0 and films[k] == films[k - 1]
             start = before if follows else nothing
             row, before = _row(self, prepared, v, count, images, start)
-            rows.append(row)
-        return jax.tree.map(lambda *r: np.stack(r), *rows)
+            rows.put(k, row)
+        return rows
 
 
 @kept

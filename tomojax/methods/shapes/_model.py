@@ -36,38 +36,55 @@ from tomojax.methods._errors import (
     whitened,
     without_offset,
 )
-from tomojax.methods._pixels import pixels_of, site_table
+from tomojax.methods._pixels import pixel_sites, pixels_of
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, Sensor
 
 # Cells of the mesh that are no wider than an electrode.
 CELLS = 2
 
-# Slots that a shape is fitted to, at most, the grounds as far apart as can be; and how many
-# of them errors of the model leave independent: the same sheet, electrodes and gains are
-# behind all. On simulated letters, rings and hands 64 slots overlapped no better than 16
-# of them, on rigs without errors neither, and took three times as long.
-_SLOTS, _INDEPENDENT = 16, 12.0
+# Slots that a shape is fitted to, at most, the grounds as far apart as can be. On simulated
+# letters, rings and hands 64 slots overlapped no better than 16 of them, on rigs without
+# errors neither, and took three times as long.
+_SLOTS = 16
 
-# The coarse fit's pixels, of the image's along each side; and the part of its waves.
-_COARSER, _WAVES = 2, 2
+# How many slots errors of the model leave independent: the same sheet, electrodes and gains
+# are behind all.
+_INDEPENDENT = 12.0
 
-# Evaluations of the coarse fit and of the fine one; the gain, as a part of the cost, at
-# which they are enough.
-_FIRST, _THEN, _ENOUGH, _ENOUGH_THEN = 16, 8, 5e-3, 3e-3
+# The coarse fit's pixels, of the image's along each side, and its waves, of the image's.
+_COARSER = 2
+_WAVES = 2
 
-# A film's next frame: its level, of what came out of the one before (of which a fit makes
-# less, so that both settle). It starts anew where the cost is so many times as high, or
-# what came out is less than this part of the level: the object presses less, or is gone.
-_NEXT, _MORE, _UNDER = 1.28, 2.0, 0.55
+# Evaluations of the coarse fit, and the gain, as a part of the cost, at which it ends.
+_FIRST = 16
+_ENOUGH = 5e-3
+
+# The same of the fine fit.
+_THEN = 8
+_ENOUGH_THEN = 3e-3
+
+# The level of a film's next frame, of what came out of the one before (of which a fit makes
+# less, so that both settle).
+_NEXT = 1.28
+
+# A film's frame starts anew where the cost is so many times as high, or what came out is
+# less than this part of the level: the object presses less, or is gone.
+_MORE = 2.0
+_UNDER = 0.55
 
 # The coarse fit's level, of that of `source`'s blurred image: far above what is there, so
-# that the field is in proportion to what the data ask for. The fine fit's level, of what
-# came out.
-_HIGH, _LEVEL = 40.0, 0.85
+# that the field is in proportion to what the data ask for.
+_HIGH = 40.0
 
-# V0 − u at a contact is no less than this part of V0, for a start. The start's λ, of σ₁².
-_DROP, _START = 0.1, 1e-4
+# The fine fit's level, of what came out.
+_LEVEL = 0.85
+
+# V0 − u at a contact is no less than this part of V0, for a start.
+_DROP = 0.1
+
+# The start's λ, of σ₁².
+_START = 1e-4
 
 
 class PreparedShape(NamedTuple):
@@ -136,24 +153,23 @@ class ShapeModel(eqx.Module):
             sensor = replace(sensor, electrode_shunt=1.0)
         less = (max(1, shape[0] // _COARSER), max(1, shape[1] // _COARSER))
         fine, coarse = (pixels_of(sensor, s, CELLS) for s in (shape, less))
-        tables = [PixelSites(*site_table(p.sensor, p.shape)) for p in (fine, coarse)]
         size, pitch = np.asarray(sensor.size, float), sensor.mean_pitch
         field = modes_of(shape, size, pitch, sensor.dtype)
         few = modes_of(less, size, pitch, sensor.dtype)
         few = few._replace(waves=few.waves[:, :, : -(-few.waves.shape[2] // _WAVES)])
         return cls(
-            shape,
-            fine.cell,
-            Source.of(sensor, shape),
-            tables[0],
-            field,
-            tables[1],
-            few,
-            Errors.of(sensor),
-            jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
-            fine.sensor.ground_resistance,
-            fine.sensor.drive_voltage,
-            jnp.asarray(pitch, sensor.dtype),
+            shape=shape,
+            cell=fine.cell,
+            source=Source.of(sensor, shape),
+            fine=pixel_sites(fine.sensor, shape),
+            field=field,
+            coarse=pixel_sites(coarse.sensor, less),
+            coarse_field=few,
+            errors=Errors.of(sensor),
+            sheet_resistance=jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
+            ground_resistance=fine.sensor.ground_resistance,
+            drive_voltage=fine.sensor.drive_voltage,
+            pitch=jnp.asarray(pitch, sensor.dtype),
         )
 
     def calibrated(self, calibration: Calibration) -> "ShapeModel":
@@ -252,14 +268,13 @@ class ShapeModel(eqx.Module):
         return shape_slopes(self.field, self.fine, told, each, steep, at)
 
     def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> Told:
-        n = jnp.maximum(errors.used.any(1).sum(), 1).astype(voltages.dtype)
         return Told(
-            voltages,
-            whitened(errors, voltages).frame,
-            errors.tolerance,
-            jnp.minimum(1, _INDEPENDENT / n),
-            self.ground_resistance,
-            self.drive_voltage,
+            voltages=voltages,
+            frame=whitened(errors, voltages).frame,
+            tolerance=errors.tolerance,
+            part=jnp.minimum(1, _INDEPENDENT / errors.slot_count),
+            ground_resistance=self.ground_resistance,
+            drive_voltage=self.drive_voltage,
         )
 
     def _judged(
@@ -271,13 +286,10 @@ class ShapeModel(eqx.Module):
         ahead: Before,
     ) -> FittedShape:
         """Compares the fit with the voltages of all slots."""
-        z, v0, slots = self.ground_resistance, self.drive_voltage, errors.used.any(1)
-        n = jnp.maximum(slots.sum(), 1).astype(voltages.dtype)
-        contact = fit.at.contact
-        drop = voltage_drop(contact, errors.grounds, z, v0)
-        mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+        z, v0, contact = self.ground_resistance, self.drive_voltage, fit.at.contact
+        drop = errors.mean(voltage_drop(contact, errors.grounds, z, v0))
         flat = images["conductance"].ravel() * jnp.prod(self.cell)
-        (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(mean)
+        (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(drop)
         left = ground_voltages(contact, errors.grounds, z, v0) - voltages
         frame = whitened(errors, voltages).frame
         misfits = (whitened_columns(frame, left) ** 2).sum(1)
@@ -287,7 +299,7 @@ class ShapeModel(eqx.Module):
             fit,
             **images,
             current=(flat * at_pixels).reshape(self.shape),
-            cost=costs.sum() / n / errors.tolerance,
+            cost=costs.sum() / errors.slot_count / errors.tolerance,
             seen=seen(errors, frame, costs),
             residual=rms(misfit, used),
             by_electrode=rms_by_electrode(misfit, used),
