@@ -11,6 +11,7 @@ from ._contract import (
     Estimate as Estimate,
     Frame as Frame,
     judge as judge,
+    Part as Part,
     rms as rms,
     Rung as Rung,
 )
@@ -32,7 +33,7 @@ from .points import (
     sheet_of as sheet_of,
     UNIT as UNIT,
 )
-from .shapes import ImageShape as ImageShape, ShapeModel as ShapeModel
+from .shapes import ImageShape as ImageShape
 
 # The rest serves other rooms.
 __all__ = [

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax._require import require
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import AbstractMethod, Frame
+from tomojax.methods._contract import AbstractMethod, Frame, Part
 from tomojax.methods._doubts import look_at, Looked
 from tomojax.methods._rows import empty_rows, Rows
 
@@ -219,14 +219,12 @@ class Batch:
             size = next(b for b in self.method.blocks if b >= size)
         block = np.zeros((size, *voltages.shape[1:]), self.method.cell.dtype)
         np.copyto(block[: len(part)], voltages[part], where=good[part])
-        found = self.method.block(
-            prepared,
+        frames = Part(
             self._shared(jnp.asarray(block)),
             np.resize(grounds[part], (size, grounds.shape[1])),
-            self.contacts,
-            self.images,
-            part // self.film if self.film > 1 else None,
+            films=part // self.film if self.film > 1 else None,
         )
+        found = self.method.block(prepared, frames, self.contacts, self.images)
         for name, values in found._asdict().items():
             if values is None:
                 continue

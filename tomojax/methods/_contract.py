@@ -99,6 +99,14 @@ class Frame(NamedTuple):
     good: Bool[np.ndarray, "S M"]
 
 
+class Part(NamedTuple):
+    """The n frames of a batch that a method estimates in one go."""
+
+    voltages: Float[Array, "n S M"]
+    grounds: Integer[np.ndarray, "n S"]  # the prepared ones, unless a method takes any
+    films: Int[np.ndarray, " n"] | None = None  # of each frame, for a method that `films`
+
+
 def rms(
     values: Float[Array, "*slots M"], used: Bool[Array, "*slots M"]
 ) -> Float[Array, ""]:
@@ -216,21 +224,9 @@ class AbstractMethod(eqx.Module):
         Channels that are not good come as 0.
         """
 
-    def block(
-        self,
-        prepared: Any,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
-        """Estimates n frames, `judged`; a method may need several calls.
-
-        The grounds are the prepared ones, unless the method takes `any_grounds`.
-        `films`: the number of each frame's film, for a method that `films`.
-        """
-        return _block(self, prepared, voltages, count, images)
+    def block(self, prepared: Any, part: Part, count: int, images: bool) -> Rows:
+        """Estimates n frames, `judged`; a method may need several calls."""
+        return _block(self, prepared, part.voltages, count, images)
 
 
 @kept

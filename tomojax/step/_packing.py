@@ -38,7 +38,7 @@ def packed(state: State) -> Packed:
     return state if isinstance(state, Packed) else Packed(*state)
 
 
-class Part(NamedTuple):
+class Leaf(NamedTuple):
     """Where a leaf of a packed pytree stands, and what it was."""
 
     number: bool  # whether among the numbers; else among the whole
@@ -54,7 +54,7 @@ class Packing:
     def __init__(self, example: Any, dtype: Any):
         leaves, self._tree = jax.tree.flatten(example)
         self._dtype = np.dtype(dtype)
-        self._parts: list[Part] = []
+        self._leaves: list[Leaf] = []
         ends = {True: 0, False: 0}
         for leaf in leaves:  # arrays, or what has their shapes and types
             kind, shape = np.dtype(leaf.dtype), leaf.shape
@@ -63,13 +63,13 @@ class Packing:
             ends[number] = start + int(np.prod(shape))
             at = slice(start, ends[number]) if shape else start
             kept = number or kind == np.int32
-            self._parts.append(Part(number, at, shape, kind, kept))
+            self._leaves.append(Leaf(number, at, shape, kind, kept))
 
     def pack(self, tree: Any) -> Packed:
         """Packs a pytree into two arrays; compiled."""
         numbers, whole = [jnp.zeros(0, self._dtype)], [jnp.zeros(0, jnp.int32)]
-        for part, leaf in zip(self._parts, jax.tree.leaves(tree)):
-            if part.number:
+        for about, leaf in zip(self._leaves, jax.tree.leaves(tree)):
+            if about.number:
                 numbers.append(leaf.ravel())
             else:
                 whole.append(leaf.ravel().astype(jnp.int32))
@@ -79,9 +79,9 @@ class Packing:
         """Unpacks the pytree: compiled, or in NumPy for NumPy's arrays."""
         numbers, whole = packed
         leaves = []
-        for part in self._parts:
-            leaf = (numbers if part.number else whole)[..., part.at]
-            if len(part.shape) > 1:
-                leaf = leaf.reshape((*leaf.shape[:-1], *part.shape))
-            leaves.append(leaf if part.kept else leaf.astype(part.dtype))
+        for about in self._leaves:
+            leaf = (numbers if about.number else whole)[..., about.at]
+            if len(about.shape) > 1:
+                leaf = leaf.reshape((*leaf.shape[:-1], *about.shape))
+            leaves.append(leaf if about.kept else leaf.astype(about.dtype))
         return jax.tree.unflatten(self._tree, leaves)

@@ -8,14 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Float
 
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
 from tomojax.kernels.sheet import cell_centres
-from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged
+from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames, searched
@@ -107,22 +107,14 @@ class Points(AbstractMethod):
             )
         return self._described(ladder.best)
 
-    def block(
-        self,
-        prepared: PreparedErrors,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
+    def block(self, prepared: PreparedErrors, part: Part, count: int, images: bool) -> Rows:
         """Estimates n frames; fits a larger model only to the frames that ask for one."""
-        volts, grounds = np.asarray(voltages), np.asarray(grounds)
+        volts, grounds = np.asarray(part.voltages), np.asarray(part.grounds)
         frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
-        if films is None:
+        if part.films is None:
             found = searched(frames, every).best
         else:
-            found = filmed(frames, films)
+            found = filmed(frames, part.films)
         return called(frames, every, _described_all, found, images)
 
     def _described(self, found: Found) -> Estimate:

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import no_contacts, read_regions
 from tomojax.methods._contract import bits_of, Estimate
-from tomojax.methods.shapes._model import FittedShape, ShapeModel
+from tomojax.methods.shapes._model import AbstractShape, FittedShape
 
 # A region is what touches by half, of what touches most.
 _HALF = 0.5
@@ -32,7 +32,7 @@ _RIM = 0.25
 
 
 def described(
-    model: ShapeModel, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
+    model: AbstractShape, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
 ) -> Estimate:
     """Reads each contact off a connected region that touches; sets the flags."""
     touch = fitted.fit.touch.reshape(model.shape)
@@ -61,7 +61,7 @@ def described(
         contacts._replace(count=told),
         no_contacts(count, contacts.xy.dtype),
     )
-    faint = fitted.seen & (fitted.highest < _FAINT * model.errors.noise)
+    faint = fitted.seen & (fitted.highest < _FAINT * model.noise)
     squares = fitted.conductance.max() * model.sheet_resistance
     metal = squares * (_RIM * model.pitch) ** 2 > 1
     high = fitted.highest > _SURELY * jnp.abs(model.drive_voltage)

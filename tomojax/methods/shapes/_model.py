@@ -1,7 +1,7 @@
 """Fits the model of `shape`: a field of two levels on the image's pixels."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ from tomojax.kernels.shapes import (
     TwoLevels,
 )
 from tomojax.kernels.sheet import ground_voltages, reduce_sites, voltage_drop
-from tomojax.methods._contract import rms, rms_by_electrode
+from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode
 from tomojax.methods._errors import (
     Errors,
     misfit_cost,
@@ -104,6 +104,18 @@ class Before(NamedTuple):
     cost: Float[Array, ""]  # inf: nothing is known
 
 
+_S = TypeVar("_S", bound="AbstractShape")  # typing.Self, which beartype cannot check here
+
+
+class Turn(NamedTuple):
+    """A fit, and how to go on."""
+
+    fit: ShapeFit
+    level: Float[Array, "nx ny"]  # S/m²
+    anew: Bool[Array, ""]  # whether the next fit begins with a coarse one
+    ended: Bool[Array, ""]
+
+
 class FittedShape(NamedTuple):
     """A shape fitted to one frame."""
 
@@ -121,7 +133,7 @@ class FittedShape(NamedTuple):
     next: Before
 
 
-class ShapeModel(eqx.Module):
+class AbstractShape(AbstractMethod):
     """The fit of a shape to a frame.
 
     A coarse fit, whose level is far above the object's, starts from nothing. Each place's
@@ -145,9 +157,17 @@ class ShapeModel(eqx.Module):
     def drive_sign(self) -> Float[Array, ""]:
         return jnp.sign(self.drive_voltage)
 
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.errors.noise
+
+    @property
+    def electrode_count(self) -> int:
+        return self.source.electrode_count
+
     @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ShapeModel":
-        """Makes the model for an image of `shape` pixels."""
+    def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
+        """Makes the method for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`.
         if sensor.electrode_shunt is None:
             sensor = replace(sensor, electrode_shunt=1.0)
@@ -172,20 +192,14 @@ class ShapeModel(eqx.Module):
             pitch=jnp.asarray(pitch, sensor.dtype),
         )
 
-    def calibrated(self, calibration: Calibration) -> "ShapeModel":
-        """Returns the model with the calibration's errors and ground path."""
+    def calibrated(self: _S, calibration: Calibration) -> _S:
+        """Returns the method with the calibration's errors and ground path."""
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
         errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
         resistance = self.ground_resistance + ground
         return replace(self, errors=errors, source=source, ground_resistance=resistance)
 
-    def prepare(
-        self,
-        grounds: Int[np.ndarray, " S"],
-        good: Bool[np.ndarray, "S M"],
-        lam: float,
-    ) -> PreparedShape:
-        """Prepares arrays for slots with these grounds and good channels."""
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedShape:
         start = self.source.prepare(grounds, good, _START * self.source.scale())
         errors = self.errors.prepare(grounds, good, lam)
         xy = np.asarray(self.errors.electrode_xy, float)[grounds]
@@ -211,25 +225,8 @@ class ShapeModel(eqx.Module):
         given = self._told(prepared.some, voltages[prepared.fitted])
         told: Told = jax.lax.stop_gradient(given)
         still = jax.lax.stop_gradient(voltages)
-        area = jnp.prod(self.cell)
-
-        def fine(w: Array, level: Array) -> tuple[ShapeFit, Array]:
-            each = (level * area).ravel()
-            fit = fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
-            return fit, level
-
-        def anew() -> tuple[ShapeFit, Array]:
-            return fine(*self._coarse(told, self._level(prepared.source, still)))
-
-        def onward() -> tuple[ShapeFit, Array]:
-            found = fine(before.w, before.level)
-            image = before.level * found[0].touch.reshape(self.shape)
-            under = (image**2).sum() < _UNDER * (image * before.level).sum()
-            worse = ~(found[0].cost <= _MORE * before.cost) | under
-            return jax.lax.cond(worse, anew, lambda: found)
-
-        fit, level = jax.lax.cond(jnp.isfinite(before.cost), onward, anew)
-        each = (level * area).ravel()
+        fit, level = self._from(told, before, self._level(prepared.source, still))
+        each = (level * jnp.prod(self.cell)).ravel()
         curvature = shape_curvature(self.field, self.fine, told, each, fit)
         sure = spread(self.field, curvature, fit.w)
         if follow:
@@ -245,9 +242,41 @@ class ShapeModel(eqx.Module):
         ahead = Before(fit.w, near, fit.cost)
         return self._judged(prepared.errors, voltages, fit, images, ahead)
 
+    def _from(
+        self, told: Told, before: Before, blurred: Float[Array, ""]
+    ) -> tuple[ShapeFit, Float[Array, "nx ny"]]:
+        """Fits the fine field from the frame before, or from a coarse fit.
+
+        A fit that the frame before began is given up where its end is no good. The loop
+        holds each of the two fits once: they are most of what has to be compiled.
+        """
+
+        def fine(w: Array, level: Array) -> ShapeFit:
+            each = (level * jnp.prod(self.cell)).ravel()
+            return fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
+
+        def turn(run: Turn) -> Turn:
+            w, level = jax.lax.cond(
+                run.anew,
+                lambda: self._coarse(told, blurred),
+                lambda: (before.w, before.level),
+            )
+            fit = fine(w, level)
+            image = level * fit.touch.reshape(self.shape)
+            under = (image**2).sum() < _UNDER * (image * level).sum()
+            worse = ~(fit.cost <= _MORE * before.cost) | under
+            return Turn(fit, level, jnp.array(True), run.anew | ~worse)
+
+        shapes = jax.eval_shape(fine, before.w, before.level)
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+        anew = ~jnp.isfinite(before.cost)
+        first = Turn(nothing, before.level, anew, jnp.array(False))
+        ended: Turn = jax.lax.while_loop(lambda run: ~run.ended, turn, first)
+        return ended.fit, ended.level
+
     def every_slot(self) -> PreparedErrors:
         """Prepares the errors of all grounds' voltages, every channel good. Host code."""
-        count = self.source.electrode_count
+        count = self.electrode_count
         return self.errors.prepare(np.arange(count), np.ones((count, count), bool), 1.0)
 
     def slopes_at(
@@ -257,7 +286,7 @@ class ShapeModel(eqx.Module):
 
         The object conducts so well that current enters within a pitch of its rim.
         """
-        count = self.source.electrode_count
+        count = self.electrode_count
         level = jnp.prod(self.cell) / (self.sheet_resistance * self.pitch**2)
         each = jnp.broadcast_to(level, self.fine.on_sheet.shape)
         touch, steep = touching(self.field.waves, self.field.mean, w)
