@@ -169,16 +169,25 @@ class Step:
         return self._said.unpack((numbers, whole))
 
     def _begun(self) -> Remembered:
-        m = self.electrode_count
+        """Returns the memory before the first slot: the corners are next."""
+        m, no = self.electrode_count, jnp.array(False)
         whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
-        volts = jnp.zeros(m, self.dtype)
-        corners = whole.at[:2].set(self._corners)
-        two = jnp.zeros((2, m), self.dtype)
-        plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
-        doubt = Doubt(jnp.array(False), none, jnp.array(False))
-        cheaper = () if self._cheaper is None else self._cheaper.first()
-        last = Slot(volts, none, none, jnp.array(False))
-        return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
+        plan = Plan(
+            policy=none,
+            grounds=whole.at[:2].set(self._corners),
+            length=none + 2,
+            at=none,
+            exploring=jnp.array(True),
+            explored=jnp.zeros((2, m), self.dtype),
+        )
+        return Remembered(
+            memory=self._method.first(),
+            cheaper=() if self._cheaper is None else self._cheaper.first(),
+            plan=plan,
+            doubt=Doubt(stretch=no, held=none, full=no),
+            last=Slot(jnp.zeros(m, self.dtype), ground=none, lost=none, hurried=no),
+            used=whole > 0,
+        )
 
     def _silent(self) -> Output:
         """Returns an output without a contact: every output has its shapes and types."""
@@ -207,7 +216,7 @@ class Step:
 
     def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
         read = self._checked(slot)
-        memory, cheaper, told, late = self._told(state, slot, read)
+        memory, cheaper, told = self._told(state, slot, read)
         contacts, bits = self._judged(told, read)
         doubt, doubted = self._doubted(state.doubt, contacts, bits, read.ok)
         seen = Seen(
@@ -215,7 +224,7 @@ class Step:
         )
         plan, over = self._planned(state.plan, seen)
         more = bits_of(
-            (late, Flag.HURRIED),
+            (slot.hurried & (self._cheaper is not None), Flag.HURRIED),
             (~read.ok, Flag.NO_DATA),
             (doubted & read.ok, Flag.HIGH_RESIDUAL),
         )
@@ -266,13 +275,11 @@ class Step:
         bits = level_bits(low, high, at, self._method.noise, jnp)
         return jnp.asarray(bits, jnp.int32)
 
-    def _told(
-        self, state: Remembered, slot: Slot, read: Read
-    ) -> tuple[Any, Any, Told, Array]:
-        """Returns the memories after the slot, the slot's results and whether hurried."""
+    def _told(self, state: Remembered, slot: Slot, read: Read) -> tuple[Any, Any, Told]:
+        """Returns both methods' memories after the slot, and the slot's results."""
         if self._cheaper is None:
             memory, told = self._method(state.memory, read)
-            return memory, (), told, jnp.array(False)
+            return memory, (), told
         # The cheaper one goes along, so that it can answer at any time.
         cheaper, quick = self._cheaper(state.cheaper, read)
         memory, told = lax.cond(
@@ -280,7 +287,7 @@ class Step:
             lambda: (state.memory, quick),
             lambda: self._method(state.memory, read),
         )
-        return memory, cheaper, told, slot.hurried
+        return memory, cheaper, told
 
     def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
         """Returns contacts and flags; an unusable slot has no contact and no flag."""
