@@ -27,8 +27,8 @@ import recordings  # noqa: E402
 from benchmarks.physics import environment, quartiles, seconds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
-from tomojax.methods import Part  # noqa: E402
 from bench.frontier import best_lambda, peers_of, read_peak  # noqa: E402
+from tomojax.methods import Part  # noqa: E402
 
 SLOT_RATE, BASE = 10e3, 1500  # slots/s; scans that are computed, then repeated
 SHARED = HERE.parents[2] / "shared" / "data"
