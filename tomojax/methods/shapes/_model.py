@@ -104,9 +104,6 @@ class Before(NamedTuple):
     cost: Float[Array, ""]  # inf: nothing is known
 
 
-_S = TypeVar("_S", bound="AbstractShape")  # typing.Self, which beartype cannot check here
-
-
 class Turn(NamedTuple):
     """A fit, and how to go on."""
 
@@ -131,6 +128,9 @@ class FittedShape(NamedTuple):
     by_electrode: Float[Array, " M"]
     highest: Float[Array, ""]  # |V|
     next: Before
+
+
+_S = TypeVar("_S", bound="AbstractShape")  # typing.Self, which beartype cannot check here
 
 
 class AbstractShape(AbstractMethod):
