@@ -153,9 +153,6 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
-    electrode_count: eqx.AbstractVar[int]  # M
-    drive_sign: eqx.AbstractVar[Float[Array, ""]]  # the drive's direction: 1 or −1
-    noise: eqx.AbstractVar[Float[Array, ""]]  # of a reading, V rms
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -180,6 +177,21 @@ class AbstractMethod(eqx.Module):
     seconds_per_slot: ClassVar[float] = 2e-5
     # Whether a call is filled up to that with zeros; else the method does what it needs.
     padded: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def electrode_count(self) -> int:
+        """Returns M, the number of electrodes."""
+
+    @property
+    @abstractmethod
+    def drive_sign(self) -> Float[Array, ""]:
+        """Returns the drive's direction: 1 or −1."""
+
+    @property
+    @abstractmethod
+    def noise(self) -> Float[Array, ""]:
+        """Returns the noise of a reading, V rms."""
 
     @property
     def threshold(self) -> Float[Array, ""]:

@@ -85,8 +85,8 @@ class Linear(AbstractMethod):
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
-    noise: Float[Array, ""]
-    drive_sign: Float[Array, ""]
+    reading_noise: Float[Array, ""]
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
@@ -110,9 +110,9 @@ class Linear(AbstractMethod):
         shape: tuple[int, int],
         cell: Array,
         noise: float = 0.0,
-        drive_sign: float = 1.0,
+        polarity: float = 1.0,
     ) -> "Linear":
-        """Makes the method of any J (L, M, pixels); `noise` V; `drive_sign` 1 or −1."""
+        """Makes the method of any J (L, M, pixels); `noise` V; `polarity` of the drive."""
         rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
         reduced = reduce_jacobian(maps, rank)
         # The strongest directions first, so that any number of them is the best choice.
@@ -124,12 +124,20 @@ class Linear(AbstractMethod):
             basis=matmul(turn.T, reduced.basis),
             factors=matmul(reduced.factors, turn),
             conductance=conductance,
-            noise=jnp.asarray(noise, cell.dtype),
-            drive_sign=jnp.asarray(drive_sign, cell.dtype),
+            reading_noise=jnp.asarray(noise, cell.dtype),
+            polarity=jnp.asarray(polarity, cell.dtype),
         )
 
     def calibrated(self, calibration: Calibration) -> "Linear":
-        return replace(self, noise=noise_as(calibration, self.noise))
+        return replace(self, reading_noise=noise_as(calibration, self.noise))
+
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     @property
     def electrode_count(self) -> int:

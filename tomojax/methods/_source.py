@@ -94,9 +94,9 @@ class Source(AbstractMethod):
     factors: Float[Array, "L M r"]  # T^l Bᵀ
     drawn_factors: Float[Array, "L M r"]  # the same of TG, in a basis of its own
     smoothed: Float[Array, "r pixels"]  # each row of that basis times G
-    noise: Float[Array, ""]
+    reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
-    drive_sign: Float[Array, ""]
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
@@ -119,11 +119,11 @@ class Source(AbstractMethod):
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
-        drive_sign: float = 1.0,
+        polarity: float = 1.0,
     ) -> "Source":
         """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
-        Currents flow out of the object for a `drive_sign` of 1, into the object for −1.
+        Currents flow out of the object for a `polarity` of 1, into the object for −1.
         """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
@@ -147,15 +147,23 @@ class Source(AbstractMethod):
             factors=jnp.asarray(maps @ basis.T, dtype),
             drawn_factors=jnp.asarray(smooth @ drawn.T, dtype),
             smoothed=jnp.asarray(smoothed.reshape(drawn.shape), dtype),
-            noise=jnp.asarray(noise, dtype),
+            reading_noise=jnp.asarray(noise, dtype),
             error=jnp.ones((), dtype),
-            drive_sign=jnp.asarray(drive_sign, dtype),
+            polarity=jnp.asarray(polarity, dtype),
         )
 
     def calibrated(self, calibration: Calibration) -> "Source":
         noise = noise_as(calibration, self.noise)
         error = jnp.asarray(calibration.error, self.error.dtype)
-        return replace(self, noise=noise, error=error)
+        return replace(self, reading_noise=noise, error=error)
+
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     @property
     def electrode_count(self) -> int:

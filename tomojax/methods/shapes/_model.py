@@ -177,7 +177,8 @@ class AbstractShape(AbstractMethod):
         field = modes_of(shape, size, pitch, sensor.dtype)
         few = modes_of(less, size, pitch, sensor.dtype)
         few = few._replace(waves=few.waves[:, :, : -(-few.waves.shape[2] // _WAVES)])
-        return cls(
+        # pyright takes what is a ClassVar by its meaning for a field.
+        return cls(  # pyright: ignore
             shape=shape,
             cell=fine.cell,
             source=Source.of(sensor, shape),
