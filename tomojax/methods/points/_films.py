@@ -26,6 +26,7 @@ from tomojax.methods.points._ladder import (
     long_enough,
     ring_at,
     seen_at_all,
+    shaped,
 )
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
@@ -76,8 +77,8 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
 
 def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
     """Tells whether `size` discs were found; a `size` of 0 stands for a bar or a ring."""
-    curve = ((found.extent**2).sum((1, 2)) > 0) | (found.ring.sum(1) > 0)
-    return (np.where(curve, 0, found.count) == size) & (found.count > 0) & ~found.high
+    each = np.where(shaped(found), 0, found.count)
+    return (each == size) & (found.count > 0) & ~found.high
 
 
 @each_frame

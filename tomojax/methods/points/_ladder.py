@@ -78,7 +78,7 @@ def _due(ladder: Ladder, size: int) -> Any:
     worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
     best, more = ladder.best, GAIN * (_extra(size) - 1)
-    return worth & ~(_shaped(best) & (best.cost < best.usual + more))
+    return worth & ~(shaped(best) & (best.cost < best.usual + more))
 
 
 def _enough_for(size: int) -> float:
@@ -101,7 +101,8 @@ def _explains(found: Found) -> Any:
     return found.cost < found.usual + GAIN
 
 
-def _shaped(found: Found) -> Any:
+def shaped(found: Found) -> Any:
+    """Tells whether a bar or a ring was found, in NumPy as well."""
     return ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
 
 
@@ -231,7 +232,7 @@ def _promise(
 
 def _score(found: Found) -> Array:
     """Returns the cost plus the gain that `_gains` asks of further contacts or a shape."""
-    extra = jnp.where(_shaped(found), 1, jnp.asarray(_extra(found.count)))
+    extra = jnp.where(shaped(found), 1, jnp.asarray(_extra(found.count)))
     return found.cost + GAIN * extra.astype(found.cost.dtype)
 
 
