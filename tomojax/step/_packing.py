@@ -39,7 +39,7 @@ def packed(state: State) -> Packed:
 
 
 class Leaf(NamedTuple):
-    """Where a leaf of a packed pytree stands, and what it was."""
+    """A leaf of a packed pytree: where it stands, and its shape and type."""
 
     number: bool  # whether among the numbers; else among the whole
     at: slice | int
