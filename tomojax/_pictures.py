@@ -28,12 +28,13 @@ class Look(NamedTuple):
 METHODS = {
     "linear": Look(VERMILION, "v"),
     "source": Look(ORANGE, "s"),
-    "positive": Look(PURPLE, "D", "--"),
     "points": Look(BLUE, "o"),
-    "conductance": Look(GREEN, "^"),
     "shape": Look(WINE, "P"),
     "auto": Look(BLACK, "X", (0, (4, 2))),
     "follow": Look(SKY, "d", "-."),
+    # In runs of before `shape` took their place.
+    "positive": Look(PURPLE, "D", "--"),
+    "conductance": Look(GREEN, "^"),
 }
 
 # Looks of things that are no methods, in this order.

@@ -1,7 +1,11 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
+
+# Methods that are no more, and what took their places.
+_GONE = {"conductance": "shape", "positive": "source"}
 
 # Of what came, letters that a line shows: an array's have many lines, a file's text any.
 _SHOWN = 200
@@ -12,6 +16,13 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
         text = " ".join(str(got).split())
         text = text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
         raise ValueError(f"{name}: got {text}, expected {expected}")
+
+
+def one_of(got: str, names: Iterable[str]) -> str:
+    """Says which names are expected; of a method that went, what took its place."""
+    if got in _GONE:
+        return f"{_GONE[got]!r}, which took its place"
+    return f"one of {', '.join(names)}"
 
 
 def library(name: str, extra: str) -> Any:

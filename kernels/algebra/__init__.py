@@ -17,6 +17,8 @@ from tomojax.kernels.algebra._descent import (
     Limits as Limits,
     Normal as Normal,
 )
+from tomojax.kernels.algebra._gaussian import gaussian as gaussian
+from tomojax.kernels.algebra._halving import descended as descended, Run as Run
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,
@@ -27,16 +29,6 @@ from tomojax.kernels.algebra._least_squares import (
     LeastSquares as LeastSquares,
     solve_positive as solve_positive,
 )
-from tomojax.kernels.algebra._positive import (
-    descended as descended,
-    gaussian as gaussian,
-    near_positive as near_positive,
-    positive_least_squares as positive_least_squares,
-    PositiveFit as PositiveFit,
-    smooth_prior as smooth_prior,
-    SmoothPrior as SmoothPrior,
-)
-from tomojax.kernels.algebra._projected import not_negative as not_negative
 from tomojax.kernels.algebra._subsets import (
     draw_subset as draw_subset,
     drawn_weights as drawn_weights,

@@ -38,7 +38,7 @@ KINDS = {
 # Slots of `points`; and what the paper's method is given.
 METHODS = {
     "points": ("corner", "corners", "ten", "all"),
-    "conductance": ("ten",),
+    "shape": ("ten",),
     "source": ("corners", "ten", "all"),
     "linear": ("all", "around", "cop_line"),
 }
@@ -46,7 +46,7 @@ METHODS = {
 APART, SLOTS, NOISES = (10, 12.5, 15, 20, 25, 30), ("corners", "ten", "all"), (3e-4, 3e-3)
 NEAR = 3.0  # mm: found
 # Whose rows are in the picture, and what is written beside them.
-DRAWN = ("points", "conductance", "source", "linear")
+DRAWN = ("points", "shape", "source", "linear")
 WORDS = {"corner": "1 corner", "corners": "2 corners", "ten": "10 slots", "all": "64 slots"}
 WORDS |= {"around": "Around", "cop_line": "CoP line"}
 

@@ -1,10 +1,10 @@
 """Measures what a slot costs each method, for `AbstractMethod.seconds_per_slot`.
 
-`python tests/benchmarks/costs.py points source linear auto shape positive conductance`
+`python tests/benchmarks/costs.py points source linear auto shape`
 
 Results of 2026-11-26, two cores shared with other work, ms a frame. Recording drag_around,
-a slot each: shape 29, conductance 7.4, positive 0.6, auto 0.3. Its scans of ten slots:
-shape 110, conductance 40, positive 2.5, auto 1.5, linear 0.9, source 0.2. Recording
+a slot each: shape 29, auto 0.3. Its scans of ten slots: shape 110, auto 1.5, linear 0.9,
+source 0.2. Recording
 bounce_spanner_copline, a slot each: points 0.26, auto 0.29, source and linear 0.01.
 """
 

@@ -33,7 +33,7 @@ SENSORS = {
     "1 × 3": ((1, 3, 0.03), {}),
 }
 METHODS = {
-    "8 × 8": ("source", "positive", "linear", "points", "auto", "conductance", "shape"),
+    "8 × 8": ("source", "linear", "points", "auto", "shape"),
     "6 × 5": ("source", "points", "auto", "shape"),
     "4 × 4": ("source", "points", "auto"),
 }

@@ -29,7 +29,7 @@ from bench.plots import gallery  # noqa: E402
 from tomojax._pictures import style  # noqa: E402
 from tomojax.results.track_file import track_results  # noqa: E402
 
-MODELS = ("linear", "source", "positive", "points", "conductance", "auto")
+MODELS = ("linear", "source", "points", "shape", "auto")
 SLOTS = ("corners", "ten", "all")
 PATTERNS = {"corners": "two corners", "copline": "CoP line", "all": "every ground"}
 

@@ -28,6 +28,7 @@ from benchmarks.physics import environment, quartiles, seconds  # noqa: E402
 
 import tomojax as tx  # noqa: E402
 from bench.frontier import best_lambda, peers_of, read_peak  # noqa: E402
+from tomojax.methods import Part  # noqa: E402
 
 SLOT_RATE, BASE = 10e3, 1500  # slots/s; scans that are computed, then repeated
 SHARED = HERE.parents[2] / "shared" / "data"
@@ -260,8 +261,8 @@ def beside_pyeit(quick: bool) -> dict:
     alone = source.prepare(grounds, good_all, source.choose_lambda(recorded))
 
     def contacts_alone() -> None:
-        told = source.block(alone, jnp.asarray(narrow_flat.reshape(single.shape)), many, 3,
-                            False)  # fmt: skip
+        part = Part(jnp.asarray(narrow_flat.reshape(single.shape)), many)
+        told = source.block(alone, part, 3, False)
         jax.block_until_ready([a for a in told if a is not None])
 
     wide = solver.H

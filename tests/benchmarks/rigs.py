@@ -5,7 +5,7 @@
 Every row of `bench.rigs.FAMILY` changes one property of the rig or the contact. A
 method is told nominal values. Stated deviations of places are judged, too. The default
 seeds are for judging: no threshold was set on them. `points`, `source` and `auto` have the
-two corner slots, `follow` ten slots. `conductance` has the two corners of a part of the
+two corner slots, `follow` ten slots. `shape` has the two corners of a part of the
 scenes. Writes notebooks/results/rigs.json and rigs.png.
 """
 
@@ -35,7 +35,7 @@ from bench.rigs import (  # noqa: E402
 from tomojax._pictures import plain, style  # noqa: E402
 
 RESULTS = Path(__file__).parents[2] / "notebooks" / "results"
-METHODS = ("points", "source", "auto", "follow", "conductance")
+METHODS = ("points", "source", "auto", "follow", "shape")
 VAGUE, FEW = tx.Flag.CONDUCTANCE_UNCERTAIN, 24
 
 
@@ -118,7 +118,7 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
             sensor, row, options.seed, options.rigs, options.each, grounds, model
         )
         for name in METHODS:
-            most = FEW if name == "conductance" else len(scenes.xy)
+            most = FEW if name == "shape" else len(scenes.xy)
             found = (
                 followed(sensor, scenes)
                 if name == "follow"

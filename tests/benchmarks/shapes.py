@@ -36,7 +36,7 @@ SLOTS = {
     "10": [0, 7, 56, 63, 3, 24, 31, 60, 27, 36],
     "64": list(range(64)),
 }
-OTHERS = ("linear", "source", "positive", "conductance")
+OTHERS = ("linear", "source")
 FINE = 160  # pixels of a side of what images are compared on
 GAPS = (4, 6, 8, 10, 12, 15, 20, 25)  # mm
 PRESSED = (0.02, 0.2, 2.0)  # S/m², of gaps and holes
@@ -303,7 +303,7 @@ def digits_of(number: int, seed: int, turns: int) -> list[dict]:
     ]
     templates = [(name, t.reshape(FINE, FINE)) for name, t in templates]
     volts = np.stack([v for *_, v in cases])
-    for method in ("shape", "linear", "source", "conductance"):
+    for method in ("shape", "linear", "source"):
         model = tx.method(rig.sensor, method, 32)
         for grounds in SLOTS.values():
             under = np.array(grounds)
@@ -368,7 +368,7 @@ def gaps_of(number: int, seed: int) -> list[dict]:
                 ("hole", gap, per_area, at, Strokes((at + circle,), (0.012,), per_area))
             )
     volts = np.stack([read(rig, exact, made, rng) for *_, made in cases])
-    for method in ("shape", "source", "conductance"):
+    for method in ("shape", "source"):
         model = tx.method(rig.sensor, method, 32)
         for grounds in SLOTS.values():
             under = np.array(grounds)

@@ -8,7 +8,7 @@ import numpy as np
 from bench.plots import gallery as lines_of_images
 from tomojax._pictures import name_points, style
 
-OTHERS = ("linear", "source", "positive", "conductance")
+OTHERS = ("linear", "source")
 SHOWN, HATCHES = (2, 10, 64), ("", "//", "..", "xx")
 # Lines of the gallery below the truth: method, values told, slots.
 GALLERY = {
@@ -120,7 +120,7 @@ def _draw_stated(axes: Any, images: list[dict]) -> None:
 
 
 def _draw_digits(axes: Any, rows: list[dict]) -> None:
-    methods, width = ("shape", "conductance", "source", "linear"), 0.2
+    methods, width = ("shape", "source", "linear"), 0.2
     for k, method in enumerate(methods):
         right = [
             np.mean([
@@ -131,7 +131,7 @@ def _draw_digits(axes: Any, rows: list[dict]) -> None:
             for s in SHOWN
         ]  # fmt: skip
         look = {"color": style(method)["color"], "edgecolor": "w", "hatch": HATCHES[k]}
-        axes.bar(np.arange(3) + width * (k - 1.5), right, width, **look, label=method)
+        axes.bar(np.arange(3) + width * (k - 1), right, width, **look, label=method)
     axes.set_xticks(range(3), [f"{s} slots" for s in SHOWN])
     axes.set(ylabel="part told right by the nearest outline", ylim=(0, 1.25))
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1])

@@ -1,4 +1,4 @@
-"""Measures frames a second of `points`, `auto` and `conductance`, beside an older commit.
+"""Measures frames a second of `points` and `auto`, beside an older commit.
 
     git worktree add /tmp/older COMMIT
     python tests/benchmarks/speed.py --beside /tmp/older [--scenes 96] [--seed 7]
@@ -29,8 +29,6 @@ JOBS = {
     "points, two slots": ("points", (0, 63), 1024),
     "points, 64 slots": ("points", tuple(range(64)), 128),
     "auto, two slots": ("auto", (0, 63), 1000),
-    "conductance, ten slots": ("conductance", (0, 63, 7, 56, 18, 21, 42, 45, 27, 36), 8),
-    "conductance, 64 slots": ("conductance", tuple(range(64)), 8),
 }
 # A day's frames: nothing, and kinds.
 MIX = {"nothing": 0.7, "one": 0.2, "two30": 0.03, "two20": 0.03, "three": 0.02}

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-METHODS = ("source", "points", "auto", "conductance")
+METHODS = ("source", "points", "auto", "shape")
 JOBS = (*METHODS, "auto, ten slots", "make_step")
 TEN = tuple(range(0, 64, 7))
 

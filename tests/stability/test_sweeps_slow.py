@@ -1,14 +1,9 @@
-"""`conductance` and `auto`: some of their stated limits, and what they say beyond."""
+"""`auto`: some of its stated limits, and what it says beyond."""
 
 import pytest
 from sweeps import check
 
 from bench.stability import CONTACTS, SLOW_TESTS
-
-
-@pytest.mark.parametrize("name", SLOW_TESTS)
-def test_conductance(name):
-    check("conductance", name)
 
 
 @pytest.mark.parametrize("name", SLOW_TESTS)

@@ -188,7 +188,7 @@ def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
     sensor, trials = load_trials(kept, "float32")
     quick = {
         "auto": tx.method(sensor, "source", 16),
-        "conductance": tx.method(sensor, "linear", 16),
+        "shape": tx.method(sensor, "linear", 16),
     }
     rates, given, told = "bench.frontier._rates", [], []
 

@@ -110,7 +110,7 @@ def test_front_and_peers():
         row("source", 5.0, 1.2),
         row("linear", 6.0, 3.0),
         row("points", 900.0, 0.2),
-        row("conductance", 1000.0, None),
+        row("shape", 1000.0, None),
         row("pyEIT", 60.0, 4.0, peer=True),
         row("NumPy sLORETA", 1.0, 0.1, peer=True),
         row("source", 5.0, 20.0, "two"),

@@ -19,7 +19,7 @@ def calibrate_presses(
     """Fits a material's power law g = c·pᵏ (S/m² at Pa) to presses of known force.
 
     Least squares fit ln(g/A) = ln c + k·ln(F/A); c and k are the calibration's
-    `pressure`. Conductances are those that `points` or `conductance` found.
+    `pressure`. Conductances are those that `points` or `shape` found.
 
     **Raises:** `ValueError` for fewer than two presses, equal presses, and numbers that are
     not above 0.
@@ -52,7 +52,7 @@ def calibrate_presses(
 def pressure(
     calibration: Calibration, density: Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """Computes p = (g/c)^(1/k), Pa, of conductances in S/m², as an image of `conductance`.
+    """Computes p = (g/c)^(1/k), Pa, of conductances in S/m², as an image of `shape`.
 
     **Raises:** `ValueError` without a power law.
 

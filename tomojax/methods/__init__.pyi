@@ -6,9 +6,12 @@ from ._batch import (
 )
 from ._contract import (
     AbstractMethod as AbstractMethod,
+    bits_of as bits_of,
+    centred as centred,
     Estimate as Estimate,
     Frame as Frame,
     judge as judge,
+    Part as Part,
     rms as rms,
     Rung as Rung,
 )
@@ -30,7 +33,7 @@ from .points import (
     sheet_of as sheet_of,
     UNIT as UNIT,
 )
-from .shapes import ImageShape as ImageShape, ShapeModel as ShapeModel
+from .shapes import ImageShape as ImageShape
 
 # The rest serves other rooms.
 __all__ = [

@@ -8,14 +8,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Integer
+from jaxtyping import Array, Bool, Float
 
 from tomojax._programs import kept
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import currents, whitened_columns
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Rung
+from tomojax.methods._contract import (
+    AbstractMethod,
+    Estimate,
+    Frame,
+    judged,
+    Part,
+    Rung,
+)
 from tomojax.methods._errors import (
     highest_cost,
     misfit_cost,
@@ -25,7 +32,7 @@ from tomojax.methods._errors import (
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
-from tomojax.methods.shapes import described, ImageShape, PreparedShape, ShapeModel
+from tomojax.methods.shapes import described, ImageShape, PreparedShape
 from tomojax.sensor import Calibration, Sensor
 
 
@@ -59,13 +66,13 @@ class Auto(AbstractMethod):
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
     points: Points
-    shapes: ShapeModel
+    shapes: ImageShape
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Auto":
         """Makes the method for an image of `shape` pixels."""
         points = Points.of(sensor, shape)
-        return cls(shape, points.cell, points, ShapeModel.of(sensor, shape))
+        return cls(shape, points.cell, points, ImageShape.of(sensor, shape))
 
     def calibrated(self, calibration: Calibration) -> "Auto":
         points = self.points.calibrated(calibration)
@@ -119,26 +126,18 @@ class Auto(AbstractMethod):
         largest = partial(self._shape, prepared, voltages, count)
         return jax.lax.cond(explained, lambda: source, largest)
 
-    def block(
-        self,
-        prepared: PreparedAuto,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
+    def block(self, prepared: PreparedAuto, part: Part, count: int, images: bool) -> Rows:
         """Estimates n frames; fits a larger model only to the frames that ask for one."""
-        found = self.points.block(prepared.errors, voltages, grounds, count, images, films)
+        found = self.points.block(prepared.errors, part, count, images)
         rows = jax.tree.map(np.array, found)
         rows.rung[:] = np.where(rows.contact_count > 0, Rung.POINTS, Rung.NOTHING)
         for k in np.flatnonzero(rows.flags & Flag.HIGH_RESIDUAL.value):
             stop_if_asked()  # each takes as long as hundreds of the others
             here = prepared
-            if (grounds[k] != np.asarray(prepared.errors.grounds)).any():
+            if (part.grounds[k] != np.asarray(prepared.errors.grounds)).any():
                 good, lam = np.asarray(prepared.errors.used), prepared.source.lam
-                here = self.prepare(grounds[k], good, float(lam))
-            rows.put(k, _larger(self, here, voltages[k], count, images))
+                here = self.prepare(part.grounds[k], good, float(lam))
+            rows.put(k, _larger(self, here, part.voltages[k], count, images))
         return rows
 
     def _source(
@@ -151,9 +150,9 @@ class Auto(AbstractMethod):
         volts = matmul(self.source.factors[frame.grounds], coefficients)
         columns = whitened_columns(frame, volts)
         _, rest = currents(frame, columns[None])
-        slots = jnp.maximum(prepared.errors.used.any(1).sum(), 1).astype(rest.dtype)
         tolerance = prepared.errors.tolerance
-        cost = misfit_cost((rest**2).sum(1), tolerance).sum() / slots
+        costs = misfit_cost((rest**2).sum(1), tolerance)
+        cost = costs.sum() / prepared.errors.slot_count
         rung = jnp.asarray(Rung.SOURCE.value)
         # Its flags stay: the image explains the slots, the contacts read off it may not.
         return cost < highest_cost(tolerance), estimate._replace(rung=rung)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax._require import require
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import AbstractMethod, Frame
+from tomojax.methods._contract import AbstractMethod, Frame, Part
 from tomojax.methods._doubts import look_at, Looked
 from tomojax.methods._rows import empty_rows, Rows
 
@@ -127,19 +127,26 @@ class Batch:
             with jax.enable_x64(wide):
                 self._run(prepared, part, voltages, grounds, good, rows)
 
-        # The very first alone: what it compiles serves the others. Then as many as the
-        # preparations that are kept, so that no more of them are ever held.
-        parts = [part for group in groups for part in self._parts(group)]
-        alone = parts[: 1 if len(parts) == 1 or not self._begun else 0]
-        for part in alone:
-            work((of_frame(int(part[0])), part))
-        self._begun = True
-        for some in _slices(parts[len(alone) :], _KEPT):
+        for turn in self._turns([part for group in groups for part in self._parts(group)]):
+            jobs = [(of_frame(int(part[0])), part) for part in turn]
+            if len(jobs) == 1:
+                work(jobs[0])
+                continue
             with ThreadPoolExecutor(_WORKERS) as pool:
-                list(pool.map(work, [(of_frame(int(part[0])), part) for part in some]))
+                list(pool.map(work, jobs))
         many = rows.contact_count > looked.most
         rows.flags[many] |= np.uint32(Flag.PLACE_UNCERTAIN)
         return rows
+
+    def _turns(self, parts: list[np.ndarray]) -> list[list[np.ndarray]]:
+        """Lists the parts that run side by side, turn by turn.
+
+        The very first part runs alone: the program that it compiles serves the others. No
+        turn has more parts than preparations are kept.
+        """
+        first = 0 if self._begun else 1
+        self._begun = True
+        return [[part] for part in parts[:first]] + _slices(parts[first:], _KEPT)
 
     def _parts(self, group: np.ndarray) -> list[np.ndarray]:
         """Splits a group into parts; a film stays whole."""
@@ -207,19 +214,17 @@ class Batch:
         return self._prepared[key]
 
     def _run(self, prepared, part, voltages, grounds, good, rows) -> None:
-        dtype = self.method.cell.dtype
         size = len(part)
         if self.method.padded:
             size = next(b for b in self.method.blocks if b >= size)
-        block = np.zeros((size, *voltages.shape[1:]), dtype)
+        block = np.zeros((size, *voltages.shape[1:]), self.method.cell.dtype)
         np.copyto(block[: len(part)], voltages[part], where=good[part])
-        shared, under = (
+        frames = Part(
             self._shared(jnp.asarray(block)),
             np.resize(grounds[part], (size, grounds.shape[1])),
+            films=part // self.film if self.film > 1 else None,
         )
-        films = part // self.film if self.film > 1 else None
-        given = prepared, shared, under, self.contacts, self.images
-        found = self.method.block(*given, films)
+        found = self.method.block(prepared, frames, self.contacts, self.images)
         for name, values in found._asdict().items():
             if values is None:
                 continue

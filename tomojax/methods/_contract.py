@@ -4,6 +4,8 @@ A method prepares once for a set of grounds and of good channels, and then fits 
 A new method needs only a file of its own and a line in `METHODS`.
 """
 
+import functools
+import operator
 from abc import abstractmethod
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple
@@ -20,9 +22,11 @@ from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
 from tomojax.sensor import Calibration
 
-# Residual that a converter's noise and zeros may leave in any case, and what a range that
-# ended is at least, in the noise.
-_FLOOR, _RANGE = 2.0, 20.0
+# Residual that a converter's noise and zeros may leave in any case, in the noise.
+_FLOOR = 2.0
+
+# Voltage that a range that ended has at least, in the noise.
+_RANGE = 20.0
 
 # So many channels of a slot, or one in so many, do not share the highest value by chance.
 _SHARED = 8
@@ -41,7 +45,7 @@ class Rung(IntEnum):
     NOTHING = 0
     POINTS = 1
     SOURCE = 2
-    CONDUCTANCE = 3  # of files before `shape` took its place
+    CONDUCTANCE = 3  # in files before `shape` took its place
     SHAPE = 4
 
 
@@ -95,12 +99,35 @@ class Frame(NamedTuple):
     good: Bool[np.ndarray, "S M"]
 
 
+class Part(NamedTuple):
+    """The n frames of a batch that a method estimates in one go."""
+
+    voltages: Float[Array, "n S M"]
+    grounds: Integer[np.ndarray, "n S"]  # the prepared ones, unless a method takes any
+    films: Int[np.ndarray, " n"] | None = None  # of each frame, for a method that `films`
+
+
 def rms(
     values: Float[Array, "*slots M"], used: Bool[Array, "*slots M"]
 ) -> Float[Array, ""]:
     """Computes the rms over the voltages that are used; 0 where none are."""
     count = jnp.maximum(used.sum(), 1).astype(values.dtype)
     return jnp.sqrt((jnp.where(used, values, 0) ** 2).sum() / count)
+
+
+def centred(
+    values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]
+) -> Float[Array, "*before M"]:
+    """Subtracts the mean over the channels that are used; other channels become 0."""
+    count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
+    mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
+    return jnp.where(used, values - mean, 0)
+
+
+def bits_of(*told: tuple[Bool[Array, ""], Flag]) -> Int[Array, ""]:
+    """Returns the bits of the flags that are on."""
+    each = [jnp.where(on, flag.value, 0) for on, flag in told]
+    return functools.reduce(operator.or_, each)
 
 
 def rms_by_electrode(
@@ -182,13 +209,16 @@ class AbstractMethod(eqx.Module):
         """Returns the method with a calibration's noise and model error, where used."""
         return self
 
-    @abstractmethod
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """Chooses λ for a recording, from a few of its frames with a contact."""
+        """Chooses λ for a recording, from a few of its frames with a contact.
 
-    @abstractmethod
+        λ = 1 is the error of a sheet with nominal values, for methods that model errors.
+        """
+        return 1.0
+
     def scale(self) -> float:
         """Returns σ₁², to which λ is relative."""
+        return 1.0
 
     @abstractmethod
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:
@@ -206,21 +236,9 @@ class AbstractMethod(eqx.Module):
         Channels that are not good come as 0.
         """
 
-    def block(
-        self,
-        prepared: Any,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
-        """Estimates n frames, `judged`; a method may need several calls.
-
-        The grounds are the prepared ones, unless the method takes `any_grounds`.
-        `films`: the number of each frame's film, for a method that `films`.
-        """
-        return _block(self, prepared, voltages, count, images)
+    def block(self, prepared: Any, part: Part, count: int, images: bool) -> Rows:
+        """Estimates n frames, `judged`; a method may need several calls."""
+        return _block(self, prepared, part.voltages, count, images)
 
 
 @kept
@@ -284,13 +302,15 @@ def judge(
     none = no_contacts(len(contacts.radius), voltages.dtype)
     contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
-    flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-    flags = flags | jnp.where(cut_off(voltages, noise), Flag.SATURATED.value, 0)
-    # A row without a contact has no place that could be uncertain.
     nothing = contacts.count == 0
+    # A row without a contact has no place that could be uncertain.
     flags = jnp.where(nothing, flags & ~Flag.PLACE_UNCERTAIN.value, flags)
-    flags = flags | jnp.where(nothing, Flag.NO_CONTACT.value, 0)
-    return contacts, flags
+    found = bits_of(
+        (high, Flag.HIGH_RESIDUAL),
+        (cut_off(voltages, noise), Flag.SATURATED),
+        (nothing, Flag.NO_CONTACT),
+    )
+    return contacts, flags | found
 
 
 def cut_off(voltages: Float[Array, "*slots M"], noise: Float[Array, ""]) -> Bool[Array, ""]:

@@ -12,10 +12,14 @@ from tomojax.kernels.levels import level_bits, TELLS
 _FEW = 0.25
 
 # The readings of a slot beside its ground's tell an offset and each contact's current; all
-# slots share two numbers of a place, and a third of a shape. With so many readings more,
-# errors show; with fewer, whatever is read is a place. What is wrong with a channel is the
-# same in all slots: further contacts would explain it, if one slot cannot tell them.
-_MORE, _PLACE, _CONTACT = 4, 2, 3
+# slots share two numbers of a place, and a third of a shape.
+_PLACE = 2
+_CONTACT = 3
+
+# With so many readings more, errors show; with fewer, whatever is read is a place. What is
+# wrong with a channel is the same in all slots: further contacts would explain it, if one
+# slot cannot tell them.
+_MORE = 4
 
 # The part of the touched slots in which a ground that is none is no single bad reading.
 _SLOTS = 0.25
@@ -48,8 +52,8 @@ def look_at(
     height = np.maximum(high, -low)
     if drive_sign < 0:
         low, high = -high, -low
-    at, there = (np.take_along_axis(a, grounds[..., None], 2)[..., 0]
-                 for a in (voltages, good))  # fmt: skip
+    there = np.take_along_axis(good, grounds[..., None], 2)[..., 0]
+    at = np.take_along_axis(voltages, grounds[..., None], 2)[..., 0]
     at = np.where(there, drive_sign * at, -np.inf)
     bits = level_bits(low, high, at, noise, np)
     least = np.maximum(_SLOTS * (height > TELLS * noise).sum(1), 1)

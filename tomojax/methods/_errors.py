@@ -11,23 +11,32 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
 from tomojax.kernels.sheet import smooth_modes
+from tomojax.methods._contract import centred
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
-# Nominal values leave these parts of measured voltages. Each electrode has an error of its
-# own (gain, detail of the sheet), and a part of how its voltage differs from its
-# neighbours'; it is off its place by a part of its diameter. The sheet's longest waves are
-# common to all. These are from a resistor network that varies by 1.5 to 3 %. A slot's
-# offset is as good as free: a ground path, or a face that touches in part, may lift it by
-# its size.
-_OWN, _BEND, _OFF, _SMOOTH, _OFFSET = 0.0008, 0.02, 0.03, 0.003, 1.0
+# Nominal values leave these parts of measured voltages; they are from a resistor network
+# that varies by 1.5 to 3 %.
+_OWN = 0.0008  # each electrode's own error: gain, detail of the sheet
+_BEND = 0.02  # of how a voltage differs from its neighbours'
+_OFF = 0.03  # by which an electrode is off its place, of its diameter
+_SMOOTH = 0.003  # the sheet's longest waves, common to all
+# A slot's offset is as good as free: a ground path, or a face that touches in part, may
+# lift it by its size.
+_OFFSET = 1.0
 
 # A step's contacts are round discs. What a shape does to its neighbours is error there, so
-# that a channel's own, and by its bend, is so many times as large. By its slope it is less:
-# the whole of it hides a second contact for five slots more.
-_ROUND, _SLOPED = 2.0, 0.5
+# that a channel's own, and by its bend, is so many times as large.
+_ROUND = 2.0
 
-# What a contact must explain in all, and more for each slot: a fit to noise gains some too.
-_SEEN = (25.0, 4.0)
+# By its slope the error is less: the whole of it hides a second contact for five slots
+# more.
+_SLOPED = 0.5
+
+# What a contact must explain in all: a fit to noise gains some too.
+_SEEN = 25.0
+
+# And what it must explain more for each slot.
+_SEEN_MORE = 4.0
 
 # χ² of a slot, of its tolerance, that errors do not leave.
 _HIGH = 3.0
@@ -53,6 +62,20 @@ class PreparedErrors(NamedTuple):
     noise: Float[Array, ""]  # of the converter, V
     compared: Int[Array, " s"]  # slots that candidates are compared in
     tolerance: Float[Array, ""]  # a slot's misfit beyond which it counts little
+
+    @property
+    def slots(self) -> Bool[Array, " S"]:
+        """Tells which slots have a channel that is used."""
+        return self.used.any(1)
+
+    @property
+    def slot_count(self) -> Float[Array, ""]:
+        """Returns the number of such slots, 1 at least."""
+        return jnp.maximum(self.slots.sum(), 1).astype(self.tolerance.dtype)
+
+    def mean(self, values: Float[Array, "S n"]) -> Float[Array, " n"]:
+        """Computes the mean over such slots."""
+        return jnp.where(self.slots[:, None], values, 0).sum(0) / self.slot_count
 
 
 class Whitened(NamedTuple):
@@ -101,18 +124,20 @@ class Errors(eqx.Module):
         spread, own = wide * float(self.error), wide * float(self.part)
         xy = np.asarray(self.electrode_xy, float)
         parts = np.array([_BEND, float(self.off), float(self.off)])
+        local = own * parts[:, None, None] * bends_and_slopes(xy, channels)
+        # As many σ² as there are channels: twice what errors leave that are as told.
+        tolerance = max(1, used.sum(1).max(initial=0))
         return PreparedErrors(
-            jnp.asarray(grounds, int),
-            jnp.asarray(used),
-            jnp.asarray(own * _OWN, dtype),
-            jnp.asarray(own * parts[:, None, None] * bends_and_slopes(xy, channels), dtype),
-            spread * self.smooth(self.electrode_xy),
-            jnp.asarray(spread, dtype),
-            jnp.asarray(spread * _OFFSET, dtype),
-            self.noise,
-            jnp.asarray(compared),
-            # As many σ² as there are channels: twice what errors leave that are as told.
-            jnp.asarray(max(1, used.sum(1).max(initial=0)), dtype),
+            grounds=jnp.asarray(grounds, int),
+            used=jnp.asarray(used),
+            own=jnp.asarray(own * _OWN, dtype),
+            local=jnp.asarray(local, dtype),
+            smooth=spread * self.smooth(self.electrode_xy),
+            spread=jnp.asarray(spread, dtype),
+            offset=jnp.asarray(spread * _OFFSET, dtype),
+            noise=self.noise,
+            compared=jnp.asarray(compared),
+            tolerance=jnp.asarray(tolerance, dtype),
         )
 
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
@@ -178,9 +203,7 @@ def without_offset(
 ) -> tuple[Float[Array, "S M"], Bool[Array, "S M"]]:
     """Takes off the mean misfit of each slot, its ground's; tells the channels used."""
     used = _not_grounded(prepared)
-    misfit = jnp.where(used, misfit, 0)
-    count = jnp.maximum(used.sum(1, keepdims=True), 1).astype(misfit.dtype)
-    return jnp.where(used, misfit - misfit.sum(1, keepdims=True) / count, 0), used
+    return centred(misfit, used), used
 
 
 def misfit_cost(
@@ -199,9 +222,8 @@ def seen(
     prepared: PreparedErrors, frame: WhitenedFrame, costs: Float[Array, " S"]
 ) -> Bool[Array, ""]:
     """Tells whether a fit of these costs explains more than noise and channels' zeros."""
-    slots = jnp.maximum(prepared.used.any(1).sum(), 1).astype(costs.dtype)
     alone = misfit_cost((frame.whitened**2).sum(1), prepared.tolerance)
-    return (alone - costs).sum() > _SEEN[0] + _SEEN[1] * slots
+    return (alone - costs).sum() > _SEEN + _SEEN_MORE * prepared.slot_count
 
 
 def _common(good: Bool[np.ndarray, "S M"]) -> Bool[np.ndarray, "S M"]:

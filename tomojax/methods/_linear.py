@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
@@ -20,24 +20,32 @@ from tomojax.kernels.sheet import (
 )
 from tomojax.methods._contract import (
     AbstractMethod,
+    bits_of,
+    centred,
     Estimate,
     Frame,
     rms_by_electrode,
 )
 from tomojax.methods._errors import noise_as
+from tomojax.methods._maps import tikhonov_operator
 from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
-# Rows of the basis that stands for J, for each electrode, and how many of them are used
-# from which λ/σ₁² on: an image then differs by 5e-3 and, down to 1e-6, by 7e-3 (see
-# `reduce_jacobian`; 64 electrodes).
-_RANK, _FEWER, _FROM = 4, 2, 1e-3
+# Rows of the basis that stands for J, for each electrode: an image differs by 7e-3 down to
+# λ/σ₁² of 1e-6 (see `reduce_jacobian`; 64 electrodes).
+_RANK = 4
+
+# Rows that are used from this λ/σ₁² on: an image then differs by 5e-3.
+_FEWER = 2
+_FROM = 1e-3
 
 # What the contacts leave of the slots' voltages, each slot with currents of its own and
 # without its mean. J(0) places even lone contacts only so well: half of them leave more.
-# Slots that are looked at.
-_UNEXPLAINED, _SOME = 0.09, 8
+_UNEXPLAINED = 0.09
+
+# Slots that are looked at for that.
+_SOME = 8
 
 # λ/σ₁² below which an image in float32 is another than in float64, by 20 mm in one of ten.
 _SMALLEST = 1e-6
@@ -52,7 +60,7 @@ class PreparedLinear(NamedTuple):
     operator: Float[Array, "SM r"]  # coefficients of φ from the voltages
     rows: Float[Array, "SM r"]  # and back
     current: Float[Array, " pixels"]  # A per volt of φ, the mean over the slots
-    used: Bool[Array, " SM"]
+    used: Bool[Array, "S M"]
     small: Bool[Array, ""]  # whether λ is less than numbers and basis hold
 
 
@@ -90,8 +98,9 @@ class Linear(AbstractMethod):
         z = sensor.ground_resistance
         loop = loop_resistance(table, grounds, z)
         maps = _pixel_jacobian(pixels, table, grounds)
-        about = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        return cls.from_maps(maps, pixels.mean(1 / loop), shape, pixels.cell, *about)
+        conductance = pixels.mean(1 / loop)
+        noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
+        return cls.from_maps(maps, conductance, shape, pixels.cell, noise, sign)
 
     @classmethod
     def from_maps(
@@ -109,9 +118,15 @@ class Linear(AbstractMethod):
         # The strongest directions first, so that any number of them is the best choice.
         turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
         turn = jnp.asarray(turn.copy(), maps.dtype)
-        basis, factors = matmul(turn.T, reduced.basis), matmul(reduced.factors, turn)
-        about = (jnp.asarray(value, cell.dtype) for value in (noise, polarity))
-        return cls(shape, cell, basis, factors, conductance, *about)
+        return cls(
+            shape=shape,
+            cell=cell,
+            basis=matmul(turn.T, reduced.basis),
+            factors=matmul(reduced.factors, turn),
+            conductance=conductance,
+            reading_noise=jnp.asarray(noise, cell.dtype),
+            polarity=jnp.asarray(polarity, cell.dtype),
+        )
 
     def calibrated(self, calibration: Calibration) -> "Linear":
         return replace(self, reading_noise=noise_as(calibration, self.noise))
@@ -147,14 +162,13 @@ class Linear(AbstractMethod):
         fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
-        operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
         current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
         return PreparedLinear(
-            jnp.asarray(operator.T, dtype),
-            jnp.asarray(rows, dtype),
-            jnp.asarray(current, dtype),
-            jnp.asarray(good.ravel()),
-            jnp.asarray(lam < _SMALLEST * scale),
+            operator=jnp.asarray(tikhonov_operator(rows, lam).T, dtype),
+            rows=jnp.asarray(rows, dtype),
+            current=jnp.asarray(current, dtype),
+            used=jnp.asarray(good),
+            small=jnp.asarray(lam < _SMALLEST * scale),
         )
 
     def image(
@@ -168,42 +182,37 @@ class Linear(AbstractMethod):
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         phi, coefficients = self.image(prepared, voltages)
-        image = phi.reshape(self.shape)
-        forward = self.polarity * phi
+        forward = self.drive_sign * phi
         current = (forward * prepared.current).reshape(self.shape)
         # As the paper reads its images: above half the maximum.
         heights = forward.reshape(self.shape)
         contacts = read_contacts(heights, current, self.cell, count, 0.5, False)
         misfit = matmul(prepared.rows, coefficients) - voltages.ravel()
-        residual = jnp.sqrt(jnp.mean(misfit**2, where=prepared.used))
-        grid = prepared.used.reshape(voltages.shape), misfit.reshape(voltages.shape)
-        each = rms_by_electrode(grid[1], grid[0])
-        flags = self._unexplained(prepared, voltages, contacts)
-        flags = flags | jnp.where(prepared.small, Flag.BAD_LAMBDA.value, 0)
-        contacts = contacts._replace(current=self.polarity * contacts.current)
-        return Estimate(contacts, image, residual, flags, by_electrode=each)
+        misfit = misfit.reshape(voltages.shape)
+        flags = bits_of(
+            (self._unexplained(prepared, voltages, contacts), Flag.CONTACTS_UNEXPLAINED),
+            (prepared.small, Flag.BAD_LAMBDA),
+        )
+        return Estimate(
+            contacts._replace(current=self.drive_sign * contacts.current),
+            phi.reshape(self.shape),
+            residual=jnp.sqrt(jnp.mean(misfit**2, where=prepared.used)),
+            flags=flags,
+            by_electrode=rms_by_electrode(misfit, prepared.used),
+        )
 
     def _unexplained(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], contacts: Contacts
-    ) -> Int[Array, ""]:
-        """Flags contacts that do not explain some slots; J(0)'s columns have T's shape."""
+    ) -> Bool[Array, ""]:
+        """Tells whether contacts leave too much; J(0)'s columns have T's shape."""
         step = max(1, len(voltages) // _SOME)
         rows = prepared.rows.reshape(*voltages.shape, -1)[::step]
-        used = prepared.used.reshape(voltages.shape)[::step]
+        used = prepared.used[::step]
         basis = self.basis[: rows.shape[-1]]
         points = point_sources(basis, contacts, self.shape, self.cell)
         columns = jnp.einsum("smr,cr->scm", rows, points, precision="highest")
-        seen = _centred(voltages[::step], used)
-        left = unexplained(_centred(columns, used[:, None]), seen)
-        bit = Flag.CONTACTS_UNEXPLAINED.value
-        return jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
-
-
-def _centred(values: Float[Array, "*before M"], used: Bool[Array, "*slots M"]) -> Array:
-    """Subtracts the mean over the channels that are used; other channels become 0."""
-    count = jnp.maximum(used.sum(-1, keepdims=True), 1).astype(values.dtype)
-    mean = jnp.where(used, values, 0).sum(-1, keepdims=True) / count
-    return jnp.where(used, values - mean, 0)
+        left = unexplained(centred(columns, used[:, None]), centred(voltages[::step], used))
+        return (left > _UNEXPLAINED) & (contacts.count > 0)
 
 
 @eqx.filter_jit

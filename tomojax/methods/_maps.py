@@ -27,7 +27,7 @@ def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
     return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
 
 
-def without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
+def centring(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
     """Makes the matrix that subtracts the mean of a slot's good, ungrounded channels.
 
     A ground path, or an electrode's own resistance to the sheet, is hardly known and lifts
@@ -37,6 +37,8 @@ def without_offset(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarra
     return np.diag(used.astype(float)) - np.outer(used, used) / max(1, used.sum())
 
 
-def tikhonov_operator(rows: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (AᵀA + λI)⁻¹Aᵀ of a slot, and A."""
-    return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T), rows
+def tikhonov_operator(
+    rows: Float[np.ndarray, "n r"], lam: float
+) -> Float[np.ndarray, "r n"]:
+    """Computes (AᵀA + λI)⁻¹Aᵀ, A the rows."""
+    return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)

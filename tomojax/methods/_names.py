@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from tomojax._require import require
+from tomojax._require import one_of, require
 from tomojax.methods._auto import Auto
-from tomojax.methods._conductance import Conductance
 from tomojax.methods._contract import AbstractMethod
 from tomojax.methods._linear import Linear
 from tomojax.methods._pixels import pixel_divisions
-from tomojax.methods._source import PositiveSource, Source
+from tomojax.methods._source import Source
 from tomojax.methods.points import Points
 from tomojax.methods.shapes import ImageShape
 from tomojax.sensor import Calibration, Sensor
@@ -16,10 +15,8 @@ from tomojax.sensor import Calibration, Sensor
 METHODS: dict[str, type] = {
     "auto": Auto,
     "source": Source,
-    "positive": PositiveSource,
     "linear": Linear,
     "points": Points,
-    "conductance": Conductance,
     "shape": ImageShape,
 }
 
@@ -40,10 +37,8 @@ def method(
     voltages.
 
     "source" finds the current image of each slot and assumes nothing of the contact;
-    "positive" is the same with an image that is nowhere negative;
     "linear" is the paper's Eq. 3 with J(0); "points" fits a few compact contacts;
     "auto" takes the smallest of points, source and shape that explains a frame;
-    "conductance" fits the contact's conductance at every pixel, in the exact model;
     "shape" finds where an object touches, as a field of two levels, and how surely.
 
     **Raises:** `ValueError` for an unknown name or a grid below 8.
@@ -59,8 +54,12 @@ def method(
     Traceback (most recent call last):
         ...
     ValueError: method: got 'guess', expected one of auto, source, ...
+    >>> tx.method(sensor, "conductance")
+    Traceback (most recent call last):
+        ...
+    ValueError: method: got 'conductance', expected 'shape', which took its place
     """
-    require(name in METHODS, "method", repr(name), f"one of {', '.join(METHODS)}")
+    require(name in METHODS, "method", repr(name), one_of(name, METHODS))
     if grid is None:
         pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
         grid = min(512, max(32, int(np.ceil(_PIXELS * pitches * (1 - 1e-5)))))

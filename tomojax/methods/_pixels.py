@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from tomojax._programs import kept
 from tomojax._require import require
+from tomojax.kernels.shapes import PixelSites
 from tomojax.kernels.sheet import fem_shared_resistances, site_conductance
 from tomojax.sensor import Sensor, sheet_on_mesh
 
@@ -53,14 +54,10 @@ def pixel_divisions(
 
 
 @kept
-def site_table(
-    sensor: Sensor, shape: tuple[int, int]
-) -> tuple[Float[Array, "sites sites"], Float[Array, " pixels"], Float[Array, "pixels M"]]:
+def pixel_sites(sensor: Sensor, shape: tuple[int, int]) -> PixelSites:
     """Computes resistances between all pixels and electrodes, for `reduce_sites`.
 
-    A pixel's current is even over its nodes, except nodes on metal. **Returns:** the
-    resistances (Ω), electrodes last; the part of a pixel's contact on no electrode; and the
-    parts on each electrode.
+    A pixel's current is even over its nodes, except nodes on metal.
     """
     fem, (mx, my) = sheet_on_mesh(sensor), (m // n for m, n in zip(sensor.divisions, shape))
 
@@ -81,4 +78,4 @@ def site_table(
     shares = shares.at[:pixels, :n].set(own)
     shares = shares.at[pixels:, n:].set(jnp.eye(m, dtype=sensor.dtype))
     _, table = fem_shared_resistances(fem, shares.T, sensor.divisions)
-    return table, jnp.where(none, 0, on_sheet), parts[:, n:]
+    return PixelSites(table, jnp.where(none, 0, on_sheet), parts[:, n:])

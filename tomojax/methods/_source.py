@@ -8,7 +8,7 @@ slot to the same current made the image no better than the mean.)
 """
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,12 +16,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra import gaussian, matmul, not_negative
+from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import explained_by, read_contacts, strongest_first
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame
+from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, Frame
 from tomojax.methods._errors import noise_as
-from tomojax.methods._maps import row_basis, slot_maps, tikhonov_operator, without_offset
+from tomojax.methods._maps import centring, row_basis, slot_maps, tikhonov_operator
 from tomojax.methods._pixels import pixels_of
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
@@ -41,8 +41,11 @@ _UNEXPLAINED = 0.14
 # Length over which an image is smooth beforehand, of the electrodes' pitch.
 _SMOOTH = 0.375
 
-# Slots that λ is chosen from; and λ/σ₁² where nothing ever touches.
-_SLOTS, _RELATIVE = 64, 1e-4
+# Slots that λ is chosen from.
+_SLOTS = 64
+
+# λ/σ₁² where nothing ever touches.
+_RELATIVE = 1e-4
 
 
 class PreparedSource(NamedTuple):
@@ -52,18 +55,13 @@ class PreparedSource(NamedTuple):
     through: Float[Array, "r r"]  # coefficients of the mean image from those of a source
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
-    normal: Float[Array, "r r"]  # of it, in the mean over the slots
-    damping: Float[Array, ""]  # its λ
     scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
 
 
-_S = TypeVar("_S", bound="AbstractSource")  # typing.Self, which beartype cannot check here
-
-
-class AbstractSource(AbstractMethod):
+class Source(AbstractMethod):
     """s^l = T^lᵀ(T^lT^lᵀ + λI)⁻¹V^l, in an orthonormal basis of T's row space (rank M).
 
     The minimum-norm image is highest at electrodes wherever the contact is. Contacts are
@@ -76,10 +74,15 @@ class AbstractSource(AbstractMethod):
     detail costs least, at electrodes. The highest pixel of lone contacts was then 13 mm off
     in one of ten, against 4 mm with G. The image of λI alone is narrower (35 mm against
     45).
-    """
 
-    # Whether the image that is drawn is nowhere negative.
-    positive: eqx.AbstractClassVar[bool]
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> method = tx.method(sensor, "source", grid=16)
+    >>> isinstance(method, tx.methods.Source), method.image_unit
+    (True, 'A/m^2')
+    """
 
     image_unit: ClassVar[str] = "A/m^2"  # pyright: ignore
     residual_limit: ClassVar[float] = 0.1  # pyright: ignore
@@ -89,17 +92,14 @@ class AbstractSource(AbstractMethod):
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # T^l Bᵀ
-    along: Float[Array, "nx nx"]  # G = along ⊗ across
-    across: Float[Array, "ny ny"]
-    drawn: Float[Array, "r pixels"]  # an orthonormal basis of the rows of TG
-    drawn_factors: Float[Array, "L M r"]
-    smoothed: Float[Array, "r pixels"]  # each row of `drawn` times G
-    reading_noise: Float[Array, ""]  # of a reading, V rms
+    drawn_factors: Float[Array, "L M r"]  # the same of TG, in a basis of its own
+    smoothed: Float[Array, "r pixels"]  # each row of that basis times G
+    reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
     polarity: Float[Array, ""]  # of the drive: 1 or −1
 
     @classmethod
-    def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
+    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
         """Makes the method for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`: they lower the
         # sheet's effective resistance, and currents are in proportion to that.
@@ -108,23 +108,22 @@ class AbstractSource(AbstractMethod):
         pixels = pixels_of(sensor, shape)
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
-        about = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, *about)
+        noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
+        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise, sign)
 
     @classmethod
     def from_maps(
-        cls: type[_S],
+        cls,
         maps: Float[np.ndarray, "L M pixels"],
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
         polarity: float = 1.0,
-    ) -> _S:
+    ) -> "Source":
         """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
-        `polarity` is the drive's: currents flow out of the object for 1, into the object
-        for −1.
+        Currents flow out of the object for a `polarity` of 1, into the object for −1.
         """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
@@ -136,21 +135,24 @@ class AbstractSource(AbstractMethod):
             sides = [side / np.linalg.norm(side, axis=1)[:, None] for side in sides]
         images = maps.reshape(*maps.shape[:2], *shape)
         smooth = np.einsum("lmxy,xi,yj->lmij", images, *sides, optimize=True)
-        arrays = []
-        for some in (maps, smooth.reshape(maps.shape)):
-            basis = row_basis(some)
-            arrays.append((jnp.asarray(basis, dtype), jnp.asarray(some @ basis.T, dtype)))
-        (basis, factors), (drawn, drawn_factors) = arrays
-        along, across = (jnp.asarray(side, dtype) for side in sides)
-        rows = np.asarray(drawn, float).reshape(-1, *shape)
+        smooth = smooth.reshape(maps.shape)
+        basis, drawn = row_basis(maps), row_basis(smooth)
+        rows = drawn.astype(dtype).astype(float).reshape(-1, *shape)
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
-        smoothed = jnp.asarray(smoothed.reshape(drawn.shape), dtype)
-        errors = jnp.asarray(noise, dtype), jnp.ones((), dtype)
-        whole = drawn, drawn_factors, smoothed, *errors, jnp.asarray(polarity, dtype)
-        # pyright takes `positive`, a ClassVar by its meaning, for a field.
-        return cls(shape, reach, cell, basis, factors, along, across, *whole)  # pyright: ignore
+        return cls(
+            shape=shape,
+            reach=reach,
+            cell=cell,
+            basis=jnp.asarray(basis, dtype),
+            factors=jnp.asarray(maps @ basis.T, dtype),
+            drawn_factors=jnp.asarray(smooth @ drawn.T, dtype),
+            smoothed=jnp.asarray(smoothed.reshape(drawn.shape), dtype),
+            reading_noise=jnp.asarray(noise, dtype),
+            error=jnp.ones((), dtype),
+            polarity=jnp.asarray(polarity, dtype),
+        )
 
-    def calibrated(self: _S, calibration: Calibration) -> _S:
+    def calibrated(self, calibration: Calibration) -> "Source":
         noise = noise_as(calibration, self.noise)
         error = jnp.asarray(calibration.error, self.error.dtype)
         return replace(self, reading_noise=noise, error=error)
@@ -172,98 +174,84 @@ class AbstractSource(AbstractMethod):
 
     def choose_lambda(self, frames: list[Frame]) -> float:
         """Returns the λ that leaves the residual that nominal values leave in any case."""
-        factors = np.asarray(self.factors, float)
         # A scan may begin before its contact: those slots have nothing to say.
         highest = [np.abs(frame.voltages).max() for frame in frames]
         enough = max(highest, default=0.0) / 2
         slots = [
-            (v.astype(float), ground, g)
+            (v.astype(float), ground, good)
             for frame in frames
-            for v, ground, g in zip(*frame)
-            if g.any() and np.abs(v).max() >= enough
+            for v, ground, good in zip(*frame)
+            if good.any() and np.abs(v).max() >= enough
         ]
         if not slots:
             return _RELATIVE * self.scale()
-        chosen = []
+        some = slots[:: max(1, len(slots) // _SLOTS)]
+        return float(np.exp(np.median([self._log_lambda(*slot) for slot in some])))
+
+    def _log_lambda(
+        self, v: Float[np.ndarray, " M"], ground: int, good: Bool[np.ndarray, " M"]
+    ) -> float:
+        """Returns ln λ where a slot's misfit is what noise and nominal values leave."""
         noise, error = float(self.noise), _MODEL_ERROR * float(self.error)
-        for v, ground, g in slots[:: max(1, len(slots) // _SLOTS)]:
-            centre = without_offset(g, ground)
-            target = g.sum() * noise**2 + error**2 * (v[g] @ v[g])
-            v, rows = centre @ v, centre @ factors[ground]
-            left, s, _ = np.linalg.svd(rows, full_matrices=False)
-            beta = left.T @ v
-            outside = max(0.0, float(v @ v - beta @ beta))
-            lam = s[0] ** 2 * np.logspace(-9, 0, 37)
-            rest = lam[:, None] / (s**2 + lam[:, None]) * beta
-            misfit = (rest**2).sum(1) + outside
-            chosen.append(
-                np.interp(np.log(target), np.log(np.maximum(misfit, 1e-300)), np.log(lam))
-            )
-        return float(np.exp(np.median(chosen)))
+        target = good.sum() * noise**2 + error**2 * (v[good] @ v[good])
+        centre = centring(good, ground)
+        v, rows = centre @ v, centre @ np.asarray(self.factors)[ground].astype(float)
+        left, s, _ = np.linalg.svd(rows, full_matrices=False)
+        beta = left.T @ v
+        outside = max(0.0, float(v @ v - beta @ beta))
+        lam = s[0] ** 2 * np.logspace(-9, 0, 37)
+        rest = lam[:, None] / (s**2 + lam[:, None]) * beta
+        misfit = np.maximum((rest**2).sum(1) + outside, 1e-300)
+        return float(np.interp(np.log(target), np.log(misfit), np.log(lam)))
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:
-        used = good.any(1)
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
         lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
         factors = np.asarray(self.factors, float)
         drawn = np.asarray(self.drawn_factors, float)
         drawn_lam = lam * (drawn**2).sum() / (factors**2).sum()
-        operators, misfits, imaging = [], [], []
-        through = np.zeros((factors.shape[-1],) * 2)
-        total = np.zeros((drawn.shape[-1],) * 2)
+        (slots, m), rank = good.shape, factors.shape[-1]
+        operators, misfits = np.zeros((slots, m, rank)), np.zeros((slots, m, m))
+        imaging = np.zeros((slots, m, drawn.shape[-1]))
+        through = np.zeros((rank, rank))
         spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
-        for ground, channels in zip(grounds, good):
-            if not channels.any():
-                operators.append(np.zeros_like(factors[0].T))
-                imaging.append(np.zeros_like(factors[0].T))
-                misfits.append(np.zeros((good.shape[1],) * 2))
-                continue
-            centre = without_offset(channels, ground)
-            operator, rows = tikhonov_operator(centre @ factors[ground], lam)
-            operators.append(operator)
+        for k in np.flatnonzero(good.any(1)):
+            centre = centring(good[k], grounds[k])
+            rows = centre @ factors[grounds[k]]
+            operator = tikhonov_operator(rows, lam)
+            operators[k] = operator.T
+            imaging[k] = tikhonov_operator(centre @ drawn[grounds[k]], drawn_lam).T
+            misfits[k] = rows @ operator - centre
             through += operator @ rows
-            to_image, seen = tikhonov_operator(centre @ drawn[ground], drawn_lam)
-            imaging.append(to_image)
-            total += seen.T @ seen
-            misfits.append(rows @ operator - centre)
             spread += ((operator @ rows @ basis).T * basis.T).sum(1)
             noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
-        count = max(1, used.sum())
+        count = max(1, good.any(1).sum())
         # Images are of currents in the drive's direction.
-        forward = float(self.polarity) / count
+        forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
         return PreparedSource(
-            jnp.asarray(forward * np.concatenate([o.T for o in operators]), dtype),
-            jnp.asarray(through / count, dtype),
-            jnp.asarray(np.stack(misfits), dtype),
-            jnp.asarray(forward * np.concatenate([o.T for o in imaging]), dtype),
-            jnp.asarray(total / count + drawn_lam * np.eye(len(total)), dtype),
-            jnp.asarray(drawn_lam, dtype),
-            jnp.asarray(basis * np.sqrt(count / spread), dtype),
-            jnp.asarray(lowest, dtype),
-            jnp.asarray(good),
-            jnp.asarray(lam, dtype),
+            operators=jnp.asarray(forward * operators.reshape(slots * m, -1), dtype),
+            through=jnp.asarray(through / count, dtype),
+            misfits=jnp.asarray(misfits, dtype),
+            imaging=jnp.asarray(forward * imaging.reshape(slots * m, -1), dtype),
+            scaled=jnp.asarray(basis * np.sqrt(count / spread), dtype),
+            lowest=jnp.asarray(lowest, dtype),
+            used=jnp.asarray(good),
+            lam=jnp.asarray(lam, dtype),
         )
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""
         coefficients = matmul(voltages.ravel(), prepared.operators)
-        return self.polarity * matmul(coefficients, self.basis)
+        return self.drive_sign * matmul(coefficients, self.basis)
 
     def smooth_image(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"]
-    ) -> Array:
-        """Computes the image that is drawn, A per pixel in the drive's direction.
-
-        The image of a `positive` method is nowhere negative.
-        """
+    ) -> Float[Array, "nx ny"]:
+        """Computes the image that is drawn, A per pixel in the drive's direction."""
         coefficients = matmul(voltages.ravel(), prepared.imaging)
-        if not self.positive:  # one product, where a Gaussian of each image takes longer
-            return matmul(coefficients, self.smoothed).reshape(self.shape)
-        w = matmul(coefficients, self.drawn)
-        w = not_negative(w, coefficients, self.drawn, prepared.normal, prepared.damping)
-        return matmul(matmul(self.along, w.reshape(self.shape)), self.across.T)
+        return matmul(coefficients, self.smoothed).reshape(self.shape)
 
     def estimate(
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
@@ -284,11 +272,8 @@ class AbstractSource(AbstractMethod):
             self.cell,
         )
         there = jnp.arange(count) < contacts.count.astype(int)
-        contacts = strongest_first(
-            contacts._replace(current=self.polarity * carried), there
-        )
-        bit = Flag.CONTACTS_UNEXPLAINED.value
-        flags = jnp.where((left > _UNEXPLAINED) & (contacts.count > 0), bit, 0)
+        carried = contacts._replace(current=self.drive_sign * carried)
+        missing = (left > _UNEXPLAINED) & (contacts.count > 0)
 
         # Slot by slot: of a batch each is one product, where a batch of products is slow.
         def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
@@ -299,29 +284,11 @@ class AbstractSource(AbstractMethod):
             add, jnp.zeros_like(voltages[0]), (prepared.misfits, voltages)
         )
         used = jnp.sum(prepared.used, 0).astype(squares.dtype)
-        image = self.smooth_image(prepared, voltages) * (self.polarity / self.cell.prod())
-        residual = jnp.sqrt(squares.sum() / used.sum())
-        each = jnp.sqrt(squares / used)
-        return Estimate(contacts, image, residual, flags, by_electrode=each)
-
-
-class Source(AbstractSource):
-    """`source`: the image that Tikhonov's solve leaves.
-
-    **Example:**
-
-    >>> import tomojax as tx
-    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
-    >>> method = tx.method(sensor, "source", grid=16)
-    >>> isinstance(method, tx.methods.Source), method.image_unit
-    (True, 'A/m^2')
-    """
-
-    positive: ClassVar[bool] = False  # pyright: ignore
-
-
-class PositiveSource(AbstractSource):
-    """`positive`: `source` with an image of currents that flow out of the object alone."""
-
-    positive: ClassVar[bool] = True  # pyright: ignore
-    seconds_per_slot: ClassVar[float] = 5e-4
+        image = self.smooth_image(prepared, voltages)
+        return Estimate(
+            strongest_first(carried, there),
+            image * (self.drive_sign / self.cell.prod()),
+            residual=jnp.sqrt(squares.sum() / used.sum()),
+            flags=bits_of((missing, Flag.CONTACTS_UNEXPLAINED)),
+            by_electrode=jnp.sqrt(squares / used),
+        )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array
 
-from tomojax._require import require
+from tomojax._require import one_of, require
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
@@ -74,8 +74,8 @@ def make_step(
     own = tables or {}
 
     def made(name: str) -> AbstractStepMethod:
-        names = ", ".join(STEP_METHODS)
-        require(name in STEP_METHODS, "method", repr(name), f"one of {names}")
+        known = name in STEP_METHODS
+        require(known, "method", repr(name), one_of(name, STEP_METHODS))
         if name == "follow":
             points = make_method(sensor, "points", grid, calibration)
             assert isinstance(points, Points)

@@ -22,7 +22,8 @@ from tomojax.kernels.contacts import (
 )
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
-from tomojax.methods import AbstractMethod, Estimate, Points, rms
+from tomojax.methods import AbstractMethod, bits_of, centred, Estimate, Points, rms
+from tomojax.step._state import Read, Slot
 
 # One more contact may hide where more than this part of a slot's spread of voltages is
 # left: nineteen in twenty lone ones leave 2.5 % at most, or 6 % on a sheet with a gradient
@@ -33,10 +34,12 @@ _LIMIT = 0.05
 # with the next do not average out.
 _FAINT = 10.0
 
-
 # A place's covariance is so many times the filter's, to which slots' errors are independent
-# and the sheet's waves few; and so many times what one slot tells, as slots share errors.
-_FILTERED, _SHARED = 2.0, 1.0
+# and the sheet's waves few.
+_FILTERED = 2.0
+
+# And so many times what one slot tells, as slots share errors.
+_SHARED = 1.0
 
 # χ² of a channel that contacts leave, usually.
 _LEFT = 0.65
@@ -53,6 +56,8 @@ class Told(NamedTuple):
 class AbstractStepMethod(eqx.Module):
     """A method of a step: finds contacts slot by slot, with a memory of earlier slots."""
 
+    count: eqx.AbstractVar[int]  # contacts at most
+
     @property
     @abstractmethod
     def residual_limit(self) -> float:
@@ -64,9 +69,7 @@ class AbstractStepMethod(eqx.Module):
         """Returns the noise of a reading, V rms."""
 
     @abstractmethod
-    def image(
-        self, memory: Any, voltages: Float[Array, " M"], ground: Int[Array, ""]
-    ) -> Float[Array, "nx ny"]:
+    def image(self, memory: Any, slot: Slot) -> Float[Array, "nx ny"]:
         """Computes the image of a slot seen before, in the method's unit."""
 
     @abstractmethod
@@ -74,15 +77,8 @@ class AbstractStepMethod(eqx.Module):
         """Returns the memory before the first slot."""
 
     @abstractmethod
-    def __call__(
-        self,
-        memory: Any,
-        voltages: Float[Array, " M"],
-        used: Bool[Array, " M"],
-        ground: Int[Array, ""],
-        elapsed: Float[Array, ""],
-    ) -> tuple[Any, Told]:
-        """Takes a slot, `elapsed` slots after the last; voltages are 0 where not `used`."""
+    def __call__(self, memory: Any, read: Read) -> tuple[Any, Told]:
+        """Returns the memory after a slot, and the slot's results."""
 
 
 class Follow(AbstractStepMethod):
@@ -119,50 +115,44 @@ class Follow(AbstractStepMethod):
     def first(self) -> Followed:
         return nothing_followed(self.points.sheet.field.size, self.count)
 
-    def __call__(
-        self,
-        memory: Followed,
-        voltages: Float[Array, " M"],
-        used: Bool[Array, " M"],
-        ground: Int[Array, ""],
-        elapsed: Float[Array, ""],
-    ) -> tuple[Followed, Told]:
-        sheet = self.points.sheet
+    def __call__(self, memory: Followed, read: Read) -> tuple[Followed, Told]:
+        sheet, voltages, ground = self.points.sheet, read.voltages, read.ground
+        elapsed = read.elapsed * self.slot_time
         now, rest = follow(
             sheet,
             self.candidates,
             memory,
             voltages,
-            used,
+            read.used,
             ground,
-            elapsed * self.slot_time,
+            elapsed,
             self.errors,
         )
-        used = used & (jnp.arange(len(used), dtype=ground.dtype) != ground)
+        used = read.used & (jnp.arange(len(read.used), dtype=ground.dtype) != ground)
         residual = rms(rest, used)
-        count = jnp.maximum(used.sum(), 1).astype(voltages.dtype)
-        mean = jnp.where(used, voltages, 0).sum() / count
-        high = residual > _LIMIT * rms(voltages - mean, used) + 2 * self.noise
+        high = residual > _LIMIT * rms(centred(voltages, used), used) + 2 * self.noise
         radius = radius_of(sheet, now.size)
         unusual = jnp.maximum(1, now.left / _LEFT)
         c = unusual * (_FILTERED * now.covariance + _SHARED * now.alone) * sheet.unit**2
-        covariance = jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1)
-        none = jnp.zeros((), jnp.uint8)
-        nan = jnp.full_like(radius, jnp.nan)
         found = Contacts(
-            none, now.place, radius, nan, now.current, now.conductance, covariance
+            count=jnp.zeros((), jnp.uint8),
+            xy=now.place,
+            radius=radius,
+            angle=jnp.full_like(radius, jnp.nan),
+            current=now.current,
+            conductance=now.conductance,
+            covariance=jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1),
         )
-        contacts = strongest_first(found, now.there)
         faint = (jnp.abs(voltages).max() < _FAINT * self.noise) & now.there.any()
         vague = now.there & hardly_told(sheet, now.conductance, now.covariance[:, 2, 2])
-        flags = jnp.where(faint, Flag.PLACE_UNCERTAIN.value, 0)
-        flags = flags | jnp.where(vague.any(), Flag.CONDUCTANCE_UNCERTAIN.value, 0)
-        flags = flags | jnp.where(high, Flag.HIGH_RESIDUAL.value, 0)
-        return now, Told(contacts, residual, flags)
+        flags = bits_of(
+            (faint, Flag.PLACE_UNCERTAIN),
+            (vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
+            (high, Flag.HIGH_RESIDUAL),
+        )
+        return now, Told(strongest_first(found, now.there), residual, flags)
 
-    def image(
-        self, memory: Followed, voltages: Float[Array, " M"], ground: Int[Array, ""]
-    ) -> Float[Array, "nx ny"]:
+    def image(self, memory: Followed, slot: Slot) -> Float[Array, "nx ny"]:
         none = jnp.zeros_like(memory.place)
         return points_image(
             memory.place,
@@ -213,30 +203,20 @@ class EachSlot(AbstractStepMethod):
     def first(self) -> tuple:
         return ()
 
-    def __call__(
-        self,
-        memory: tuple,
-        voltages: Float[Array, " M"],
-        used: Bool[Array, " M"],
-        ground: Int[Array, ""],
-        elapsed: Float[Array, ""],
-    ) -> tuple[tuple, Told]:
-        estimate = self._estimate(voltages, ground)
+    def __call__(self, memory: tuple, read: Read) -> tuple[tuple, Told]:
+        estimate = self._estimate(read.voltages, read.ground)
         # It was prepared for the good channels: with one of them missing it says nothing.
-        whole = (used | ~self.good).all()
-        touched = jnp.abs(voltages).max() > self.method.threshold
-        none = no_contacts(self.count, voltages.dtype)
+        whole = (read.used | ~self.good).all()
+        touched = jnp.abs(read.voltages).max() > self.method.threshold
+        none = no_contacts(self.count, read.voltages.dtype)
         contacts = jax.tree.map(
             lambda a, b: jnp.where(whole & touched, a, b), estimate.contacts, none
         )
-        missing = jnp.where(whole, 0, Flag.NO_DATA.value)
-        flags = jnp.asarray(estimate.flags | missing, int)
+        flags = jnp.asarray(estimate.flags | bits_of((~whole, Flag.NO_DATA)), int)
         return (), Told(contacts, estimate.residual, flags)
 
-    def image(
-        self, memory: tuple, voltages: Float[Array, " M"], ground: Int[Array, ""]
-    ) -> Float[Array, "nx ny"]:
-        return self._estimate(voltages, ground).image
+    def image(self, memory: tuple, slot: Slot) -> Float[Array, "nx ny"]:
+        return self._estimate(slot.voltages, slot.ground).image
 
     def _estimate(self, voltages: Float[Array, " M"], ground: Int[Array, ""]) -> Estimate:
         prepared = jax.tree.map(lambda a: a[ground], self.prepared)

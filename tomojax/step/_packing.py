@@ -38,27 +38,38 @@ def packed(state: State) -> Packed:
     return state if isinstance(state, Packed) else Packed(*state)
 
 
+class Leaf(NamedTuple):
+    """A leaf of a packed pytree: where it stands, and its shape and type."""
+
+    number: bool  # whether among the numbers; else among the whole
+    at: slice | int
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    kept: bool  # whether packing keeps its type
+
+
 class Packing:
     """The packing of a pytree: an `example` gives shapes and types."""
 
     def __init__(self, example: Any, dtype: Any):
         leaves, self._tree = jax.tree.flatten(example)
         self._dtype = np.dtype(dtype)
-        self._where = []  # whether of the numbers, first, last, shape, dtype, as it is
+        self._leaves: list[Leaf] = []
         ends = {True: 0, False: 0}
         for leaf in leaves:  # arrays, or what has their shapes and types
-            number = np.dtype(leaf.dtype).kind == "f"
+            kind, shape = np.dtype(leaf.dtype), leaf.shape
+            number = kind.kind == "f"
             start = ends[number]
-            ends[number] = start + int(np.prod(leaf.shape))
-            kept = number or leaf.dtype == np.int32
-            where = number, start, ends[number], leaf.shape, leaf.dtype, kept
-            self._where.append(where)
+            ends[number] = start + int(np.prod(shape))
+            at = slice(start, ends[number]) if shape else start
+            kept = number or kind == np.int32
+            self._leaves.append(Leaf(number, at, shape, kind, kept))
 
     def pack(self, tree: Any) -> Packed:
         """Packs a pytree into two arrays; compiled."""
         numbers, whole = [jnp.zeros(0, self._dtype)], [jnp.zeros(0, jnp.int32)]
-        for (number, *_), leaf in zip(self._where, jax.tree.leaves(tree)):
-            if number:
+        for about, leaf in zip(self._leaves, jax.tree.leaves(tree)):
+            if about.number:
                 numbers.append(leaf.ravel())
             else:
                 whole.append(leaf.ravel().astype(jnp.int32))
@@ -68,13 +79,9 @@ class Packing:
         """Unpacks the pytree: compiled, or in NumPy for NumPy's arrays."""
         numbers, whole = packed
         leaves = []
-        for number, first, last, shape, dtype, kept in self._where:
-            values = numbers if number else whole
-            if shape:
-                part = values[..., first:last]
-                if len(shape) > 1:
-                    part = part.reshape((*values.shape[:-1], *shape))
-            else:
-                part = values[..., first]
-            leaves.append(part if kept else part.astype(dtype))
+        for about in self._leaves:
+            leaf = (numbers if about.number else whole)[..., about.at]
+            if len(about.shape) > 1:
+                leaf = leaf.reshape((*leaf.shape[:-1], *about.shape))
+            leaves.append(leaf if about.kept else leaf.astype(about.dtype))
         return jax.tree.unflatten(self._tree, leaves)

@@ -1,6 +1,5 @@
 """The step of a robot: one slot in, contacts and the next ground out, compiled once."""
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from tomojax._shown import named
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.kernels.levels import level_bits
-from tomojax.methods import judge
+from tomojax.methods import bits_of, judge
 from tomojax.paper import exploration
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, Told
@@ -75,7 +74,9 @@ class Step:
         zero, gain = calibration.offset, calibration.gain
         self._zero, self._gain = (jnp.asarray(a, self.dtype) for a in (zero, gain))
         self.traces = 0
+        self.contact_count = method.count
         self._packing = Packing(jax.eval_shape(self._begun), self.dtype)
+        self._said = Packing(jax.eval_shape(self._silent), self.dtype)
         # One program for all of it: each operation by itself would be one to compile.
         self.state = jax.jit(lambda: self._packing.pack(self._begun()))()
         self._each = one_function(self._packed)
@@ -150,10 +151,12 @@ class Step:
         """Returns the state with another of the step's policies, from the next slot on."""
         names = ", ".join(self.policies)
         require(policy in self.policies, "policy", repr(policy), f"one of {names}")
-        remembered = self._packing.unpack(state)
-        number = jnp.asarray(self.policies.index(policy), jnp.int32)
-        plan = remembered.plan._replace(policy=number, length=jnp.zeros((), jnp.int32))
-        return self._packing.pack(remembered._replace(plan=plan))
+        numbers, whole = packed(state)
+        whole = np.array(whole)
+        # NumPy's leaves are views of the packed arrays: no program has to be compiled.
+        plan = self._packing.unpack((np.asarray(numbers), whole)).plan
+        plan.policy[...], plan.length[...] = self.policies.index(policy), 0
+        return Packed(jnp.asarray(numbers), jnp.asarray(whole))
 
     def _slot(self, voltages: Any, ground: Any, lost: Any, hurried: Any) -> tuple:
         v = np.asarray(voltages, self.dtype)
@@ -166,30 +169,43 @@ class Step:
         return self._said.unpack((numbers, whole))
 
     def _begun(self) -> Remembered:
-        m = self.electrode_count
+        """Returns the memory before the first slot: the corners are next."""
+        m, no = self.electrode_count, jnp.array(False)
         whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
-        volts = jnp.zeros(m, self.dtype)
-        corners = whole.at[:2].set(self._corners)
-        two = jnp.zeros((2, m), self.dtype)
-        plan = Plan(none, corners, none + 2, none, jnp.array(True), two)
-        doubt = Doubt(jnp.array(False), none, jnp.array(False))
-        cheaper = () if self._cheaper is None else self._cheaper.first()
-        last = Slot(volts, none, none, jnp.array(False))
-        return Remembered(self._method.first(), cheaper, plan, doubt, last, whole > 0)
+        plan = Plan(
+            policy=none,
+            grounds=whole.at[:2].set(self._corners),
+            length=none + 2,
+            at=none,
+            exploring=jnp.array(True),
+            explored=jnp.zeros((2, m), self.dtype),
+        )
+        return Remembered(
+            memory=self._method.first(),
+            cheaper=() if self._cheaper is None else self._cheaper.first(),
+            plan=plan,
+            doubt=Doubt(stretch=no, held=none, full=no),
+            last=Slot(jnp.zeros(m, self.dtype), ground=none, lost=none, hurried=no),
+            used=whole > 0,
+        )
+
+    def _silent(self) -> Output:
+        """Returns an output without a contact: every output has its shapes and types."""
+        none = jnp.zeros((), jnp.int32)
+        contacts = no_contacts(self.contact_count, self.dtype)
+        return Output(contacts, jnp.zeros((), self.dtype), none, none)
 
     def _packed(self, state: Packed, volts: Array, whole: Array) -> tuple[Packed, Packed]:
-        """Runs one slot; notes while tracing how the output is packed."""
+        """Runs one slot."""
         self.traces += 1
         slot = Slot(volts, whole[0], whole[1], whole[2] > 0)
         remembered, said = self._run(self._packing.unpack(state), slot)
-        self._said = Packing(said, self.dtype)
-        self.contact_count = len(said.contacts.radius)
         return self._packing.pack(remembered), self._said.pack(said)
 
     def _replayed(self, state: Packed, volts: Array, whole: Array, count: Array) -> tuple:
         """Runs the first `count` slots; the outputs of the other slots are 0."""
-        said = jax.eval_shape(self._each, state, volts[0], whole[0])[1]
-        said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), said)
+        silent = self._said.pack(self._silent())
+        said = jax.tree.map(lambda a: jnp.zeros((len(volts), *a.shape), a.dtype), silent)
 
         def turn(k: Array, carry: tuple) -> tuple:
             state, said = carry
@@ -200,20 +216,20 @@ class Step:
 
     def _run(self, state: Remembered, slot: Slot) -> tuple[Remembered, Output]:
         read = self._checked(slot)
-        memory, cheaper, told, late = self._told(state, slot, read)
+        memory, cheaper, told = self._told(state, slot, read)
         contacts, bits = self._judged(told, read)
         doubt, doubted = self._doubted(state.doubt, contacts, bits, read.ok)
         seen = Seen(
             self._explored(state.plan, slot, read), contacts, doubt.stretch, read.ground
         )
         plan, over = self._planned(state.plan, seen)
-        flags = (
-            (late, Flag.HURRIED),
+        more = bits_of(
+            (slot.hurried & (self._cheaper is not None), Flag.HURRIED),
             (~read.ok, Flag.NO_DATA),
             (doubted & read.ok, Flag.HIGH_RESIDUAL),
         )
         residual: Array = jnp.where(read.ok, told.residual, jnp.nan)
-        flags = read.flags | bits | _bits(flags)
+        flags = read.flags | bits | more
         output = Output(contacts, residual, flags, plan.grounds[plan.at])
         kept = state.memory, state.cheaper
         memory, cheaper = _where(read.ok, (memory, cheaper), kept)
@@ -232,7 +248,7 @@ class Step:
         voltages: Array = jnp.where(used, (volts - self._zero) / self._gain, 0)
         known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
         enough = 2 * used.sum() >= self._good.sum()
-        flags = (
+        flags = bits_of(
             ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
             ((self._good & high).any(), Flag.SATURATED),
             (~known, Flag.UNKNOWN_GROUND),
@@ -240,9 +256,15 @@ class Step:
             (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
         )
         ground = jnp.clip(slot.ground, 0, self.electrode_count - 1).astype(jnp.int32)
-        elapsed = (1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype)
-        bits = _bits(flags) | jnp.where(known, self._against(voltages, used, ground), 0)
-        return Read(voltages, used, ground, elapsed, known & enough, bits)
+        against = jnp.where(known, self._against(voltages, used, ground), 0)
+        return Read(
+            voltages,
+            used,
+            ground,
+            elapsed=(1 + jnp.maximum(slot.lost, 0)).astype(voltages.dtype),
+            ok=known & enough,
+            flags=flags | against,
+        )
 
     def _against(self, voltages: Array, used: Array, ground: Array) -> Int[Array, ""]:
         """Flags levels that cannot be, see `level_bits`."""
@@ -253,22 +275,19 @@ class Step:
         bits = level_bits(low, high, at, self._method.noise, jnp)
         return jnp.asarray(bits, jnp.int32)
 
-    def _told(
-        self, state: Remembered, slot: Slot, read: Read
-    ) -> tuple[Any, Any, Told, Array]:
-        """Returns the memories after the slot, the slot's results and whether hurried."""
-        asked = read.voltages, read.used, read.ground, read.elapsed
+    def _told(self, state: Remembered, slot: Slot, read: Read) -> tuple[Any, Any, Told]:
+        """Returns both methods' memories after the slot, and the slot's results."""
         if self._cheaper is None:
-            memory, told = self._method(state.memory, *asked)
-            return memory, (), told, jnp.array(False)
+            memory, told = self._method(state.memory, read)
+            return memory, (), told
         # The cheaper one goes along, so that it can answer at any time.
-        cheaper, quick = self._cheaper(state.cheaper, *asked)
+        cheaper, quick = self._cheaper(state.cheaper, read)
         memory, told = lax.cond(
             slot.hurried,
             lambda: (state.memory, quick),
-            lambda: self._method(state.memory, *asked),
+            lambda: self._method(state.memory, read),
         )
-        return memory, cheaper, told, slot.hurried
+        return memory, cheaper, told
 
     def _judged(self, told: Told, read: Read) -> tuple[Contacts, Array]:
         """Returns contacts and flags; an unusable slot has no contact and no flag."""
@@ -327,15 +346,8 @@ class Step:
 
     def _drawn(self, state: Packed) -> Float[Array, "nx ny"]:
         remembered = self._packing.unpack(state)
-        last = remembered.last
-        image = self._method.image(remembered.memory, last.voltages, last.ground)
+        image = self._method.image(remembered.memory, remembered.last)
         return jnp.where(remembered.used.any(), image, jnp.nan)
-
-
-def _bits(flags: Iterable[tuple[Array, Flag]]) -> Int[Array, ""]:
-    """Sums the bits of the flags that are on; each flag appears once."""
-    each = [jnp.where(on, bit.value, 0).astype(jnp.int32) for on, bit in flags]
-    return jnp.stack(each).sum(dtype=jnp.int32)
 
 
 def _where(condition: Array, one: Any, other: Any) -> Any:

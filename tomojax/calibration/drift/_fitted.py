@@ -90,7 +90,7 @@ def _one(
     power = jnp.maximum((fit**2).sum(0), 1e-30)
     relative = (fit * misfit).sum(0) / power
     # A channel's own errors are the same in all slots; the sheet's are in each place.
-    own = (jnp.abs(fit) * scene.own * used).sum(0) / power
+    own = (jnp.abs(fit) * scene.errors.own * used).sum(0) / power
     smooth = (prepared.smooth**2).sum(0)
     variance = prepared.noise**2 / power + own**2 + smooth
     # Free are the voltages but for a current in each slot, and the disc.

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tomojax._require import require
+from tomojax._require import one_of, require
 
-METHODS = ("auto", "source", "positive", "linear", "points", "conductance", "shape")
+METHODS = ("auto", "source", "linear", "points", "shape")
 
 # Patterns that ask for no contact, and those that do.
 FIXED = ("all", "boundary", "v_line", "edge", "random_16", "random_8")
@@ -35,7 +35,7 @@ def sheet_of(like: Path | None) -> tuple[Any, Any, int]:
 
 def check_name(option: str, got: str, names: Sequence[str], more: str = "") -> None:
     """**Raises:** `ValueError` for what is none of `names`; `more`: what else may be."""
-    require(got in names, option, repr(got), f"one of {', '.join(names)}{more}")
+    require(got in names, option, repr(got), one_of(got, names) + more)
 
 
 def ground_numbers(

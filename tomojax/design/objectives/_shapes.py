@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from tomojax._require import require
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import matmul
-from tomojax.methods import ShapeModel
+from tomojax.methods import ImageShape
 from tomojax.sensor import Sensor
 
 # Pixels of a pitch; waves whose coefficients are looked at, the longest.
@@ -75,13 +75,13 @@ def shape_objective(sensor: Sensor, shapes: int = 8, seed: int = 0) -> ShapeInfo
     require(isinstance(shapes, int) and shapes >= 1, "shapes", repr(shapes), "1 or more")
     pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
     side = max(8, round(_PIXELS * pitches))
-    model = ShapeModel.of(sensor, (side, side))
+    model = ImageShape.of(sensor, (side, side))
     return _information(model, jax.random.key(seed), shapes)
 
 
-def _information(model: ShapeModel, key: Array, shapes: int) -> ShapeInformation:
+def _information(model: ImageShape, key: Array, shapes: int) -> ShapeInformation:
     @jax.jit
-    def of(model: ShapeModel, errors: Any, w: Array) -> Array:
+    def of(model: ImageShape, errors: Any, w: Array) -> Array:
         slopes = model.slopes_at(errors, w)[:, :, :_WAVES]
         return jax.vmap(lambda s: matmul(s.T, s))(slopes)
 

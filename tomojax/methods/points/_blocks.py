@@ -1,5 +1,7 @@
 """Climbs the ladder with many frames; fits larger models only to frames that need them."""
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -8,12 +10,15 @@ from jaxtyping import Array, Float, Int, Integer
 
 from tomojax._programs import Kept, kept
 from tomojax._stopping import stop_if_asked
-from tomojax.methods.points._found import fitting_of
+from tomojax.methods.points._found import Fitting, fitting_of
 from tomojax.methods.points._ladder import first, Ladder, steps
 
-# Slots of a compiled call, and least and most frames of it: of many, those that are done
-# leave the others' place.
-_CALL, _LEAST_MOST = 1024, (16, 128)
+# Slots of a compiled call.
+_CALL = 1024
+
+# Least and most frames of it: of many, those that are done leave the others' place.
+_LEAST = 16
+_MOST = 128
 
 
 class Frames(NamedTuple):
@@ -28,7 +33,26 @@ class Frames(NamedTuple):
 
 def call_size(slots: int) -> int:
     """Returns the number of frames of a compiled call."""
-    return int(np.clip(_CALL // slots, *_LEAST_MOST))
+    return int(np.clip(_CALL // slots, _LEAST, _MOST))
+
+
+def each_frame(fit: Callable[..., Any]) -> Kept:
+    """Compiles a fit of one frame for all frames of a call.
+
+    `fit` takes the frame as a `Fitting`, the frame's entry of what is given, and static
+    arguments.
+    """
+
+    def frames(
+        method, prepared, voltages, grounds, given: Any, most: int, *static: int
+    ) -> Any:
+        def one(v: Array, grounds: Array, given: Any) -> Any:
+            scene = fitting_of(method, prepared._replace(grounds=grounds), v, most)
+            return fit(scene, given, *static)
+
+        return jax.vmap(one)(voltages, grounds, given)
+
+    return kept(functools.update_wrapper(frames, fit))
 
 
 def called(
@@ -103,20 +127,11 @@ def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
     return ladder
 
 
-@kept
-def _first(method, prepared, voltages, grounds, given: tuple, most: int) -> Ladder:
-    def one(v: Array, grounds: Array) -> Ladder:
-        return first(fitting_of(method, prepared._replace(grounds=grounds), v, most))
-
-    return jax.vmap(one)(voltages, grounds)
+@each_frame
+def _first(scene: Fitting, given: tuple) -> Ladder:
+    return first(scene)
 
 
-@kept
-def _step(
-    method, prepared, voltages, grounds, ladder: Ladder, most: int, number: int
-) -> Ladder:
-    def one(v: Array, grounds: Array, ladder: Ladder) -> Ladder:
-        scene = fitting_of(method, prepared._replace(grounds=grounds), v, most)
-        return steps(most)[number][1](scene, ladder=ladder)
-
-    return jax.vmap(one)(voltages, grounds, ladder)
+@each_frame
+def _step(scene: Fitting, ladder: Ladder, number: int) -> Ladder:
+    return steps(scene.most)[number][1](scene, ladder=ladder)

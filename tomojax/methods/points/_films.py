@@ -7,12 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax._programs import kept
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
-from tomojax.methods.points._blocks import begun, called, Frames, put, searched
+from tomojax.methods.points._blocks import (
+    begun,
+    called,
+    each_frame,
+    Frames,
+    put,
+    searched,
+)
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS
-from tomojax.methods.points._found import Ended, Fitting, fitting_of, Found
+from tomojax.methods.points._found import Ended, Fitting, Found
 from tomojax.methods.points._ladder import (
     apart_and_strong,
     bar_at,
@@ -20,6 +26,7 @@ from tomojax.methods.points._ladder import (
     long_enough,
     ring_at,
     seen_at_all,
+    shaped,
 )
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
@@ -70,19 +77,13 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
 
 def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
     """Tells whether `size` discs were found; a `size` of 0 stands for a bar or a ring."""
-    curve = ((found.extent**2).sum((1, 2)) > 0) | (found.ring.sum(1) > 0)
-    return (np.where(curve, 0, found.count) == size) & (found.count > 0) & ~found.high
+    each = np.where(shaped(found), 0, found.count)
+    return (each == size) & (found.count > 0) & ~found.high
 
 
-@kept
-def _again(
-    method, prepared, voltages, grounds, before: Found, most: int, size: int
-) -> Again:
-    def one(v: Array, grounds: Array, before: Found) -> Again:
-        scene = fitting_of(method, prepared._replace(grounds=grounds), v, most)
-        return _discs(scene, before, size) if size else _curve(scene, before)
-
-    return jax.vmap(one)(voltages, grounds, before)
+@each_frame
+def _again(scene: Fitting, before: Found, size: int) -> Again:
+    return _discs(scene, before, size) if size else _curve(scene, before)
 
 
 def _discs(scene: Fitting, before: Found, size: int) -> Again:
@@ -118,6 +119,6 @@ def _needed(scene: Fitting, ended: Ended) -> Float[Array, " C"]:
     )
     unit = jnp.broadcast_to(jnp.eye(gram.shape[1], dtype=gram.dtype), gram.shape)
     spread = solve_positive(jax.vmap(model.regular)(gram), unit)
-    slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1).astype(gram.dtype)
     current = explained.fitted.current
-    return (current**2 / jnp.diagonal(spread, axis1=1, axis2=2)).sum(0) / slots
+    gain = (current**2 / jnp.diagonal(spread, axis1=1, axis2=2)).sum(0)
+    return gain / scene.prepared.slot_count

@@ -12,16 +12,13 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import (
-    descend,
-    Limits,
-    Normal,
-)
+from tomojax.kernels.algebra import descend, Limits, Normal
 from tomojax.kernels.contacts import WhitenedFrame
 from tomojax.methods.points._found import Ended, Fitting, Found, found_of, LEFT
 
 # Fits from several starts: the best, after a few steps, is gone on with.
-_FEW, _MOST = 3, 20
+_FEW = 3
+_MOST = 20
 
 # A start of one disc that leaves less than this part of what is usual is the best of them;
 # two discs that explain as much may still be two others.
@@ -32,12 +29,19 @@ _ENOUGH = 1.5
 _HOPELESS = 2.0
 
 # A few of many slots are searched with; then this many steps with all slots follow. Slots
-# share errors, and more steps would fit those. A few slots hardly tell a curve.
-_LAST, _LAST_LONG = 3, 10
+# share errors, and more steps would fit those.
+_LAST = 3
+
+# More of such steps for a curve, which a few slots hardly tell.
+_LAST_LONG = 10
 
 # Slots that a turn of the search works on at once: of fewer a call costs more than work,
-# of more they do not stay in the processor's cache. And least and most frames of them.
-_TOGETHER, _LEAST_MOST = 64, (4, 16)
+# of more they do not stay in the processor's cache.
+_TOGETHER = 64
+
+# Least and most frames of a turn.
+_LEAST_TOGETHER = 4
+_MOST_TOGETHER = 16
 
 
 def starts_at(scene: Fitting, places: Float[Array, "n C 2"]) -> Float[Array, "n CP"]:
@@ -100,7 +104,8 @@ def _lowest(
     def lowest(
         starts: Array, frame: WhitenedFrame, below: Array, most: int
     ) -> tuple[Array, Array]:
-        together = int(np.clip(_TOGETHER // len(frame.grounds), *_LEAST_MOST))
+        together = _TOGETHER // len(frame.grounds)
+        together = int(np.clip(together, _LEAST_TOGETHER, _MOST_TOGETHER))
         alone = kind is DISCS and starts.shape[1] == kind.parameters
         enough = (_ENOUGH if alone else 0.0) * _usual(frame)
         of = below.sum(), enough, sheet, frame, scene.prepared.tolerance

@@ -17,13 +17,17 @@ from tomojax.methods._errors import (
     highest_cost,
     misfit_cost,
     PreparedErrors,
+    Whitened,
     whitened,
     without_offset,
 )
 
 # What is left of whitened voltages for each that is free, usually: the errors that are told
-# of are nearly the largest of what is usual. Beyond so many times that they are unusual.
-LEFT, _UNUSUAL = 0.37, 4.0
+# of are nearly the largest of what is usual.
+LEFT = 0.37
+
+# Beyond so many times that, errors are unusual.
+_UNUSUAL = 4.0
 
 
 class Found(NamedTuple):
@@ -53,19 +57,21 @@ class Fitting(NamedTuple):
 
     method: Any
     prepared: PreparedErrors
-    frame: WhitenedFrame
-    own: Float[Array, "S M"]  # these three as in `Whitened`
-    common: Float[Array, "S q M"]
-    offset: Float[Array, " S"]
+    errors: Whitened  # of the frame
     voltages: Float[Array, "S M"]
     most: int  # contacts
+
+    @property
+    def frame(self) -> WhitenedFrame:
+        """Returns the frame's whitened voltages."""
+        return self.errors.frame
 
 
 def fitting_of(
     method, prepared: PreparedErrors, voltages: Float[Array, "S M"], most: int
 ) -> Fitting:
     """Whitens a frame for its fit."""
-    return Fitting(method, prepared, *whitened(prepared, voltages), voltages, most)
+    return Fitting(method, prepared, whitened(prepared, voltages), voltages, most)
 
 
 def look_of(scene: Fitting) -> Look:
@@ -93,37 +99,36 @@ def found_of(
     cost: Array,
     are_discs: bool,
 ) -> Found:
+    """Tells the contacts of a fit that has ended, and what the fit leaves."""
     prepared, rest, fitted = scene.prepared, ended.rest, explained.fitted
-    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
-    slots = prepared.used.any(1)
-    n = jnp.maximum(slots.sum(), 1).astype(cost.dtype)
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf) / prepared.slot_count
     misfit, used = without_offset(prepared, fitted.voltages - scene.voltages)
-    current = jnp.where(slots[:, None], fitted.current, 0).sum(0) / n
-    drop = _drop(scene, fitted, rest)
+    current = prepared.mean(fitted.current)
+    conductance = current / _drop(scene, fitted, rest)
     count = len(fitted.radius)
     # What is long is not added to.
     of_discs = ended.parameters if are_discs else jnp.zeros(model.DISC, rest.dtype)
     # How sure a place is is not differentiated.
     known, of_size, limited = _uncertainty(_still(scene), _still(ended), count)
-    vague = model.hardly_told(scene.method.sheet, current / drop, of_size)
-    values = (
-        of_discs.reshape(count, -1),
-        fitted.place,
-        fitted.extent,
-        fitted.ring,
-        fitted.radius,
-        current,
-        current / drop,
-        known,
-        vague,
-    )
+    each = {
+        "parameters": of_discs.reshape(count, -1),
+        "place": fitted.place,
+        "extent": fitted.extent,
+        "ring": fitted.ring,
+        "radius": fitted.radius,
+        "current": current,
+        "conductance": conductance,
+        "covariance": known,
+        "vague": model.hardly_told(scene.method.sheet, conductance, of_size),
+    }
+    free = (scene.frame.scale > 0).sum().astype(cost.dtype)
     return Found(
-        cost / n,
-        LEFT * (scene.frame.scale > 0).sum().astype(cost.dtype) / n,
-        misfit_cost((explained.rest**2).sum(1), prepared.tolerance),
-        jnp.asarray(count),
-        *(_padded(a, scene.most) for a in values),
-        high=cost / n > highest_cost(prepared.tolerance),
+        cost=cost,
+        usual=LEFT * free / prepared.slot_count,
+        misfits=misfit_cost((explained.rest**2).sum(1), prepared.tolerance),
+        count=jnp.asarray(count),
+        **{name: _padded(values, scene.most) for name, values in each.items()},
+        high=cost > highest_cost(prepared.tolerance),
         limited=limited,
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
@@ -152,17 +157,17 @@ def _uncertainty(
     left = (ended.rest**2).sum(1)
     weight = 1 / (1 + left / scene.prepared.tolerance)
     by_voltage = unwhitened(frame, ended.slope * weight[:, None, None])  # (S, P, M)
-    own = jnp.where(used, scene.own, 0)
+    own = jnp.where(used, scene.errors.own, 0)
     # The slots' channels side by side, so that sums over them are products.
     flat = by_voltage.transpose(1, 0, 2).reshape(len(parameters), -1)
     noise = scene.prepared.noise**2 * jnp.matmul(flat, flat.T, precision="highest")
-    alike = scene.common[:, :-1].transpose(1, 0, 2).reshape(-1, flat.shape[1])
+    alike = scene.errors.common[:, :-1].transpose(1, 0, 2).reshape(-1, flat.shape[1])
     shared = jnp.concatenate(
         [
             (by_voltage * own[:, None]).sum(0).T,
             jnp.matmul(alike, flat.T, precision="highest"),
             # Another in each slot: its ground's.
-            jnp.einsum("spm,sm->sp", by_voltage, scene.common[:, -1]),
+            jnp.einsum("spm,sm->sp", by_voltage, scene.errors.common[:, -1]),
         ]
     )
     # Of each contact the first two parameters are its place, then comes its size.
@@ -193,10 +198,8 @@ def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C
     at = prepared.spread * scene.method.errors.smooth(fitted.place)
     relative = jnp.matmul(found[:, :-1], at, precision="highest")
     u = sheet.drive_voltage - fitted.drop
-    drop = fitted.drop - jnp.abs(u) * relative - (found[:, -1] * scene.offset)[:, None]
-    slots = prepared.used.any(1)
-    n = jnp.maximum(slots.sum(), 1).astype(drop.dtype)
-    mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+    lifted = (found[:, -1] * scene.errors.offset)[:, None]
+    mean = prepared.mean(fitted.drop - jnp.abs(u) * relative - lifted)
     forward = jnp.sign(sheet.drive_voltage)
     least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
     return forward * jnp.maximum(forward * mean, least)

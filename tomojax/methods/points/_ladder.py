@@ -26,8 +26,12 @@ from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
 from tomojax.methods.points._found import Ended, Fitting, Found, LEFT, look_of
 
-# Candidates that a fit of one disc begins from; that pairs are looked for with; pairs.
-_STARTS, _FIRST, _PAIRS = 3, 5, 2
+# Candidates that a fit of one disc begins from.
+_STARTS = 3
+
+# Candidates that pairs are looked for with, and pairs that a fit begins from.
+_FIRST = 5
+_PAIRS = 2
 
 # By how much, per slot, a larger model must fit better to be believed, for each contact
 # beyond the first.
@@ -36,16 +40,24 @@ GAIN = 8.0
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.65
 
-# Discs nearer than this many usual radii, and a second or further one below this part of
-# the strongest, are what the model's error makes of fewer. Two discs at ± h have a moment
-# of h²: a calibrated model that leaves a part of the error brings h down by its root, but
-# not to where discs would lie on each other.
-_APART, _ON_EACH_OTHER, _WEAKEST = 2.7, 1.6, (0.04, 0.1)
+# Discs nearer than this many usual radii are what the model's error makes of fewer. Two
+# discs at ± h have a moment of h²: a calibrated model that leaves a part of the error
+# brings h down by its root, but not to where discs would lie on each other.
+_APART = 2.7
+_ON_EACH_OTHER = 1.6
 
-# First guesses: half a bar's length, of half the way between two discs that fit best; a
-# ring's radius beside that half way itself, in usual radii. A ring narrower than the
-# least is a disc.
-_BAR, _RING, _NARROWEST = 1.3, 3.5, 1.2
+# So is a second disc below this part of the strongest, and a further one.
+_WEAKEST_SECOND = 0.04
+_WEAKEST = 0.1
+
+# First guess of half a bar's length, of half the way between two discs that fit best.
+_BAR = 1.3
+
+# First guess of a ring's radius beside that half way itself, in usual radii.
+_RING = 3.5
+
+# A ring narrower than so many usual radii is a disc.
+_NARROWEST = 1.2
 
 
 class Ladder(NamedTuple):
@@ -66,7 +78,7 @@ def _due(ladder: Ladder, size: int) -> Any:
     worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
     best, more = ladder.best, GAIN * (_extra(size) - 1)
-    return worth & ~(_shaped(best) & (best.cost < best.usual + more))
+    return worth & ~(shaped(best) & (best.cost < best.usual + more))
 
 
 def _enough_for(size: int) -> float:
@@ -89,7 +101,8 @@ def _explains(found: Found) -> Any:
     return found.cost < found.usual + GAIN
 
 
-def _shaped(found: Found) -> Any:
+def shaped(found: Found) -> Any:
+    """Tells whether a bar or a ring was found, in NumPy as well."""
     return ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
 
 
@@ -102,7 +115,15 @@ def first(scene: Fitting) -> Ladder:
     found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
     pair = jnp.stack([found.place[0], rival])
-    return Ladder(found, found, found, promise, rival, pair, jnp.array(False))
+    return Ladder(
+        best=found,
+        one=found,
+        discs=found,
+        promise=promise,
+        rival=rival,
+        pair=pair,
+        asked=jnp.array(False),
+    )
 
 
 def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
@@ -133,20 +154,26 @@ def seen_at_all(scene: Fitting, found: Found) -> Found:
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """Fits `size` discs, and keeps them where they gain enough."""
-    best, one, discs, _, rival, pair, asked = ladder
-    new, ended = _more_discs(scene, discs, rival, size)
+    best, discs, pair = ladder.best, ladder.discs, ladder.pair
+    new, ended = _more_discs(scene, discs, ladder.rival, size)
     if size == 2:
         # Of a fit that was given up nothing is known.
         pair = jnp.where(jnp.isfinite(new.place[:2]).all(), new.place[:2], pair)
     # Nor does one disc explain what is neither: a ring, where two are no better.
-    asked = asked | discs.high | _gains(scene, discs, new, size)
-    new = _believed(scene, new, size)
+    asked = ladder.asked | discs.high | _gains(scene, discs, new, size)
+    # Discs too near each other, or one too weak, are not believed.
+    sound = apart_and_strong(scene, new, size)
+    new = new._replace(cost=jnp.where(sound, new.cost, jnp.inf))
     gained = _gains(scene, discs, new, size)
-    best = _choose(gained & (_score(new) < _score(best)), new, best)
     promise, rival = _promise(scene, new, ended, size)
-    promise = jnp.where(gained, promise, 0)
-    discs = _choose(gained, new, discs)
-    return Ladder(best, one, discs, promise, rival, pair, asked)
+    return ladder._replace(
+        best=_choose(gained & (_score(new) < _score(best)), new, best),
+        discs=_choose(gained, new, discs),
+        promise=jnp.where(gained, promise, 0),
+        rival=rival,
+        pair=pair,
+        asked=asked,
+    )
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
@@ -205,7 +232,7 @@ def _promise(
 
 def _score(found: Found) -> Array:
     """Returns the cost plus the gain that `_gains` asks of further contacts or a shape."""
-    extra = jnp.where(_shaped(found), 1, jnp.asarray(_extra(found.count)))
+    extra = jnp.where(shaped(found), 1, jnp.asarray(_extra(found.count)))
     return found.cost + GAIN * extra.astype(found.cost.dtype)
 
 
@@ -234,8 +261,8 @@ def _more_discs(
 
 def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, " S"]:
     """Returns slots' costs of a fit that gains `less`; the prior's cost is in each."""
-    slots = scene.prepared.used.any(1).astype(old.cost.dtype)
-    known = old.cost - old.misfits.sum() / jnp.maximum(slots.sum(), 1)
+    known = old.cost - old.misfits.sum() / scene.prepared.slot_count
+    slots = scene.prepared.slots.astype(old.cost.dtype)
     return (old.misfits + known - less) * slots
 
 
@@ -272,17 +299,10 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     """
     # Where the model's error is larger than thought, so is what a ghost would gain; what is
     # left beyond the tolerance is no error but a contact that is missing.
-    slots = jnp.maximum(scene.prepared.used.any(1).sum(), 1)
     enough = GAIN * (size - 1) * jnp.clip(new.cost / new.usual, 1, 1 / LEFT)
     each = old.misfits - new.misfits
-    over = jnp.maximum(each - 2 * enough, 0).sum() / slots.astype(each.dtype)
+    over = jnp.maximum(each - 2 * enough, 0).sum() / scene.prepared.slot_count
     return old.cost - new.cost - over > enough
-
-
-def _believed(scene: Fitting, found: Found, size: int) -> Found:
-    """Sets an infinite cost where two discs lie too near each other, or one is too weak."""
-    sound = apart_and_strong(scene, found, size)
-    return found._replace(cost=jnp.where(sound, found.cost, jnp.inf))
 
 
 def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
@@ -293,7 +313,8 @@ def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]
     left = jnp.sqrt(scene.method.errors.part)
     least = jnp.clip(_APART * left, _ON_EACH_OTHER, _APART)
     near = apart.min() < (least * scene.method.sheet.size) ** 2
-    weak = current.min() < _WEAKEST[size > 2] * current.max()
+    weakest = _WEAKEST if size > 2 else _WEAKEST_SECOND
+    weak = current.min() < weakest * current.max()
     return ~(near | weak)
 
 

@@ -8,14 +8,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Float
 
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
 from tomojax.kernels.sheet import cell_centres
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
+from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames, searched
@@ -93,13 +93,6 @@ class Points(AbstractMethod):
     def electrode_count(self) -> int:
         return self.potentials.shape[1]
 
-    def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns λ = 1: the error of a sheet with nominal values."""
-        return 1.0
-
-    def scale(self) -> float:
-        return 1.0
-
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         return self.errors.prepare(grounds, good, lam)
 
@@ -114,22 +107,14 @@ class Points(AbstractMethod):
             )
         return self._described(ladder.best)
 
-    def block(
-        self,
-        prepared: PreparedErrors,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
+    def block(self, prepared: PreparedErrors, part: Part, count: int, images: bool) -> Rows:
         """Estimates n frames; fits a larger model only to the frames that ask for one."""
-        volts, grounds = np.asarray(voltages), np.asarray(grounds)
+        volts, grounds = np.asarray(part.voltages), np.asarray(part.grounds)
         frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
-        if films is None:
+        if part.films is None:
             found = searched(frames, every).best
         else:
-            found = filmed(frames, films)
+            found = filmed(frames, part.films)
         return called(frames, every, _described_all, found, images)
 
     def _described(self, found: Found) -> Estimate:
@@ -152,15 +137,16 @@ class Points(AbstractMethod):
             self.cell,
             self.shape,
         )
-        flags = jnp.where(found.limited, Flag.MODEL_LIMITED.value, 0)
-        # Of all channels together: what is left of a part of them is little of the whole.
-        flags = flags | jnp.where(found.high, Flag.HIGH_RESIDUAL.value, 0)
         # Half of a pitch.
         limit = 0.5 / UNIT * self.sheet.unit
-        vague = (largest_variance(found.covariance) > limit**2).any()
-        flags = flags | jnp.where(vague, Flag.PLACE_UNCERTAIN.value, 0)
-        vague = found.vague.any()
-        flags = flags | jnp.where(vague, Flag.CONDUCTANCE_UNCERTAIN.value, 0)
+        apart = largest_variance(found.covariance) > limit**2
+        flags = bits_of(
+            (found.limited, Flag.MODEL_LIMITED),
+            # Of all channels together: what is left of a part is little of the whole.
+            (found.high, Flag.HIGH_RESIDUAL),
+            (apart.any(), Flag.PLACE_UNCERTAIN),
+            (found.vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
+        )
         each = found.by_electrode
         return Estimate(contacts, image, found.residual, flags, by_electrode=each)
 

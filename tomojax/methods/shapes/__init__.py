@@ -6,7 +6,4 @@ ladder's contract. The folder knows no other rung than `source`.
 
 from tomojax.methods.shapes._described import described as described
 from tomojax.methods.shapes._image_shape import ImageShape as ImageShape
-from tomojax.methods.shapes._model import (
-    PreparedShape as PreparedShape,
-    ShapeModel as ShapeModel,
-)
+from tomojax.methods.shapes._model import PreparedShape as PreparedShape

@@ -6,16 +6,21 @@ from jaxtyping import Array, Float
 
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import no_contacts, read_regions
-from tomojax.methods._contract import Estimate
-from tomojax.methods.shapes._model import FittedShape, ShapeModel
+from tomojax.methods._contract import bits_of, Estimate
+from tomojax.methods.shapes._model import AbstractShape, FittedShape
 
-# A region is what touches by half, of what touches most. What a further region carries of
-# what the first does, to be one that is not told of.
-_HALF, _OTHERS = 0.5, 0.1
+# A region is what touches by half, of what touches most.
+_HALF = 0.5
 
-# Highest voltage, in the converter's noise, that places a contact. Where more than this
-# part of what touches may as well not, the place is not told.
-_FAINT, _VAGUE = 30.0, 0.3
+# A region beyond those that are asked for is one more contact if it carries this part of
+# what the first region carries.
+_OTHERS = 0.1
+
+# Highest voltage, in the converter's noise, that places a contact.
+_FAINT = 30.0
+
+# Where more than this part of what touches may as well not, the place is not told.
+_VAGUE = 0.3
 
 # Voltages above this part of the drive are not there without a contact, though all of them
 # be alike (metal on the whole sheet), which an offset would explain as well.
@@ -27,7 +32,7 @@ _RIM = 0.25
 
 
 def described(
-    model: ShapeModel, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
+    model: AbstractShape, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
 ) -> Estimate:
     """Reads each contact off a connected region that touches; sets the flags."""
     touch = fitted.fit.touch.reshape(model.shape)
@@ -56,17 +61,16 @@ def described(
         contacts._replace(count=told),
         no_contacts(count, contacts.xy.dtype),
     )
-    faint = fitted.seen & (fitted.highest < _FAINT * model.errors.noise)
+    faint = fitted.seen & (fitted.highest < _FAINT * model.noise)
     squares = fitted.conductance.max() * model.sheet_resistance
     metal = squares * (_RIM * model.pitch) ** 2 > 1
     high = fitted.highest > _SURELY * jnp.abs(model.drive_voltage)
-    bits = (
+    flags = bits_of(
         ((fitted.cost > 1) | high & ~fitted.seen, Flag.HIGH_RESIDUAL),
         (more, Flag.CONTACTS_UNEXPLAINED),
         (fitted.seen & metal, Flag.CONDUCTANCE_UNCERTAIN),
         (faint | fitted.seen & vague, Flag.PLACE_UNCERTAIN),
     )
-    flags = jnp.stack([jnp.where(on, bit.value, 0) for on, bit in bits]).sum()
     return Estimate(
         contacts,
         image,

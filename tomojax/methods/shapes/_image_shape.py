@@ -1,22 +1,17 @@
 """`shape`: finds where an object touches, as a field of two levels, in the exact model."""
 
-from dataclasses import replace
 from typing import ClassVar
 
-import equinox as eqx
-import jax
-import numpy as np
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Float
 
 from tomojax._programs import kept
-from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged
-from tomojax.methods._rows import Rows
+from tomojax.methods._contract import Estimate, judged, Part
+from tomojax.methods._rows import empty_rows, Rows
 from tomojax.methods.shapes._described import described
-from tomojax.methods.shapes._model import Before, CELLS, PreparedShape, ShapeModel
-from tomojax.sensor import Calibration, Sensor
+from tomojax.methods.shapes._model import AbstractShape, Before, CELLS, PreparedShape
 
 
-class ImageShape(AbstractMethod):
+class ImageShape(AbstractShape):
     """The likeliest shape: g = level·logistic(f), f a Gaussian field beforehand.
 
     The image is g, S/m²; rows also have the probability that a pixel touches.
@@ -45,44 +40,9 @@ class ImageShape(AbstractMethod):
     seconds_per_slot: ClassVar[float] = 1.5e-2  # 29 ms alone, 110 ms for ten
     films: ClassVar[bool] = True
 
-    shape: tuple[int, int] = eqx.field(static=True)
-    cell: Float[Array, "2"]
-    model: ShapeModel
-
-    @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ImageShape":
-        """Makes the method for an image of `shape` pixels."""
-        model = ShapeModel.of(sensor, shape)
-        return cls(shape, model.cell, model)
-
-    def calibrated(self, calibration: Calibration) -> "ImageShape":
-        return replace(self, model=self.model.calibrated(calibration))
-
-    @property
-    def drive_sign(self) -> Float[Array, ""]:
-        return self.model.drive_sign
-
-    @property
-    def noise(self) -> Float[Array, ""]:
-        return self.model.errors.noise
-
-    @property
-    def electrode_count(self) -> int:
-        return self.model.source.electrode_count
-
-    def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns λ = 1: the error of a sheet with nominal values."""
-        return 1.0
-
-    def scale(self) -> float:
-        return 1.0
-
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
         nx, ny = self.shape
         return super().sizes(contacts, images) | ({"tx": nx, "ty": ny} if images else {})
-
-    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedShape:
-        return self.model.prepare(grounds, good, lam)
 
     def estimate(
         self, prepared: PreparedShape, voltages: Float[Array, "S M"], count: int
@@ -91,27 +51,20 @@ class ImageShape(AbstractMethod):
 
         The derivative holds each place's level constant.
         """
-        nothing = self.model.nothing_before()
-        fitted = self.model.fitted(prepared, voltages, nothing, follow=True)
-        return described(self.model, fitted, fitted.conductance, count)
+        fitted = self.fitted(prepared, voltages, self.nothing_before(), follow=True)
+        return described(self, fitted, fitted.conductance, count)
 
-    def block(
-        self,
-        prepared: PreparedShape,
-        voltages: Float[Array, "n S M"],
-        grounds: Integer[np.ndarray, "n S"],
-        count: int,
-        images: bool,
-        films: Int[np.ndarray, " n"] | None = None,
-    ) -> Rows:
+    def block(self, prepared: PreparedShape, part: Part, count: int, images: bool) -> Rows:
         """Estimates frames one by one; a film's frame goes on from the frame before."""
-        rows, nothing, before = [], self.model.nothing_before(), None
-        for k, v in enumerate(voltages):
+        volts, films = part.voltages, part.films
+        rows = empty_rows(len(volts), self.sizes(count, images))
+        before = nothing = self.nothing_before()
+        for k, v in enumerate(volts):
             follows = films is not None and k > 0 and films[k] == films[k - 1]
             start = before if follows else nothing
             row, before = _row(self, prepared, v, count, images, start)
-            rows.append(row)
-        return jax.tree.map(lambda *r: np.stack(r), *rows)
+            rows.put(k, row)
+        return rows
 
 
 @kept
@@ -123,6 +76,6 @@ def _row(
     images: bool,
     before: Before,
 ) -> tuple[Rows, Before]:
-    fitted = method.model.fitted(prepared, voltages, before)
-    estimate = described(method.model, fitted, fitted.conductance, count)
+    fitted = method.fitted(prepared, voltages, before)
+    estimate = described(method, fitted, fitted.conductance, count)
     return judged(method, estimate, voltages, images), fitted.next

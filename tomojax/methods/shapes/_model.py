@@ -1,7 +1,7 @@
 """Fits the model of `shape`: a field of two levels on the image's pixels."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ from tomojax.kernels.shapes import (
     TwoLevels,
 )
 from tomojax.kernels.sheet import ground_voltages, reduce_sites, voltage_drop
-from tomojax.methods._contract import rms, rms_by_electrode
+from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode
 from tomojax.methods._errors import (
     Errors,
     misfit_cost,
@@ -36,38 +36,55 @@ from tomojax.methods._errors import (
     whitened,
     without_offset,
 )
-from tomojax.methods._pixels import pixels_of, site_table
+from tomojax.methods._pixels import pixel_sites, pixels_of
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, Sensor
 
 # Cells of the mesh that are no wider than an electrode.
 CELLS = 2
 
-# Slots that a shape is fitted to, at most, the grounds as far apart as can be; and how many
-# of them errors of the model leave independent: the same sheet, electrodes and gains are
-# behind all. On simulated letters, rings and hands 64 slots overlapped no better than 16
-# of them, on rigs without errors neither, and took three times as long.
-_SLOTS, _INDEPENDENT = 16, 12.0
+# Slots that a shape is fitted to, at most, the grounds as far apart as can be. On simulated
+# letters, rings and hands 64 slots overlapped no better than 16 of them, on rigs without
+# errors neither, and took three times as long.
+_SLOTS = 16
 
-# The coarse fit's pixels, of the image's along each side; and the part of its waves.
-_COARSER, _WAVES = 2, 2
+# How many slots errors of the model leave independent: the same sheet, electrodes and gains
+# are behind all.
+_INDEPENDENT = 12.0
 
-# Evaluations of the coarse fit and of the fine one; the gain, as a part of the cost, at
-# which they are enough.
-_FIRST, _THEN, _ENOUGH, _ENOUGH_THEN = 16, 8, 5e-3, 3e-3
+# The coarse fit's pixels, of the image's along each side, and its waves, of the image's.
+_COARSER = 2
+_WAVES = 2
 
-# A film's next frame: its level, of what came out of the one before (of which a fit makes
-# less, so that both settle). It starts anew where the cost is so many times as high, or
-# what came out is less than this part of the level: the object presses less, or is gone.
-_NEXT, _MORE, _UNDER = 1.28, 2.0, 0.55
+# Evaluations of the coarse fit, and the gain, as a part of the cost, at which it ends.
+_FIRST = 16
+_ENOUGH = 5e-3
+
+# The same of the fine fit.
+_THEN = 8
+_ENOUGH_THEN = 3e-3
+
+# The level of a film's next frame, of what came out of the one before (of which a fit makes
+# less, so that both settle).
+_NEXT = 1.28
+
+# A film's frame starts anew where the cost is so many times as high, or what came out is
+# less than this part of the level: the object presses less, or is gone.
+_MORE = 2.0
+_UNDER = 0.55
 
 # The coarse fit's level, of that of `source`'s blurred image: far above what is there, so
-# that the field is in proportion to what the data ask for. The fine fit's level, of what
-# came out.
-_HIGH, _LEVEL = 40.0, 0.85
+# that the field is in proportion to what the data ask for.
+_HIGH = 40.0
 
-# V0 − u at a contact is no less than this part of V0, for a start. The start's λ, of σ₁².
-_DROP, _START = 0.1, 1e-4
+# The fine fit's level, of what came out.
+_LEVEL = 0.85
+
+# V0 − u at a contact is no less than this part of V0, for a start.
+_DROP = 0.1
+
+# The start's λ, of σ₁².
+_START = 1e-4
 
 
 class PreparedShape(NamedTuple):
@@ -87,6 +104,15 @@ class Before(NamedTuple):
     cost: Float[Array, ""]  # inf: nothing is known
 
 
+class Turn(NamedTuple):
+    """A fit, and how to go on."""
+
+    fit: ShapeFit
+    level: Float[Array, "nx ny"]  # S/m²
+    anew: Bool[Array, ""]  # whether the next fit begins with a coarse one
+    ended: Bool[Array, ""]
+
+
 class FittedShape(NamedTuple):
     """A shape fitted to one frame."""
 
@@ -104,7 +130,10 @@ class FittedShape(NamedTuple):
     next: Before
 
 
-class ShapeModel(eqx.Module):
+_S = TypeVar("_S", bound="AbstractShape")  # typing.Self, which beartype cannot check here
+
+
+class AbstractShape(AbstractMethod):
     """The fit of a shape to a frame.
 
     A coarse fit, whose level is far above the object's, starts from nothing. Each place's
@@ -128,48 +157,50 @@ class ShapeModel(eqx.Module):
     def drive_sign(self) -> Float[Array, ""]:
         return jnp.sign(self.drive_voltage)
 
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.errors.noise
+
+    @property
+    def electrode_count(self) -> int:
+        return self.source.electrode_count
+
     @classmethod
-    def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "ShapeModel":
-        """Makes the model for an image of `shape` pixels."""
+    def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
+        """Makes the method for an image of `shape` pixels."""
         # Metal discs where the sensor leaves it open, as for `points`.
         if sensor.electrode_shunt is None:
             sensor = replace(sensor, electrode_shunt=1.0)
         less = (max(1, shape[0] // _COARSER), max(1, shape[1] // _COARSER))
         fine, coarse = (pixels_of(sensor, s, CELLS) for s in (shape, less))
-        tables = [PixelSites(*site_table(p.sensor, p.shape)) for p in (fine, coarse)]
         size, pitch = np.asarray(sensor.size, float), sensor.mean_pitch
         field = modes_of(shape, size, pitch, sensor.dtype)
         few = modes_of(less, size, pitch, sensor.dtype)
         few = few._replace(waves=few.waves[:, :, : -(-few.waves.shape[2] // _WAVES)])
-        return cls(
-            shape,
-            fine.cell,
-            Source.of(sensor, shape),
-            tables[0],
-            field,
-            tables[1],
-            few,
-            Errors.of(sensor),
-            jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
-            fine.sensor.ground_resistance,
-            fine.sensor.drive_voltage,
-            jnp.asarray(pitch, sensor.dtype),
+        # pyright takes what is a ClassVar by its meaning for a field.
+        return cls(  # pyright: ignore
+            shape=shape,
+            cell=fine.cell,
+            source=Source.of(sensor, shape),
+            fine=pixel_sites(fine.sensor, shape),
+            field=field,
+            coarse=pixel_sites(coarse.sensor, less),
+            coarse_field=few,
+            errors=Errors.of(sensor),
+            sheet_resistance=jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
+            ground_resistance=fine.sensor.ground_resistance,
+            drive_voltage=fine.sensor.drive_voltage,
+            pitch=jnp.asarray(pitch, sensor.dtype),
         )
 
-    def calibrated(self, calibration: Calibration) -> "ShapeModel":
-        """Returns the model with the calibration's errors and ground path."""
+    def calibrated(self: _S, calibration: Calibration) -> _S:
+        """Returns the method with the calibration's errors and ground path."""
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
         errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
         resistance = self.ground_resistance + ground
         return replace(self, errors=errors, source=source, ground_resistance=resistance)
 
-    def prepare(
-        self,
-        grounds: Int[np.ndarray, " S"],
-        good: Bool[np.ndarray, "S M"],
-        lam: float,
-    ) -> PreparedShape:
-        """Prepares arrays for slots with these grounds and good channels."""
+    def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedShape:
         start = self.source.prepare(grounds, good, _START * self.source.scale())
         errors = self.errors.prepare(grounds, good, lam)
         xy = np.asarray(self.errors.electrode_xy, float)[grounds]
@@ -195,25 +226,8 @@ class ShapeModel(eqx.Module):
         given = self._told(prepared.some, voltages[prepared.fitted])
         told: Told = jax.lax.stop_gradient(given)
         still = jax.lax.stop_gradient(voltages)
-        area = jnp.prod(self.cell)
-
-        def fine(w: Array, level: Array) -> tuple[ShapeFit, Array]:
-            each = (level * area).ravel()
-            fit = fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
-            return fit, level
-
-        def anew() -> tuple[ShapeFit, Array]:
-            return fine(*self._coarse(told, self._level(prepared.source, still)))
-
-        def onward() -> tuple[ShapeFit, Array]:
-            found = fine(before.w, before.level)
-            image = before.level * found[0].touch.reshape(self.shape)
-            under = (image**2).sum() < _UNDER * (image * before.level).sum()
-            worse = ~(found[0].cost <= _MORE * before.cost) | under
-            return jax.lax.cond(worse, anew, lambda: found)
-
-        fit, level = jax.lax.cond(jnp.isfinite(before.cost), onward, anew)
-        each = (level * area).ravel()
+        fit, level = self._from(told, before, self._level(prepared.source, still))
+        each = (level * jnp.prod(self.cell)).ravel()
         curvature = shape_curvature(self.field, self.fine, told, each, fit)
         sure = spread(self.field, curvature, fit.w)
         if follow:
@@ -229,9 +243,41 @@ class ShapeModel(eqx.Module):
         ahead = Before(fit.w, near, fit.cost)
         return self._judged(prepared.errors, voltages, fit, images, ahead)
 
+    def _from(
+        self, told: Told, before: Before, blurred: Float[Array, ""]
+    ) -> tuple[ShapeFit, Float[Array, "nx ny"]]:
+        """Fits the fine field from the frame before, or from a coarse fit.
+
+        A fit that the frame before began is given up where its end is no good. The loop
+        holds each of the two fits once: they are most of what has to be compiled.
+        """
+
+        def fine(w: Array, level: Array) -> ShapeFit:
+            each = (level * jnp.prod(self.cell)).ravel()
+            return fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
+
+        def turn(run: Turn) -> Turn:
+            w, level = jax.lax.cond(
+                run.anew,
+                lambda: self._coarse(told, blurred),
+                lambda: (before.w, before.level),
+            )
+            fit = fine(w, level)
+            image = level * fit.touch.reshape(self.shape)
+            under = (image**2).sum() < _UNDER * (image * level).sum()
+            worse = ~(fit.cost <= _MORE * before.cost) | under
+            return Turn(fit, level, jnp.array(True), run.anew | ~worse)
+
+        shapes = jax.eval_shape(fine, before.w, before.level)
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+        anew = ~jnp.isfinite(before.cost)
+        first = Turn(nothing, before.level, anew, jnp.array(False))
+        ended: Turn = jax.lax.while_loop(lambda run: ~run.ended, turn, first)
+        return ended.fit, ended.level
+
     def every_slot(self) -> PreparedErrors:
         """Prepares the errors of all grounds' voltages, every channel good. Host code."""
-        count = self.source.electrode_count
+        count = self.electrode_count
         return self.errors.prepare(np.arange(count), np.ones((count, count), bool), 1.0)
 
     def slopes_at(
@@ -241,7 +287,7 @@ class ShapeModel(eqx.Module):
 
         The object conducts so well that current enters within a pitch of its rim.
         """
-        count = self.source.electrode_count
+        count = self.electrode_count
         level = jnp.prod(self.cell) / (self.sheet_resistance * self.pitch**2)
         each = jnp.broadcast_to(level, self.fine.on_sheet.shape)
         touch, steep = touching(self.field.waves, self.field.mean, w)
@@ -252,14 +298,13 @@ class ShapeModel(eqx.Module):
         return shape_slopes(self.field, self.fine, told, each, steep, at)
 
     def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> Told:
-        n = jnp.maximum(errors.used.any(1).sum(), 1).astype(voltages.dtype)
         return Told(
-            voltages,
-            whitened(errors, voltages).frame,
-            errors.tolerance,
-            jnp.minimum(1, _INDEPENDENT / n),
-            self.ground_resistance,
-            self.drive_voltage,
+            voltages=voltages,
+            frame=whitened(errors, voltages).frame,
+            tolerance=errors.tolerance,
+            part=jnp.minimum(1, _INDEPENDENT / errors.slot_count),
+            ground_resistance=self.ground_resistance,
+            drive_voltage=self.drive_voltage,
         )
 
     def _judged(
@@ -271,13 +316,10 @@ class ShapeModel(eqx.Module):
         ahead: Before,
     ) -> FittedShape:
         """Compares the fit with the voltages of all slots."""
-        z, v0, slots = self.ground_resistance, self.drive_voltage, errors.used.any(1)
-        n = jnp.maximum(slots.sum(), 1).astype(voltages.dtype)
-        contact = fit.at.contact
-        drop = voltage_drop(contact, errors.grounds, z, v0)
-        mean = jnp.where(slots[:, None], drop, 0).sum(0) / n
+        z, v0, contact = self.ground_resistance, self.drive_voltage, fit.at.contact
+        drop = errors.mean(voltage_drop(contact, errors.grounds, z, v0))
         flat = images["conductance"].ravel() * jnp.prod(self.cell)
-        (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(mean)
+        (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(drop)
         left = ground_voltages(contact, errors.grounds, z, v0) - voltages
         frame = whitened(errors, voltages).frame
         misfits = (whitened_columns(frame, left) ** 2).sum(1)
@@ -287,7 +329,7 @@ class ShapeModel(eqx.Module):
             fit,
             **images,
             current=(flat * at_pixels).reshape(self.shape),
-            cost=costs.sum() / n / errors.tolerance,
+            cost=costs.sum() / errors.slot_count / errors.tolerance,
             seen=seen(errors, frame, costs),
             residual=rms(misfit, used),
             by_electrode=rms_by_electrode(misfit, used),

@@ -127,7 +127,7 @@ def day_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any
         grounds = np.concatenate(
             [grounds, np.resize(grounds, (_NOTHING, grounds.shape[1]))]
         )
-        for method in ("auto", "conductance"):
+        for method in ("auto", "shape"):
             jax.clear_caches()
             model = make_method(sensor, method, job.pixels)
             batch = Batch(model, model.choose_lambda([]), 3)

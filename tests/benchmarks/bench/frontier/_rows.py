@@ -18,6 +18,7 @@ from tomojax.methods import (
     Frame,
     Linear,
     method as make_method,
+    Part,
     pixel_divisions,
     Rows,
 )
@@ -108,7 +109,7 @@ def _times(
                 def call(images=images, ready=prepared, same=same, taken=taken) -> None:
                     v, under = same or taken()
                     v = jnp.asarray(v)
-                    out = model.block(ready, v, under, _CONTACTS, images)
+                    out = model.block(ready, Part(v, under), _CONTACTS, images)
                     [np.asarray(a) for a in out if a is not None]
 
                 if fits:

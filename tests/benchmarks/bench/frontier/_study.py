@@ -59,11 +59,9 @@ def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
         Job("source", few, own, (1, 256), dtype="float64"),
         Job("source", ("corner", *few), own, (256, 1024), 16),
         Job("source", few, own, (256,), 64),
-        Job("positive", few, own, (1, 256)),
-        # Slow ones, on some of the scenes: a conductance image takes a second.
+        # Slow ones, on some of the scenes.
         Job("points", ("corner", "corners", "all"), own, (64,)),
         Job("points", ("corners",), own, (64,), dtype="float64"),
-        Job("conductance", ("corners", "all"), own, (2,), most=6),
         Job("shape", ("corners", "all"), own, (2,), most=6),
         Job("auto", ("corners", "all"), own, (32,), most=10),
         Job("follow", ("around_contacts", "around", "all")),

@@ -183,7 +183,9 @@ def rungs(rows: list[dict[str, Any]]) -> Any:
     """Draws the rung that each kind of scene needs: error, doubt, time, `auto`'s choice."""
     from matplotlib.figure import Figure
 
-    models = ("linear", "source", "points", "conductance", "auto")
+    # Rows of runs before `shape` have `conductance`.
+    known = ("linear", "source", "points", "conductance", "shape", "auto")
+    models = [name for name in known if any(r["method"] == name for r in rows)]
     patterns = [p for p in ("corners", "all") if any(r["pattern"] == p for r in rows)]
     figure = Figure(figsize=(13, 3.8 * len(patterns) + 0.8), layout="constrained")
     figure.suptitle("Which model each kind of scene needs")

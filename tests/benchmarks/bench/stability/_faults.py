@@ -125,7 +125,7 @@ def _lam(bench: Bench, value: float) -> SweptScenes:
 
 
 _COUNTS = (0, 1, 2, 4, 8, 16, 32)
-_REGULAR = ("linear", "source", "positive")
+_REGULAR = ("linear", "source")
 
 # Ways in which what is measured, or told, is wrong.
 SWEEPS = {

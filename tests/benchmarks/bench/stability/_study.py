@@ -36,13 +36,13 @@ SWEEPS = {
 }
 
 # What takes part; slow ones see a few of the scenes.
-METHODS = ("linear", "source", "positive", "points", "follow", "auto", "conductance")
+METHODS = ("linear", "source", "points", "follow", "auto")
 QUICK = ("linear", "source", "points", "follow")
-_FEW = {"auto": 3, "conductance": 3}
+_FEW = {"auto": 3}
 SCENES, QUICK_SCENES = 10, 4
 
 # Those that are run in float64 too.
-_BOTH = ("linear", "source", "positive", "points")
+_BOTH = ("linear", "source", "points")
 
 # Contacts looked for; slots of a step before what it says counts; pixels along a side.
 CONTACTS, _SLOTS, _PIXELS = 3, 60, 32
@@ -241,7 +241,7 @@ def limits(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-# Sweeps in which the slow ones are tested; `positive` has `source`'s contacts.
+# Sweeps in which the slow ones are tested.
 SLOW_TESTS = ("contacts", "conductance_low", "gain")
 
 
@@ -249,9 +249,8 @@ def _test(sweep: str, method: str) -> str | None:
     """Returns the test that fails when the limit moves in, or the flags beyond change."""
     if method in _FEW and sweep not in SLOW_TESTS:
         return None
-    tested = "source" if method == "positive" else method
-    file = "slow" if method in _FEW else tested
-    return f"tests/stability/test_sweeps_{file}.py::test_{tested}[{sweep}]"
+    file = "slow" if method in _FEW else method
+    return f"tests/stability/test_sweeps_{file}.py::test_{method}[{sweep}]"
 
 
 def _beyond(rows: list[dict[str, Any]], far: int, undoubted: int) -> str:
