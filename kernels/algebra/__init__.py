@@ -17,15 +17,11 @@ from tomojax.kernels.algebra._descent import (
     Limits as Limits,
     Normal as Normal,
 )
+from tomojax.kernels.algebra._elimination import solve_positive as solve_positive
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,
     smooth_levels as smooth_levels,
-)
-from tomojax.kernels.algebra._least_squares import (
-    least_squares as least_squares,
-    LeastSquares as LeastSquares,
-    solve_positive as solve_positive,
 )
 from tomojax.kernels.algebra._positive import (
     descended as descended,
@@ -44,12 +40,5 @@ from tomojax.kernels.algebra._subsets import (
     least_weights as least_weights,
     project_weights as project_weights,
     subset_marginals as subset_marginals,
-)
-from tomojax.kernels.algebra._twofloat import (
-    add as add,
-    matvec as matvec,
-    multiply as multiply,
-    negative as negative,
-    widen as widen,
 )
 from tomojax.kernels.algebra._where_needed import where_needed as where_needed

@@ -16,7 +16,7 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.algebra._least_squares import solve_positive
+from tomojax.kernels.algebra._elimination import solve_positive
 
 # Damping at first, its change after a step that is taken or not, least and most.
 _DAMPING, _LESS, _MORE, _LEAST, _HOPELESS = 1e-3, 1 / 8, 8.0, 1e-4, 1e3

@@ -9,7 +9,6 @@ from tomojax.kernels.sheet._fem import (
     fem_resistances as fem_resistances,
     fem_shared_resistances as fem_shared_resistances,
     fem_sheet as fem_sheet,
-    fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
     site_conductance as site_conductance,
 )
@@ -36,13 +35,10 @@ from tomojax.kernels.sheet._rectangle_grid import (
 )
 from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
-    ground_currents as ground_currents,
     ground_voltages as ground_voltages,
-    reduce_contact as reduce_contact,
     shared_ground_voltages as shared_ground_voltages,
     voltage_change as voltage_change,
     voltage_drop as voltage_drop,
-    voltage_sensitivity as voltage_sensitivity,
     voltage_slopes as voltage_slopes,
 )
 from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites

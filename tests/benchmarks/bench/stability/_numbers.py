@@ -25,7 +25,7 @@ from tomojax.sensor import resistances, Sensor, voltages
 
 # λ/σ₁² of the solvers; routes of `tikhonov`.
 RELATIVE = tuple(10.0 ** -np.arange(2, 13))
-ROUTES = ("cholesky", "double", "qr", "refined")
+ROUTES = ("cholesky", "double")
 
 _TOGETHER = 100  # points of a compiled call
 
