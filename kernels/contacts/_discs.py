@@ -12,7 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import Limits
-from tomojax.kernels.contacts._equations import currents_of, Explained, made_by
+from tomojax.kernels.contacts._equations import (
+    best_currents,
+    currents_of,
+    Explained,
+    made_by,
+)
 from tomojax.kernels.contacts._field import rows_at
 from tomojax.kernels.contacts._points import (
     DISC,
@@ -29,6 +34,7 @@ from tomojax.kernels.contacts._points import (
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
+from tomojax.kernels.sheet import slot_offset
 
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and
@@ -71,11 +77,7 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     moves = jnp.concatenate([shift[None], by])  # and by x, y and radius
     moves = jnp.einsum("dsck,sckw->dscw", moves, each[:, :, :2], precision="highest")
     column = alone + moves[0]
-    current = currents_of(column, frame.whitened)
-    # Twice: what one solve leaves by rounding is as large as the errors, in float32.
-    rest = frame.whitened - made_by(current, column)
-    current = current + currents_of(column, rest)
-    rest = frame.whitened - made_by(current, column)
+    current, rest = best_currents(column, frame.whitened)
     first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
     each = jnp.concatenate([first, each[:, :, 3:DISC]], 2)
     scale = current[:, :, None] * _chain(sheet, parameters, radius)
@@ -124,9 +126,8 @@ def _columns(
     """Computes each disc's volts per ampere, then their derivatives; whitened too."""
     count, _, m = rows.shape
     flat = jnp.concatenate([rows[:, 0], rows[:, 1:].reshape(-1, m)])
-    grounds, ee = frame.grounds, sheet.field.electrodes
-    z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
+    grounds = frame.grounds
+    offset = slot_offset(sheet.field.electrodes, grounds, sheet.ground_resistance)
     level = jnp.where(jnp.arange(len(flat))[:, None] < count, offset[:, None], 0)
     columns = flat - flat[:, grounds].T[:, :, None] + level
     return columns, whitened_rows(frame, columns)

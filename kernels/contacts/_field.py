@@ -188,21 +188,3 @@ def lagrange_and_slope(
     # Of each node without one more: products over the last axis.
     without = jnp.prod(jnp.where(own, 1, ratio[:, None, :]), -1)
     return jnp.prod(ratio, 1), jnp.where(own, 0, without / below).sum(1)
-
-
-def slot_columns(
-    field: Field,
-    potential: Float[Array, "*batch M"],
-    grounds: Array,
-    ground_resistance: Float[Array, "..."],
-    total: Float[Array, "*#batch"] | float = 1.0,
-) -> Float[Array, "*batch S M"]:
-    """Computes T^l = R_i − R_l + total·(R_ll + z − R_il): each slot's volts per ampere.
-
-    `potential` is R(x, a), or a mix of several whose weights add up to `total`.
-    """
-    ee = field.electrodes
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
-    share = jnp.asarray(total, ee.dtype)[..., None, None]
-    return potential[..., None, :] - potential[..., grounds][..., :, None] + share * offset

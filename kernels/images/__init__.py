@@ -16,7 +16,6 @@ from tomojax.kernels.images._drawing import (
     points_image as points_image,
 )
 from tomojax.kernels.images._explained import (
-    amplitudes as amplitudes,
     explained_by as explained_by,
     point_sources as point_sources,
     unexplained as unexplained,

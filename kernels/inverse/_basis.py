@@ -1,8 +1,9 @@
 """Reduces the slots' rows: J^l ≈ A_l B with r rows in B instead of K columns.
 
 All slot maps T share one row space, which the differences of the electrodes' fields and a
-constant span (T^l_ik = R_ik − R_lk + const_il). There r = M is exact. In an orthonormal B the sums A_lᵀA_l are r × r and add over slots. A
-ground set, a weight or λ then costs a sum of r × r blocks and one small factorisation.
+constant span (T^l_ik = R_ik − R_lk + const_il). There r = M is exact. In an orthonormal B
+the sums A_lᵀA_l are r × r and add over slots. A ground set, a weight or λ then costs a sum
+of r × r blocks and one small factorisation.
 """
 
 from typing import NamedTuple

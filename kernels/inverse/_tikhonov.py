@@ -3,8 +3,8 @@
 Let A = √W·J. The smaller of two systems is solved: A Aᵀ + λI (n rows) or AᵀA + λI (K
 columns). Their condition is σ₁²/λ. In float32, Cholesky loses the solution at λ ≈ 1e-6·σ₁²
 and is NaN below 1e-7. Float64 keeps the solution, and processors have float64 whatever
-dtype the process works in. On a device without float64 the default does not compile: an
-error, never a wrong image. There λ ≥ 1e-5·σ₁² and the route "cholesky" serve.
+dtype the process works in. A device without float64 has to emulate it or to refuse; none
+was tried. There the route "cholesky" serves λ from 1e-5·σ₁² up.
 """
 
 from functools import partial

@@ -25,8 +25,10 @@ from tomojax.kernels.sheet import (
     voltage_slopes,
 )
 
-# Pixels that slopes are made of, where all others have no more than this part of them.
-_SOME, _LEFT = 384, 2e-3
+# Slopes are made of so many pixels,
+_SOME = 384
+# where all other pixels have no more than this part of the slopes.
+_LEFT = 2e-3
 
 # The largest change of f in one step: beyond, the slopes say nothing.
 _LONGEST = 6.0

@@ -44,9 +44,13 @@ from tomojax.kernels.sheet._reduction import (
 from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._slots import (
     contact_jacobian as contact_jacobian,
+    ground_path as ground_path,
     loop_resistance as loop_resistance,
     shared_slot_map as shared_slot_map,
+    slot_jacobian as slot_jacobian,
     slot_map as slot_map,
+    slot_offset as slot_offset,
+    volts_per_ampere as volts_per_ampere,
 )
 from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (

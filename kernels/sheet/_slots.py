@@ -1,36 +1,94 @@
-"""Computes the slot map T and the Jacobian family J(ρ), from a table of resistances."""
+"""Computes volts per ampere of a slot, the slot map T and the Jacobian family J(ρ).
+
+An ampere enters the sheet where its potentials at the electrodes are R_i, and leaves at the
+grounded electrode l through z. In that slot electrode i is at
+
+    R_i − R_l + (R_ll + z − R_il)
+
+The functions of this law take arrays of NumPy and of JAX.
+"""
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.sheet._table import Resistances
 
+Numbers = Array | np.ndarray
+
+
+def ground_path(
+    electrodes: Float[Numbers, "M M"],
+    grounds: Int[Numbers, "*L"],
+    ground_resistance: Float[Numbers, "..."] | float,
+) -> Float[Numbers, "*L"]:
+    """Computes R_ll + z (Ω), z one value or one for each electrode."""
+    z = ground_resistance
+    each = z[grounds] if np.ndim(z) else z  # pyright: ignore
+    return electrodes[grounds, grounds] + each
+
+
+def slot_offset(
+    electrodes: Float[Numbers, "M M"],
+    grounds: Int[Numbers, "*L"],
+    ground_resistance: Float[Numbers, "..."] | float,
+) -> Float[Numbers, "*L M"]:
+    """Computes R_ll + z − R_il (Ω): all but what depends on where the current enters."""
+    own = ground_path(electrodes, grounds, ground_resistance)
+    return own[..., None] - electrodes[grounds]
+
+
+def volts_per_ampere(
+    potential: Float[Numbers, "*batch M"],
+    electrodes: Float[Numbers, "M M"],
+    grounds: Int[Numbers, " L"],
+    ground_resistance: Float[Numbers, "..."] | float,
+    total: Float[Numbers, "*#batch"] | float = 1.0,
+) -> Float[Numbers, "*batch L M"]:
+    """Computes R_i − R_l + total·(R_ll + z − R_il), Ω.
+
+    `potential` is R, or a mix of several whose weights add up to `total`.
+    """
+    offset = slot_offset(electrodes, grounds, ground_resistance)
+    share = total[..., None, None] if np.ndim(total) else total  # pyright: ignore
+    return potential[..., None, :] - potential[..., grounds][..., None] + share * offset
+
 
 def slot_map(
     table: Resistances,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-) -> Float[Array, "L M K"]:
+    grounds: Int[Numbers, " L"],
+    ground_resistance: Float[Numbers, "..."],
+) -> Float[Numbers, "L M K"]:
     """Computes T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω); exactly, a slot's V = T^l s.
 
     s (A per element) is the current that the object feeds into the sheet.
     """
     ee, ek, _ = table
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
+    offset = slot_offset(ee, grounds, ground_resistance)
     return ek[None] - ek[grounds][:, None] + offset[:, :, None]
 
 
 def loop_resistance(
     table: Resistances,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-) -> Float[Array, "L K"]:
+    grounds: Int[Numbers, " L"],
+    ground_resistance: Float[Numbers, "..."],
+) -> Float[Numbers, "L K"]:
     """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
     ee, ek, kk = table
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    return kk + (ee[grounds, grounds] + z)[:, None] - 2 * ek[grounds]
+    return kk + ground_path(ee, grounds, ground_resistance)[:, None] - 2 * ek[grounds]
+
+
+def slot_jacobian(
+    table: Resistances,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    contact_resistance: Float[Array, "..."],
+) -> Float[Array, "L M K"]:
+    """Computes `contact_jacobian` of slots with one electrode grounded."""
+    t = slot_map(table, grounds, ground_resistance)
+    loop = loop_resistance(table, grounds, ground_resistance)
+    return contact_jacobian(t, loop, contact_resistance)
 
 
 def shared_slot_map(

@@ -64,7 +64,9 @@ def test_float32_where_it_is_hard(small_sensor, rng, wide, data, decade) -> None
     assert relative(default, exact) <= 1e-4
     if decade == -10 and wide:
         cholesky = tikhonov(rows, v, jnp.asarray(lam), route="cholesky")
-        assert not relative(cholesky, exact) <= 1e-2, "else the default need not be in float64"
+        assert not relative(cholesky, exact) <= 1e-2, (
+            "else the default need not be in float64"
+        )
 
 
 def tikhonov_by_svd(rows, v, lam):

@@ -13,10 +13,9 @@ from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, point_sources, read_contacts, unexplained
 from tomojax.kernels.sheet import (
-    contact_jacobian,
     loop_resistance,
     Resistances,
-    slot_map,
+    slot_jacobian,
 )
 from tomojax.methods._contract import (
     AbstractMethod,
@@ -214,8 +213,6 @@ def _pixel_jacobian(
     z, rho = pixels.sensor.ground_resistance, jnp.zeros((), pixels.sensor.dtype)
 
     def one(ground: Array) -> Array:
-        t = slot_map(table, ground[None], z)
-        loop = loop_resistance(table, ground[None], z)
-        return pixels.mean(contact_jacobian(t, loop, rho)[0])
+        return pixels.mean(slot_jacobian(table, ground[None], z, rho)[0])
 
     return jax.lax.map(one, grounds)

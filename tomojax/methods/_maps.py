@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tomojax.kernels.sheet import Resistances, slot_map
 from tomojax.methods._pixels import Pixels
 from tomojax.sensor import resistances
 
@@ -14,10 +15,10 @@ def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
     sensor = pixels.sensor
     route = "fem" if sensor.sheet_resistance.ndim else "series"
     table = resistances(sensor, route)
-    ee, ek = np.asarray(table.electrodes, float), np.asarray(pixels.mean(table.elements))
-    z = np.broadcast_to(np.asarray(sensor.ground_resistance, float), len(ee))
-    offset = (np.diagonal(ee) + z)[:, None] - ee
-    return ek.astype(float)[None] - ek.astype(float)[:, None] + offset[:, :, None]
+    whole = table._replace(elements=pixels.mean(table.elements))
+    whole = Resistances(*(np.asarray(each, float) for each in whole))
+    z = np.asarray(sensor.ground_resistance, float)
+    return np.asarray(slot_map(whole, np.arange(sensor.electrode_count), z))
 
 
 def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:

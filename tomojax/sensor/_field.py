@@ -14,10 +14,18 @@ from tomojax.kernels.sheet import rectangle_grid_fields
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
-# Of the electrodes' pitch: spacing of the radii that potentials are averaged over, the
-# largest, and the spacing of the table of averages. They are computed on a finer one, whose
-# spacing, of the electrodes' diameter, resolves a rim.
-_RADII, _LARGEST, _KEPT, _SPACING = 0.05, 0.65, 0.1, 0.2
+# Spacing of the radii that potentials are averaged over, of the electrodes' pitch.
+_RADII = 0.05
+
+# The largest of these radii, of the pitch.
+_LARGEST = 0.65
+
+# Spacing of the table of averages, of the pitch.
+_KEPT = 0.1
+
+# Averages are computed on a finer table, whose spacing, of the electrodes' diameter,
+# resolves a rim.
+_SPACING = 0.2
 
 # Points of the finer table along a side: memory. What it does not resolve then is smaller
 # than the least radius.

@@ -27,13 +27,12 @@ from tomojax.kernels.sheet import (
     fem_sheet,
     FemSheet,
     ground_voltages,
-    loop_resistance,
     rectangle_resistances,
     Resistances,
     shared_ground_voltages,
     shared_slot_map,
     site_conductance,
-    slot_map,
+    slot_jacobian,
     subpoints,
 )
 from tomojax.sensor._converter import Converter
@@ -208,12 +207,8 @@ def _jacobian(
     sensor: Sensor, grounds: Array, rho: Array, table: Resistances
 ) -> Float[Array, "L M K"]:
     if grounds.ndim == 2:
-        t, loop = shared_slot_map(table, grounds)
-    else:
-        z = sensor.ground_resistance
-        t = slot_map(table, grounds, z)
-        loop = loop_resistance(table, grounds, z)
-    return contact_jacobian(t, loop, rho)
+        return contact_jacobian(*shared_slot_map(table, grounds), rho)
+    return slot_jacobian(table, grounds, sensor.ground_resistance, rho)
 
 
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
