@@ -45,7 +45,7 @@ class Series(NamedTuple):
     rate: Any  # ∂ ln r/∂y, 1/m
     angle: Any  # θ
     bend: Any  # sin²(θ/2)
-    factor: Any  # 1 − 2r cos θ + r²; the first one vanishes as the places meet
+    factor: Any  # 1 − 2r cos θ + r²; the first vanishes as the places meet, and is 1 there
 
 
 def series(
@@ -77,16 +77,23 @@ def series(
     angle = np.pi / a * xp.stack([x - x_, x + x_])[None, None]
     bend = xp.sin(angle / 2) ** 2
     factor = (1 - r) ** 2 + 4 * r * bend
-    rate = np.pi / a * rate[:, None, None]
-    about = x - x_, (y, y_), square, meet, gap, side
-    return Series(a, b, *about, r, rate, angle, bend, factor)
-
-
-def _first(at: Series) -> np.ndarray:
-    """Tells which factor vanishes as the places meet."""
-    first = np.zeros(at.factor.shape[:3] + (1,) * at.square.ndim, bool)
+    first = np.zeros(factor.shape[:3] + places, bool)
     first[0, 0, 0] = True
-    return first
+    return Series(
+        a=a,
+        b=b,
+        x=x - x_,
+        y=(y, y_),
+        square=square,
+        meet=meet,
+        gap=gap,
+        side=side,
+        r=r,
+        rate=np.pi / a * rate[:, None, None],
+        angle=angle,
+        bend=bend,
+        factor=xp.where(first & meet, 1, factor),
+    )
 
 
 def potential(
@@ -104,16 +111,11 @@ def potential(
     the field of a disc's dipole, d/a² inside. The dipole's own second slope is 1/(2πa²), as
     it must be. `rest`: the sum of the logarithms that `at` leaves out.
     """
-    # The one factor that vanishes where the places meet, as (π d/a)²·ratio.
-    safe = xp.where(at.meet, 1, at.square)
-    ratio = xp.where(at.meet, (np.pi / at.a) ** 2, at.factor[0, 0, 0] / safe)
+    # Near the other place the first factor is (π d/a)². Within the rim d is the rim.
     inside = at.square < rim**2
+    apart = xp.where(at.meet, (at.a / np.pi) ** 2, at.square)
     within = xp.log(rim**2) + (at.square / rim**2 - 1 if solid else 0)
-    logs = (
-        log_product(xp.where(_first(at), 1, at.factor))
-        + xp.log(ratio)
-        + xp.where(inside, within, xp.log(xp.where(inside, 1, at.square)))
-    )
+    logs = log_product(at.factor) + xp.where(inside, within - xp.log(apart), 0)
     y, y_ = at.y
     mean = at.b / 3 + (y**2 + y_**2) / (2 * at.b) - (y + y_ + at.gap) / 2
     return mean / at.a - (logs + rest) / (4 * np.pi)
@@ -124,10 +126,9 @@ def slope(
 ) -> tuple[Any, Any]:
     """Computes ∂G/∂x and ∂G/∂y of `potential`, 1/m at 1 Ω per square."""
     y, y_ = at.y
-    still = _first(at) & at.meet
-    inverse = xp.where(still, 0, at.r / xp.where(still, 1, at.factor))
-    by_x = (2 * np.pi / at.a * xp.sin(at.angle) * inverse).sum((0, 1, 2))
-    by_y = (at.rate * (4 * at.bend - 2 * (1 - at.r)) * inverse).sum((0, 1, 2))
+    part = at.r / at.factor
+    by_x = (2 * np.pi / at.a * xp.sin(at.angle) * part).sum((0, 1, 2))
+    by_y = (at.rate * (4 * at.bend - 2 * (1 - at.r)) * part).sum((0, 1, 2))
     # Within the rim ln d is left out.
     inside = at.square < rim**2
     far = inside & ~at.meet

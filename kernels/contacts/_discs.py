@@ -27,6 +27,7 @@ from tomojax.kernels.contacts._points import (
     LEAST_DROP,
     LONG,
     longness,
+    not_beyond,
     polarisability,
     Sheet,
     SIZE_WIDTH,
@@ -180,8 +181,4 @@ def _lean(
     moment = polarisability(sheet, flowing / mean_drop, radius)
     enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
     safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
-    shift = moment[:, None] * pull / safe[..., None]
-    # Not out of the contact: where another is near, the dipole alone does not hold.
-    longest = 0.6 * radius[:, None]
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, longest / length)
+    return not_beyond(moment[:, None] * pull / safe[..., None], radius)

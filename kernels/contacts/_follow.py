@@ -27,6 +27,7 @@ from tomojax.kernels.contacts._one_slot import (
 from tomojax.kernels.contacts._points import (
     green_of,
     LEAST_DROP,
+    not_beyond,
     polarisability,
     Sheet,
     SIZE_WIDTH,
@@ -212,14 +213,11 @@ def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
     radius = radius_of(sheet, known.size)
     moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
     total = known.current.sum()
-    share = jnp.where(
-        known.current != 0, total / jnp.where(known.current != 0, known.current, 1), 0
-    )
+    flowing = known.current != 0
+    share = jnp.where(flowing, total / jnp.where(flowing, known.current, 1), 0)
     towards = jax.lax.dynamic_index_in_dim(raw[:, 1:3], ground, 2, keepdims=False)
     shift = moment[:, None] * share[:, None] * towards / sheet.unit**2
-    longest = 0.6 * radius[:, None] / sheet.unit
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, longest / length)
+    return not_beyond(shift, radius / sheet.unit)
 
 
 def _conductance(

@@ -133,6 +133,17 @@ def hardly_told(
     return jnp.abs(conductance) * per_size * jnp.sqrt(of_size) > _VAGUE
 
 
+def not_beyond(
+    shift: Float[Array, "*slots C 2"], radius: Float[Array, " C"]
+) -> Float[Array, "*slots C 2"]:
+    """Shortens what moves a current's middle, so that the middle stays in the contact.
+
+    Where another contact is near, the dipole alone does not hold.
+    """
+    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
+    return shift * jnp.minimum(1, 0.6 * radius[:, None] / length)
+
+
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:
     """Computes 2πa²κ/ρ: the dipole of a conducting disc in a field, A·m per V/m."""
     kappa = metallic(sheet, conductance)

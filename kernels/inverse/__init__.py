@@ -8,6 +8,7 @@ from tomojax.kernels.inverse._basis import (
     reduce_slots as reduce_slots,
     ReducedSlots as ReducedSlots,
     row_basis as row_basis,
+    solve_damped as solve_damped,
     solve_reduced as solve_reduced,
 )
 from tomojax.kernels.inverse._lambda import (

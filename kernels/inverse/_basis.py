@@ -57,8 +57,7 @@ def solve_reduced(
 
     A sum of blocks has the square of J's condition. The solve serves float64, and λ above
     about 1e-5·σ₁² in float32. Below that λ Cholesky fails in float32 and gives NaN.
-    `tikhonov` of the selected factors is the accurate way. λ ≤ 0 gives NaN. The solve's own
-    rule makes c differentiable.
+    `tikhonov` of the selected factors is the accurate way. λ ≤ 0 gives NaN.
     """
     if weights is None:
         weights = jnp.ones_like(voltages[:, 0])
@@ -67,5 +66,15 @@ def solve_reduced(
         "s,smr,sm->r", weights, reduced.factors[grounds], voltages, precision="highest"
     )
     lam = jnp.where(regularisation > 0, regularisation, jnp.nan)
+    return solve_damped(gram, right, lam)
+
+
+def solve_damped(
+    gram: Float[Array, "r r"], right: Float[Array, "r ..."], lam: Float[Array, ""]
+) -> Float[Array, "r ..."]:
+    """Solves (G + λI) c = b for one b or several, G = JᵀWJ added up over slots.
+
+    The solve's own rule makes c differentiable.
+    """
     system = gram + lam * jnp.eye(len(gram), dtype=gram.dtype)
     return jax.scipy.linalg.solve(system, right, assume_a="pos")

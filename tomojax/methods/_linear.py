@@ -24,6 +24,7 @@ from tomojax.methods._contract import (
     rms_by_electrode,
 )
 from tomojax.methods._errors import noise_as
+from tomojax.methods._maps import tikhonov_operator
 from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
@@ -146,7 +147,7 @@ class Linear(AbstractMethod):
         fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
-        operator = np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
+        operator, _ = tikhonov_operator(rows, lam)
         current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
         return PreparedLinear(
             jnp.asarray(operator.T, dtype),

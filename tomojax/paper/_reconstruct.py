@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._checks import (
+    checked,
     float_array,
     known,
     require,
@@ -17,6 +18,7 @@ from tomojax._checks import (
     require_not_negative,
     require_positive,
     require_shape,
+    require_within,
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
@@ -149,9 +151,8 @@ def reconstruct(
     require(not all_slots, "voltages", f"shape {v.shape}, all {len(maps)} slots", hint)
     require_shape("voltages", v, shape, (None, *shape))
     given = np.ones(shape[:1]) if weights is None else weights
-    given = float_array("weights", given, maps.dtype)
-    require_shape("weights", given, shape[:1], shape)
-    require_not_negative("weights", given)
+    shapes, dtype = (shape[:1], shape), maps.dtype
+    given = checked("weights", given, require_not_negative, *shapes, dtype=dtype)
     if known(given):
         require(np.asarray(given).any(), "weights", "all 0", "a weight above 0")
     per_row = given if given.ndim == 2 else given[:, None]
@@ -164,14 +165,11 @@ def reconstruct(
     if isinstance(lam, str):
         require(lam in rules, "lam", repr(lam), f"a number or one of {', '.join(rules)}")
         rule, lam = lam, 1.0
-    value = float_array("lam", lam, maps.dtype)
-    require_shape("lam", value, (), v.shape[:-2])
-    require_positive("lam", value)
+    value = checked("lam", lam, require_positive, (), v.shape[:-2], dtype=dtype)
     missing = rule == "discrepancy" and noise is None
     require(not missing, "noise", None, "V rms for the rule 'discrepancy'")
-    sigma = float_array("noise", 1.0 if noise is None else noise, maps.dtype)
-    require_shape("noise", sigma, ())
-    require_positive("noise", sigma)
+    sigma = 1.0 if noise is None else noise
+    sigma = checked("noise", sigma, require_positive, (), dtype=dtype)
     # Blocks that add over slots: for weights that do, in the dtype that holds them.
     additive = reduced and given.ndim == 1 and maps.dtype == jnp.float64
     blocks = additive and route == "auto"
@@ -189,10 +187,8 @@ def _slots(grounds: Numbers | None, count: int) -> Int[Array, " S"]:
     array = jnp.asarray(grounds)
     require_shape("grounds", array, (None,))
     require(array.size > 0, "grounds", "none", "at least one")
+    require_within("grounds", array, count)
     if known(array):
-        low, high = int(array.min()), int(array.max())
-        inside = 0 <= low and high < count
-        require(inside, "grounds", f"{low} to {high}", f"0 to {count - 1}")
         twice = array.size - len(np.unique(np.asarray(array)))
         require(not twice, "grounds", f"{twice} repeated", "each at most once")
     return array
