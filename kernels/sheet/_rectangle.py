@@ -12,8 +12,8 @@ import numpy as np
 from jax.lax.linalg import triangular_solve
 from jaxtyping import Array, Float
 
-from tomojax.kernels import rectangle
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.rectangle import Series, turned
 from tomojax.kernels.sheet._mesh import centroids, element_area, Shape
 from tomojax.kernels.sheet._table import centred, Resistances
 
@@ -25,9 +25,8 @@ def rectangle_green(
     size: Float[Array, "2"],
     solid: bool = False,
 ) -> Float[Array, "*batch"]:
-    """Computes G(x, x') at 1 Ω per square of discs, see `rectangle.potential`."""
-    at = _series(one, other, size)
-    return rectangle.potential(at, rim, jnp, solid, _log_product)
+    """Computes G(x, x') at 1 Ω per square of discs, see `Series.potential`."""
+    return _series(one, other, size).potential(rim, solid, _log_product)
 
 
 def rectangle_slope(
@@ -41,13 +40,13 @@ def rectangle_slope(
     The slope is in closed form. JAX's derivative of `rectangle_green` has more operations,
     and programs with several copies take longer to compile.
     """
-    along, across = rectangle.slope(_series(one, other, size), rim, jnp)
-    return jnp.stack(rectangle.turned(size, jnp.stack([along, across], -1), jnp), -1)
+    slope = jnp.stack(_series(one, other, size).slope(rim), -1)
+    return jnp.stack(turned(size, slope, jnp), -1)
 
 
-def _series(one: Array, other: Array, size: Array) -> rectangle.Series:
-    places = (rectangle.turned(size, at, jnp) for at in (one, other))
-    return rectangle.series(*places, (jnp.min(size), jnp.max(size)), jnp)
+def _series(one: Array, other: Array, size: Array) -> Series:
+    sides = jnp.min(size), jnp.max(size)
+    return Series(turned(size, one, jnp), turned(size, other, jnp), sides, jnp)
 
 
 @jax.custom_jvp

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
 
-from tomojax.kernels import rectangle
+from tomojax.kernels.rectangle import Series
 
 # Kinds of r that may reach 1, without a power of q.
 _LARGE = 3
@@ -84,11 +84,10 @@ def _fields(
     `x` and `y` broadcast with each other. Within the rim G is the rim's, and a dipole's
     field is that of a solid disc.
     """
-    at = rectangle.series((place[0], place[1]), (x, y), (a, b), np, _LARGE, terms=1)
-    logs, *by_place = _rest(place, x, y, a, b)
-    value = rectangle.potential(at, rim, np, rest=logs)
-    along, across = rectangle.slope(at, rim, np, solid=True, rest=tuple(by_place))
-    return np.stack([value, along, across])
+    large = Series((place[0], place[1]), (x, y), (a, b), np, _LARGE, terms=1)
+    logs, by_x, by_y = _rest(place, x, y, a, b)
+    slopes = large.slope(rim, solid=True, rest=(by_x, by_y))
+    return np.stack([large.potential(rim, rest=logs), *slopes])
 
 
 def _rest(

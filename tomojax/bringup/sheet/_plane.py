@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from tomojax.kernels import rectangle
+from tomojax.kernels.rectangle import Series, turned
 from tomojax.recordings import Rig
 
 # Terms of the series: each brings a factor of exp(−2π·long/short) at least.
@@ -42,10 +42,9 @@ class Plane:
 
     def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Computes G of two places (…, 2), at 1 Ω per square."""
-        one, other = (rectangle.turned(self.size, at, np) for at in (one, other))
+        one, other = (turned(self.size, at, np) for at in (one, other))
         sides = float(self.size.min()), float(self.size.max())
-        at = rectangle.series(one, other, sides, np, terms=_TERMS)
-        return rectangle.potential(at, self._least, np)
+        return Series(one, other, sides, np, terms=_TERMS).potential(self._least)
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""
