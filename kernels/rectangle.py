@@ -42,7 +42,7 @@ class Series:
         kinds: int = KINDS,
         terms: int = TERMS,
     ):
-        """Takes x and y of two places, m, arrays that broadcast, and sides a ≤ b along them.
+        """Takes x and y of two places, arrays that broadcast, and the sides a ≤ b, m.
 
         The largest r have the first of four `kinds` and of any `terms`.
         """

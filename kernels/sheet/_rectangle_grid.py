@@ -47,15 +47,13 @@ def rectangle_grid_fields(
 
     at_places = fields(places[:, 0], places[:, 1])
     ee = at_places[:, 0]
-    step = _STEP * radius
-    slopes = [
-        fields(places[:, 0] + step * i, places[:, 1] + step * (1 - i))[:, 1:]
-        - fields(places[:, 0] - step * i, places[:, 1] - step * (1 - i))[:, 1:]
-        for i in (1, 0)
-    ]
-    count = 2 * len(places)
-    chol, answer = np.zeros((0, 0)), np.zeros((0, len(places)))
+    count, answer = 2 * len(places), np.zeros((0, len(places)))
     if shunt is not None:
+        step = _STEP * radius
+        slopes = [
+            fields(*(places + move).T)[:, 1:] - fields(*(places - move).T)[:, 1:]
+            for move in step * np.eye(2)
+        ]
         pairs = np.stack(slopes, -1) / (2 * step)  # (M, 2, M, 2)
         own = pairs.reshape(count, count)
         weaker = (1 / shunt - 1) / (2 * np.pi * radius**2)
