@@ -138,7 +138,7 @@ def not_beyond(
 ) -> Float[Array, "*slots C 2"]:
     """Shortens what moves a current's middle, so that the middle stays in the contact.
 
-    Where another contact is near, the dipole alone does not hold.
+    The dipole alone does not hold where another contact is near.
     """
     length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
     return shift * jnp.minimum(1, 0.6 * radius[:, None] / length)

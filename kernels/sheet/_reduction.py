@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.sheet._slots import ground_path
 
 
 class ContactReduction(NamedTuple):
@@ -66,10 +67,8 @@ class _Ground(NamedTuple):
 def _ground(
     contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
 ) -> _Ground:
-    z = jnp.broadcast_to(ground_resistance, contact.lift.shape)[grounds]
-    q = contact.resistance[grounds]
-    total = z + contact.resistance[grounds, grounds]
-    f = contact.shortfall[grounds]
+    q, f = contact.resistance[grounds], contact.shortfall[grounds]
+    total = ground_path(contact.resistance, grounds, ground_resistance)
     return _Ground(q, total, f, contact.lift[grounds], contact.conductance * total + f**2)
 
 
@@ -103,13 +102,13 @@ def voltage_drop(
 
 def _answers(
     contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
-) -> tuple[Float[Array, "L M"], Float[Array, "L M"], Float[Array, "sites M+1"]]:
+) -> tuple[Float[Array, "L M"], Float[Array, "L M"], Float[Array, "sites fields"]]:
     """Computes t_il, the factor of c in ψ_i^l, and the fields [X c] of the sites.
 
-    ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), the adjoint derivative, V/S. ψ_i^l is the potential
-    with unit current entering at electrode i, ground l in place and the object at 0 V:
-    X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with t_il = (p·Q_il + f_i·f_l)/d_l
-    and d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
+    The adjoint derivative is ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S. Here ψ_i^l is the
+    potential of a unit current into electrode i, with the ground l and the object at 0 V.
+    Its value at k is X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l. The factors are
+    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
     """
     g = _ground(contact, grounds, ground_resistance)
     f, over = contact.shortfall, 1 / g.denominator[:, None]
