@@ -5,8 +5,10 @@ grounded electrode l through z. In that slot electrode i is at
 
     R_i − R_l + (R_ll + z − R_il)
 
-The functions of this law take arrays of NumPy and of JAX.
+`ground_path`, `slot_offset` and `volts_per_ampere` take arrays of NumPy and of JAX.
 """
+
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +17,14 @@ from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.sheet._table import Resistances
 
-Numbers = Array | np.ndarray
+A = TypeVar("A", Array, np.ndarray)
 
 
 def ground_path(
-    electrodes: Float[Numbers, "M M"],
-    grounds: Int[Numbers, "*L"],
-    ground_resistance: Float[Numbers, "..."] | float,
-) -> Float[Numbers, "*L"]:
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, "*L"],
+    ground_resistance: Float[A, "..."] | float,
+) -> Float[A, "*L"]:
     """Computes R_ll + z (Ω), z one value or one for each electrode."""
     z = ground_resistance
     each = z[grounds] if np.ndim(z) else z  # pyright: ignore
@@ -30,22 +32,22 @@ def ground_path(
 
 
 def slot_offset(
-    electrodes: Float[Numbers, "M M"],
-    grounds: Int[Numbers, "*L"],
-    ground_resistance: Float[Numbers, "..."] | float,
-) -> Float[Numbers, "*L M"]:
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, "*L"],
+    ground_resistance: Float[A, "..."] | float,
+) -> Float[A, "*L M"]:
     """Computes R_ll + z − R_il (Ω): all but what depends on where the current enters."""
     own = ground_path(electrodes, grounds, ground_resistance)
     return own[..., None] - electrodes[grounds]
 
 
 def volts_per_ampere(
-    potential: Float[Numbers, "*batch M"],
-    electrodes: Float[Numbers, "M M"],
-    grounds: Int[Numbers, " L"],
-    ground_resistance: Float[Numbers, "..."] | float,
-    total: Float[Numbers, "*#batch"] | float = 1.0,
-) -> Float[Numbers, "*batch L M"]:
+    potential: Float[A, "*batch M"],
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, " L"],
+    ground_resistance: Float[A, "..."] | float,
+    total: Float[A, "*#batch"] | float = 1.0,
+) -> Float[A, "*batch L M"]:
     """Computes R_i − R_l + total·(R_ll + z − R_il), Ω.
 
     `potential` is R, or a mix of several whose weights add up to `total`.
@@ -57,9 +59,9 @@ def volts_per_ampere(
 
 def slot_map(
     table: Resistances,
-    grounds: Int[Numbers, " L"],
-    ground_resistance: Float[Numbers, "..."],
-) -> Float[Numbers, "L M K"]:
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+) -> Float[Array, "L M K"]:
     """Computes T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω); exactly, a slot's V = T^l s.
 
     s (A per element) is the current that the object feeds into the sheet.
@@ -71,9 +73,9 @@ def slot_map(
 
 def loop_resistance(
     table: Resistances,
-    grounds: Int[Numbers, " L"],
-    ground_resistance: Float[Numbers, "..."],
-) -> Float[Numbers, "L K"]:
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+) -> Float[Array, "L K"]:
     """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
     ee, ek, kk = table
     return kk + ground_path(ee, grounds, ground_resistance)[:, None] - 2 * ek[grounds]
