@@ -64,9 +64,13 @@ class Series:
         places = (1,) * self.square.ndim
         powers = np.arange(terms, dtype=self.square.dtype).reshape(-1, 1, *places)
         power = xp.exp(-2 * np.pi * b / a) ** powers
-        # 1 − r in full, where places nearly meet and r is nearly 1.
-        rise = xp.expm1(-np.pi / a * away)[:, None, None]
-        self.r, self.less = (1 + rise) * power, 1 - power - rise * power
+        exponent = (-np.pi / a * away)[:, None, None]
+        self.r = xp.exp(exponent) * power
+        # 1 − r. NumPy's tables need its digits where places nearly meet. Compiled code does
+        # without `expm1`: a step should need few functions of a C library.
+        self.less = 1 - self.r
+        if xp is np:
+            self.less = 1 - power - np.expm1(exponent) * power
         self.rate = np.pi / a * rate[:, None, None]  # ∂ ln r/∂y
         self.angle = np.pi / a * xp.stack([x - x_, x + x_])[None, None]
         self.bend = xp.sin(self.angle / 2) ** 2
