@@ -22,6 +22,7 @@ from tomojax.kernels.sheet._mesh import (
     triangles as triangles,
 )
 from tomojax.kernels.sheet._perturbed import (
+    disc_mean as disc_mean,
     rectangle_wave_fields as rectangle_wave_fields,
 )
 from tomojax.kernels.sheet._rectangle import (

@@ -37,7 +37,7 @@ def rectangle_wave_fields(
     at = [np.cos(places[:, i, None] * k[i]) for i in (0, 1)]  # (M, most)
     field = np.einsum("ma,mb,ab->mab", *at, norm * rim / square)
     ka = np.sqrt(np.where(np.isinf(square), 0, square)) * averaged
-    disc = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
+    disc = disc_mean(ka)
     waves_x, waves_y = np.cos(x[:, None] * k[0]), np.cos(y[:, None] * k[1])
     found_ee, found = [], []
     for order in orders:
@@ -45,6 +45,11 @@ def rectangle_wave_fields(
         found_ee.append(np.einsum("eab,fa,fb->ef", moved * rim, *at, optimize=True))
         found.append(waves_x @ (moved * disc) @ waves_y.T)
     return np.stack(found_ee), np.stack(found)
+
+
+def disc_mean(ka: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Computes 2J₁(ka)/ka: the mean of a wave of vector k over a disc of radius a."""
+    return np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
 
 
 def _moved(
