@@ -21,10 +21,6 @@ from tomojax.kernels.sheet._mesh import (
     subpoints as subpoints,
     triangles as triangles,
 )
-from tomojax.kernels.sheet._perturbed import (
-    disc_mean as disc_mean,
-    rectangle_wave_fields as rectangle_wave_fields,
-)
 from tomojax.kernels.sheet._rectangle import (
     rectangle_fields as rectangle_fields,
     rectangle_green as rectangle_green,
@@ -56,7 +52,9 @@ from tomojax.kernels.sheet._slots import (
 from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (
     cosine_waves as cosine_waves,
+    disc_mean as disc_mean,
     heights as heights,
+    rectangle_wave_fields as rectangle_wave_fields,
     smooth_modes as smooth_modes,
     smooth_orders as smooth_orders,
 )
