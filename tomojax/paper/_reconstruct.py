@@ -122,7 +122,10 @@ def reconstruct(
       voltage left out may be NaN).
     - `noise`: V rms of the white noise, for "discrepancy" alone.
     - `per_recording`: one λ for the whole batch.
-    - `route` as in `tikhonov`.
+    - `route`: "auto" solves in float64, whatever the dtype of J. "cholesky" solves in J's
+      dtype, for a device without float64. In float32 "cholesky" serves λ from 1e-5·σ₁² up.
+      Below that λ it loses digits. Below 1e-7·σ₁² its image is NaN, and flagged
+      SOLVE_FAILED.
 
     **Returns:** `Reconstruction`. Under a trace values are not known; there a flag and an
     image of NaN replace an error. A rule sets BAD_LAMBDA, and leaves the image, where
