@@ -11,13 +11,18 @@ from typing import Any
 from tomojax.kernels.flags import Flag
 
 # A grounded electrode above the lowest voltage by this part of the slot's span is none: the
-# neighbours of a ground are higher by a fifth and more. Nor is one with this part of the
-# highest voltage: its path would have more resistance than the sheet.
-_ABOVE, _PART = 0.05, 0.5
+# neighbours of a ground are higher by a fifth and more.
+_ABOVE = 0.05
 
-# Voltages that are lower than so many times the noise tell nothing; the lowest of many
-# channels is so many below what it would be without.
-TELLS, _LOWEST = 20.0, 6.0
+# An electrode with this part of the highest voltage is not grounded: its path would have
+# more resistance than the sheet.
+_PART = 0.5
+
+# Voltages that are lower than so many times the noise tell nothing.
+TELLS = 20.0
+
+# The lowest of many channels is so many times the noise below what it would be without.
+_LOWEST = 6.0
 
 
 def level_bits(low: Any, high: Any, at_ground: Any, noise: Any, xp: Any) -> Any:

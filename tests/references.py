@@ -126,6 +126,13 @@ def network_voltages(
     return solution[v], solution[np.concatenate([u, v])]
 
 
+def ground_currents(contact, grounds, ground_resistance, drive_voltage):
+    """The current through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²], A."""
+    p, f = contact.conductance, contact.shortfall[grounds]
+    total = ground_resistance + contact.resistance[grounds, grounds]
+    return drive_voltage * p / (p * total + f**2)
+
+
 # SuperLU for symmetric matrices: pivots stay on the diagonal, its ordering is of A + Aᵀ.
 SYMMETRIC = {
     "permc_spec": "MMD_AT_PLUS_A",

@@ -3,6 +3,7 @@
 Values under a trace (jit, grad, vmap) are unknown and pass. Shapes are always checked.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -53,6 +54,27 @@ def require_not_negative(name: str, value: jax.Array) -> None:
     if known(value):
         low = np.asarray(value).min(initial=np.inf)
         require(low >= 0, name, f"{low:g}", "values of 0 or above")
+
+
+def require_within(name: str, numbers: jax.Array, count: int) -> None:
+    if known(numbers):
+        low, high = int(numbers.min()), int(numbers.max())
+        inside = 0 <= low and high < count
+        require(inside, name, f"{low} to {high}", f"0 to {count - 1}")
+
+
+def checked(
+    name: str,
+    value: Numbers,
+    check: Callable[[str, jax.Array], None],
+    *shapes: tuple[int | None, ...],
+    dtype: Any = None,
+) -> jax.Array:
+    """Returns `value` as `float_array`, of any of `shapes`, once `check` has passed it."""
+    array = float_array(name, value, dtype)
+    require_shape(name, array, *shapes)
+    check(name, array)
+    return array
 
 
 def require_shape(name: str, value: jax.Array, *shapes: tuple[int | None, ...]) -> None:

@@ -17,17 +17,13 @@ from tomojax.kernels.algebra._descent import (
     Limits as Limits,
     Normal as Normal,
 )
+from tomojax.kernels.algebra._elimination import solve_positive as solve_positive
 from tomojax.kernels.algebra._gaussian import gaussian as gaussian
 from tomojax.kernels.algebra._halving import descended as descended, Run as Run
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,
     smooth_levels as smooth_levels,
-)
-from tomojax.kernels.algebra._least_squares import (
-    least_squares as least_squares,
-    LeastSquares as LeastSquares,
-    solve_positive as solve_positive,
 )
 from tomojax.kernels.algebra._subsets import (
     draw_subset as draw_subset,
@@ -36,12 +32,5 @@ from tomojax.kernels.algebra._subsets import (
     least_weights as least_weights,
     project_weights as project_weights,
     subset_marginals as subset_marginals,
-)
-from tomojax.kernels.algebra._twofloat import (
-    add as add,
-    matvec as matvec,
-    multiply as multiply,
-    negative as negative,
-    widen as widen,
 )
 from tomojax.kernels.algebra._where_needed import where_needed as where_needed

@@ -7,8 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-# How much of the mean slope, and of the mean square, is kept from step to step.
-_MEAN, _SQUARE = 0.9, 0.99
+# How much of the mean slope is kept from step to step.
+_MEAN = 0.9
+
+# How much of the slope's mean square is kept from step to step.
+_SQUARE = 0.99
 
 
 def adam(slope: Callable[[Any, Any], Any], start: Any, given: Any, rate: float) -> Any:

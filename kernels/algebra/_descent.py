@@ -16,20 +16,35 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.algebra._least_squares import solve_positive
+from tomojax.kernels.algebra._elimination import solve_positive
 
-# Damping at first, its change after a step that is taken or not, least and most.
-_DAMPING, _LESS, _MORE, _LEAST, _HOPELESS = 1e-3, 1 / 8, 8.0, 1e-4, 1e3
+# Damping of the first step, as a part of the diagonal.
+_DAMPING = 1e-3
+# Its change after a step that was taken,
+_LESS = 1 / 8
+# and after a step that was not.
+_MORE = 8.0
+# The least damping.
+_LEAST = 1e-4
+# A descent that needs more damping than this has nothing to gain.
+_HOPELESS = 1e3
 
-# A step that tells of the curvature, of the longest.
+# The curvature is learned from steps that are shorter than this part of the longest step.
 _NEAR = 0.35
 
-# Nothing is to be gained: the longest step, and χ² that equations promise.
-_SMALL, _LITTLE = 3e-3, 1e-3
+# The descent ends once each parameter's step is shorter than this,
+_SMALL = 3e-3
+# or once the equations promise to lower χ² by less than this.
+_LITTLE = 1e-3
 
-# A start is given up that so many times what its last step promised would not take below
-# what is asked for: in a valley steps gain little, and many of them much.
-_REACH, _REACHING, _TRIED = 30.0, 0.1, 2
+# A start is given up while its cost is far above `below`: by more than this many times what
+# the last step promised to gain. Many steps along a valley each gain little, so that one
+# step's promise alone would end the descent too early.
+_REACH = 30.0
+# Only a step with less damping than this is asked: a damped step promises too little.
+_REACHING = 0.1
+# A start has taken as many steps before it can be given up.
+_TRIED = 2
 
 # A step is taken that raises χ² by no more than this. Where slopes are not exact, they
 # vanish a little beside the lowest cost.
@@ -145,10 +160,9 @@ def _step(
     damping = jnp.maximum(run.damping * jnp.where(better, _LESS, _MORE), _LEAST)
     promised = jnp.abs(gradient @ move)
     little = (jnp.abs(move).max() < _SMALL) | (promised < _LITTLE)
-    # Not the start itself, whose cost was not known.
+    # The first evaluation is that of the start itself: there is no cost before it.
     known = jnp.isfinite(run.normal.cost)
     nowhere = ~known & ~jnp.isfinite(new.cost)
-    # Damped steps promise less than there is.
     whole = better & (damping < _REACHING) & (run.steps >= _TRIED)
     beyond = whole & (new.cost - below > _REACH * promised)
     ended = (known & (better & little | beyond)) | (damping > _HOPELESS) | nowhere

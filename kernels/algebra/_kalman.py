@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra._blocktri import matmul
-from tomojax.kernels.algebra._least_squares import solve_positive
+from tomojax.kernels.algebra._elimination import solve_positive
 
 # Measurements over which innovations are averaged, and the χ² that none reaches by noise
 # (of two values: once in 300 000).

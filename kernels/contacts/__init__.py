@@ -21,6 +21,7 @@ from tomojax.kernels.contacts._curves import (
 )
 from tomojax.kernels.contacts._discs import discs as discs, limits_of as limits_of
 from tomojax.kernels.contacts._equations import (
+    best_currents as best_currents,
     Explained as Explained,
     free_slopes as free_slopes,
     normal_of as normal_of,
@@ -29,7 +30,6 @@ from tomojax.kernels.contacts._field import (
     Field as Field,
     field_at as field_at,
     rows_at as rows_at,
-    slot_columns as slot_columns,
     thin_of as thin_of,
     thin_rows_at as thin_rows_at,
 )
@@ -54,7 +54,6 @@ from tomojax.kernels.contacts._points import (
     metallic as metallic,
     NARROW as NARROW,
     NOT_ROUND as NOT_ROUND,
-    round_disc as round_disc,
     Sheet as Sheet,
     SIZE_WIDTH as SIZE_WIDTH,
 )
@@ -64,7 +63,6 @@ from tomojax.kernels.contacts._search import (
     nothing_followed as nothing_followed,
 )
 from tomojax.kernels.contacts._whiten import (
-    currents as currents,
     unwhitened as unwhitened,
     whiten as whiten,
     whitened_columns as whitened_columns,

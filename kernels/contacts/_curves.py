@@ -15,8 +15,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra import Limits, solve_positive
-from tomojax.kernels.contacts._equations import currents_of, Explained, made_by
-from tomojax.kernels.contacts._field import slot_columns, thin_rows_at
+from tomojax.kernels.contacts._equations import (
+    best_currents,
+    currents_of,
+    Explained,
+    made_by,
+)
+from tomojax.kernels.contacts._field import thin_rows_at
 from tomojax.kernels.contacts._points import (
     drops,
     Fitted,
@@ -27,19 +32,28 @@ from tomojax.kernels.contacts._points import (
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
+from tomojax.kernels.sheet import volts_per_ampere
 
-# Points of a curve. A bar's are two rows of half as many along its axis, at this part of
-# half its width: of metal, what flows is at its rim. A mode's current is `_UNEVEN` of the
-# mean's, about.
-_POINTS, _ROW, _UNEVEN = 18, 0.58, 0.3
+# Points of a curve.
+_POINTS = 18
 
-# Conductance that is likely beforehand, beside a square of the sheet, and ln of how far
-# from that it may be: from a current source to metal.
-_STRENGTH, _STRENGTH_WIDTH = 30.0, 1.5
+# A bar's points are two rows of half as many along its axis, at this part of half its
+# width: the current of metal flows at its rim.
+_ROW = 0.58
 
-# A bar's taper: 0 of a rectangle; 1 of an ellipse, whose conductance falls as √(1 − s²)
-# towards its ends. Beforehand it is 0.5 ± 0.5. At the most some is left at each point.
-_TAPER, _MOST_TAPER = 0.5, 1.4
+# A mode's current is about this part of the mean's.
+_UNEVEN = 0.3
+
+# Conductance that is likely beforehand, beside a square of the sheet.
+_STRENGTH = 30.0
+# ln of how far from that it may be: from a current source to metal.
+_STRENGTH_WIDTH = 1.5
+
+# A bar's taper beforehand, ± as much: 0 is a rectangle, 1 an ellipse, whose conductance
+# falls as √(1 − s²) towards its ends.
+_TAPER = 0.5
+# The largest taper: some conductance is left at each point.
+_MOST_TAPER = 1.4
 
 # Parameters of a curve: middle; from there to a bar's end, or a ring's radius and nothing;
 # half a bar's width; strength; a bar's taper; and 0 of a bar, 1 of a ring, which stays.
@@ -157,9 +171,7 @@ def _curve(
     more = stiff[..., None] * jnp.asarray(unit[:, 1:], dtype)
     column = jnp.concatenate([column, more], -1)
     measured = jnp.pad(frame.whitened, ((0, 0), (0, len(modes))))
-    current = currents_of(column, measured)
-    current = current + currents_of(column, measured - made_by(current, column))
-    rest = measured - made_by(current, column)
+    current, rest = best_currents(column, measured)
     fed = current[:, :1] * base + _made(current[:, 1:], modes)
     tangent = jnp.einsum("nkp,nkm->npm", moving, rows[:, 1:], precision="highest")
     tangent = _made(fed, tangent.reshape(len(at), -1)).reshape(slots, -1, rows.shape[-1])
@@ -183,8 +195,8 @@ def _in_slots(
     """Computes volts in each slot; each slot has potentials of its own."""
 
     def one(potential: Array, ground: Array) -> Float[Array, "K M"]:
-        z = sheet.ground_resistance
-        return slot_columns(sheet.field, potential, ground[None], z, total)[:, 0]
+        ee, z = sheet.field.electrodes, sheet.ground_resistance
+        return volts_per_ampere(potential, ee, ground[None], z, total)[:, 0]
 
     return jax.vmap(one)(potential, frame.grounds)
 

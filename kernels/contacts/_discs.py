@@ -12,7 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import Limits
-from tomojax.kernels.contacts._equations import currents_of, Explained, made_by
+from tomojax.kernels.contacts._equations import (
+    best_currents,
+    currents_of,
+    Explained,
+    made_by,
+)
 from tomojax.kernels.contacts._field import rows_at
 from tomojax.kernels.contacts._points import (
     DISC,
@@ -22,6 +27,7 @@ from tomojax.kernels.contacts._points import (
     LEAST_DROP,
     LONG,
     longness,
+    not_beyond,
     polarisability,
     Sheet,
     SIZE_WIDTH,
@@ -29,6 +35,7 @@ from tomojax.kernels.contacts._points import (
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
+from tomojax.kernels.sheet import slot_offset
 
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and
@@ -71,11 +78,7 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     moves = jnp.concatenate([shift[None], by])  # and by x, y and radius
     moves = jnp.einsum("dsck,sckw->dscw", moves, each[:, :, :2], precision="highest")
     column = alone + moves[0]
-    current = currents_of(column, frame.whitened)
-    # Twice: what one solve leaves by rounding is as large as the errors, in float32.
-    rest = frame.whitened - made_by(current, column)
-    current = current + currents_of(column, rest)
-    rest = frame.whitened - made_by(current, column)
+    current, rest = best_currents(column, frame.whitened)
     first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
     each = jnp.concatenate([first, each[:, :, 3:DISC]], 2)
     scale = current[:, :, None] * _chain(sheet, parameters, radius)
@@ -124,9 +127,8 @@ def _columns(
     """Computes each disc's volts per ampere, then their derivatives; whitened too."""
     count, _, m = rows.shape
     flat = jnp.concatenate([rows[:, 0], rows[:, 1:].reshape(-1, m)])
-    grounds, ee = frame.grounds, sheet.field.electrodes
-    z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
+    grounds = frame.grounds
+    offset = slot_offset(sheet.field.electrodes, grounds, sheet.ground_resistance)
     level = jnp.where(jnp.arange(len(flat))[:, None] < count, offset[:, None], 0)
     columns = flat - flat[:, grounds].T[:, :, None] + level
     return columns, whitened_rows(frame, columns)
@@ -179,8 +181,4 @@ def _lean(
     moment = polarisability(sheet, flowing / mean_drop, radius)
     enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
     safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
-    shift = moment[:, None] * pull / safe[..., None]
-    # Not out of the contact: where another is near, the dipole alone does not hold.
-    longest = 0.6 * radius[:, None]
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, longest / length)
+    return not_beyond(moment[:, None] * pull / safe[..., None], radius)

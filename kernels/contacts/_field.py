@@ -4,10 +4,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
+from numpy.polynomial.polynomial import polyder
 
 # Radii of the table that one between them is interpolated from.
 _NEAREST = 4
+
+# Catmull and Rom's weights of four neighbours: the coefficients of 1, t, t² and t³.
+_CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
 
 
 class Field(NamedTuple):
@@ -70,9 +75,8 @@ def rows_at(
     part, nearby = nearby_of(field.values, field.size, place, low, _NEAREST)
     cells = jnp.asarray(field.values.shape[:2], place.dtype) - 1
     per = (cells / field.size)[:, None]  # of cells, 1/m
-    jerk = jnp.array([-3.0, 9.0, -9.0, 3.0], place.dtype) * per**3
-    along, slope, bend = cubic(part), cubic_slope(part) * per, cubic_bend(part) * per**2
-    orders = jnp.stack([along, slope, bend, jerk])  # of derivatives, in x and in y
+    # Derivatives of each order, in x and in y.
+    orders = jnp.stack([cubic(part, order) * per**order for order in range(4)])
     x, y = orders[:, 0], orders[:, 1]
 
     def both(i: int, j: int) -> Float[Array, "4 4"]:
@@ -107,7 +111,7 @@ def thin_rows_at(
     """Interpolates R_e of one radius's table, and derivatives by x and y, row by row."""
     part, nearby = nearby_of(thin[:, :, None], size, place, jnp.zeros((), int), 1)
     per = ((jnp.asarray(thin.shape[:2], place.dtype) - 1) / size)[:, None]
-    along, slope = cubic(part), cubic_slope(part) * per
+    along, slope = cubic(part), cubic(part, 1) * per
     x, y = jnp.stack([along[0], slope[0], along[0]]), jnp.stack([along[1]] * 2 + [slope[1]])
     weights = (x[:, :, None] * y[:, None]).reshape(3, 16)
     return jnp.matmul(weights, nearby[:, 0], precision="highest")
@@ -145,29 +149,12 @@ def mirrored(index: Array, last: int) -> Array:
     return jnp.where(index > last, 2 * last - index, index)
 
 
-def cubic(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Returns Catmull and Rom's weights of four neighbours."""
-    t = part[:, None]
-    terms = [
-        ((2 - t) * t - 1) * t,
-        (3 * t - 5) * t**2 + 2,
-        ((4 - 3 * t) * t + 1) * t,
-        (t - 1) * t**2,
-    ]
-    return jnp.concatenate(terms, 1) / 2
-
-
-def cubic_slope(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Returns the derivatives of `cubic` by `part`."""
-    t = part[:, None]
-    terms = [(4 - 3 * t) * t - 1, (9 * t - 10) * t, (8 - 9 * t) * t + 1, (3 * t - 2) * t]
-    return jnp.concatenate(terms, 1) / 2
-
-
-def cubic_bend(part: Float[Array, "2"]) -> Float[Array, "2 4"]:
-    """Returns the second derivatives of `cubic` by `part`."""
-    t = part[:, None]
-    return jnp.concatenate([2 - 3 * t, 9 * t - 5, 4 - 9 * t, 3 * t - 1], 1)
+def cubic(part: Float[Array, "2"], order: int = 0) -> Float[Array, "2 4"]:
+    """Returns Catmull and Rom's weights of four neighbours; or derivatives by `part`."""
+    found = jnp.zeros((len(part), 4), part.dtype)
+    for row in polyder(_CATMULL_ROM, order)[::-1]:
+        found = found * part[:, None] + jnp.asarray(row, part.dtype)
+    return found
 
 
 def lagrange(nodes: Float[Array, " A"], at: Float[Array, ""]) -> Float[Array, " A"]:
@@ -188,21 +175,3 @@ def lagrange_and_slope(
     # Of each node without one more: products over the last axis.
     without = jnp.prod(jnp.where(own, 1, ratio[:, None, :]), -1)
     return jnp.prod(ratio, 1), jnp.where(own, 0, without / below).sum(1)
-
-
-def slot_columns(
-    field: Field,
-    potential: Float[Array, "*batch M"],
-    grounds: Array,
-    ground_resistance: Float[Array, "..."],
-    total: Float[Array, "*#batch"] | float = 1.0,
-) -> Float[Array, "*batch S M"]:
-    """Computes T^l = R_i − R_l + total·(R_ll + z − R_il): each slot's volts per ampere.
-
-    `potential` is R(x, a), or a mix of several whose weights add up to `total`.
-    """
-    ee = field.electrodes
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
-    share = jnp.asarray(total, ee.dtype)[..., None, None]
-    return potential[..., None, :] - potential[..., grounds][..., :, None] + share * offset

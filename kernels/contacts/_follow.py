@@ -27,6 +27,7 @@ from tomojax.kernels.contacts._one_slot import (
 from tomojax.kernels.contacts._points import (
     green_of,
     LEAST_DROP,
+    not_beyond,
     polarisability,
     Sheet,
     SIZE_WIDTH,
@@ -39,10 +40,13 @@ from tomojax.kernels.contacts._search import (
     OFTEN,
     search,
 )
+from tomojax.kernels.sheet import ground_path
 
-# By how much a place (units of the fit, a twentieth of a pitch) and a size move in a tenth
-# of a millisecond: 1 σ, and as the root of the time. A finger that strokes.
-_DRIFT, _DRIFT_TIME = (0.05, 0.05, 0.02), 1e-4
+# By how much a place (units of the fit, a twentieth of a pitch) and a size move: 1 σ, and
+# as the root of the time. A finger that strokes.
+_DRIFT = (0.05, 0.05, 0.02)
+# The time in which they move so much, s.
+_DRIFT_TIME = 1e-4
 
 # χ² of a slot's own place beside what was known, of three values: beyond, it is news.
 _NEWS = 40.0
@@ -50,9 +54,13 @@ _NEWS = 40.0
 # Slots over which what is left is averaged.
 _LATELY = 8
 
-# A contact's current is at least this part of the strongest's; sizes are no further than
-# this from usual.
-_WEAKEST, _LARGEST, _BELOW = 0.05, 3.0, 1e-3
+# A contact's current is at least this part of the strongest's.
+_WEAKEST = 0.05
+
+# Sizes are no further than this from usual,
+_LARGEST = 3.0
+# and so much below the largest size of the table.
+_BELOW = 1e-3
 
 
 def follow(
@@ -80,7 +88,7 @@ def follow(
     own = jnp.where(there, in_slot(sheet, raw, ground), 0)
     lean = _lean(sheet, known, raw, ground)
     own = own.at[:, 0].add((lean[..., None] * own[:, 1:3]).sum(1))
-    # What it looks for are currents in the drive's direction.
+    # The search looks for currents in the drive's direction.
     towards = jnp.sign(sheet.drive_voltage) * voltages
     seen = search(sheet, candidates, known, own[:, 0], weights, towards, ground)
     new, there = seen.new, seen.there
@@ -90,8 +98,8 @@ def follow(
     place = jnp.where(new[:, None], candidates.place[seen.chosen], known.place)
     size = jnp.where(new, 0, known.size)
     drift = elapsed / _DRIFT_TIME * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
-    wide = first_covariance(dtype)
-    covariance = jnp.where(new[:, None, None], wide, known.covariance + drift)
+    unknown = first_covariance(dtype)
+    covariance = jnp.where(new[:, None, None], unknown, known.covariance + drift)
     moved, covariance, alone, current = _update(columns, covariance, weights, voltages)
     place = place + moved[:, :2] * sheet.unit
     # Off the very edge, where a contact's own potential is infinite.
@@ -170,18 +178,19 @@ def _update(
     right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
     unit = jnp.eye(3, dtype=base.dtype)
     blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-    # News: what this slot says alone is not what was known. Then that counts little.
-    wide = first_covariance(base.dtype)
+    # News: what this slot says alone is not what was known. Then only what was known before
+    # any slot counts.
+    before = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
     innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
     gain = right.reshape(count, 3)
-    known = blocks + jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
-    both = jnp.concatenate([innovation.transpose(0, 2, 1), covariance, known])
-    inverses = solve_small(both, jnp.broadcast_to(unit, both.shape))
-    tested = (inverses[:count] * gain[:, None]).sum(-1)
+    matrices = [innovation.transpose(0, 2, 1), covariance, blocks + before]
+    all_three = jnp.concatenate(matrices)
+    inverses = solve_small(all_three, jnp.broadcast_to(unit, all_three.shape))
+    of_innovation, of_covariance, alone = jnp.split(inverses, 3)
+    tested = (of_innovation * gain[:, None]).sum(-1)
     unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
     news = (unlikely > _NEWS)[:, None, None]
-    wide = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
-    inverse = jnp.where(news, wide, inverses[count : 2 * count])
+    inverse = jnp.where(news, before, of_covariance)
     same = np.eye(count, dtype=base.dtype)[:, None, :, None]
     weight = same * inverse[:, :, None]
     found = solve_small(
@@ -194,7 +203,7 @@ def _update(
     return (
         jnp.clip(moved, -longest, longest),
         (spread + spread.transpose(0, 2, 1)) / 2,
-        inverses[2 * count :],
+        alone,
         current - matmul(share, own * found[:, 0]),
     )
 
@@ -204,14 +213,11 @@ def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
     radius = radius_of(sheet, known.size)
     moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
     total = known.current.sum()
-    share = jnp.where(
-        known.current != 0, total / jnp.where(known.current != 0, known.current, 1), 0
-    )
+    flowing = known.current != 0
+    share = jnp.where(flowing, total / jnp.where(flowing, known.current, 1), 0)
     towards = jax.lax.dynamic_index_in_dim(raw[:, 1:3], ground, 2, keepdims=False)
     shift = moment[:, None] * share[:, None] * towards / sheet.unit**2
-    longest = 0.6 * radius[:, None] / sheet.unit
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, longest / length)
+    return not_beyond(shift, radius / sheet.unit)
 
 
 def _conductance(
@@ -223,12 +229,12 @@ def _conductance(
 ) -> Float[Array, " C"]:
     """Computes I/(V0 − u), S: see `_points.drops`; the ground lifts all by `offset`, V."""
     radius = radius_of(sheet, now.size)
-    own_ground = jnp.diagonal(sheet.field.electrodes) + sheet.ground_resistance
+    path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
     among = jax.vmap(green_of(sheet, now.place, radius))(now.place)
     current = jnp.where(now.there, now.current, 0)
     total = current.sum()
     u = matmul(among, current) - (current * at_ground).sum()
-    u = u + total * (own_ground[ground] - at_ground) + offset
+    u = u + total * (path - at_ground) + offset
     drive = sheet.drive_voltage
     forward = jnp.sign(drive)
     drop = jnp.maximum(forward * (drive - u), LEAST_DROP * jnp.abs(drive))

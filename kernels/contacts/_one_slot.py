@@ -20,6 +20,7 @@ from tomojax.kernels.contacts._field import (
     radii_about,
 )
 from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
+from tomojax.kernels.sheet import slot_offset
 
 
 class Noise(NamedTuple):
@@ -90,19 +91,13 @@ def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
     return x * weights.each - product(shares, weights.filtered)
 
 
-def from_ground(sheet: Sheet, ground: Int[Array, ""]) -> Float[Array, " M"]:
-    """Computes R_ll + z − R_il, the part of volts per ampere beside R_i(x) − R_l(x)."""
-    ee = sheet.field.electrodes
-    z = jnp.broadcast_to(sheet.ground_resistance, ee.shape[:1])[ground]
-    return ee[ground, ground] + z - ee[ground]
-
-
 def in_slot(
     sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
 ) -> Float[Array, "C 4 M"]:
     """Computes volts per ampere under one ground, and how a move changes the volts."""
     relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
-    return relative.at[:, 0].add(from_ground(sheet, ground))
+    offset = slot_offset(sheet.field.electrodes, ground, sheet.ground_resistance)
+    return relative.at[:, 0].add(offset)
 
 
 def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts._field import Field
-from tomojax.kernels.sheet import rectangle_green, rectangle_slope
+from tomojax.kernels.sheet import ground_path, rectangle_green, rectangle_slope
 
 # ln of the width of what is known of a contact's size beforehand.
 SIZE_WIDTH = 0.5
@@ -20,10 +20,16 @@ SIZE_WIDTH = 0.5
 DISC = 5
 
 # What is known beforehand of (a² − b²)/8, half the difference of the second moments of an
-# even ellipse: 1 σ, of the usual radius squared. And τ and m of it, see `longness`. Two
-# contacts a pitch apart have as much as an ellipse of 2 : 1 a pitch and a half long: data
-# hardly tell them apart, and m lies between what is usual of the one and of the other.
-LONG, NOT_ROUND, LONGEST = 0.08, 3.0, 5.0
+# even ellipse: 1 σ, of the usual radius squared.
+LONG = 0.08
+
+# τ of `longness`, in σ.
+NOT_ROUND = 3.0
+
+# m of `longness`, in σ. Two contacts a pitch apart have as much as an ellipse of 2 : 1 a
+# pitch and a half long: data hardly tell them apart, and m lies between what is usual of
+# the one and of the other.
+LONGEST = 5.0
 
 # σ of ln g beyond which a conductance is hardly told: half as much again at nine in ten.
 _VAGUE = 0.25
@@ -59,11 +65,6 @@ class Fitted(NamedTuple):
     voltages: Float[Array, "S M"]  # what they make, V
 
 
-def round_disc(place: Float[Array, "2"], size: Float[Array, ""]) -> Float[Array, "5"]:
-    """Returns parameters of a contact that is as long as wide."""
-    return jnp.concatenate([place, size[None], jnp.zeros(DISC - 3, place.dtype)])
-
-
 def unpack(sheet: Sheet, parameters: Float[Array, "C n"]) -> tuple[Array, Array]:
     """Returns places (C, 2) and radii (C,), m; mirrors a place beyond an edge back."""
     size = sheet.field.size
@@ -82,11 +83,6 @@ def longness(long: Float[Array, "*C 2"]) -> Float[Array, "*C 2"]:
     square = (long**2).sum(-1, keepdims=True)
     wall = square / LONGEST**4
     return long * jnp.sqrt(1 / (1 + square / NOT_ROUND**2) + wall)
-
-
-def in_volts(columns: Float[Array, "C S M"], current: Array) -> Array:
-    """Computes the voltages that currents (S, C) make, V."""
-    return jnp.einsum("csm,sc->sm", columns, current, precision="highest")
 
 
 def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
@@ -119,8 +115,7 @@ def drops(
     `among` is G and `at_ground` is R_l(x_c).
     """
     total = current.sum(1, keepdims=True)
-    z = jnp.broadcast_to(sheet.ground_resistance, sheet.field.electrodes.shape[:1])
-    own = (jnp.diagonal(sheet.field.electrodes) + z)[grounds]
+    own = ground_path(sheet.field.electrodes, grounds, sheet.ground_resistance)
     mean = total[:, 0] * own - (current * at_ground).sum(1)
     u = jnp.matmul(current, among.T, precision="highest") + mean[:, None]
     return sheet.drive_voltage - (u - total * at_ground)
@@ -136,6 +131,17 @@ def hardly_told(
     """
     per_size = SIZE_WIDTH * sheet.sheet_resistance / (2 * np.pi)
     return jnp.abs(conductance) * per_size * jnp.sqrt(of_size) > _VAGUE
+
+
+def not_beyond(
+    shift: Float[Array, "*slots C 2"], radius: Float[Array, " C"]
+) -> Float[Array, "*slots C 2"]:
+    """Shortens what moves a current's middle, so that the middle stays in the contact.
+
+    The dipole alone does not hold where another contact is near.
+    """
+    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
+    return shift * jnp.minimum(1, 0.6 * radius[:, None] / length)
 
 
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:

@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts._one_slot import (
-    from_ground,
     inverse_of,
     product,
     regular,
@@ -20,18 +19,28 @@ from tomojax.kernels.contacts._one_slot import (
     Weights,
 )
 from tomojax.kernels.contacts._points import Sheet
+from tomojax.kernels.sheet import slot_offset
 
 # What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
 # a size: 1 σ.
 FIRST = (6.0, 6.0, 1.0)
 
-# What a contact must explain: χ² at least, and this part of what the others leave; and a
-# further one nearer than this to where it was seen before (units), in so many slots.
-_SEEN, _SHARE, _NEAR, OFTEN = 40.0, 0.5, 12.0, 3
+# χ² that a contact must explain at least.
+_SEEN = 40.0
+
+# The part that one more contact must explain of what the others leave.
+_SHARE = 0.5
+
+# A further contact is new once it was seen no farther than this from place to place (units)
+_NEAR = 12.0
+# in so many slots.
+OFTEN = 3
 
 # One contact alone takes the others' place where it leaves less than this part of what
-# they do, and explains this part at least.
-_ELSEWHERE, _EXPLAINED = 0.5, 0.1
+# the others leave,
+_ELSEWHERE = 0.5
+# and explains this part at least of what there is.
+_EXPLAINED = 0.1
 
 
 class Candidates(NamedTuple):
@@ -65,17 +74,17 @@ def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
     zero, whole = jnp.zeros(count, dtype), jnp.zeros(count, jnp.int32)
     first = jnp.broadcast_to(first_covariance(dtype), (count, 3, 3))
     return Followed(
-        zero > 1,
-        jnp.broadcast_to(size / 2, (count, 2)),
-        zero,
-        first,
-        first,
-        zero,
-        zero,
-        whole,
-        jnp.zeros(2, dtype),
-        jnp.zeros((), jnp.int32),
-        jnp.zeros((), dtype),
+        there=jnp.zeros(count, bool),
+        place=jnp.broadcast_to(size / 2, (count, 2)),
+        size=zero,
+        covariance=first,
+        alone=first,
+        current=zero,
+        conductance=zero,
+        weak=whole,
+        rival=jnp.zeros(2, dtype),
+        seen=jnp.zeros((), jnp.int32),
+        left=jnp.zeros((), dtype),
     )
 
 
@@ -114,10 +123,17 @@ def search(
     weighed_both = weighed(plain, jnp.stack([rest, voltages]))
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
     none = jnp.zeros_like(known.seen)
-    nothing = Search(~known.there & False, known.there, none, known.rival, none, none > 0)
+    nothing = Search(
+        new=jnp.zeros_like(known.there),
+        there=known.there,
+        chosen=none,
+        rival=known.rival,
+        seen=none,
+        dark=jnp.zeros((), bool),
+    )
 
     def look() -> Search:
-        offset = from_ground(sheet, ground)
+        offset = slot_offset(sheet.field.electrodes, ground, sheet.ground_resistance)
         along = weighed_both, beside, normal
         gains = _gains(candidates, offset, ground, plain, scale, *along)
         return _chosen(sheet, candidates, known, *gains, left, alone)
@@ -126,7 +142,7 @@ def search(
     channels = (weights.each > 0).astype(left.dtype).sum()
     asked = (left > _SEEN + channels) | ~known.there.any()
     found = jax.lax.cond(asked, look, lambda: nothing)
-    # Contacts explain nothing of it.
+    # The contacts explain nothing of the voltages.
     return found._replace(dark=alone - left < _SEEN)
 
 
@@ -153,12 +169,12 @@ def _chosen(
     slot = jnp.arange(len(known.there)) == jnp.where(anew, 0, jnp.argmin(known.there))
     new = slot & (anew | born)
     return Search(
-        new,
-        jnp.where(anew, slot, known.there | new),
-        jnp.where(anew, k_alone, k).astype(jnp.int32),
-        candidates.place[k],
-        jnp.where(born | anew, 0, seen),
-        anew & False,
+        new=new,
+        there=jnp.where(anew, slot, known.there | new),
+        chosen=jnp.where(anew, k_alone, k).astype(jnp.int32),
+        rival=candidates.place[k],
+        seen=jnp.where(born | anew, 0, seen),
+        dark=jnp.zeros((), bool),
     )
 
 

@@ -1,4 +1,4 @@
-"""Frees voltages of common errors, and fits currents to the whitened voltages."""
+"""Frees voltages of common errors: whitens them."""
 
 from typing import NamedTuple
 
@@ -78,18 +78,3 @@ def unwhitened(frame: WhitenedFrame, slope: Float[Array, "S P W"]) -> Float[Arra
     back = jnp.einsum("spm,sqm->spq", rest, frame.common, precision="highest")
     back = jnp.einsum("spq,sqm->spm", found - back, frame.filter, precision="highest")
     return (rest + back) * frame.scale[:, None]
-
-
-def currents(
-    frame: WhitenedFrame, columns: Float[Array, "C S N"], ridge: Array | float = 0.0
-) -> tuple[Float[Array, "S C"], Float[Array, "S N"]]:
-    """Fits each slot's currents by least squares, all whitened; returns the rest too."""
-    normal = jnp.einsum("csm,dsm->scd", columns, columns, precision="highest")
-    right = jnp.einsum("csm,sm->sc", columns, frame.whitened, precision="highest")
-    trace = jnp.trace(normal, axis1=1, axis2=2)
-    tiny = 16 * jnp.finfo(normal.dtype).eps * trace + jnp.finfo(normal.dtype).tiny
-    diagonal = tiny[:, None] + jnp.broadcast_to(ridge, right.shape)
-    normal = normal + diagonal[..., None] * jnp.eye(len(columns), dtype=normal.dtype)
-    found = solve_positive(normal, right[..., None])[..., 0]
-    rest = frame.whitened - jnp.einsum("csm,sc->sm", columns, found, precision="highest")
-    return found, rest

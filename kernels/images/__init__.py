@@ -16,7 +16,6 @@ from tomojax.kernels.images._drawing import (
     points_image as points_image,
 )
 from tomojax.kernels.images._explained import (
-    amplitudes as amplitudes,
     explained_by as explained_by,
     point_sources as point_sources,
     unexplained as unexplained,
@@ -29,7 +28,6 @@ from tomojax.kernels.images._merit import (
     image_error as image_error,
     image_place as image_place,
     pixel_places as pixel_places,
-    two_point_dip as two_point_dip,
 )
 from tomojax.kernels.images._peaks import find_peaks as find_peaks
 from tomojax.kernels.images._regions import read_regions as read_regions

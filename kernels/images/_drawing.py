@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.images._contacts import Contacts, strongest_first
+from tomojax.kernels.images._merit import pixel_places
 
 
 def points_as_contacts(
@@ -48,7 +49,7 @@ def points_image(
     A ring is a rim with a Gaussian's profile. No Gaussian is narrower than a pixel. All of
     a contact's current is inside the image, wherever the contact lies.
     """
-    x, y = ((jnp.arange(n, dtype=cell.dtype) + 0.5) * side for n, side in zip(shape, cell))
+    x, y = pixel_places(shape, cell)
     across = jnp.maximum(radius**2 / 4, jnp.max(cell) ** 2)[:, None, None]
 
     def one(

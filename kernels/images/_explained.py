@@ -33,8 +33,7 @@ def unexplained(
     """
 
     def one(p: Float[Array, "C q"], d: Float[Array, " q"]) -> Float[Array, ""]:
-        fit = solve_small(regular(matmul(p, p.T)), matmul(p, d)[:, None])[:, 0]
-        return ((d - matmul(fit, p)) ** 2).sum()
+        return ((d - matmul(amplitudes(p, d), p)) ** 2).sum()
 
     rest = jax.vmap(one)(columns, seen).sum()
     return jnp.sqrt(rest / jnp.maximum((seen**2).sum(), jnp.finfo(seen.dtype).tiny))

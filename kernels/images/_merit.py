@@ -8,7 +8,6 @@ have none (resolution, shape deformation).
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Bool, Float
 
 from tomojax._shown import tuple_shown
@@ -104,32 +103,6 @@ def image_error(
     dot = jnp.sum(image * truth)
     cosine = dot**2 / (jnp.sum(image**2) * jnp.sum(truth**2))
     return jnp.sqrt(jnp.maximum(1 - jnp.where(dot > 0, cosine, 0), 0))
-
-
-def two_point_dip(
-    image: Float[Array, "nx ny"],
-    cell: Float[Array, "2"],
-    one: Float[Array, "2"],
-    other: Float[Array, "2"],
-    samples: int = 65,
-) -> Float[Array, ""]:
-    """Measures the image's fall between two true places: 1 − valley / lower peak.
-
-    The image is read along the line through both, a quarter of their distance beyond each.
-    Each peak is the highest value in its half. 0 is one blob, 1 is full separation;
-    Rayleigh's criterion is 0.19.
-    """
-    along = jnp.linspace(-0.25, 1.25, samples).astype(image.dtype)
-    places = one + along[:, None] * (other - one)
-    line: Array = map_coordinates(
-        image, list((places / cell - 0.5).T), order=1, mode="nearest"
-    )
-    half = samples // 2
-    peaks = jnp.argmax(line[: half + 1]), half + jnp.argmax(line[half:])
-    index = jnp.arange(samples)
-    between = (index >= peaks[0]) & (index <= peaks[1])
-    valley = jnp.min(jnp.where(between, line, jnp.inf))
-    return 1 - valley / jnp.minimum(line[peaks[0]], line[peaks[1]])
 
 
 def greit_figures(

@@ -8,8 +8,7 @@ from tomojax.kernels.inverse._basis import (
     reduce_slots as reduce_slots,
     ReducedSlots as ReducedSlots,
     row_basis as row_basis,
-    slot_basis as slot_basis,
-    slot_factors as slot_factors,
+    solve_damped as solve_damped,
     solve_reduced as solve_reduced,
 )
 from tomojax.kernels.inverse._lambda import (

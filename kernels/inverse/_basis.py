@@ -1,36 +1,18 @@
 """Reduces the slots' rows: J^l ≈ A_l B with r rows in B instead of K columns.
 
 All slot maps T share one row space, which the differences of the electrodes' fields and a
-constant span (T^l_ik = R_ik − R_lk + const_il). There r = M, exactly. Any other J uses its
-singular vectors. In an orthonormal B the sums A_lᵀA_l are r × r and add over slots. A
-ground set, a weight or λ then costs a sum of r × r blocks and one small factorisation.
+constant span (T^l_ik = R_ik − R_lk + const_il). There r = M is exact. In an orthonormal B
+the sums A_lᵀA_l are r × r and add over slots. A ground set, a weight or λ then costs a sum
+of r × r blocks and one small factorisation.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.sheet import Resistances
-
-
-def slot_basis(table: Resistances) -> Float[Array, "M K"]:
-    """Builds orthonormal rows B that span the rows of T^l for every ground l (rank M)."""
-    ek = table.elements
-    # The constant has the size of the fields: QR does not rank, but float32 rounds.
-    constant = jnp.full_like(ek[:1], jnp.sqrt(jnp.mean(ek**2)))
-    rows = jnp.concatenate([ek[1:] - ek[:1], constant])
-    return jnp.linalg.qr(rows.T)[0].T
-
-
-def slot_factors(
-    maps: Float[Array, "L M K"], basis: Float[Array, "r K"]
-) -> Float[Array, "L M r"]:
-    """Computes A_l = T^l Bᵀ, so that T^l = A_l B; for another J the best A_l for B."""
-    return matmul(maps, basis.T)
 
 
 class ReducedSlots(NamedTuple):
@@ -59,7 +41,7 @@ def row_basis(maps: Float[Array, "L M K"], rank: int) -> Float[Array, "r K"]:
 
 def reduce_slots(maps: Float[Array, "L M K"], basis: Float[Array, "r K"]) -> ReducedSlots:
     """Computes the factors and blocks of J^l in `basis`."""
-    factors = slot_factors(maps, basis)
+    factors = matmul(maps, basis.T)
     grams = matmul(jnp.swapaxes(factors, 1, 2), factors)
     return ReducedSlots(basis, factors, grams)
 
@@ -84,12 +66,15 @@ def solve_reduced(
         "s,smr,sm->r", weights, reduced.factors[grounds], voltages, precision="highest"
     )
     lam = jnp.where(regularisation > 0, regularisation, jnp.nan)
+    return solve_damped(gram, right, lam)
+
+
+def solve_damped(
+    gram: Float[Array, "r r"], right: Float[Array, "r ..."], lam: Float[Array, ""]
+) -> Float[Array, "r ..."]:
+    """Solves (G + λI) c = b for one b or several, G = JᵀWJ added up over slots.
+
+    The solve's own rule makes c differentiable.
+    """
     system = gram + lam * jnp.eye(len(gram), dtype=gram.dtype)
-
-    def by_cholesky(_, b: Array) -> Array:
-        lower = jnp.linalg.cholesky(lax.stop_gradient(system))
-        return jax.scipy.linalg.cho_solve((lower, True), b)
-
-    return lax.custom_linear_solve(
-        lambda c: matmul(system, c), right, by_cholesky, symmetric=True
-    )
+    return jax.scipy.linalg.solve(system, right, assume_a="pos")

@@ -1,11 +1,10 @@
-"""Solves the paper's Eq. 3: φ = (JᵀWJ + λI)⁻¹JᵀWv, by routes of different accuracy.
+"""Solves the paper's Eq. 3: φ = (JᵀWJ + λI)⁻¹JᵀWv, in float64 whatever the dtype.
 
 Let A = √W·J. The smaller of two systems is solved: A Aᵀ + λI (n rows) or AᵀA + λI (K
 columns). Their condition is σ₁²/λ. In float32, Cholesky loses the solution at λ ≈ 1e-6·σ₁²
 and is NaN below 1e-7. Float64 keeps the solution, and processors have float64 whatever
-dtype the process works in. Devices without float64 take the triangle of a QR of [Aᵀ; √λI],
-which has the square root of that condition. A residual in two floats then corrects the
-rest.
+dtype the process works in. A device without float64 has to emulate it or to refuse; none
+was tried. There the route "cholesky" serves λ from 1e-5·σ₁² up.
 """
 
 from functools import partial
@@ -16,18 +15,11 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from tomojax.kernels import algebra as two
-
-SolveRoute = Literal["auto", "cholesky", "double", "qr", "refined"]
+SolveRoute = Literal["auto", "cholesky", "double"]
 
 # Unlike `jnp.matmul` it names no dtype, which a `vmap` outside of `jax.enable_x64` would
 # cut to float32.
 matmul = partial(lax.dot, precision="highest")
-
-# Each correction gains the digits that the triangle has right, in float32 four or more
-# while λ ≥ 1e-8·σ₁² and two at 1e-10. The wide system starts with as many; the tall one
-# starts from AᵀWv, which has lost twice as many, and errors of 1000 were seen.
-_WIDE_CORRECTIONS, _TALL_CORRECTIONS = 2, 5
 
 
 def tikhonov(
@@ -42,11 +34,8 @@ def tikhonov(
     **Arguments:** `rows` J_s, the selected slots' rows; `voltages` V; `regularisation` λ >
     0 in the unit of J²; `weights` w ≥ 0 of the rows, 1 by default; `route`:
 
-    - "cholesky" factors the smaller normal system.
-    - "double" does the same in float64 whatever the dtype of `rows`.
-    - "qr" factors [Aᵀ; √λI] or [A; √λI].
-    - "refined" adds corrections with residuals in two floats, for devices with float32
-      alone.
+    - "cholesky" factors the smaller normal system in the dtype of `rows`.
+    - "double" does the same in float64, which the device must have.
     - "auto" is "cholesky" in float64 and "double" in float32 (right to 1e-7 down to λ =
       1e-10·σ₁²).
 
@@ -72,10 +61,7 @@ def _factor(route: SolveRoute, rows: Array, lam: Array, weights: Array) -> Array
     short = jnp.sqrt(weights)[:, None] * rows
     short = short if _is_wide(rows) else short.T
     identity = jnp.eye(len(short), dtype=rows.dtype)
-    if route == "cholesky":
-        return jnp.linalg.cholesky(matmul(short, short.T) + lam * identity)
-    stacked = jnp.concatenate([short.T, jnp.sqrt(lam) * identity])
-    return jnp.linalg.qr(stacked, mode="r").T
+    return jnp.linalg.cholesky(matmul(short, short.T) + lam * identity)
 
 
 def _is_wide(rows: Array) -> bool:
@@ -114,34 +100,14 @@ def _image(
             return tuple(x.astype(rows.dtype) for x in found)  # pyright: ignore
     scale = jnp.sqrt(weights)
     a, b = scale[:, None] * rows, scale * voltages
-    # √ of a negative number is NaN, of 0 it is not.
+    # A small negative λ may leave a factor that is no NaN.
     lam = jnp.where(lam > 0, lam, jnp.nan)
-    if route == "refined":
-        phi = _refined(factor, a, b, lam)
-    elif _is_wide(rows):
+    if _is_wide(rows):
         phi = matmul(a.T, _by_triangle(factor, b))
     else:
         phi = _by_triangle(factor, matmul(a.T, b))
     phi = phi + 0 * lam
     return phi, voltages - matmul(rows, phi)
-
-
-def _refined(lower: Array, a: Array, b: Array, lam: Array) -> Array:
-    """Computes φ in two floats all through: Aᵀy cancels as far as λ is small."""
-    if _is_wide(a):
-        y = two.widen(_by_triangle(lower, b))
-        for _ in range(_WIDE_CORRECTIONS):
-            left = two.add(two.matvec(a, two.matvec(a.T, y)), two.multiply(lam[None], y))
-            residual = two.add(two.widen(b), two.negative(left))
-            y = two.add(y, two.widen(_by_triangle(lower, residual[0])))
-        return two.matvec(a.T, y)[0]
-    phi = two.widen(_by_triangle(lower, matmul(a.T, b)))
-    for _ in range(_TALL_CORRECTIONS):
-        residual = two.add(two.widen(b), two.negative(two.matvec(a, phi)))
-        left = two.negative(two.multiply(lam[None], phi))
-        normal = two.add(two.matvec(a.T, residual), left)
-        phi = two.add(phi, two.widen(_by_triangle(lower, normal[0])))
-    return phi[0]
 
 
 @_image.defjvp

@@ -21,4 +21,4 @@ from tomojax.kernels.shapes._fit import (
     ShapeFit as ShapeFit,
     Told as Told,
 )
-from tomojax.kernels.shapes._spread import PixelSpread as PixelSpread, spread as spread
+from tomojax.kernels.shapes._spread import spread as spread

@@ -21,10 +21,15 @@ from tomojax.kernels.sheet import heights
 # crosses pixels.
 _POINTS = 2
 
-# f's standard deviation, its mean in these, and its length, of the electrodes' pitch. On
-# simulated letters, rings, hands and cables (making seeds) overlaps changed by 0.03 at most
-# between 4 and 10, with lengths from 0.75 to 1.5 pitches.
-_WIDTH, _MEAN, _LENGTH = 10.0, -0.7, 1.5
+# f's standard deviation. On simulated letters, rings, hands and cables (making seeds)
+# overlaps changed by 0.03 at most between 4 and 10, with lengths from 0.75 to 1.5 pitches.
+_WIDTH = 10.0
+
+# f's mean, in standard deviations.
+_MEAN = -0.7
+
+# f's length, of the electrodes' pitch.
+_LENGTH = 1.5
 
 # Matérn's order.
 _ORDER = 1.5
@@ -32,13 +37,19 @@ _ORDER = 1.5
 # The shortest half period of a wave, of the pitch: no image showed more with shorter ones.
 _SHORTEST = 0.5
 
-# A start's part of a pixel that touches: within these. Waves whose square is less than this
-# part of the longest one's are left out of it.
-_LEAST, _MOST, _SHORT = 1e-3, 0.05, 1e-3
+# The part of a pixel that touches in a start: at least,
+_LEAST = 1e-3
+# and as far from 1.
+_MOST = 0.05
 
-# The level is told from what is near: within as much, of the pitch; and is no less than
-# this part of that of the whole image: what is weaker may be no contact.
-_NEAR, _FAINT = 1.0, 0.1
+# A start leaves out waves whose square is less than this part of the longest one's.
+_SHORT = 1e-3
+
+# The level is told from what is as near as this, of the pitch.
+_NEAR = 1.0
+
+# A level is at least this part of the whole image's: what is weaker may be no contact.
+_FAINT = 0.1
 
 
 class TwoLevels(NamedTuple):

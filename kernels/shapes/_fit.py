@@ -25,8 +25,10 @@ from tomojax.kernels.sheet import (
     voltage_slopes,
 )
 
-# Pixels that slopes are made of, where all others have no more than this part of them.
-_SOME, _LEFT = 384, 2e-3
+# Slopes are made of so many pixels,
+_SOME = 384
+# where all other pixels have no more than this part of the slopes.
+_LEFT = 2e-3
 
 # The largest change of f in one step: beyond, the slopes say nothing.
 _LONGEST = 6.0
@@ -90,9 +92,7 @@ def fit_shape(
     def evaluated(w: Array) -> tuple[Array, Evaluated]:
         touch, _ = touching(field.waves, field.mean, w)
         contact = reduce_sites(sites.table, sites.of(level * touch), sites.metal.shape[1])
-        z, v0 = told.ground_resistance, told.drive_voltage
-        volts = ground_voltages(contact, told.frame.grounds, z, v0)
-        rest = whitened_columns(told.frame, volts - told.voltages)
+        rest = _rest(told, contact)
         cost = told.part * told.tolerance * jnp.log1p((rest**2).sum(1) / told.tolerance)
         return cost.sum() + (w**2).sum(), Evaluated(rest, contact)
 
@@ -130,9 +130,7 @@ def followed(
     slopes = shape_slopes(field, sites, still, level, steep, fit.at)
     matrix, _ = _equations(still, slopes, fit.at.rest)
     unit = jnp.eye(len(fit.w), dtype=fit.w.dtype)
-    z, v0 = told.ground_resistance, told.drive_voltage
-    volts = ground_voltages(fit.at.contact, told.frame.grounds, z, v0)
-    rest = whitened_columns(told.frame, volts - told.voltages)
+    rest = _rest(told, fit.at.contact)
     change = rest - jax.lax.stop_gradient(rest)
     weight = still.part / (1 + fit.misfits / still.tolerance)
     uphill = jnp.einsum("s,sw,swk->k", weight, change, slopes, precision="highest")
@@ -193,6 +191,13 @@ def shape_curvature(
     chord = jnp.where(small, 0.25, (jax.nn.sigmoid(f) - 0.5) / jnp.where(small, 1, f))
     slopes = shape_slopes(field, sites, told, level, chord / f.shape[1], fit.at)
     return _equations(told, slopes, fit.at.rest)[0]
+
+
+def _rest(told: Told, contact: ContactReduction) -> Float[Array, "S W"]:
+    """Computes what a contact leaves of the voltages, whitened."""
+    z, v0 = told.ground_resistance, told.drive_voltage
+    volts = ground_voltages(contact, told.frame.grounds, z, v0)
+    return whitened_columns(told.frame, volts - told.voltages)
 
 
 def _equations(

@@ -9,7 +9,6 @@ from tomojax.kernels.sheet._fem import (
     fem_resistances as fem_resistances,
     fem_shared_resistances as fem_shared_resistances,
     fem_sheet as fem_sheet,
-    fem_site_resistances as fem_site_resistances,
     FemSheet as FemSheet,
     site_conductance as site_conductance,
 )
@@ -22,9 +21,6 @@ from tomojax.kernels.sheet._mesh import (
     subpoints as subpoints,
     triangles as triangles,
 )
-from tomojax.kernels.sheet._perturbed import (
-    rectangle_wave_fields as rectangle_wave_fields,
-)
 from tomojax.kernels.sheet._rectangle import (
     rectangle_fields as rectangle_fields,
     rectangle_green as rectangle_green,
@@ -36,26 +32,29 @@ from tomojax.kernels.sheet._rectangle_grid import (
 )
 from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
-    ground_currents as ground_currents,
     ground_voltages as ground_voltages,
-    reduce_contact as reduce_contact,
     shared_ground_voltages as shared_ground_voltages,
     voltage_change as voltage_change,
     voltage_drop as voltage_drop,
-    voltage_sensitivity as voltage_sensitivity,
     voltage_slopes as voltage_slopes,
 )
 from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._slots import (
     contact_jacobian as contact_jacobian,
+    ground_path as ground_path,
     loop_resistance as loop_resistance,
     shared_slot_map as shared_slot_map,
+    slot_jacobian as slot_jacobian,
     slot_map as slot_map,
+    slot_offset as slot_offset,
+    volts_per_ampere as volts_per_ampere,
 )
 from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (
     cosine_waves as cosine_waves,
+    disc_mean as disc_mean,
     heights as heights,
+    rectangle_wave_fields as rectangle_wave_fields,
     smooth_modes as smooth_modes,
     smooth_orders as smooth_orders,
 )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import factor, inverse_band, matmul, solve
 from tomojax.kernels.sheet import _stiffness
@@ -162,27 +162,14 @@ def _own_resistance(chol, shape: Shape) -> Float[Array, " K"]:
     return own / 9
 
 
-def fem_site_resistances(
-    fem: FemSheet, sites: Int[Array, " c"], shape: Shape
-) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
-    """Computes R_ec and R_cc' (Ω) of chosen sites, centred like the table.
-
-    A site is a node, or electrode e as N + e: all that `fem_contact` can touch. From these
-    resistances `reduce_contact` gives the result of `fem_contact` without another
-    factorisation.
-    """
-    n, m = fem.feeds.shape
-    shares = jnp.zeros((n + m, sites.size), fem.sheet.dtype)
-    shares = shares.at[sites, jnp.arange(sites.size)].set(1, mode="drop")
-    return fem_shared_resistances(fem, shares, shape)
-
-
 def fem_shared_resistances(
     fem: FemSheet, shares: Float[Array, "sites c"], shape: Shape
 ) -> tuple[Float[Array, "M c"], Float[Array, "c c"]]:
     """Computes R_ec and R_cc' (Ω) of c groups of sites, centred like the table.
 
-    A column of `shares` splits a group's current among sites; columns sum to 1.
+    A site is a node, or electrode e as N + e: all that `fem_contact` can touch. A column of
+    `shares` splits a group's current among sites; columns sum to 1. From these resistances
+    `reduce_sites` gives the result of `fem_contact` without another factorisation.
     """
     _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
     n = len(fem.feeds)

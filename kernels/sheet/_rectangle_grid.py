@@ -1,13 +1,18 @@
 """Computes `rectangle_fields` on a grid of points, in NumPy: nothing to compile, float64.
 
-The series is that of `_rectangle`. Its three r that may reach 1 stay logarithms. All other
-r are at most e^{−π}. There −ln(1 − 2r cos θ + r²) = 2·Σ rⁿ cos(nθ)/n ends after a dozen
-terms. Each term is a product of a function of x and one of y.
+The series is that of `tomojax.kernels.rectangle`. Its three r that may reach 1 stay
+logarithms. All other r are at most e^{−π}. There −ln(1 − 2r cos θ + r²) = 2·Σ rⁿ cos(nθ)/n
+ends after a dozen terms. Each term is a product of a function of x and one of y.
 """
 
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky, solve_triangular
+
+from tomojax.kernels.rectangle import Series
+
+# Kinds of r that may reach 1, without a power of q.
+_LARGE = 3
 
 # rⁿ of r = e^{−π} is below the rounding of float64 from here.
 _TERMS = np.arange(1, 13)
@@ -42,15 +47,13 @@ def rectangle_grid_fields(
 
     at_places = fields(places[:, 0], places[:, 1])
     ee = at_places[:, 0]
-    step = _STEP * radius
-    slopes = [
-        fields(places[:, 0] + step * i, places[:, 1] + step * (1 - i))[:, 1:]
-        - fields(places[:, 0] - step * i, places[:, 1] - step * (1 - i))[:, 1:]
-        for i in (1, 0)
-    ]
-    count = 2 * len(places)
-    chol, answer = np.zeros((0, 0)), np.zeros((0, len(places)))
+    count, answer = 2 * len(places), np.zeros((0, len(places)))
     if shunt is not None:
+        step = _STEP * radius
+        slopes = [
+            fields(*(places + move).T)[:, 1:] - fields(*(places - move).T)[:, 1:]
+            for move in step * np.eye(2)
+        ]
         pairs = np.stack(slopes, -1) / (2 * step)  # (M, 2, M, 2)
         own = pairs.reshape(count, count)
         weaker = (1 / shunt - 1) / (2 * np.pi * radius**2)
@@ -76,55 +79,13 @@ def _fields(
 ) -> _Points:
     """Computes (3, …): G of a disc of radius `rim`, and of its dipoles along x and y.
 
-    `x` and `y` broadcast with each other. See `rectangle_green`: within the rim G is the
-    rim's, and a dipole's field is that of a solid disc.
+    `x` and `y` broadcast with each other. Within the rim G is the rim's, and a dipole's
+    field is that of a solid disc.
     """
-    k, (px, py) = np.pi / a, place
-    gap, total, side = _apart(py, y, a)
-    square = (px - x) ** 2 + gap**2
-    turns = [np.sin(k * (px + sign * x) / 2) ** 2 for sign in (-1, 1)]
-    bends = [2 * k * np.sin(k * (px + sign * x)) for sign in (-1, 1)]  # 4 ds/dpx
-    # r, 1 − r, and by how much ln r grows with py.
-    rates = (-k * gap, -k * side), (-k * total, -k), (-k * (2 * b - total), k)
-    product, by_x, by_y = 1.0, 0.0, 0.0
-    for number, (log_r, rate) in enumerate(rates):
-        r, less = np.exp(log_r), -np.expm1(log_r)
-        for turn, bend in zip(turns, bends):
-            factor = less**2 + 4 * r * turn
-            if number == 0 and turn is turns[0]:
-                # The one that vanishes where the places meet, as (π d/a)²·ratio.
-                meet = square < np.finfo(float).eps * a**2
-                safe = np.where(meet, 1, square)
-                inside = square < rim**2
-                own = np.where(meet, k**2, factor / safe)
-                factor = np.where(meet, 1, factor)
-                within = 2 / rim**2 - np.where(meet, 0, 2 / safe)
-                by_x = np.where(inside, (px - x) * within, 0)
-                by_y = np.where(inside, side * gap * within, 0)
-                product = own * np.where(inside, rim**2, square)
-                bend = np.where(meet, 0, bend)
-            else:
-                product = product * factor
-            slope = r / factor
-            by_x = by_x + slope * bend
-            by_y = by_y + slope * rate * (4 * turn - 2 * less)
-    rest = _rest(place, x, y, a, b)
-    mean = b / 3 + (py**2 + y**2) / (2 * b) - (total + gap) / 2
-    mean_by_y = py / b - (1 + side) / 2
-    return np.stack(
-        [
-            mean / a - (np.log(product) + rest[0]) / (4 * np.pi),
-            -(by_x + rest[1]) / (4 * np.pi),
-            mean_by_y / a - (by_y + rest[2]) / (4 * np.pi),
-        ]
-    )
-
-
-def _apart(py: float, y: _Points, a: float) -> tuple[_Points, _Points, _Points]:
-    """Returns |py − y|, py + y, and the sign of py − y: 0 in one row, without a kink."""
-    gap = np.abs(py - y)
-    row = gap < np.sqrt(np.finfo(float).eps) * a  # what rounding leaves of none
-    return np.where(row, 0, gap), py + y, np.where(row, 0, np.sign(py - y))
+    large = Series((place[0], place[1]), (x, y), (a, b), np, _LARGE, terms=1)
+    logs, by_x, by_y = _rest(place, x, y, a, b)
+    slopes = large.slope(rim, solid=True, rest=(by_x, by_y))
+    return np.stack([large.potential(rim, rest=logs), *slopes])
 
 
 def _rest(
@@ -133,7 +94,7 @@ def _rest(
     """Computes (3, …): the summed logarithms of all smaller r, and slopes by the place."""
     n = _TERMS.reshape(-1, *[1] * max(x.ndim, y.ndim))
     k, (px, py) = np.pi / a, place
-    gap, total, side = _apart(py, y, a)
+    gap, total, side = np.abs(py - y), py + y, np.sign(py - y)
     near, far = np.exp(-n * k * gap), np.exp(-n * k * total)
     far_, near_ = np.exp(-n * k * (2 * b - total)), np.exp(-n * k * (2 * b - gap))
     # Σ q^{jn}, j = 1, 2, …: what further images add to each.

@@ -18,10 +18,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.sheet._slots import ground_path
 
 
 class ContactReduction(NamedTuple):
-    """The reduced sheet: `reduce_contact` (dense) and `fem_contact` (mesh) make one."""
+    """The reduced sheet: `fem_contact` (nodes) and `reduce_sites` (pixels) make one."""
 
     conductance: Float[Array, ""]  # p: object to reference, S
     lift: Float[Array, " M"]  # b: electrodes, object at 1 V, reference at 0 V
@@ -29,37 +30,6 @@ class ContactReduction(NamedTuple):
     resistance: Float[Array, "M M"]  # Q: object and reference at 0 V, Ω
     field: Float[Array, "sites M"]  # X: the same, from electrodes to sites, Ω
     gap: Float[Array, " sites"]  # c: sites, reference at 1 V, object at 0 V
-
-
-def reduce_contact(
-    ee: Float[Array, "M M"],
-    ec: Float[Array, "M c"],
-    cc: Float[Array, "c c"],
-    conductance: Float[Array, " c"],
-) -> ContactReduction:
-    """Reduces a contact on c sites, from a table of resistances.
-
-    c = (I + RG)⁻¹1, X = (I + RG)⁻¹R_ce, p = gᵀc, b = R_ec G c, Q = R_ee − R_ec G X. The
-    factor has c × c numbers; g = 0 (a padded site) is exact and differentiable. A strong
-    contact (g·R ≫ 1) on many sites comes down to inverting R_cc and loses its condition
-    number. The loss is about 0.1 % in float32, where `fem_contact` loses nothing.
-    **Arguments:** `ee`, `ec`, `cc`: R between electrodes and the contact's sites in one
-    gauge, Ω; `conductance` g, S per site.
-    """
-    system = jnp.eye(len(cc), dtype=cc.dtype) + cc * conductance
-    rhs = jnp.concatenate([jnp.ones_like(ec[:1]), ec]).T
-    solution = jnp.linalg.solve(system, rhs)
-    gap, field = solution[:, 0], solution[:, 1:]
-    weighted = ec * conductance
-    lift = matmul(weighted, gap)
-    return ContactReduction(
-        jnp.vdot(conductance, gap, precision="highest"),
-        lift,
-        1 - lift,
-        ee - matmul(weighted, field),
-        field,
-        gap,
-    )
 
 
 def touch_electrodes(
@@ -97,10 +67,8 @@ class _Ground(NamedTuple):
 def _ground(
     contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
 ) -> _Ground:
-    z = jnp.broadcast_to(ground_resistance, contact.lift.shape)[grounds]
-    q = contact.resistance[grounds]
-    total = z + contact.resistance[grounds, grounds]
-    f = contact.shortfall[grounds]
+    q, f = contact.resistance[grounds], contact.shortfall[grounds]
+    total = ground_path(contact.resistance, grounds, ground_resistance)
     return _Ground(q, total, f, contact.lift[grounds], contact.conductance * total + f**2)
 
 
@@ -120,17 +88,6 @@ def ground_voltages(
     return drive_voltage * (through + around) / g.denominator[:, None]
 
 
-def ground_currents(
-    contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-    drive_voltage: Float[Array, ""],
-) -> Float[Array, " L"]:
-    """Computes the current (A) through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²]."""
-    g = _ground(contact, grounds, ground_resistance)
-    return drive_voltage * contact.conductance / g.denominator
-
-
 def voltage_drop(
     contact: ContactReduction,
     grounds: Int[Array, " L"],
@@ -143,37 +100,21 @@ def voltage_drop(
     return drive_voltage * drop / g.denominator[:, None]
 
 
-def voltage_sensitivity(
-    contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-    drive_voltage: Float[Array, ""],
-) -> Float[Array, "L M sites"]:
-    """Computes ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S: the adjoint derivative.
-
-    ψ_i^l is the potential with unit current entering at electrode i, ground l in place and
-    the object at 0 V. Its value at k is X_ki − t_il·X_kl +
-    c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l with t_il = (p·Q_il + f_i·f_l)/d_l and
-    d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
-    """
-    share, lift = _answers(contact, grounds, ground_resistance)
-    potential = (
-        contact.field.T[None]
-        - share[:, :, None] * contact.field.T[grounds][:, None]
-        + lift[:, :, None] * contact.gap
-    )
-    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-    return potential * drop[:, None, :]
-
-
 def _answers(
     contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
-) -> tuple[Float[Array, "L M"], Float[Array, "L M"]]:
-    """Computes the factors of X_l and of c in ψ_i^l: t_il, and the factor of c."""
+) -> tuple[Float[Array, "L M"], Float[Array, "L M"], Float[Array, "sites fields"]]:
+    """Computes t_il, the factor of c in ψ_i^l, and the fields [X c] of the sites.
+
+    The adjoint derivative is ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S. Here ψ_i^l is the
+    potential of a unit current into electrode i, with the ground l and the object at 0 V.
+    Its value at k is X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l. The factors are
+    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
+    """
     g = _ground(contact, grounds, ground_resistance)
     f, over = contact.shortfall, 1 / g.denominator[:, None]
     share = (contact.conductance * g.q + f * g.f[:, None]) * over
-    return share, (f * g.total[:, None] - g.f[:, None] * g.q) * over
+    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
+    return share, lift, jnp.concatenate([contact.field, contact.gap[:, None]], 1)
 
 
 def voltage_change(
@@ -187,9 +128,8 @@ def voltage_change(
     The slopes are products of L + M fields. So one product of matrices, with L·(M +
     1)·sites terms, gives the change.
     """
-    share, lift = _answers(contact, grounds, ground_resistance)
+    share, lift, fields = _answers(contact, grounds, ground_resistance)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-    fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
 
     def change(dg: Float[Array, " sites"]) -> Float[Array, "L M"]:
         at = matmul(drop * dg, fields)
@@ -210,9 +150,8 @@ def voltage_slopes(
     The map takes ∂g and the sites' numbers. One product of matrices does `voltage_change`
     for all parameters.
     """
-    share, lift = _answers(contact, grounds, ground_resistance)
+    share, lift, fields = _answers(contact, grounds, ground_resistance)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-    fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
 
     def slopes(dg: Array, sites: Array) -> Array:
         pairs = drop[:, None, sites] * fields[sites].T

@@ -32,7 +32,7 @@ def reduce_sites(
 ) -> ContactReduction:
     """Reduces a contact on n sites, the last of which are the electrodes, to electrodes.
 
-    This is `reduce_contact` with a factor of the strong sites alone. Let s = √g there and
+    The factor is of the strong sites alone. Let s = √g there and
     y = (I + sRs)⁻¹s·[1 R_ce]. Then q = s·y are the currents of the strong sites, and
     z = [1 R_ce] − R_ca·q the potentials everywhere. The weak sites add zᵀg·z to what q
     draws.

@@ -1,10 +1,60 @@
-"""Computes the slot map T and the Jacobian family J(ρ), from a table of resistances."""
+"""Computes volts per ampere of a slot, the slot map T and the Jacobian family J(ρ).
+
+An ampere enters the sheet where its potentials at the electrodes are R_i, and leaves at the
+grounded electrode l through z. In that slot electrode i is at
+
+    R_i − R_l + (R_ll + z − R_il)
+
+`ground_path`, `slot_offset` and `volts_per_ampere` take arrays of NumPy and of JAX.
+"""
+
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.sheet._table import Resistances
+
+A = TypeVar("A", Array, np.ndarray)
+
+
+def ground_path(
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, "*L"],
+    ground_resistance: Float[A, "..."] | float,
+) -> Float[A, "*L"]:
+    """Computes R_ll + z (Ω), z one value or one for each electrode."""
+    z = ground_resistance
+    each = z[grounds] if np.ndim(z) else z  # pyright: ignore
+    return electrodes[grounds, grounds] + each
+
+
+def slot_offset(
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, "*L"],
+    ground_resistance: Float[A, "..."] | float,
+) -> Float[A, "*L M"]:
+    """Computes R_ll + z − R_il (Ω): all but what depends on where the current enters."""
+    own = ground_path(electrodes, grounds, ground_resistance)
+    return own[..., None] - electrodes[grounds]
+
+
+def volts_per_ampere(
+    potential: Float[A, "*batch M"],
+    electrodes: Float[A, "M M"],
+    grounds: Int[A, " L"],
+    ground_resistance: Float[A, "..."] | float,
+    total: Float[A, "*#batch"] | float = 1.0,
+) -> Float[A, "*batch L M"]:
+    """Computes R_i − R_l + total·(R_ll + z − R_il), Ω.
+
+    `potential` is R, or a mix of several whose weights add up to `total`.
+    """
+    offset = slot_offset(electrodes, grounds, ground_resistance)
+    share = total[..., None, None] if np.ndim(total) else total  # pyright: ignore
+    return potential[..., None, :] - potential[..., grounds][..., None] + share * offset
 
 
 def slot_map(
@@ -17,8 +67,7 @@ def slot_map(
     s (A per element) is the current that the object feeds into the sheet.
     """
     ee, ek, _ = table
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    offset = (ee[grounds, grounds] + z)[:, None] - ee[grounds]
+    offset = slot_offset(ee, grounds, ground_resistance)
     return ek[None] - ek[grounds][:, None] + offset[:, :, None]
 
 
@@ -29,8 +78,19 @@ def loop_resistance(
 ) -> Float[Array, "L K"]:
     """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
     ee, ek, kk = table
-    z = jnp.broadcast_to(ground_resistance, ee.shape[:1])[grounds]
-    return kk + (ee[grounds, grounds] + z)[:, None] - 2 * ek[grounds]
+    return kk + ground_path(ee, grounds, ground_resistance)[:, None] - 2 * ek[grounds]
+
+
+def slot_jacobian(
+    table: Resistances,
+    grounds: Int[Array, " L"],
+    ground_resistance: Float[Array, "..."],
+    contact_resistance: Float[Array, "..."],
+) -> Float[Array, "L M K"]:
+    """Computes `contact_jacobian` of slots with one electrode grounded."""
+    t = slot_map(table, grounds, ground_resistance)
+    loop = loop_resistance(table, grounds, ground_resistance)
+    return contact_jacobian(t, loop, contact_resistance)
 
 
 def shared_slot_map(

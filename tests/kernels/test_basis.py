@@ -1,11 +1,11 @@
-"""The reduced factors hold all of every slot map."""
+"""A basis of as many rows as there are electrodes holds all of every slot map."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.kernels.inverse import slot_basis, slot_factors
+from tomojax.kernels.inverse import reduce_slots, row_basis
 from tomojax.kernels.sheet import slot_map
 
 
@@ -15,10 +15,10 @@ def test_slot_maps_are_their_factors(route, dtype, tolerance) -> None:
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=dtype)
     table = tx.sensor.resistances(sensor, route)
     t = slot_map(table, jnp.array([0, 27, 63]), sensor.ground_resistance)
-    basis = slot_basis(table)
+    basis = row_basis(t, 64)
     assert basis.shape == (64, 3200) and basis.dtype == dtype
     np.testing.assert_allclose(basis @ basis.T, np.eye(64), atol=10 * tolerance)
-    a = slot_factors(t, basis)
+    a = reduce_slots(t, basis).factors
     scale = float(jnp.abs(t).max())
     np.testing.assert_allclose(a @ basis, t, atol=tolerance * scale, rtol=0)
     # The Gram matrices that later work adds up are those of the maps themselves.

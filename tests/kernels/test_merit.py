@@ -13,7 +13,6 @@ from tomojax.kernels.images import (
     image_error,
     image_place,
     pixel_places,
-    two_point_dip,
 )
 
 CELL = jnp.array([0.002, 0.0025])
@@ -63,17 +62,6 @@ def test_image_error() -> None:
     # Half of two equal, separate blobs: cos² = 1/2.
     other = gaussian((0.13, 0.13), 0.01)
     np.testing.assert_allclose(image_error(truth, truth + other), np.sqrt(0.5), rtol=1e-3)
-
-
-@pytest.mark.parametrize("apart, dip", [(1e-9, 0.0), (0.04, 0.2707), (0.12, 1.0)])
-def test_two_point_dip(apart, dip) -> None:
-    """Two Gaussians d apart: peak about 1 + exp(−d²/2σ²), valley 2·exp(−d²/8σ²)."""
-    one, other = jnp.array([0.08 - apart / 2, 0.08]), jnp.array([0.08 + apart / 2, 0.08])
-    image = gaussian(one, 0.01) + gaussian(other, 0.01)
-    if apart == 0.04:  # the exact peaks and valley
-        dip = 1 - 2 * np.exp(-2.0) / (1 + np.exp(-8.0))
-    found = two_point_dip(image, CELL, one, other)
-    np.testing.assert_allclose(found, dip, atol=0.01)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 import tomojax as tx
-from tomojax.kernels.algebra import descend, least_squares, Limits, Normal, solve_positive
+from tomojax.kernels.algebra import descend, Limits, Normal, solve_positive
 from tomojax.kernels.contacts import (
     field_at,
     rows_at,
@@ -81,35 +81,6 @@ def test_slope_of_the_closed_form_where_places_meet(paper_sensor):
     for off in (0.0, 1e-9, 1e-7):
         slope = jax.jacfwd(rectangle_green)(at + np.float32(off), at, radius, size)
         assert np.isfinite(slope).all() and np.abs(slope).max() < 1e3
-
-
-def test_least_squares_beside_scipy(rng):
-    """Cauchy's loss on each row, and priors: the same minimum."""
-    t = np.linspace(0, 1, 40)
-    data = 2 * np.exp(-3 * t) + 0.5 + 0.01 * rng.normal(size=40)
-    data[[3, 20]] += 5  # no model explains these
-
-    def model(p):
-        a, b, c = p
-        rest = (a * jnp.exp(-b * t) + c - data) / 0.01
-        return rest[:, None], 0.1 * p, None
-
-    start = jnp.array([1.0, 1.0, 0.0])
-    far = jnp.array([-3.0, 6.0, 4.0])
-    got = least_squares(model, jnp.stack([far, start]), 9.0, most=200, few=4)
-    slope = jax.jacfwd(lambda p: model(p)[0])(got.parameters)
-    np.testing.assert_allclose(got.slope, slope.transpose(2, 0, 1), rtol=1e-6)
-    np.testing.assert_allclose(got.rest, model(got.parameters)[0], rtol=1e-9)
-
-    def both(p):
-        rest, priors, _ = model(p)
-        r = np.asarray(rest)[:, 0]
-        # Cauchy's loss as a plain residual, so that priors stay quadratic.
-        return np.append(np.sign(r) * 3 * np.sqrt(np.log1p(r**2 / 9)), priors)
-
-    want = optimize.least_squares(both, start, xtol=1e-14, ftol=1e-14, gtol=1e-12)
-    np.testing.assert_allclose(got.cost, 2 * want.cost, rtol=1e-4)
-    np.testing.assert_allclose(got.parameters, want.x, rtol=2e-3)
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float32, 1e-4), (np.float64, 1e-11)])

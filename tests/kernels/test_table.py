@@ -9,6 +9,7 @@ import pytest
 import references
 
 import tomojax as tx
+from tomojax.kernels.rectangle import Series
 from tomojax.kernels.sheet import centroids, rectangle_green
 from tomojax.sensor import sheet_on_mesh
 
@@ -57,6 +58,9 @@ def test_series_is_the_textbook_double_series() -> None:
         jnp.array(one[::-1]), jnp.array(other[::-1]), jnp.array(0.0), size[::-1]
     )
     np.testing.assert_allclose(turned, got, rtol=1e-13)
+    # NumPy alone, with fewer terms: as `tomojax check` has it.
+    series = Series(tuple(one[::-1]), tuple(other[::-1]), (b, a), np, terms=3)
+    np.testing.assert_allclose(series.potential(1e-6), got, rtol=1e-8)
 
 
 def test_long_strip_has_the_resistance_of_a_wire() -> None:

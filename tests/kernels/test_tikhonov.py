@@ -8,7 +8,7 @@ import pytest
 import tomojax as tx
 from tomojax.kernels.inverse import solve_reduced, tikhonov
 
-ROUTES = ["cholesky", "double", "qr", "refined"]
+ROUTES = ["cholesky", "double"]
 
 
 def dense(rows, v, lam, w=None):
@@ -64,7 +64,9 @@ def test_float32_where_it_is_hard(small_sensor, rng, wide, data, decade) -> None
     assert relative(default, exact) <= 1e-4
     if decade == -10 and wide:
         cholesky = tikhonov(rows, v, jnp.asarray(lam), route="cholesky")
-        assert not relative(cholesky, exact) <= 1e-2, "else the default need not refine"
+        assert not relative(cholesky, exact) <= 1e-2, (
+            "else the default need not be in float64"
+        )
 
 
 def tikhonov_by_svd(rows, v, lam):
@@ -72,7 +74,7 @@ def tikhonov_by_svd(rows, v, lam):
     return vt.T @ (s / (s**2 + lam) * (u.T @ np.asarray(v, float)))
 
 
-@pytest.mark.parametrize("route", ["cholesky", "double", "refined"])
+@pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("shape", [(6, 15), (15, 6)])
 @pytest.mark.parametrize("argument", ["rows", "voltages", "lam", "weights"])
 def test_derivatives(rng, route, shape, argument) -> None:
@@ -156,22 +158,6 @@ def test_no_image_for_a_bad_lambda(rng, route, lam) -> None:
         rows = jnp.asarray(rng.standard_normal(shape))
         phi = tikhonov(rows, jnp.ones(shape[0]), jnp.asarray(lam), route=route)
         assert np.isnan(phi).all()
-
-
-def test_two_floats_hold_twice_the_digits(rng) -> None:
-    from tomojax.kernels import algebra as two
-
-    a = rng.standard_normal((30, 700)).astype(np.float32)
-    x = rng.standard_normal(700)
-    high = x.astype(np.float32)
-    low = (x - high).astype(np.float32)
-    y = jax.jit(two.matvec)(jnp.asarray(a), (jnp.asarray(high), jnp.asarray(low)))
-    exact = a.astype(np.longdouble) @ (high.astype(np.longdouble) + low)
-    error = np.abs(np.asarray(y[0], float) + np.asarray(y[1], float) - exact)
-    assert error.max() <= 1e-12 * np.abs(exact).max()
-    # 700 · 2⁻⁴⁸ would be 2.5e-12; float32 alone has 1e-6.
-    total = jax.jit(two.add)(y, two.negative(y))
-    assert float(total[0][0]) == 0 and float(total[1][0]) == 0
 
 
 def test_reduced_slots_are_the_full_solve(small_sensor, rng) -> None:

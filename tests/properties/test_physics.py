@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import references
 from hypothesis import given, HealthCheck, settings, strategies as st
 
 import tomojax as tx
 from tomojax.kernels.sheet import (
     centroids,
     fem_contact,
-    fem_site_resistances,
-    ground_currents,
+    fem_shared_resistances,
     site_conductance,
     slot_map,
     triangles,
@@ -64,7 +64,7 @@ def scenes(draw, sensor: tx.Sensor) -> tx.sensor.AbstractShape:
 
 # Op by op each would be a hundred programs for every shape.
 on_mesh = jax.jit(sheet_on_mesh)
-site_resistances = jax.jit(fem_site_resistances, static_argnums=2)
+shared_resistances = jax.jit(fem_shared_resistances, static_argnums=2)
 reduction = jax.jit(fem_contact, static_argnums=2)
 
 property_test = settings(
@@ -79,9 +79,9 @@ def test_reciprocity(data) -> None:
     sensor = data.draw(sensors())
     table = tx.sensor.resistances(sensor)
     vertices = triangles(sensor.divisions)[40]
-    at_vertices, among = site_resistances(
-        on_mesh(sensor), jnp.asarray(vertices), sensor.divisions
-    )
+    fem = on_mesh(sensor)
+    shares = jnp.eye(sum(fem.feeds.shape))[:, vertices]
+    at_vertices, among = shared_resistances(fem, shares, sensor.divisions)
     scale = float(table.own.max())
     # An element is a third of each vertex. The table has fed the electrodes and read the
     # element; here its vertices are fed and the electrodes read.
@@ -116,7 +116,7 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
     grounds = jnp.arange(sensor.electrode_count)
     drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
     into = (sites * voltage_drop(contact, *drive)).sum(1)
-    out = ground_currents(contact, *drive)
+    out = references.ground_currents(contact, *drive)
     np.testing.assert_allclose(into, out, rtol=1e-6)
     grounded = volts[grounds, grounds]
     np.testing.assert_allclose(grounded, sensor.ground_resistance * out, atol=1e-8)

@@ -139,8 +139,8 @@ def test_the_command_draws_and_says(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("bench.stability._study.sweep_rows", lambda *_: made)
     numbers = {
         "solvers": [
-            {"solver": "qr", "relative_lam": 0.1, "error": 1e-6},
-            {"solver": "qr", "relative_lam": 0.01, "error": None},
+            {"solver": "double", "relative_lam": 0.1, "error": 1e-6},
+            {"solver": "double", "relative_lam": 0.01, "error": None},
         ],
         "gradients": [
             {"points": "random", "count": 3, "finite": 3, "largest_difference": {"x": 1e-9}}

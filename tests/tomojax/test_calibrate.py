@@ -11,7 +11,8 @@ from rig import Rig
 
 import tomojax as tx
 from tomojax.calibration import read_places, rig_slopes, slopes_by_rig, unknowns_of
-from tomojax.kernels.contacts import field_at, Fitted, slot_columns
+from tomojax.kernels.contacts import field_at, Fitted
+from tomojax.kernels.sheet import volts_per_ampere
 
 CORNERS = [0, 63]
 
@@ -192,7 +193,7 @@ def test_slopes_by_the_rig():
     def volts(calibration: tx.Calibration):
         sheet = tx.method(x64, "points", 16, calibration).sheet
         at, z = field_at(sheet.field, x, radius), sheet.ground_resistance
-        return sheet, current * slot_columns(sheet.field, at, grounds, z)
+        return sheet, current * volts_per_ampere(at, sheet.field.electrodes, grounds, z)
 
     sheet, base = volts(tx.Calibration())
     none = jnp.zeros((1, 2))

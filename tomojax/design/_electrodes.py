@@ -17,12 +17,10 @@ from tomojax._checks import float_array, require, require_positive, require_shap
 from tomojax._custom_types import Numbers
 from tomojax.kernels.sheet import (
     cell_centres,
-    contact_jacobian,
-    loop_resistance,
     rectangle_fields,
     rectangle_green,
     Resistances,
-    slot_map,
+    slot_jacobian,
 )
 from tomojax.sensor import Sensor
 
@@ -222,10 +220,7 @@ def _gram(
 
     @jax.checkpoint
     def one(ground: Array) -> Array:
-        g = ground[None]
-        t = slot_map(table, g, z)
-        loop = loop_resistance(table, g, z)
-        j = contact_jacobian(t, loop, through)[0]
+        j = slot_jacobian(table, ground[None], z, through)[0]
         return jnp.matmul(j.T, j, precision="highest")
 
     nothing = jnp.zeros((len(cells), len(cells)), xy.dtype)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from tomojax._programs import kept
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import currents, whitened_columns
+from tomojax.kernels.contacts import best_currents, whitened_columns
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import (
     AbstractMethod,
@@ -149,7 +149,7 @@ class Auto(AbstractMethod):
         coefficients = matmul(voltages.ravel(), prepared.source.operators)
         volts = matmul(self.source.factors[frame.grounds], coefficients)
         columns = whitened_columns(frame, volts)
-        _, rest = currents(frame, columns[None])
+        _, rest = best_currents(columns[:, None], frame.whitened)
         tolerance = prepared.errors.tolerance
         costs = misfit_cost((rest**2).sum(1), tolerance)
         cost = costs.sum() / prepared.errors.slot_count

@@ -13,10 +13,9 @@ from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, point_sources, read_contacts, unexplained
 from tomojax.kernels.sheet import (
-    contact_jacobian,
     loop_resistance,
     Resistances,
-    slot_map,
+    slot_jacobian,
 )
 from tomojax.methods._contract import (
     AbstractMethod,
@@ -162,6 +161,7 @@ class Linear(AbstractMethod):
         fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
+        operator, _ = tikhonov_operator(rows, lam)
         current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
         return PreparedLinear(
             operator=jnp.asarray(tikhonov_operator(rows, lam).T, dtype),
@@ -223,8 +223,6 @@ def _pixel_jacobian(
     z, rho = pixels.sensor.ground_resistance, jnp.zeros((), pixels.sensor.dtype)
 
     def one(ground: Array) -> Array:
-        t = slot_map(table, ground[None], z)
-        loop = loop_resistance(table, ground[None], z)
-        return pixels.mean(contact_jacobian(t, loop, rho)[0])
+        return pixels.mean(slot_jacobian(table, ground[None], z, rho)[0])
 
     return jax.lax.map(one, grounds)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from tomojax.kernels.sheet import slot_offset
 from tomojax.methods._pixels import Pixels
 from tomojax.sensor import resistances
 
@@ -14,10 +15,10 @@ def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
     sensor = pixels.sensor
     route = "fem" if sensor.sheet_resistance.ndim else "series"
     table = resistances(sensor, route)
-    ee, ek = np.asarray(table.electrodes, float), np.asarray(pixels.mean(table.elements))
-    z = np.broadcast_to(np.asarray(sensor.ground_resistance, float), len(ee))
-    offset = (np.diagonal(ee) + z)[:, None] - ee
-    return ek.astype(float)[None] - ek.astype(float)[:, None] + offset[:, :, None]
+    ee, ek = table.electrodes, pixels.mean(table.elements)
+    ee, ek, z = (np.asarray(a, float) for a in (ee, ek, sensor.ground_resistance))
+    offset = slot_offset(ee, np.arange(len(ee)), z)
+    return ek[None] - ek[:, None] + offset[:, :, None]
 
 
 def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:

@@ -8,7 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import float_array, known, require, require_finite, require_shape
+from tomojax._checks import (
+    checked,
+    float_array,
+    known,
+    require,
+    require_finite,
+    require_shape,
+)
 from tomojax._custom_types import Numbers
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.scan import (
@@ -24,9 +31,7 @@ from tomojax.kernels.scan import (
 )
 from tomojax.sensor import resistances, Sensor
 
-FixedPattern = Literal["all", "boundary", "v_line", "edge", "random_16", "random_8"]
 AdaptivePattern = Literal["around", "cop_line", "point"]
-Purpose = Literal["spatial", "temporal", "balanced"]
 
 # The paper's order, Table I.
 PATTERNS: tuple[str, ...] = (
@@ -98,9 +103,8 @@ def pattern(
         alpha=alpha,
         threshold=threshold,
     )
-    explored = float_array("voltages", voltages, sensor.dtype)
-    require_shape("voltages", explored, (2, sensor.electrode_count))
-    require_finite("voltages", explored)
+    shape, dtype = (2, sensor.electrode_count), sensor.dtype
+    explored = checked("voltages", voltages, require_finite, shape, dtype=dtype)
     if not each:
         return scan(explored)[0]
     grounds, regions = scan.around_each(explored, _EACH_AT_MOST)
@@ -120,7 +124,7 @@ def exploration(sensor: Sensor) -> Int[Array, "2"]:
     >>> print(tx.paper.exploration(sensor))
     [ 0 15]
     """
-    return _corners(sensor)[::3]
+    return _corners(sensor.electrode_xy)[::3]
 
 
 class AdaptiveScan(eqx.Module):
@@ -176,12 +180,12 @@ class AdaptiveScan(eqx.Module):
             require(0 < percent <= 100, "alpha", percent, "a percentage in (0, 100]")
         if threshold is None:
             threshold = jnp.abs(sensor.drive_voltage) / 450  # some 20 times the noise
-        self.threshold = float_array("threshold", threshold, sensor.dtype)
-        require_shape("threshold", self.threshold, ())
-        require_finite("threshold", self.threshold)
+        self.threshold = checked(
+            "threshold", threshold, require_finite, (), dtype=sensor.dtype
+        )
         self.electrode_xy = sensor.electrode_xy
         self.resistances = resistances(sensor).electrodes
-        self.corners = _corners(sensor)
+        self.corners = _corners(sensor.electrode_xy)
         self.name = name
 
     def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
@@ -212,12 +216,8 @@ class AdaptiveScan(eqx.Module):
         return jax.vmap(box)(regions), regions
 
 
-def _corners(sensor: Sensor) -> Int[Array, "4"]:
-    return _corners_of(sensor.electrode_xy)
-
-
 @jax.jit  # as one program to compile
-def _corners_of(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
+def _corners(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
     low, high = xy.min(0), xy.max(0)
     mixed = [low, jnp.stack([low[0], high[1]]), jnp.stack([high[0], low[1]]), high]
     return nearest_electrodes(jnp.stack(mixed), xy)

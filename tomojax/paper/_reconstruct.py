@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._checks import (
+    checked,
     float_array,
     known,
     require,
@@ -17,6 +18,7 @@ from tomojax._checks import (
     require_not_negative,
     require_positive,
     require_shape,
+    require_within,
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
@@ -120,7 +122,10 @@ def reconstruct(
       voltage left out may be NaN).
     - `noise`: V rms of the white noise, for "discrepancy" alone.
     - `per_recording`: one λ for the whole batch.
-    - `route` as in `tikhonov`.
+    - `route`: "auto" solves in float64, whatever the dtype of J. "cholesky" solves in J's
+      dtype, for a device without float64. In float32 "cholesky" serves λ from 1e-5·σ₁² up.
+      Below that λ it loses digits. Below 1e-7·σ₁² its image is NaN, and flagged
+      SOLVE_FAILED.
 
     **Returns:** `Reconstruction`. Under a trace values are not known; there a flag and an
     image of NaN replace an error. A rule sets BAD_LAMBDA, and leaves the image, where
@@ -149,9 +154,8 @@ def reconstruct(
     require(not all_slots, "voltages", f"shape {v.shape}, all {len(maps)} slots", hint)
     require_shape("voltages", v, shape, (None, *shape))
     given = np.ones(shape[:1]) if weights is None else weights
-    given = float_array("weights", given, maps.dtype)
-    require_shape("weights", given, shape[:1], shape)
-    require_not_negative("weights", given)
+    shapes, dtype = (shape[:1], shape), maps.dtype
+    given = checked("weights", given, require_not_negative, *shapes, dtype=dtype)
     if known(given):
         require(np.asarray(given).any(), "weights", "all 0", "a weight above 0")
     per_row = given if given.ndim == 2 else given[:, None]
@@ -164,14 +168,11 @@ def reconstruct(
     if isinstance(lam, str):
         require(lam in rules, "lam", repr(lam), f"a number or one of {', '.join(rules)}")
         rule, lam = lam, 1.0
-    value = float_array("lam", lam, maps.dtype)
-    require_shape("lam", value, (), v.shape[:-2])
-    require_positive("lam", value)
+    value = checked("lam", lam, require_positive, (), v.shape[:-2], dtype=dtype)
     missing = rule == "discrepancy" and noise is None
     require(not missing, "noise", None, "V rms for the rule 'discrepancy'")
-    sigma = float_array("noise", 1.0 if noise is None else noise, maps.dtype)
-    require_shape("noise", sigma, ())
-    require_positive("noise", sigma)
+    sigma = 1.0 if noise is None else noise
+    sigma = checked("noise", sigma, require_positive, (), dtype=dtype)
     # Blocks that add over slots: for weights that do, in the dtype that holds them.
     additive = reduced and given.ndim == 1 and maps.dtype == jnp.float64
     blocks = additive and route == "auto"
@@ -189,10 +190,8 @@ def _slots(grounds: Numbers | None, count: int) -> Int[Array, " S"]:
     array = jnp.asarray(grounds)
     require_shape("grounds", array, (None,))
     require(array.size > 0, "grounds", "none", "at least one")
+    require_within("grounds", array, count)
     if known(array):
-        low, high = int(array.min()), int(array.max())
-        inside = 0 <= low and high < count
-        require(inside, "grounds", f"{low} to {high}", f"0 to {count - 1}")
         twice = array.size - len(np.unique(np.asarray(array)))
         require(not twice, "grounds", f"{twice} repeated", "each at most once")
     return array

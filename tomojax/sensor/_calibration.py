@@ -17,16 +17,23 @@ from tomojax.files import read_json
 from tomojax.kernels.sheet import cell_centres, smooth_modes
 from tomojax.sensor._sensor import Sensor
 
-SCHEMA, VERSION = "tomojax-calibration", 1
+SCHEMA = "tomojax-calibration"
+VERSION = 1
 
 # Numbers of waves that a sheet may be told in, see `smooth_modes`, by half periods along
 # both sides together. Files of before have the fewer.
 WAVES = {14: 4, 27: 6}
 
+# Fields that may be unknown: None.
+_UNKNOWN = ("noise", "pressure")
 
-# Fields that None stands in for; those above 0; and what a number of a rig may be.
-_UNKNOWN, _ABOVE = ("noise", "pressure"), ("gain", "noise", "error", "own", "pressure")
-_LEAST, _MOST = 1e-12, 1e9
+# Fields whose numbers are above 0,
+_ABOVE = ("gain", "noise", "error", "own", "pressure")
+# namely this or more.
+_LEAST = 1e-12
+
+# The largest number of a rig, of either sign.
+_MOST = 1e9
 
 # Values of a field that are printed.
 _PRINTED = 4

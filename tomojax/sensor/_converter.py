@@ -6,12 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax._checks import (
-    float_array,
+    checked,
     known,
     require,
     require_not_negative,
     require_positive,
-    require_shape,
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
@@ -50,12 +49,8 @@ class Converter(eqx.Module):
         full_scale: Numbers = 5.0,
         bits: int | None = 16,
     ):
-        self.noise = float_array("noise", noise)
-        require_shape("noise", self.noise, ())
-        require_not_negative("noise", self.noise)
-        self.full_scale = float_array("full_scale", full_scale)
-        require_shape("full_scale", self.full_scale, ())
-        require_positive("full_scale", self.full_scale)
+        self.noise = checked("noise", noise, require_not_negative, ())
+        self.full_scale = checked("full_scale", full_scale, require_positive, ())
         whole = bits is None or (isinstance(bits, int) and 1 <= bits <= 32)
         require(whole, "bits", repr(bits), "a whole number from 1 to 32, or None")
         self.bits = bits

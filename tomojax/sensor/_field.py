@@ -6,18 +6,26 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy import fft, special
+from scipy import fft
 
 from tomojax._require import require
 from tomojax.kernels.contacts import Field
-from tomojax.kernels.sheet import rectangle_grid_fields
+from tomojax.kernels.sheet import disc_mean, rectangle_grid_fields
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
-# Of the electrodes' pitch: spacing of the radii that potentials are averaged over, the
-# largest, and the spacing of the table of averages. They are computed on a finer one, whose
-# spacing, of the electrodes' diameter, resolves a rim.
-_RADII, _LARGEST, _KEPT, _SPACING = 0.05, 0.65, 0.1, 0.2
+# Spacing of the radii that potentials are averaged over, of the electrodes' pitch.
+_RADII = 0.05
+
+# The largest of these radii, of the pitch.
+_LARGEST = 0.65
+
+# Spacing of the table of averages, of the pitch.
+_KEPT = 0.1
+
+# Averages are computed on a finer table, whose spacing, of the electrodes' diameter,
+# resolves a rim.
+_SPACING = 0.2
 
 # Points of the finer table along a side: memory. What it does not resolve then is smaller
 # than the least radius.
@@ -129,14 +137,9 @@ def _variation(
 def disc_averages(
     values: Float[np.ndarray, "*batch nx ny"], size: np.ndarray, radii: np.ndarray
 ) -> Iterator[Float[np.ndarray, "*batch nx ny"]]:
-    """Yields means of a table, mirrored at its edges, over discs around its points.
-
-    A cosine of wave vector k is averaged to 2J₁(|k|a)/(|k|a) of itself.
-    """
+    """Yields means of a table, mirrored at its edges, over discs around its points."""
     k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
     length = np.hypot(*np.meshgrid(*k, indexing="ij"))
     waves = fft.dctn(values, 1, axes=(-2, -1))
     for a in radii:
-        ka = length * a
-        factor = np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
-        yield np.asarray(fft.idctn(waves * factor, 1, axes=(-2, -1)))
+        yield np.asarray(fft.idctn(waves * disc_mean(length * a), 1, axes=(-2, -1)))

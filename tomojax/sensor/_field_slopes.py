@@ -17,9 +17,12 @@ from tomojax.sensor._sensor import Sensor
 # An electrode's step that gives the slopes by its place, of its diameter.
 _MOVE = 1e-3
 
-# Half periods in a pitch that waves are followed to, and which of the table's radii their
-# potentials are averaged over: they hardly depend on it.
-_FOLLOWED, _RADIUS = 8, 3
+# Half periods in a pitch that waves are followed to.
+_FOLLOWED = 8
+
+# Which of the table's radii the waves' potentials are averaged over: they hardly depend on
+# it.
+_RADIUS = 3
 
 
 def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array, "2 M M"]]:

@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax._checks import (
+    checked,
     float_array,
     known,
     require,
     require_finite,
     require_not_negative,
     require_shape,
+    require_within,
 )
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
@@ -27,13 +29,12 @@ from tomojax.kernels.sheet import (
     fem_sheet,
     FemSheet,
     ground_voltages,
-    loop_resistance,
     rectangle_resistances,
     Resistances,
     shared_ground_voltages,
     shared_slot_map,
     site_conductance,
-    slot_map,
+    slot_jacobian,
     subpoints,
 )
 from tomojax.sensor._converter import Converter
@@ -145,14 +146,7 @@ def ground_set(
         array = jnp.asarray(array)
         require_shape("grounds", array, (None,))
         require(array.size > 0, "grounds", "none", "at least one")
-        if known(array):
-            low, high, top = int(array.min()), int(array.max()), sensor.electrode_count
-            require(
-                0 <= low and high < top,
-                "grounds",
-                f"{low} to {high}",
-                f"0 to {top - 1}",
-            )
+        require_within("grounds", array, sensor.electrode_count)
         return array
     array = float_array("grounds", grounds, sensor.dtype)
     require_shape("grounds", array, (None, sensor.electrode_count))
@@ -160,9 +154,8 @@ def ground_set(
     require_not_negative("grounds", array)
     if known(array):
         floating = np.flatnonzero(np.asarray(array).sum(1) == 0)
-        require(
-            not floating.size, "grounds", f"slots {floating[:5]} ungrounded", "a ground"
-        )
+        slots = f"slots {floating[:5]} ungrounded"
+        require(not floating.size, "grounds", slots, "a ground")
     return array
 
 
@@ -196,11 +189,16 @@ def jacobian(
     >>> bool(soft.max() < 0.5)
     True
     """
-    rho = float_array("contact_resistance", contact_resistance, sensor.dtype)
-    require_shape("contact_resistance", rho, (), (sensor.element_count,))
-    require_not_negative("contact_resistance", rho)
-    checked = ground_set(sensor, grounds)
-    return _jacobian(sensor, checked, rho, resistances(sensor, route))
+    rho = checked(
+        "contact_resistance",
+        contact_resistance,
+        require_not_negative,
+        (),
+        (sensor.element_count,),
+        dtype=sensor.dtype,
+    )
+    slots = ground_set(sensor, grounds)
+    return _jacobian(sensor, slots, rho, resistances(sensor, route))
 
 
 @eqx.filter_jit
@@ -208,12 +206,8 @@ def _jacobian(
     sensor: Sensor, grounds: Array, rho: Array, table: Resistances
 ) -> Float[Array, "L M K"]:
     if grounds.ndim == 2:
-        t, loop = shared_slot_map(table, grounds)
-    else:
-        z = sensor.ground_resistance
-        t = slot_map(table, grounds, z)
-        loop = loop_resistance(table, grounds, z)
-    return contact_jacobian(t, loop, rho)
+        return contact_jacobian(*shared_slot_map(table, grounds), rho)
+    return slot_jacobian(table, grounds, sensor.ground_resistance, rho)
 
 
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
@@ -290,27 +284,20 @@ def voltages(
     >>> bool(0 < abs(read - volts).max() < 3e-3)  # its noise
     True
     """
-    checked = ground_set(sensor, grounds)
+    slots, dtype = ground_set(sensor, grounds), sensor.dtype
     if times is not None:
-        when = float_array("times", times, sensor.dtype)
-        require_shape("times", when, (len(checked),))
-        require_finite("times", when)
-        require(
-            callable(scene),
-            "scene",
-            type(scene).__name__,
-            "a function of time with times",
-        )
-        exact = _moving_voltages(sensor, cast(Callable, scene), checked, when)
+        when = checked("times", times, require_finite, (len(slots),), dtype=dtype)
+        kind = type(scene).__name__
+        require(callable(scene), "scene", kind, "a function of time with times")
+        exact = _moving_voltages(sensor, cast(Callable, scene), slots, when)
     elif isinstance(scene, AbstractShape):
-        exact = exact_voltages(sensor, contact_conductance(sensor, scene), checked)
+        exact = exact_voltages(sensor, contact_conductance(sensor, scene), slots)
     elif callable(scene):
         raise ValueError("times: got None, expected the time of each slot")
     else:
-        g = float_array("scene", scene, sensor.dtype)
-        require_shape("scene", g, (sensor.element_count,))
-        require_not_negative("scene", g)
-        exact = exact_voltages(sensor, g, checked)
+        shape = (sensor.element_count,)
+        g = checked("scene", scene, require_not_negative, shape, dtype=dtype)
+        exact = exact_voltages(sensor, g, slots)
     return exact if converter is None else converter(exact, key)
 
 

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax._checks import (
+    checked,
     float_array,
     require_finite,
     require_not_negative,
     require_positive,
-    require_shape,
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
@@ -96,22 +96,18 @@ def turned(points: Points, center: Array, angle: Array) -> Points:
 
 
 def checked_center(value: Numbers) -> Array:
-    center = float_array("center", value)
-    require_shape("center", center, (2,))
-    require_finite("center", center)
-    return center
+    return checked("center", value, require_finite, (2,))
 
 
-def checked_lengths(**values: Numbers) -> list[Array]:
-    arrays = [float_array(name, value) for name, value in values.items()]
-    for name, array in zip(values, arrays):
-        require_shape(name, array, ())
-        require_positive(name, array)
-    return arrays
+def checked_angle(value: Numbers) -> Array:
+    angle = float_array("angle", value)
+    require_finite("angle", angle)
+    return angle
+
+
+def checked_length(name: str, value: Numbers) -> Array:
+    return checked(name, value, require_positive, ())
 
 
 def checked_conductance(value: Numbers, name: str = "conductance") -> Array:
-    conductance = float_array(name, value)
-    require_shape(name, conductance, ())
-    require_not_negative(name, conductance)
-    return conductance
+    return checked(name, value, require_not_negative, ())

@@ -6,12 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax._checks import (
-    float_array,
+    checked,
     require,
     require_finite,
     require_not_negative,
     require_positive,
-    require_shape,
 )
 from tomojax._custom_types import Numbers
 from tomojax.sensor._outline import AbstractShape, Density, Points
@@ -38,9 +37,8 @@ class Mask(AbstractShape):
     conductance: Float[Array, "nx ny"]
 
     def __init__(self, conductance: Numbers):
-        self.conductance = float_array("conductance", conductance)
-        require_shape("conductance", self.conductance, (None, None))
-        require_not_negative("conductance", self.conductance)
+        shape = (None, None)
+        self.conductance = checked("conductance", conductance, require_not_negative, shape)
 
     def density(
         self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
@@ -145,16 +143,11 @@ class Moving(eqx.Module):
     ):
         require(isinstance(shape, AbstractShape), "shape", repr(shape), "a shape")
         self.shape = shape
-        self.times = float_array("times", times)
-        require_shape("times", self.times, (None,))
-        require_finite("times", self.times)
+        self.times = checked("times", times, require_finite, (None,))
         require_positive("steps between times", self.times[1:] - self.times[:-1])
-        self.offsets = float_array("offsets", offsets)
-        require_shape("offsets", self.offsets, (len(self.times), 2))
-        require_finite("offsets", self.offsets)
-        given = float_array("factors", factors)
-        require_shape("factors", given, (), self.times.shape)
-        require_not_negative("factors", given)
+        count = len(self.times)
+        self.offsets = checked("offsets", offsets, require_finite, (count, 2))
+        given = checked("factors", factors, require_not_negative, (), (count,))
         self.factors = jnp.broadcast_to(given, self.times.shape)
 
     def __call__(self, time: Float[Array, ""]) -> Shifted:

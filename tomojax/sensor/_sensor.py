@@ -87,22 +87,20 @@ class Sensor(eqx.Module):
     ):
         xy = float_array("electrode_xy", electrode_xy, dtype)
         self.electrode_xy = xy
+
         # One dtype throughout: the electrodes' places decide.
-        self.size = float_array("size", size, xy.dtype)
-        self.electrode_diameter = float_array(
-            "electrode_diameter", electrode_diameter, xy.dtype
-        )
-        self.sheet_resistance = float_array("sheet_resistance", sheet_resistance, xy.dtype)
-        self.ground_resistance = float_array(
-            "ground_resistance", ground_resistance, xy.dtype
-        )
-        self.drive_voltage = float_array("drive_voltage", drive_voltage, xy.dtype)
-        self.electrode_shunt = (
-            None
-            if electrode_shunt is None
-            else float_array("electrode_shunt", electrode_shunt, xy.dtype)
-        )
-        self.resolution = float_array("resolution", resolution, xy.dtype)
+        def as_places(name: str, value: Numbers) -> Array:
+            return float_array(name, value, xy.dtype)
+
+        self.size = as_places("size", size)
+        self.electrode_diameter = as_places("electrode_diameter", electrode_diameter)
+        self.sheet_resistance = as_places("sheet_resistance", sheet_resistance)
+        self.ground_resistance = as_places("ground_resistance", ground_resistance)
+        self.drive_voltage = as_places("drive_voltage", drive_voltage)
+        self.electrode_shunt = None
+        if electrode_shunt is not None:
+            self.electrode_shunt = as_places("electrode_shunt", electrode_shunt)
+        self.resolution = as_places("resolution", resolution)
         self.divisions = _whole_divisions(divisions)
 
     def __check_init__(self) -> None:

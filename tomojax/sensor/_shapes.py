@@ -7,19 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    float_array,
-    require,
-    require_finite,
-    require_positive,
-    require_shape,
-)
+from tomojax._checks import checked, require, require_finite, require_positive
 from tomojax._custom_types import Numbers
 from tomojax.sensor._outline import (
     AbstractOutline,
+    checked_angle,
     checked_center,
     checked_conductance,
-    checked_lengths,
+    checked_length,
     Density,
     norm,
     Points,
@@ -61,7 +56,7 @@ class Disc(AbstractOutline):
 
     def __init__(self, center: Numbers, radius: Numbers, conductance: Numbers):
         self.center = checked_center(center)
-        (self.radius,) = checked_lengths(radius=radius)
+        self.radius = checked_length("radius", radius)
         self.conductance = checked_conductance(conductance)
 
     @classmethod
@@ -100,11 +95,8 @@ class Ellipse(AbstractOutline):
         conductance: Numbers,
     ):
         self.center = checked_center(center)
-        self.semi_axes = float_array("semi_axes", semi_axes)
-        require_shape("semi_axes", self.semi_axes, (2,))
-        require_positive("semi_axes", self.semi_axes)
-        self.angle = float_array("angle", angle)
-        require_finite("angle", self.angle)
+        self.semi_axes = checked("semi_axes", semi_axes, require_positive, (2,))
+        self.angle = checked_angle(angle)
         self.conductance = checked_conductance(conductance)
 
     @classmethod
@@ -156,9 +148,9 @@ class Bar(AbstractOutline):
         conductance: Numbers,
     ):
         self.center = checked_center(center)
-        self.length, self.width = checked_lengths(length=length, width=width)
-        self.angle = float_array("angle", angle)
-        require_finite("angle", self.angle)
+        self.length = checked_length("length", length)
+        self.width = checked_length("width", width)
+        self.angle = checked_angle(angle)
         self.conductance = checked_conductance(conductance)
 
     @classmethod
@@ -206,7 +198,8 @@ class Ring(AbstractOutline):
         conductance: Numbers,
     ):
         self.center = checked_center(center)
-        self.inner, self.outer = checked_lengths(inner=inner, outer=outer)
+        self.inner = checked_length("inner", inner)
+        self.outer = checked_length("outer", outer)
         require_positive("outer − inner", self.outer - self.inner)
         self.conductance = checked_conductance(conductance)
 
@@ -242,10 +235,8 @@ class Polygon(AbstractOutline):
     conductance: Float[Array, ""]
 
     def __init__(self, vertices: Numbers, conductance: Numbers):
-        self.vertices = float_array("vertices", vertices)
-        require_shape("vertices", self.vertices, (None, 2))
+        self.vertices = checked("vertices", vertices, require_finite, (None, 2))
         require(len(self.vertices) >= 3, "vertices", len(self.vertices), "3 or more")
-        require_finite("vertices", self.vertices)
         self.conductance = checked_conductance(conductance)
 
     def distance(self, points: Points) -> Density:

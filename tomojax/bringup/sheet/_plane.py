@@ -1,6 +1,6 @@
 """Computes potentials on an even rectangle between electrodes: NumPy, float64, uncompiled.
 
-The Green's function is that of `kernels/sheet`, for points. A slot's voltages beside a
+The Green's function is that of `tomojax.kernels.rectangle`. A slot's voltages beside a
 source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C. The contact's and the
 ground's resistances change I and C alone.
 """
@@ -10,34 +10,20 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from tomojax.kernels.rectangle import Series, turned
 from tomojax.recordings import Rig
 
-# Images on each side: each brings a factor of exp(−2π·long/short) at least.
-_IMAGES = 3
+# Terms of the series: each brings a factor of exp(−2π·long/short) at least.
+_TERMS = 3
+
+# Places whose potentials are computed at once: memory.
+_TOGETHER = 256
 
 # Places that a contact is looked for at, of the pitch; and how near to the edge.
 _STEP, _EDGE = 0.25, 0.1
 
 # Places nearer than this are one, of the electrodes' diameter.
 _POINT = 0.05
-
-
-def green(one: np.ndarray, other: np.ndarray, size: np.ndarray, least: float) -> np.ndarray:
-    """Computes G(x, x') at 1 Ω per square of places (…, 2); no nearer than `least`, m."""
-    long = int(np.argmax(size))
-    a, b = float(size[long]), float(size[1 - long])
-    x, x_ = one[..., long], other[..., long]
-    y, y_ = one[..., 1 - long], other[..., 1 - long]
-    rod = a / 3 - np.maximum(x, x_) + (x**2 + x_**2) / (2 * a)
-    cosines = np.cos(np.pi * (y - y_) / b), np.cos(np.pi * (y + y_) / b)
-    close = (np.pi * least / b) ** 2
-    logs = 0.0
-    for n in range(-_IMAGES, _IMAGES + 1):
-        for mirrored in (x_, -x_):
-            near = np.exp(-np.pi * np.abs(x - mirrored - 2 * n * a) / b)
-            for cosine in cosines:
-                logs = logs + np.log(np.maximum(1 - 2 * near * cosine + near**2, close))
-    return rod / b - logs / (4 * np.pi)
 
 
 class Plane:
@@ -56,11 +42,14 @@ class Plane:
 
     def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Computes G of two places (…, 2), at 1 Ω per square."""
-        return green(one, other, self.size, self._least)
+        one, other = (turned(self.size, at, np) for at in (one, other))
+        sides = float(self.size.min()), float(self.size.max())
+        return Series(one, other, sides, np, terms=_TERMS).potential(self._least)
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""
-        return self.green(places[:, None], self.xy[None])
+        parts = np.array_split(places, max(1, -(-len(places) // _TOGETHER)))
+        return np.concatenate([self.green(some[:, None], self.xy) for some in parts])
 
     @cached_property
     def places(self) -> Float[np.ndarray, "K 2"]:
@@ -78,12 +67,10 @@ class Plane:
     @cached_property
     def between(self) -> Float[np.ndarray, "M M"]:
         """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
-        apart = self.xy[:, None] - self.xy[None]
         rim = np.array([self.diameter / 2, 0.0])
         table = self.green(self.xy[:, None], self.xy[None])
         inward = np.where(self.xy[:, :1] + rim[:1] < self.size[0], 1, -1) * rim
         np.fill_diagonal(table, self.green(self.xy, self.xy + inward))
-        del apart
         return table
 
     def distance(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n M"]:

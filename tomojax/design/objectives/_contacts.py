@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax.kernels.contacts import green_of, in_slot, Sheet, SIZE_WIDTH, tangents
+from tomojax.kernels.sheet import ground_path
 
 
 def contact_current(
@@ -15,8 +16,8 @@ def contact_current(
     raw = tangents(sheet, place, size)[0]
     radius = sheet.size * jnp.exp(SIZE_WIDTH * size)
     own = green_of(sheet, place[None], radius[None])(place)[0]
-    z = jnp.broadcast_to(sheet.ground_resistance, raw.shape)[ground]
-    loop = own + sheet.field.electrodes[ground, ground] + z - 2 * raw[ground]
+    path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
+    loop = own + path - 2 * raw[ground]
     return sheet.drive_voltage / (resistance + loop)
 
 

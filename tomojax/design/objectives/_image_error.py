@@ -20,6 +20,7 @@ from tomojax.design.objectives._contacts import blobs
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.design.objectives._rigs import SimulatedScenes
 from tomojax.kernels.algebra import gaussian, matmul
+from tomojax.kernels.inverse import solve_damped
 from tomojax.methods import Linear, Source
 
 # Of λ/σ₁², where the search for λ begins.
@@ -129,9 +130,7 @@ class ImageError(AbstractObjective):
         return smooth.reshape(images.shape)
 
     def _solved(self, total: Array, right: Array) -> Array:
-        unit = jnp.eye(len(total), dtype=total.dtype)
-        system = total + jnp.exp(self.log_lam) * unit
-        return jax.scipy.linalg.solve(system, right, assume_a="pos")
+        return solve_damped(total, right, jnp.exp(self.log_lam))
 
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         images = self.images(weights)

@@ -19,7 +19,7 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
-from tomojax.kernels.sheet import centroids, cosine_waves
+from tomojax.kernels.sheet import centroids, cosine_waves, ground_path, slot_offset
 from tomojax.methods import sheet_of
 from tomojax.sensor import converter_of, resistances, Sensor
 
@@ -176,8 +176,9 @@ def exact_on_rig(
     """Computes voltages of contacts at V0 behind 1/`conductance`; `there` and `electrodes`
     are the rig's R_m(x_c) and R_mn less the sheet's."""
     each = sheet.field.electrodes + electrodes
-    own = jnp.diagonal(each) + sheet.ground_resistance  # R_ll + z
-    columns = own[:, None] - each  # V per A into the sheet, but for the contacts' places
+    grounds = jnp.arange(len(each))
+    own = ground_path(each, grounds, sheet.ground_resistance)
+    columns = slot_offset(each, grounds, sheet.ground_resistance)
     # Metal's current is at its rim: as an even disc's that is larger by e^¼.
     metal = metallic(sheet, conductance)
     larger = jnp.exp(metal / 4)
@@ -199,6 +200,6 @@ def exact_on_rig(
             volts: Array = current @ (potential - at_ground[:, None] + columns[ground])
             return jnp.where(touched[ground] & (metal > 0.5), short[ground], volts)
 
-        return jax.vmap(slot)(jnp.arange(len(each)))
+        return jax.vmap(slot)(grounds)
 
     return jax.lax.map(scene, (places, radii, there, touched))

@@ -18,6 +18,7 @@ from tomojax.design.objectives._information import AbstractObjective
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import Sheet, slot_weights, solve_small, weighed
+from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods import noise_of
 from tomojax.sensor import converter_of, Sensor
 
@@ -78,8 +79,9 @@ def simulated_place_error(
     def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
         columns = contact_columns(sheet, place, size, resistance, ground)
         current = contact_current(sheet, place, size, resistance, ground)
-        own = (more_ee[:, ground, ground] - ek[:, ground])[:, None]
-        off = current * (ek - more_ee[:, ground] + own)
+        slot = ground[None]
+        more = jax.vmap(lambda at, ee: volts_per_ampere(at, ee, slot, 0.0))(ek, more_ee)
+        off = current * more[:, 0]
         off = off + gains * columns[0] + hisses[ground]
         seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
         return score(columns, seen, off)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
 from tomojax.kernels.contacts import Look, look, unwhitened, WhitenedFrame
+from tomojax.kernels.sheet import slot_offset
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import (
     highest_cost,
@@ -78,7 +79,7 @@ def look_of(scene: Fitting) -> Look:
     """Whitens the candidates' voltages, and the frame's, in the compared slots."""
     some, sheet = scene.prepared.compared, scene.method.sheet
     ee, grounds = sheet.field.electrodes, scene.frame.grounds[some]
-    offset = jnp.diagonal(ee)[grounds][:, None] - ee[grounds]
+    offset = slot_offset(ee, grounds, 0.0)  # as free as it is, z does not count
     part = jax.tree.map(lambda a: a[some], scene.frame)
     return look(scene.method.potentials, offset, part)
 

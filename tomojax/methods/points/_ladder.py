@@ -18,9 +18,9 @@ from tomojax.kernels.contacts import (
     gains_beside,
     Look,
     own_beside,
-    slot_columns,
     weighed_volts,
 )
+from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
@@ -287,7 +287,8 @@ def _own_columns(
     sheet = scene.method.sheet
     each = jax.vmap(field_at, (None, 0, 0))
     own = each(sheet.field, discs.place[:size], discs.radius[:size])
-    return slot_columns(sheet.field, own, grounds, sheet.ground_resistance)
+    z = sheet.ground_resistance
+    return volts_per_ampere(own, sheet.field.electrodes, grounds, z)
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:

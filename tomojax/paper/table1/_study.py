@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
 from tomojax.kernels.images import half_area_radius, half_width, image_place
-from tomojax.kernels.inverse import ReducedSlots
+from tomojax.kernels.inverse import ReducedSlots, solve_damped
 from tomojax.kernels.sheet import centroids
 from tomojax.paper import (
     AdaptivePattern,
@@ -191,8 +191,7 @@ def _figures(grams, rights, basis, lams, places, cell) -> dict[str, Float[Array,
 
 @jax.jit
 def _image(gram, right, basis, lam) -> Float[Array, "nx ny"]:
-    system = gram + lam * jnp.eye(len(gram), dtype=gram.dtype)
-    solution = jax.scipy.linalg.solve(system, right, assume_a="pos")
+    solution = solve_damped(gram, right, lam)
     return (solution @ basis).reshape(*_COARSE, 2).mean(-1)
 
 
