@@ -27,7 +27,7 @@ from tomojax.cli import main
 main()
 """
 _HEAVY = {"jax", "jaxlib", "scipy", "matplotlib"}
-_LIGHT = _HEAVY | {"numpy", "h5py", "tqdm"}
+_LIGHT = _HEAVY | {"numpy", "h5py"}
 
 
 def process(tmp_path: Path, code: str, *arguments: object) -> subprocess.CompletedProcess:
