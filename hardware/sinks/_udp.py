@@ -5,6 +5,7 @@ import struct
 from contextlib import suppress
 
 from tomojax.events import Event
+from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.sinks._rows import LiveContact, LiveRow
 from tomojax.hardware.sinks._where import Where
 
@@ -17,7 +18,7 @@ KINDS = {"row": 1, "touch_down": 2, "lift_off": 3}
 class UdpSink:
     """Sends a datagram for each row and each event; nobody has to listen."""
 
-    def __init__(self, where: Where):
+    def __init__(self, where: Where, ring: SlotRing):
         kind, _, _, _, self._to = socket.getaddrinfo(
             *where.address, type=socket.SOCK_DGRAM
         )[0]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from tomojax._require import require
+from tomojax._require import require, require_library
 from tomojax.hardware.sources._frames import check_grounds
 from tomojax.hardware.sources._source import Counters, Got, SlotSource
 
@@ -72,15 +72,13 @@ class NiSource(SlotSource):
         self._tasks: tuple[Any, Any] | None = None
 
     def start(self) -> None:
-        try:
-            import nidaqmx
-            import nidaqmx.constants
-            import nidaqmx.errors
-            import nidaqmx.stream_readers
-            import nidaqmx.stream_writers
-        except ModuleNotFoundError:
-            mend = "pip install 'tomojax[ni]' brings it"
-            raise ValueError(f"nidaqmx is not installed; {mend}") from None
+        require_library("nidaqmx", "ni")
+        import nidaqmx
+        import nidaqmx.constants
+        import nidaqmx.errors
+        import nidaqmx.stream_readers
+        import nidaqmx.stream_writers
+
         self._daq: Any = nidaqmx
         try:
             output, self._input = nidaqmx.Task(), nidaqmx.Task()

@@ -59,7 +59,7 @@ def fill(ring: SlotRing, slots: int = SLOTS, pause: float = 0.0) -> None:
 
 
 def started(name: str, ring: SlotRing, told: dict, law: str = "null") -> subprocess.Popen:
-    words = [str(ring.path), json.dumps(told), name, law]
+    words = [str(ring.path), json.dumps(told), name, "--force", law]
     command = [sys.executable, "-m", "tomojax.hardware.sinks.run", *words]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 

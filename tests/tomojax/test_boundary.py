@@ -383,6 +383,7 @@ def test_track_copies_no_other_file(results, tmp_path, capsys):
 
 # ---- sources -------------------------------------------------------------------------
 
+
 def test_no_source_runs_what_a_file_says():
     wrong = []
     for folder in ("tomojax", "kernels", "hardware"):

@@ -157,7 +157,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
         if options["shapes"]:
             opened.beside("loop.drawing", str(path or ""))
         for name in options["send"]:
-            opened.beside("sinks.run", name, json.dumps(law))
+            opened.beside("sinks.run", name, "--force", json.dumps(law))
         opened.words = sys.stderr if lines else sys.stdout
         opened.run(step, options["budget"], images=not options["shapes"])
 
