@@ -78,8 +78,10 @@ def begun(about: str | None, *names: str, nice: int = 0) -> argparse.Namespace:
     """
     parser = argparse.ArgumentParser(description=about)
     for name in names:
-        option = {"nargs": "?", "const": "yes"} if name.startswith("-") else {}
-        parser.add_argument(name, **option)
+        if name.startswith("-"):
+            parser.add_argument(name, nargs="?", const="yes")
+        else:
+            parser.add_argument(name)
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "sched_setaffinity"):

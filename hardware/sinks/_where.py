@@ -10,7 +10,13 @@ from urllib.parse import parse_qsl
 from tomojax._require import require, require_library
 
 # Kind: rows a second at most.
-_KINDS = {"udp": math.inf, "jsonl": math.inf, "osc": 100, "foxglove": 60, "lsl": math.inf}
+_KINDS: dict[str, float] = {
+    "udp": math.inf,
+    "jsonl": math.inf,
+    "osc": 100.0,
+    "foxglove": 60.0,
+    "lsl": math.inf,
+}
 
 # Kind: the library that it needs; the extra that brings the library has the kind's name.
 _LIBRARIES = {"osc": "pythonosc", "foxglove": "foxglove", "lsl": "pylsl"}
