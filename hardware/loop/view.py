@@ -22,7 +22,11 @@ from tomojax.hardware.loop._told import (
 from tomojax.kernels.flags import Flag
 
 _EVERY = 0.1  # s
-_HOME, _CLEAR, _REST = "\x1b[H", "\x1b[2J", "\x1b[K"
+
+# What steers a terminal: to its first place, clear all, clear the rest of the line.
+_HOME = "\x1b[H"
+_CLEAR = "\x1b[2J"
+_REST = "\x1b[K"
 
 
 def blocks(image: np.ndarray) -> list[str]:

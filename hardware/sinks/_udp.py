@@ -10,8 +10,10 @@ from tomojax.hardware.sinks._rows import LiveContact, LiveRow
 from tomojax.hardware.sinks._where import Where
 
 # As the header has them: little-endian, no padding but the three bytes at the end.
-HEAD, CONTACT = struct.Struct("<HBBIqdIB3x"), struct.Struct("<Iffff")
-MAGIC, VERSION = 0x4A54, 1
+HEAD = struct.Struct("<HBBIqdIB3x")
+CONTACT = struct.Struct("<Iffff")
+MAGIC = 0x4A54
+VERSION = 1
 KINDS = {"row": 1, "touch_down": 2, "lift_off": 3}
 
 

@@ -248,7 +248,10 @@ def test_osc(ring, told) -> None:
     from pythonosc.osc_packet import OscPacket
 
     sock, port = receiver()
-    sent(f"osc://127.0.0.1:{port}?rate=10000", ring, told)
+    fill(ring)
+    assert f"{SLOTS} rows" in ended(
+        started(f"osc://127.0.0.1:{port}?rate=10000", ring, told)
+    )
     messages = [
         timed.message for data in all_of(sock) for timed in OscPacket(data).messages
     ]

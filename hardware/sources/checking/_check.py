@@ -12,16 +12,17 @@ from tomojax.hardware.sources._source import Counters, Got, SlotSource
 # What an array holds before a read: no source writes that into every channel.
 _BEFORE = 12345
 
-# Seconds that a read may take beyond its timeout; that a start may take; of one read; and
-# by which a time of arrival may be off.
-_LATE, _START, _TIMEOUT, _ARRIVED = 1.0, 10.0, 0.1, 1.0
+# Seconds.
+_LATE = 1.0  # that a read may take beyond its timeout
+_START = 10.0  # that a start may take
+_TIMEOUT = 0.1  # of one read
+_ARRIVED = 1.0  # by which a time of arrival may be off
 
 # A converter of a larger range, V, is none: codes are volts by mistake.
 _RANGE = 1000.0
 
-# A rig's clock and rate agree within this part; grounds are obeyed in this part of the
-# later slots.
-_CLOCK, _OBEYED = 0.05, 0.9
+_CLOCK = 0.05  # within this part a rig's clock and rate agree
+_OBEYED = 0.9  # in this part of the later slots grounds are obeyed
 
 # Units that a time may be in by mistake.
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}

@@ -25,9 +25,10 @@ from tomojax.hardware.web import (
 from tomojax.recordings import open_recording, Recording
 from tomojax.results.loading import LoadedResults
 
-# Parts of a time line, and of one that flags are drawn at; rows of a trail; scans of a
-# spectrum.
-_MOST, _MOST_FLAGS, _TRAIL, _SPECTRUM = 1000, 400, 2000, 2048
+_MOST = 1000  # parts of a time line
+_MOST_FLAGS = 400  # parts of it that flags are drawn at
+_TRAIL = 2000  # rows
+_SPECTRUM = 2048  # scans
 
 
 class ShownResults:
