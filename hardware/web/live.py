@@ -13,9 +13,11 @@ from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,
     flag_lines,
-    mark_columns,
+    marked_line,
+    numbers,
     pixels,
     spectrum,
+    volt_columns,
 )
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
@@ -128,20 +130,15 @@ class LivePage:
 
     def _add_lines(self, said: dict[str, Any], asked: dict[str, str]) -> None:
         t, count, low, high, flags = (list(c) for c in zip(*self._parts))
-        scaled = [
-            [1e6 * v if np.isfinite(v) else None for v in some] for some in (low, high)
-        ]
-        sources = said["sources"]
-        sources["line"] = {"t": t, "count": count, "low": scaled[0], "high": scaled[1]}
-        sources["doubts"] = flag_rows(t, flags)
+        low, high = (numbers(1e6 * np.array(some)) for some in (low, high))
+        line = {"t": t, "count": count, "low": low, "high": high}
         since = t[-1] - _SPAN
         marks = [(when, text) for when, text in self._marks if when >= since]
-        sources |= mark_columns(marks, since, t[-1])
-        names = sorted(set(sources["doubts"]["name"]))
-        said["names"] = [*names, "marks"] if marks else names or ["no flags"]
-        said["times"] = [since, t[-1]]
+        shown, names = marked_line(line, flag_rows(t, flags), marks, since, t[-1])
+        said |= {"names": names, "times": [since, t[-1]]}
+        sources = said["sources"]
         volts = self._scale * self._last["codes"].astype(float) + self._offset
-        sources["volts"] = {"electrode": list(range(len(volts))), "volts": volts.tolist()}
+        sources |= {**shown, "volts": volt_columns(volts)}
         ring, end = self._ring, int(self._ring.head["rows"])
         first = max(0, end - _SPECTRUM)
         if end - first < 64:

@@ -24,6 +24,13 @@ _RANGE = 1000.0
 _CLOCK = 0.05  # within this part a rig's clock and rate agree
 _OBEYED = 0.9  # in this part of the later slots grounds are obeyed
 
+# What a source tells after its start: what is expected, and whether a number is that.
+_TOLD: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "rate": ("slots/s above 0", lambda value: value > 0),
+    "scale": ("V per code, not 0", lambda value: value != 0),
+    "offset": ("V at code 0", lambda value: True),
+}
+
 # Units that a time may be in by mistake.
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
@@ -108,14 +115,9 @@ class _Trial:
     def _start(self) -> bool:
         self.source.start()
         fine = True
-        for name in ("rate", "scale", "offset"):
+        for name, (expected, right) in _TOLD.items():
             value = getattr(self.source, name, None)
-            number = isinstance(value, int | float | np.number)
-            told = float(value) if number else np.nan  # pyright: ignore
-            wanted = {"rate": "slots/s above 0", "scale": "V per code, not 0"}
-            right = bool(np.isfinite(told)) and (name == "offset" or told != 0)
-            if not right or (name == "rate" and told < 0):
-                expected = wanted.get(name, "V at code 0")
+            if not (_is_finite(value) and right(value)):
                 self.say(f"{name} is {value!r} after start(), expected {expected}")
                 fine = False
         full = 32768 * abs(float(self.source.scale)) if fine else 0.0
@@ -191,7 +193,7 @@ class _Trial:
                 return False
         for name in ("time", "arrived"):
             value = getattr(got, name)
-            if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            if not _is_finite(value):
                 self.say(f"{name} of a Got is {value!r}, expected seconds")
                 return False
         return True
@@ -243,6 +245,10 @@ class _Trial:
                 self.source.stop()
             except Exception as error:
                 self.say(f"{call} raised {type(error).__name__}: {error}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def _numbers(got: list[Got]) -> str:
