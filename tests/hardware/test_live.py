@@ -127,7 +127,7 @@ def test_record_then_info_and_reconstruct(command, scene, tmp_path):
     assert again.returncode == 2 and "is there" in again.stderr
     with tx.open_recording(tmp_path / "a.h5") as recording:
         assert recording.scans > RATE and recording.rig.f_switch == RATE
-        grounds = recording.read(0, recording.scans).grounds[100:, 0]
+        grounds = recording.read(recording.scans // 2, recording.scans).grounds[:, 0]
     edge = np.asarray(tx.pattern(tx.Sensor.grid(), "edge"))
     np.testing.assert_array_equal(np.unique(grounds), np.unique(edge))
     told = command("info", "a.h5")
@@ -212,7 +212,7 @@ def test_record_grounds_of_ones_own(command, scene, tmp_path):
     # Nothing is worked on, and so nothing is said of latencies.
     assert "nan" not in done.stdout and "ground command" not in done.stdout
     with tx.open_recording(tmp_path / "a.h5") as recording:
-        grounds = recording.read(0, recording.scans).grounds[200:, 0]
+        grounds = recording.read(recording.scans // 2, recording.scans).grounds[:, 0]
     assert set(grounds.tolist()) == {9, 40, 3}
 
 
