@@ -116,7 +116,7 @@ class _Trial:
         self.source.start()
         fine = True
         for name, (expected, right) in _TOLD.items():
-            value = getattr(self.source, name, None)
+            value: Any = getattr(self.source, name, None)
             if not (_is_finite(value) and right(value)):
                 self.say(f"{name} is {value!r} after start(), expected {expected}")
                 fine = False

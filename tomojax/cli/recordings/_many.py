@@ -5,7 +5,7 @@ import json
 import sys
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.cli.compiled import compiling
 from tomojax.cli.entry import interrupts, Progress, STOPPED, write_report
-from tomojax.cli.recordings._one import COMPILING
+from tomojax.cli.recordings._one import COMPILING, settings_of
 from tomojax.cli.recordings._opened import opened
 
 # What recordings are called.
@@ -42,12 +42,7 @@ _COLUMNS = {
 }
 
 
-def reconstruct_all(
-    given: Sequence[Path],
-    out: Path,
-    options: dict[str, Any],
-    settings: Callable[[], Any],
-) -> None:
+def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -> None:
     """Reconstructs all with the same settings; a rig's first compiles the programs.
 
     **Raises:** `SystemExit` if a recording failed.
@@ -60,7 +55,7 @@ def reconstruct_all(
     if not out.absolute().parent.is_dir():
         raise ValueError(f"{out}: no such folder; make it, or give another")
     places = places_of(found_in(given), out)
-    rows, wrong = _rows(places, out, options, settings())
+    rows, wrong = _rows(places, out, options, settings_of(options))
     print(text(rows, wrong, out))
     summary = {"recordings": len(rows), "done": len(rows) - wrong}
     write_report(options["json_path"], rows=rows, summary=summary)

@@ -1,6 +1,5 @@
 """Reconstructs one recording, and tells what was found."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,42 @@ COMPILING = (
 )
 
 
-def reconstruct_one(
-    rec: Path, out: Path, options: dict[str, Any], settings: Callable[[], Any]
-) -> None:
-    """Makes the results of a recording, and tells of them; `settings` imports JAX."""
+def settings_of(options: dict[str, Any]) -> Any:
+    """Returns the `Settings` that the command's options ask for.
+
+    **Raises:** `ValueError` for options that do not go together.
+    """
+    from tomojax.results import check_outlines, default_method, Settings
+
+    names = "coordinator", "processes", "process"
+    shared = any(options[name] is not None for name in names)
+    follows = options["method"] == "follow"
+    if follows and shared:
+        raise ValueError("--coordinator: follow goes from slot to slot; use one process")
+    if options["adapt"] and shared:
+        raise ValueError("--coordinator: --adapt goes in order; use one process")
+    images = options["images"]
+    rate = options["rate"] or ("slot" if follows else "scan")
+    names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
+    given = {name: options[name] for name in names}
+    files = ("calibration", "policy")
+    given |= {name: str(options[name]) if options[name] else None for name in files}
+    settings = Settings(
+        method=options["method"] or default_method(rate),
+        rate=rate,
+        images=rate == "scan" if images is None else images,
+        **given,
+    )
+    if options["outlines"]:
+        check_outlines(options["outlines"], settings.method, settings.images)
+    return settings
+
+
+def reconstruct_one(rec: Path, out: Path, options: dict[str, Any]) -> None:
+    """Makes the results of a recording, and tells of them."""
     with opened(rec, options["layout"], options["since"], options["until"]) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
-        share, compiled = _reconstructed(recording, out, settings(), options)
+        share, compiled = _reconstructed(recording, out, settings_of(options), options)
     _tell(out, share, compiled, options)
 
 

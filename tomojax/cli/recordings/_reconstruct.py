@@ -18,6 +18,8 @@ from tomojax.cli.entry import (
     picture_option,
     stretch_options,
 )
+from tomojax.cli.recordings._many import reconstruct_all
+from tomojax.cli.recordings._one import reconstruct_one
 from tomojax.cli.recordings._opened import layout_option
 
 # Where results of several recordings go.
@@ -132,47 +134,17 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     several machines that share a folder. Give each command the same --coordinator and
     --processes. Start a killed command again with --resume.
     """
-    from tomojax.cli.recordings import _many, _one
-
     method = options["method"]
     check_name("--method", method or METHODS[0], (*METHODS, "follow"))
-    settings = lambda: _settings(options)  # noqa: E731
     if _several(rec):
-        _many.reconstruct_all(rec, out or _FOLDER, options, settings)
+        reconstruct_all(rec, out or _FOLDER, options)
     else:
         assert out is not None
-        _one.reconstruct_one(rec[0], out, options, settings)
+        reconstruct_one(rec[0], out, options)
 
 
 def _several(rec: Sequence[Path]) -> bool:
     return len(rec) > 1 or rec[0].is_dir()
-
-
-def _settings(options: dict[str, Any]) -> Any:
-    from tomojax.results import check_outlines, default_method, Settings
-
-    names = "coordinator", "processes", "process"
-    shared = any(options[name] is not None for name in names)
-    follows = options["method"] == "follow"
-    if follows and shared:
-        raise ValueError("--coordinator: follow goes from slot to slot; use one process")
-    if options["adapt"] and shared:
-        raise ValueError("--coordinator: --adapt goes in order; use one process")
-    images = options["images"]
-    rate = options["rate"] or ("slot" if follows else "scan")
-    names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
-    given = {name: options[name] for name in names}
-    files = ("calibration", "policy")
-    given |= {name: str(options[name]) if options[name] else None for name in files}
-    settings = Settings(
-        method=options["method"] or default_method(rate),
-        rate=rate,
-        images=rate == "scan" if images is None else images,
-        **given,
-    )
-    if options["outlines"]:
-        check_outlines(options["outlines"], settings.method, settings.images)
-    return settings
 
 
 def _results_of(rec: Sequence[Path]) -> Path | None:
