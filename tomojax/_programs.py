@@ -8,20 +8,19 @@ import functools
 import hashlib
 import importlib.util
 import os
-import pickle
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, get_args, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.export
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 # The environment variable that names the folder; without it nothing is kept.
 FOLDER = "TOMOJAX_PROGRAMS"
@@ -41,10 +40,14 @@ class Kept:
     key holds the arguments' structure, the arrays' shapes and types, and all other values.
     A program that cannot be kept is compiled all the same. Compilers run beside the caller:
     `begin` lets several programs compile side by side.
+
+    A file holds what `jax.export` writes. The function's annotation names what it returns:
+    arrays, and tuples of arrays with and without names.
     """
 
     def __init__(self, function: Callable):
         functools.update_wrapper(self, function)
+        _register(function.__annotations__.get("return"))
         self._function, self._inside = function, eqx.filter_jit(function)
         # On several devices arrays come in parts, which a program that is kept does not.
         self._shared = functools.cache(lambda: _with_options(function))
@@ -53,7 +56,7 @@ class Kept:
         _KEPT.append(self)
 
     def __call__(self, *args: Any) -> Any:
-        if not _trace_context().is_top_level():
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(args)):
             return self._inside(*args)  # within another program
         if jax.device_count() > 1:
             return self._shared()(*args)
@@ -75,24 +78,15 @@ class Kept:
         flat, tree = jax.tree.flatten(arrays)
         shapes = tuple((a.shape, np.dtype(a.dtype)) for a in flat)
         leaves, still = jax.tree.flatten(static)
-        # What `jax.enable_x64` says makes other constants.
-        wide = jax.config.jax_enable_x64  # pyright: ignore
-        key = tree, still, tuple((type(a), a) for a in leaves), shapes, wide
+        key = tree, still, tuple((type(a), a) for a in leaves), shapes, _wide()
         with self._lock:
             if key not in self._programs:
                 folder, path = os.environ.get(FOLDER), None
                 if folder and _WRITES:
-                    told = tree, still, tuple(map(repr, leaves)), shapes, wide
+                    told = tree, still, tuple(map(repr, leaves)), shapes, _wide()
                     path = Path(folder) / f"{_named(self._function, told)}.program"
                 self._programs[key] = _made(self._function, args, flat, path)
         return self._programs[key], flat
-
-
-def _trace_context() -> Any:
-    """Returns JAX's trace context; from 0.11 on only JAX's own modules name the context."""
-    if hasattr(jax.core, "trace_ctx"):
-        return jax.core.trace_ctx
-    return importlib.import_module("jax._src.core").trace_ctx
 
 
 _KEPT: list[Kept] = []
@@ -109,20 +103,36 @@ def forget() -> None:
         one.forget()
 
 
+@functools.cache
+def _register(kind: Any) -> None:
+    """Lets JAX write and read the named tuples that a type is made of."""
+    parts = get_args(kind)
+    if isinstance(kind, type) and hasattr(kind, "_fields"):
+        name = f"{kind.__module__}.{kind.__qualname__}"
+        with suppress(ValueError):  # another function returns it, too
+            jax.export.register_namedtuple_serialization(kind, serialized_name=name)
+        parts = kind.__annotations__.values()
+    for part in parts:
+        _register(part)
+
+
+def _wide() -> bool:
+    """Tells what `jax.enable_x64` says in this thread; constants differ by it."""
+    return jax.config.jax_enable_x64  # pyright: ignore
+
+
 class _Program(NamedTuple):
-    """A program that is compiled, or will be."""
+    """A program that is compiled, or will be; and the shapes of what it returns."""
 
     compiled: Future
-    structure: Any  # of what it returns
     shapes: Any
 
     def __call__(self, flat: list) -> Any:
         try:
-            compiled = self.compiled.result()
+            return self.compiled.result()(*flat)
         except KeyboardInterrupt:
             _stop_compiling()
             raise
-        return jax.tree.unflatten(self.structure, compiled(*flat))
 
 
 @functools.cache
@@ -178,55 +188,46 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
     """Reads the program of a file; traces and writes one where no file can be read."""
     if path is not None:
         with suppress(Exception):  # a file that was cut short, or is of another JAX
-            program, template = pickle.loads(path.read_bytes())
+            exported = jax.export.deserialize(bytearray(path.read_bytes()))
             _prepare_lapack()
-            return _compiling(jax.export.deserialize(bytearray(program)), template, flat)
-    dynamic, static = eqx.partition(args, _is_array)
-    tree = jax.tree.structure(dynamic)
-    template: Any = None
+            return _of_exported(exported, flat)
+    arrays, static = eqx.partition(args, _is_array)
+    tree = jax.tree.structure(arrays)
 
-    def flattened(*arrays: Any) -> list:
-        nonlocal template
-        out = function(*eqx.combine(jax.tree.unflatten(tree, arrays), static))
-        leaves, structure = jax.tree.flatten(out)
-        template = jax.tree.unflatten(structure, range(len(leaves)))
-        return leaves
+    def flattened(*flat: Any) -> Any:
+        return function(*eqx.combine(jax.tree.unflatten(tree, flat), static))
 
     flattened.__name__ = function.__name__
     if path is None:
         traced = jax.jit(flattened, compiler_options=options()).trace(*flat)
-        return _later(traced.lower, template, jax.tree.leaves(traced.out_info))
+        return _later(traced.lower, traced.out_info)
     exported = jax.export.export(jax.jit(flattened))(*flat)
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # a full disk, or a class that is not registered
         part = path.with_suffix(f".{os.getpid()}")
-        part.write_bytes(pickle.dumps((bytes(exported.serialize()), template)))
+        part.write_bytes(exported.serialize())
         part.replace(path)
-    return _compiling(exported, template, flat)
+    return _of_exported(exported, flat)
 
 
-def _compiling(exported: Any, template: Any, flat: list) -> _Program:
-    def call(*flat: Any) -> list:
+def _of_exported(exported: jax.export.Exported, flat: list) -> _Program:
+    def call(*flat: Any) -> Any:
         return exported.call(*flat)
 
     call.__name__ = exported.fun_name  # JAX tells what it compiles by that
     program = jax.jit(call, compiler_options=options())
-    lower = functools.partial(program.lower, *flat)
-    return _later(lower, template, exported.out_avals)
+    shapes = jax.tree.unflatten(exported.out_tree, exported.out_avals)
+    return _later(functools.partial(program.lower, *flat), shapes)
 
 
-def _later(lower: Callable, template: Any, shapes: Sequence[Any]) -> _Program:
-    # What `jax.enable_x64` says here holds in this thread alone.
-    wide = jax.config.jax_enable_x64  # pyright: ignore
+def _later(lower: Callable, shapes: Any) -> _Program:
+    wide = _wide()
 
     def compiled() -> Any:
-        with jax.enable_x64(wide):
+        with jax.enable_x64(wide):  # which holds in the calling thread alone
             return lower().compile()
 
-    structure = jax.tree.structure(template)
-    told = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in shapes]
-    return _Program(
-        _compilers().submit(compiled), structure, jax.tree.unflatten(structure, told)
-    )
+    told = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), shapes)
+    return _Program(_compilers().submit(compiled), told)
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 # Methods that are no more, and what took their places.
@@ -36,9 +37,17 @@ def library(name: str, extra: str) -> Any:
         root = name.partition(".")[0]
         if str(error.name).partition(".")[0] != root:
             raise
-        mend = f"pip install 'tomojax[{extra}]' brings it"
-        told = f"{root} is not installed; {mend}"
-        raise ModuleNotFoundError(told, name=root) from None
+        raise ModuleNotFoundError(_missing(root, extra), name=root) from None
+
+
+def require_library(name: str, extra: str) -> None:
+    """**Raises:** `ValueError` unless a library that an extra brings is installed."""
+    if find_spec(name) is None:
+        raise ValueError(_missing(name, extra))
+
+
+def _missing(name: str, extra: str) -> str:
+    return f"{name} is not installed; pip install 'tomojax[{extra}]' brings it"
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:

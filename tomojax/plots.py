@@ -15,8 +15,8 @@ from tomojax._require import library, require
 
 __all__ = ["contacts", "grounds", "image", "sheet", "truth"]
 
-# Beyond the sheet's edge, of its longer side; more electrodes than get their numbers.
-_RIM, _NUMBERED = 0.03, 256
+_RIM = 0.03  # of the sheet's longer side, beyond its edge
+_NUMBERED = 256  # electrodes at most that get their numbers
 
 # Points along the longer side, at which a scene is asked for its outlines.
 _POINTS = 400

@@ -13,12 +13,10 @@ from tomojax.hardware.sources import SlotSource
 if TYPE_CHECKING:
     import tomojax.step
 
-# How long nothing may come until the loop looks about, s; between images; and between
-# calls of `meanwhile`.
-_PATIENCE, _IMAGE, _MEANWHILE = 0.1, 0.1, 0.2
-
-# A ground that is not obeyed is asked for again after so many slots.
-_AGAIN = 20
+_PATIENCE = 0.1  # s that nothing may come until the loop looks about
+_IMAGE = 0.1  # s between images
+_MEANWHILE = 0.2  # s between calls of `meanwhile`
+_AGAIN = 20  # slots after which a ground that is not obeyed is asked for again
 
 _NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 

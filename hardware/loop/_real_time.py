@@ -1,7 +1,9 @@
 """Settings of a process for short latencies."""
 
+import argparse
 import gc
 import os
+import signal
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -68,9 +70,22 @@ def _quietest(cores: set[int]) -> int:
     return min(cores, key=lambda core: (often[core], -core))
 
 
-def beside(nice: int = 0) -> None:
-    """Lets a process that the loop started use any core, `nice` steps behind others."""
+def begun(about: str | None, *names: str, nice: int = 0) -> argparse.Namespace:
+    """Begins a process beside the loop: reads its words, and lets it give way to the loop.
+
+    Ctrl-C is the loop's: the ring says when the loop is done. The process may use any core,
+    `nice` steps behind others. A name with dashes is an option, with a word or without.
+    """
+    parser = argparse.ArgumentParser(description=about)
+    for name in names:
+        if name.startswith("-"):
+            parser.add_argument(name, nargs="?", const="yes")
+        else:
+            parser.add_argument(name)
+    given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
     if hasattr(os, "nice"):  # not on Windows
         os.nice(nice)
+    return given

@@ -17,12 +17,11 @@ from tomojax._require import require
 from tomojax.hardware.loop._leftovers import abandoned, claim, sweep
 from tomojax.hardware.sources import Counters
 
-# Of the image that goes along, pixels of a side; latencies, by µs, as a histogram; and
-# bytes of what is said beside the slots.
-SIDE, LONGEST, SAID = 32, 20_000, 2048
-
-# Marks that wait for the recorder, and bytes of their text (UTF-8).
-MARKS, MARK = 64, 80
+SIDE = 32  # pixels of a side of the image that goes along
+LONGEST = 20_000  # µs of the longest latency in the histogram
+SAID = 2048  # bytes of what is said beside the slots
+MARKS = 64  # that wait for the recorder
+MARK = 80  # bytes of a mark's text (UTF-8)
 
 # What a source counts, and slots that were recorded but not worked on: newer ones waited.
 _NAMES = (*Counters().as_dict(), "skipped")

@@ -14,6 +14,20 @@ _MORE = (
 )
 
 
+def shades(image: np.ndarray) -> np.ndarray:
+    """Scales an image to 0 to 1, y upwards."""
+    top = max(float(np.nanmax(image, initial=0)), 1e-30)
+    return np.nan_to_num(np.clip(image / top, 0, 1)).T[::-1]
+
+
+def counted_text(ring: SlotRing) -> str:
+    """Says how many slots were given out, and all else that was counted."""
+    counted = {name: n for name, n in ring.counted().items() if n}
+    slots = counted.pop("slots", 0)
+    rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
+    return f"{slots} slots, {rest}"
+
+
 def answered(ring: SlotRing) -> float:
     """Gives the part of the slots that the step has answered; NaN before the first."""
     done, skipped = int(ring.head["latency"].sum()), ring.counted()["skipped"]

@@ -5,9 +5,7 @@ minute, a log beside the recording takes the zeros and gains.
 """
 # pyright: reportArgumentType=false
 
-import argparse
 import json
-import signal
 import sys
 import time
 from pathlib import Path
@@ -16,12 +14,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
 from tomojax.hardware.loop.recorder import rig_of
 
-# Between looks at the ring, and between entries of the log, s; how much it gives way.
-_EVERY, _LOG, _NICE = 1.0, 60.0, 10
+_EVERY = 1.0  # s between looks at the ring
+_LOG = 60.0  # s between entries of the log
+_NICE = 10  # it gives way to the loop
 
 
 class Log:
@@ -91,12 +90,7 @@ def _places(rows: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("ring", "told", "calibration", "out"):
-        parser.add_argument(name)
-    given = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside(_NICE)
+    given = begun(__doc__, "ring", "told", "calibration", "out", nice=_NICE)
     out = Path(given.out) if given.out else None
     ring = SlotRing(given.ring)
     try:

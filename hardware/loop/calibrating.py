@@ -4,10 +4,8 @@ A map of the sheet's squares fills as the finger touches them. Meanwhile, calibr
 the slots on the disk say how well each part is known.
 """
 
-import argparse
 import json
 import os
-import signal
 import threading
 import time
 from pathlib import Path
@@ -15,17 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SIDE, SlotRing
 from tomojax.hardware.loop.recorder import rig_of
 
-# Between looks, s; slots that tell of a place together; volts that a contact exceeds, of
-# the drive; visits that a square needs.
-_EVERY, _SLOTS, _TOUCHED, _ENOUGH = 0.2, 10, 0.01, 2
+_EVERY = 0.2  # s between looks
+_SLOTS = 10  # that tell of a place together
+_TOUCHED = 0.01  # volts that a contact exceeds, of the drive
+_ENOUGH = 2  # visits that a square needs
 
-# Frames of the calibrations in between, and seconds from one to the next; how much these
-# give way to the loop and the recorder.
-_FRAMES, _AGAIN, _NICE = 120, 10.0, 10
+_FRAMES = 120  # of the calibrations in between
+_AGAIN = 10.0  # s from one of these to the next
+_NICE = 10  # they give way to the loop and the recorder
 
 
 class Map:
@@ -119,12 +118,7 @@ def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("ring", "told", "path"):
-        parser.add_argument(name)
-    given = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop's
-    beside(_NICE)
+    given = begun(__doc__, "ring", "told", "path", nice=_NICE)
     watch(SlotRing(given.ring), json.loads(given.told), Path(given.path))
     # A calibration that is still at work is for nothing now.
     os._exit(0)

@@ -3,22 +3,22 @@
 The loop waits for nothing. An image uses the latest slot of each of a few grounds.
 """
 
-import argparse
 import json
-import signal
 import sys
 import time
 from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SIDE, SlotRing
 from tomojax.hardware.loop.recorder import rig_of
 
-# Between images, s; slots of an image, so many or what the scan has; how far back they are
-# looked for; how old they may be, s: what touches moves. How much it gives way.
-_EVERY, _SLOTS, _BACK, _OLD, _NICE = 0.1, (10, 2, 1), 256, 0.1, 5
+_EVERY = 0.1  # s between images
+_SLOTS = 10, 2, 1  # of an image: as many as there are grounds
+_BACK = 256  # slots in which these are looked for
+_OLD = 0.1  # s that a slot may be old: what touches moves
+_NICE = 5  # it gives way to the loop
 
 
 def latest(rows: np.ndarray) -> np.ndarray:
@@ -59,12 +59,7 @@ def draw(ring: SlotRing, told: dict[str, Any], path: str) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("ring", "told", "calibration"):
-        parser.add_argument(name)
-    given = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside(_NICE)
+    given = begun(__doc__, "ring", "told", "calibration", nice=_NICE)
     try:
         count = draw(SlotRing(given.ring), json.loads(given.told), given.calibration)
     except (OSError, ValueError) as error:

@@ -7,7 +7,6 @@ there in a new file.
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # (h5py does not say whether a name is a group or a dataset)
 
-import argparse
 import json
 import os
 import signal
@@ -21,25 +20,26 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import MARK, SlotRing
 from tomojax.recordings import Rig, SCHEMA, VERSION
 
-# Between flushes, and until a recorder that died is started again, s.
-_EVERY, _AGAIN = 0.25, 1.0
-
-# Rows in a chunk; and at most at once, so that a late recorder flushes as it goes.
-_CHUNK, _MOST = 2048, 1 << 14
+_EVERY = 0.25  # s between flushes
+_AGAIN = 1.0  # s until a recorder that died is started again
+_CHUNK = 2048  # rows of a chunk of the file
+_MOST = 1 << 14  # rows at once, so that a late recorder flushes as it goes
+_NUMBERS = (
+    "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance",
+    "electrode_diameter",
+)  # fmt: skip
 
 
 def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
     """Returns the attributes of a recording, version 1."""
-    names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
     return {
         "schema": SCHEMA,
         "schema_version": VERSION,
-        **{name: getattr(rig, name) for name in names},
-        "electrode_diameter": rig.electrode_diameter,
+        **{name: getattr(rig, name) for name in _NUMBERS},
         "size": list(rig.size),
         "scale": scale,
         "offset": offset,
@@ -54,10 +54,9 @@ def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
 
 def rig_of(told: dict[str, Any]) -> Rig:
     """Returns the rig that a recording's attributes describe."""
-    numbers = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
     rails = sorted(told["offset"] + told["scale"] * np.array([-32768.0, 32767.0]))
     return Rig(
-        **{name: float(told[name]) for name in (*numbers, "electrode_diameter")},
+        **{name: float(told[name]) for name in _NUMBERS},
         size=tuple(told["size"]),
         electrode_xy=np.asarray(told["electrode_xy"], float),
         rails=tuple(rails),
@@ -220,16 +219,10 @@ class Recorder:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("ring", "path", "told", "file_seconds"):
-        parser.add_argument(name)
-    given = parser.parse_args()
-    # Ctrl-C is the live loop's: it tells when all is there. And a file that grows beyond
-    # a limit is an error to be met, not a death.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    given = begun(__doc__, "ring", "path", "told", "file_seconds")
+    # A file that grows beyond a limit is an error to be met, not a death.
     if hasattr(signal, "SIGXFSZ"):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    beside()
     ring, path = SlotRing(given.ring), Path(given.path)
     try:
         write(ring, path, json.loads(given.told), float(given.file_seconds))

@@ -4,29 +4,34 @@ A terminal gets a picture that is drawn again and again. Any other output gets a
 second.
 """
 
-import argparse
-import signal
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
-from tomojax.hardware.loop._told import flag_text, latency_text, load_text
+from tomojax.hardware.loop._told import (
+    counted_text,
+    flag_text,
+    latency_text,
+    load_text,
+    shades,
+)
 from tomojax.kernels.flags import Flag
 
 _EVERY = 0.1  # s
-_HOME, _CLEAR, _REST = "\x1b[H", "\x1b[2J", "\x1b[K"
+
+# What steers a terminal: to its first place, clear all, clear the rest of the line.
+_HOME = "\x1b[H"
+_CLEAR = "\x1b[2J"
+_REST = "\x1b[K"
 
 
 def blocks(image: np.ndarray) -> list[str]:
     """Returns an image as lines of half blocks in grey, x to the right and y upwards."""
-    top = max(float(np.nanmax(image, initial=0)), 1e-30)
-    shade = np.nan_to_num(np.clip(image / top, 0, 1))
-    grey = (232 + np.rint(23 * shade)).astype(int).T[::-1]
+    grey = (232 + np.rint(23 * shades(image))).astype(int)
     return [
         "".join(f"\x1b[38;5;{a};48;5;{b}m▀" for a, b in zip(upper, lower)) + "\x1b[0m"
         for upper, lower in zip(grey[::2], grey[1::2])
@@ -35,14 +40,11 @@ def blocks(image: np.ndarray) -> list[str]:
 
 def lines(ring: SlotRing, last: Any, rate: float, explained: set[Flag]) -> list[str]:
     """Returns the view's lines of text; flags in `explained` are named alone."""
-    counted = {name: n for name, n in ring.counted().items() if n}
-    slots = counted.pop("slots", 0)
-    rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
     behind = int(ring.head["rows"] - ring.head["recorded"])
     recorded = f"{int(ring.head['recorded'])} recorded, {behind} to come"
     dropped = int(ring.head["dropped"])
     found = [
-        f"{rate:.0f} slots/s; {slots} slots, {rest}",
+        f"{rate:.0f} slots/s; {counted_text(ring)}",
         load_text(ring),
         latency_text(ring, 0.5, 0.99, 0.999),
         (f"{recorded}, {dropped} NOT" if dropped else recorded)
@@ -94,12 +96,9 @@ def watch(ring: SlotRing, terminal: bool) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ring", type=Path)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
+    ring = SlotRing(begun(__doc__, "ring").ring, writable=False)
     try:
-        watch(SlotRing(parser.parse_args().ring, writable=False), sys.stdout.isatty())
+        watch(ring, sys.stdout.isatty())
     except BrokenPipeError:
         pass
 

@@ -1,15 +1,15 @@
 """Shows the live loop in rerun's viewer, or writes it to rerun's file, beside the loop."""
 
-import argparse
-import signal
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-from tomojax.hardware.loop._real_time import beside
+from tomojax._require import require_library
+from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
+from tomojax.hardware.loop._told import shades
 
 _EVERY = 0.1  # s
 
@@ -36,7 +36,7 @@ def _log(rr, ring: SlotRing, rows: np.ndarray) -> None:
     rr.set_time("time", duration=float(rows["time"][-1]))
     rr.log("slots/each_second", rr.Scalars(len(rows) / _EVERY))
     rr.log("slots/lost", rr.Scalars(float(rows["lost"].sum())))
-    rr.log("image", rr.Image((255 * _shades(ring.head["image"])).astype(np.uint8)))
+    rr.log("image", rr.Image((255 * shades(ring.head["image"])).astype(np.uint8)))
     worked = rows[np.isfinite(rows["latency"])]
     if not len(worked):
         return
@@ -47,24 +47,13 @@ def _log(rr, ring: SlotRing, rows: np.ndarray) -> None:
     rr.log("contacts_mm", rr.Points2D(1e3 * last["xy"][there], radii=3.0, labels=labels))
 
 
-def _shades(image: np.ndarray) -> np.ndarray:
-    """Scales an image to 0 to 1, y upwards."""
-    top = max(float(np.nanmax(image, initial=0)), 1e-30)
-    return np.nan_to_num(np.clip(image / top, 0, 1)).T[::-1]
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ring", type=Path)
-    parser.add_argument("--rrd", type=Path)
-    given = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
+    given = begun(__doc__, "ring", "--rrd")
     try:
-        watch(SlotRing(given.ring, writable=False), given.rrd)
-    except ModuleNotFoundError as error:
-        mend = "pip install 'tomojax[rerun]' brings it"
-        sys.exit(f"tomojax: {error.name} is not installed; {mend}")
+        require_library("rerun", "rerun")
+    except ValueError as error:
+        sys.exit(f"tomojax: {error}")
+    watch(SlotRing(given.ring, writable=False), given.rrd and Path(given.rrd))
 
 
 if __name__ == "__main__":

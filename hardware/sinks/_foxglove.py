@@ -14,8 +14,9 @@ from tomojax.hardware.sinks._where import Where
 
 _FRAME = "tomojax_sheet"
 
-# Of a contact's disc, m: the step tells no radius. Images a second.
-_RADIUS, _HIGH, _IMAGES = 0.004, 0.001, 10.0
+_RADIUS = 0.004  # m, of a contact's disc: the step tells no radius
+_HIGH = 0.001  # m, of the disc
+_IMAGES = 10.0  # a second
 
 
 class FoxgloveSink:

@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from tomojax.events import Event
+from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.sinks._rows import LiveRow
 from tomojax.hardware.sinks._where import Where
 
@@ -21,7 +22,7 @@ class JsonSink:
     {"t_s", "event", "contact", "x_m", "y_m", "conductance_S", "force_N"}.
     """
 
-    def __init__(self, where: Where):
+    def __init__(self, where: Where, ring: SlotRing):
         self._own = where.path != "-"
         self._file = open(where.path, "x", encoding="utf-8") if self._own else sys.stdout
         self._due = 0.0

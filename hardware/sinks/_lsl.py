@@ -4,6 +4,7 @@ import time
 from typing import Any
 
 from tomojax.events import Event
+from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.sinks._rows import LiveRow
 from tomojax.hardware.sinks._where import Where
 
@@ -21,9 +22,10 @@ class LslSink:
     was sent; `t` has the rig's clock.
     """
 
-    def __init__(self, where: Where, contacts: int):
+    def __init__(self, where: Where, ring: SlotRing):
         import pylsl
 
+        contacts = ring.contacts
         names = {"t": "s", "flags": "1", "count": "1"}
         for k in range(contacts):
             names |= {f"contact{k + 1}_{n}": unit for n, unit in _OF_CONTACT.items()}

@@ -4,6 +4,7 @@ from contextlib import suppress
 from typing import Any
 
 from tomojax.events import Event
+from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.sinks._rows import LiveRow
 from tomojax.hardware.sinks._where import Where
 
@@ -16,7 +17,7 @@ class OscSink:
     /tomojax/lift_off have the same values. An unknown force is NaN.
     """
 
-    def __init__(self, where: Where):
+    def __init__(self, where: Where, ring: SlotRing):
         from pythonosc.udp_client import UDPClient
 
         self._client = UDPClient(*where.address, allow_broadcast=True)

@@ -10,8 +10,8 @@ import numpy as np
 from tomojax.events import Event, EventFinder
 from tomojax.hardware.loop import SlotRing
 
-# Between looks at the ring, s; rows that are read at once.
-_EVERY, _MOST = 0.002, 1 << 10
+_EVERY = 0.002  # s between looks at the ring
+_MOST = 1 << 10  # rows that are read at once
 
 
 class LiveContact(NamedTuple):

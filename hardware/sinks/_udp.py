@@ -5,19 +5,22 @@ import struct
 from contextlib import suppress
 
 from tomojax.events import Event
+from tomojax.hardware.loop import SlotRing
 from tomojax.hardware.sinks._rows import LiveContact, LiveRow
 from tomojax.hardware.sinks._where import Where
 
 # As the header has them: little-endian, no padding but the three bytes at the end.
-HEAD, CONTACT = struct.Struct("<HBBIqdIB3x"), struct.Struct("<Iffff")
-MAGIC, VERSION = 0x4A54, 1
+HEAD = struct.Struct("<HBBIqdIB3x")
+CONTACT = struct.Struct("<Iffff")
+MAGIC = 0x4A54
+VERSION = 1
 KINDS = {"row": 1, "touch_down": 2, "lift_off": 3}
 
 
 class UdpSink:
     """Sends a datagram for each row and each event; nobody has to listen."""
 
-    def __init__(self, where: Where):
+    def __init__(self, where: Where, ring: SlotRing):
         kind, _, _, _, self._to = socket.getaddrinfo(
             *where.address, type=socket.SOCK_DGRAM
         )[0]

@@ -3,21 +3,23 @@
 import math
 import socket
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qsl
 
-from tomojax._require import require
+from tomojax._require import require, require_library
 
-# Kind: the library that it needs, the extra that brings it, rows a second at most.
-_KINDS: dict[str, tuple[str, str, float]] = {
-    "udp": ("", "", math.inf),
-    "jsonl": ("", "", math.inf),
-    "osc": ("pythonosc", "osc", 100.0),
-    "foxglove": ("foxglove", "foxglove", 60.0),
-    "lsl": ("pylsl", "lsl", math.inf),
+# Kind: rows a second at most.
+_KINDS: dict[str, float] = {
+    "udp": math.inf,
+    "jsonl": math.inf,
+    "osc": 100.0,
+    "foxglove": 60.0,
+    "lsl": math.inf,
 }
+
+# Kind: the library that it needs; the extra that brings the library has the kind's name.
+_LIBRARIES = {"osc": "pythonosc", "foxglove": "foxglove", "lsl": "pylsl"}
 
 # Letters of a name.
 _LONGEST = 4096
@@ -51,7 +53,7 @@ def parse(name: str) -> Where:
     unknown = sorted(options.keys() - {"rate"})
     require(not unknown, f"send: {name}", unknown, "the option rate, or none")
     try:
-        rate = float(options.get("rate", _KINDS[kind][2]))
+        rate = float(options.get("rate", _KINDS[kind]))
     except ValueError:
         rate = math.nan
     require(rate > 0, f"send: {name}: rate", options.get("rate"), "rows a second")
@@ -74,10 +76,8 @@ def check(name: str) -> Where:
     **Raises:** `ValueError` for a missing library, a file that exists, a port in use.
     """
     where = parse(name)
-    library, extra, _ = _KINDS[where.kind]
-    if library and find_spec(library) is None:
-        mend = f"pip install 'tomojax[{extra}]' brings it"
-        raise ValueError(f"{library} is not installed; {mend}")
+    if where.kind in _LIBRARIES:
+        require_library(_LIBRARIES[where.kind], where.kind)
     if where.kind == "jsonl" and where.path != "-":
         path = Path(where.path)
         require(not path.exists(), f"{path}", "a file", "a new name")

@@ -1,21 +1,18 @@
 """Runs one sink beside the live loop.
 
-    python -m tomojax.hardware.sinks.run RING TOLD NAME
+    python -m tomojax.hardware.sinks.run RING TOLD NAME --force LAW
 
 The process reads the ring and gives way to the loop. The loop goes on, whatever happens to
 this process or to its listeners.
 """
 
-import argparse
 import json
 import math
 import os
-import signal
 import sys
-from contextlib import suppress
-from typing import Any
+from importlib import import_module
 
-from tomojax.hardware.loop import beside, SlotRing
+from tomojax.hardware.loop import begun, SlotRing
 from tomojax.hardware.sinks._rows import follow, Force, Sink
 from tomojax.hardware.sinks._where import parse, Where
 
@@ -23,40 +20,25 @@ from tomojax.hardware.sinks._where import parse, Where
 _NICE = 5
 
 
+# The class of each kind, in the kind's own module: it imports the library.
+_CLASSES = {
+    "udp": "UdpSink",
+    "jsonl": "JsonSink",
+    "osc": "OscSink",
+    "lsl": "LslSink",
+    "foxglove": "FoxgloveSink",
+}
+
+
 def open_sink(where: Where, ring: SlotRing) -> Sink:
     """Opens the sink of a parsed name."""
-    if where.kind == "udp":
-        from tomojax.hardware.sinks._udp import UdpSink
-
-        return UdpSink(where)
-    if where.kind == "jsonl":
-        from tomojax.hardware.sinks._jsonl import JsonSink
-
-        return JsonSink(where)
-    if where.kind == "osc":
-        from tomojax.hardware.sinks._osc import OscSink
-
-        return OscSink(where)
-    if where.kind == "lsl":
-        from tomojax.hardware.sinks._lsl import LslSink
-
-        return LslSink(where, ring.contacts)
-    from tomojax.hardware.sinks._foxglove import FoxgloveSink
-
-    return FoxgloveSink(where, ring)
+    module = import_module(f"tomojax.hardware.sinks._{where.kind}")
+    return getattr(module, _CLASSES[where.kind])(where, ring)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("ring", "told", "name"):
-        parser.add_argument(name)
-    parser.add_argument("force", nargs="?", default="null")
-    given = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
-    with suppress(AttributeError, OSError):
-        os.nice(_NICE)
-    law: Any = json.loads(given.force)
+    given = begun(__doc__, "ring", "told", "name", "--force", nice=_NICE)
+    law = json.loads(given.force or "null")
     force = Force(*law) if law else lambda conductance: math.nan
     where, ring = parse(given.name), SlotRing(given.ring, writable=False)
     try:

@@ -15,7 +15,13 @@ import numpy as np
 from tomojax._require import require
 
 VERSION = 1
-SLOT, DESCRIPTION, START, STOP, GROUNDS = 0x01, 0x02, 0x10, 0x11, 0x12
+
+# Kinds of messages: two of the rig, three commands.
+SLOT = 0x01
+DESCRIPTION = 0x02
+START = 0x10
+STOP = 0x11
+GROUNDS = 0x12
 
 _HEAD = struct.Struct("<BBHIQ")  # kind, ground, 0, sequence, µs
 _DESCRIPTION = struct.Struct("<BBHIIddd")

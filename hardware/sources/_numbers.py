@@ -10,15 +10,19 @@ from typing import NamedTuple
 from tomojax.hardware.sources._frames import Slot
 from tomojax.hardware.sources._source import Counters
 
-# So many lost slots are believed without another sign; more have to agree with the clock,
-# or with the time that went by, within these factors.
-_TRUSTED, _LEAST, _MOST = 50, 0.3, 4.0
+# So many lost slots are believed without another sign.
+_TRUSTED = 50
 
-# Slots in a row by which a counter has jumped: where the clock went on, and where it fell
-# too, as in old slots that are sent again.
-_SURE, _UNSURE = 8, 256
+# More have to agree with the clock, or with the time that went by, within these factors.
+_LEAST = 0.3
+_MOST = 4.0
 
-_ROUND, _DAY = 2**32, 86400e6
+# Slots in a row by which a counter has jumped.
+_SURE = 8  # where the clock went on
+_UNSURE = 256  # where it fell too, as in old slots that are sent again
+
+_ROUND = 2**32
+_DAY = 86400e6  # µs
 
 
 class Placed(NamedTuple):

@@ -3,7 +3,7 @@
 import os
 from typing import Any
 
-from tomojax._require import require
+from tomojax._require import require, require_library
 from tomojax.hardware.sources._source import SlotSource
 from tomojax.recordings import between, open_recording
 
@@ -24,6 +24,8 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
     require(len(where) <= _LONGEST, "source", f"{len(where)} letters", "a name")
     try:
         if where.startswith("serial:"):
+            for name in ("serial", "cobs"):
+                require_library(name, "serial")
             from tomojax.hardware.sources.serial import SerialSource
 
             port = where.removeprefix("serial:")

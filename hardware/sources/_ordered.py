@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 
 from tomojax._require import require
-from tomojax.hardware.sources._source import Counters, Got, SlotSource
+from tomojax.hardware.sources._source import Got, SlotSource
 
 
 class OrderedSource(SlotSource):
@@ -28,7 +28,7 @@ class OrderedSource(SlotSource):
         grounds: Sequence[int] | None = None,
     ):
         m = source.electrodes
-        self._source, self.electrodes = source, m
+        self._source, self.electrodes, self.counters = source, m, source.counters
         order = np.arange(m) if channels is None else np.asarray(channels, int)
         whole = order.shape == (m,) and (np.sort(order) == np.arange(m)).all()
         require(whole, "channels", f"{len(order)} of them", f"each of 0 to {m - 1} once")
@@ -40,27 +40,13 @@ class OrderedSource(SlotSource):
         self._codes = np.zeros(m, np.int16)
 
     @property
-    def rate(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._source.rate
-
-    @property
-    def scale(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._source.scale
-
-    @property
-    def offset(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._source.offset
-
-    @property
-    def counters(self) -> Counters:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._source.counters
-
-    @property
     def waiting(self) -> int:
         return self._source.waiting
 
     def start(self) -> None:
-        self._source.start()
+        source = self._source
+        source.start()
+        self.rate, self.scale, self.offset = source.rate, source.scale, source.offset
 
     def stop(self) -> None:
         self._source.stop()

@@ -14,16 +14,16 @@ from tomojax.hardware.sources import _frames as frames
 from tomojax.hardware.sources._numbers import Clock, Numbers, Placed
 from tomojax.hardware.sources._source import Counters, Got, SlotSource
 
-# After so long without a message the rig is asked to start again, s; and a start that
-# nobody answers fails after so long.
-_SILENCE, _NO_ANSWER = 0.25, 5.0
+_SILENCE = 0.25  # s without a message after which the rig is asked to start again
+_NO_ANSWER = 5.0  # s after which a start that nobody answers fails
 
 # Slots with another ground than asked for, until it is asked for again.
 _PATIENCE = 50
 
-
-# What a rig may say of itself: slots a second, V of a code at least, V of all at most.
-_RATES, _FINEST, _VOLTS = (1e-3, 1e8), 1e-12, 1e6
+# What a rig may say of itself.
+_RATES = 1e-3, 1e8  # slots a second
+_FINEST = 1e-12  # V of a code at least
+_VOLTS = 1e6  # V of all codes at most
 
 
 def _possible(told: frames.Description) -> bool:

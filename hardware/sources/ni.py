@@ -11,18 +11,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from tomojax._require import require
+from tomojax._require import require, require_library
 from tomojax.hardware.sources._frames import check_grounds
 from tomojax.hardware.sources._source import Counters, Got, SlotSource
 
-# Inputs of a multiplexer (ADG732), and the volts of a line that is on.
-_WAYS, _HIGH = 32, 5.0
-
-# Slots that are read at once where they wait; those that the driver keeps.
-_BLOCK, _KEPT = 64, 100_000
-
-# What a device may differ by from what it was asked for.
-_CLOSE = 0.01
+_WAYS = 32  # inputs of a multiplexer (ADG732)
+_HIGH = 5.0  # V of a line that is on
+_BLOCK = 64  # slots that are read at once where they wait
+_KEPT = 100_000  # slots that the driver keeps
+_CLOSE = 0.01  # what a device may differ by from what it was asked for
 
 _TIMEOUT = -200284  # the driver's number for: not yet there
 
@@ -72,15 +69,13 @@ class NiSource(SlotSource):
         self._tasks: tuple[Any, Any] | None = None
 
     def start(self) -> None:
-        try:
-            import nidaqmx
-            import nidaqmx.constants
-            import nidaqmx.errors
-            import nidaqmx.stream_readers
-            import nidaqmx.stream_writers
-        except ModuleNotFoundError:
-            mend = "pip install 'tomojax[ni]' brings it"
-            raise ValueError(f"nidaqmx is not installed; {mend}") from None
+        require_library("nidaqmx", "ni")
+        import nidaqmx
+        import nidaqmx.constants
+        import nidaqmx.errors
+        import nidaqmx.stream_readers
+        import nidaqmx.stream_writers
+
         self._daq: Any = nidaqmx
         try:
             output, self._input = nidaqmx.Task(), nidaqmx.Task()

@@ -5,16 +5,11 @@ import select
 import sys
 import time
 
+import serial
+from cobs import cobs
+
 from tomojax.hardware.sources._frames import slot_size
 from tomojax.hardware.sources._wire import Link, WireSource
-
-try:
-    import serial
-    from cobs import cobs
-except ModuleNotFoundError as error:
-    raise ValueError(
-        f"{error.name} is not installed; pip install 'tomojax[serial]' brings it"
-    ) from None
 
 
 class Frames:

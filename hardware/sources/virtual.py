@@ -71,14 +71,14 @@ class Pty:
         except OSError:
             return []
 
-    def send(self, message: bytes, raw: bool = False) -> bool:
+    def send(self, message: bytes) -> bool:
         """Sends a message; returns whether there was room for it."""
         try:
             if self._unsent:
                 self._unsent = self._unsent[os.write(self._master, self._unsent) :]
             if self._unsent:
                 return False
-            coded = message if raw else self._cobs.encode(message) + b"\0"
+            coded = self._cobs.encode(message) + b"\0"
             self._unsent = coded[os.write(self._master, coded) :]
         except OSError:
             return False
@@ -117,7 +117,7 @@ class Udp:
         except OSError:
             return found
 
-    def send(self, message: bytes, raw: bool = False) -> bool:
+    def send(self, message: bytes) -> bool:
         try:
             return self._host is not None and bool(self._socket.sendto(message, self._host))
         except OSError:

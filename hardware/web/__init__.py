@@ -9,10 +9,11 @@ from tomojax.hardware.web._data import (
     contact_columns as contact_columns,
     ellipse_columns as ellipse_columns,
     flag_lines as flag_lines,
-    mark_columns as mark_columns,
+    marked_line as marked_line,
     numbers as numbers,
     pixels as pixels,
     spectrum as spectrum,
+    volt_columns as volt_columns,
 )
 from tomojax.hardware.web._page import document as document, flag_rows as flag_rows
 from tomojax.hardware.web._server import Pages as Pages, quiet as quiet, serve as serve

@@ -53,16 +53,28 @@ def flag_lines(flags: int) -> list[tuple[str, str, int]]:
     return [(str(f.name), f.explanation, int(f.level)) for f in some]
 
 
-def mark_columns(marks: Any, since: float, until: float) -> dict[str, dict[str, list]]:
-    """Returns marks (s, text), with each text on the side that has room."""
+def marked_line(
+    line: dict[str, list], doubts: dict[str, list], marks: Any, since: float, until: float
+) -> tuple[dict[str, dict[str, list]], list[str]]:
+    """Returns a time line's sources, and the names of the flags and marks below the line.
+
+    `doubts` are columns of flags; `marks` (s, text) lie between `since` and `until`.
+    """
     right = [t > since + 0.7 * (until - since) for t, _ in marks]
     columns = {
         "t": [t for t, _ in marks],
+        # Each text is on the side that has room.
         "text": [f"{text} " if r else f" {text}" for r, (_, text) in zip(right, marks)],
         "name": ["marks"] * len(marks),
         "align": ["right" if r else "left" for r in right],
     }
-    return {"marks": columns}
+    names = sorted(set(doubts["name"])) + (["marks"] if marks else [])
+    return {"line": line, "doubts": doubts, "marks": columns}, names or ["no flags"]
+
+
+def volt_columns(volts: Any) -> dict[str, list]:
+    """Returns voltages, V, by electrode."""
+    return {"electrode": list(range(len(volts))), "volts": numbers(volts)}
 
 
 def chosen_electrode(asked: dict[str, str], electrodes: int) -> int:

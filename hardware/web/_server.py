@@ -15,8 +15,10 @@ from urllib.parse import parse_qsl
 
 from tomojax._require import require
 
-# Bytes of what comes; s that a connection may be silent; connections at once.
-_BODY, _HEAD, _IDLE, _CONNECTIONS = 1024, 8192, 20.0, 32
+_BODY = 1024  # bytes of a request's body
+_HEAD = 8192  # bytes of a request's headers
+_IDLE = 20.0  # s that a connection may be silent
+_CONNECTIONS = 32  # at once
 
 _EVERY = 0.1  # s between looks at whether to end
 

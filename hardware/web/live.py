@@ -1,31 +1,32 @@
 """Serves the page of the live loop: a separate process that reads the ring."""
 
-import argparse
 import json
-import os
-import signal
 import sys
 import time
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tomojax.hardware.loop import beside, latency_text, load_text, SlotRing
+from tomojax.hardware.loop import begun, counted_text, latency_text, load_text, SlotRing
 from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,
     flag_lines,
-    mark_columns,
+    marked_line,
+    numbers,
     pixels,
     spectrum,
+    volt_columns,
 )
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
 
-# The time line, s, and one of its parts; slots of a spectrum; pictures of a trail.
-_SPAN, _PART, _SPECTRUM, _TRAIL = 30.0, 0.1, 4096, 40
+_SPAN = 30.0  # s of the time line
+_PART = 0.1  # s of one of its parts
+_SPECTRUM = 4096  # slots
+_TRAIL = 40  # pictures
+_NICE = 5  # it gives way to the loop
 
 
 class LivePage:
@@ -114,41 +115,30 @@ class LivePage:
 
     def _counted(self) -> list[tuple[str, str]]:
         ring = self._ring
-        counted = {name: n for name, n in ring.counted().items() if n}
-        slots = counted.pop("slots", 0)
-        rest = ", ".join(f"{n} {name}" for name, n in counted.items()) or "nothing lost"
-        head = {
-            n: int(ring.head[n]) for n in ("rows", "recorded", "dropped", "marks", "marked")
-        }
-        recorded = "not recorded"
-        if self._recorded:
-            recorded = (
-                f"{head['recorded']} slots, {head['rows'] - head['recorded']} to come"
-            )
-            recorded += f", {head['dropped']} NOT" if head["dropped"] else ""
-            waiting = head["marks"] - head["marked"]
-            recorded += f"; {head['marked']} marks" + (
-                f", {waiting} to come" if waiting else ""
-            )
         said = [("also", line) for line in ring.said().splitlines()]
-        return [("counted", f"{slots} slots, {rest}"), ("recorder", recorded), *said]
+        recorded = self._in_file() if self._recorded else "not recorded"
+        return [("counted", counted_text(ring)), ("recorder", recorded), *said]
+
+    def _in_file(self) -> str:
+        """Says how much of the session the recorder has written."""
+        names = "rows", "recorded", "dropped", "marks", "marked"
+        rows, recorded, dropped, marks, marked = (int(self._ring.head[n]) for n in names)
+        text = f"{recorded} slots, {rows - recorded} to come"
+        text += f", {dropped} NOT" if dropped else ""
+        text += f"; {marked} marks"
+        return text + (f", {marks - marked} to come" if marks > marked else "")
 
     def _add_lines(self, said: dict[str, Any], asked: dict[str, str]) -> None:
         t, count, low, high, flags = (list(c) for c in zip(*self._parts))
-        scaled = [
-            [1e6 * v if np.isfinite(v) else None for v in some] for some in (low, high)
-        ]
-        sources = said["sources"]
-        sources["line"] = {"t": t, "count": count, "low": scaled[0], "high": scaled[1]}
-        sources["doubts"] = flag_rows(t, flags)
+        low, high = (numbers(1e6 * np.array(some)) for some in (low, high))
+        line = {"t": t, "count": count, "low": low, "high": high}
         since = t[-1] - _SPAN
         marks = [(when, text) for when, text in self._marks if when >= since]
-        sources |= mark_columns(marks, since, t[-1])
-        names = sorted(set(sources["doubts"]["name"]))
-        said["names"] = [*names, "marks"] if marks else names or ["no flags"]
-        said["times"] = [since, t[-1]]
+        shown, names = marked_line(line, flag_rows(t, flags), marks, since, t[-1])
+        said |= {"names": names, "times": [since, t[-1]]}
+        sources = said["sources"]
         volts = self._scale * self._last["codes"].astype(float) + self._offset
-        sources["volts"] = {"electrode": list(range(len(volts))), "volts": volts.tolist()}
+        sources |= {**shown, "volts": volt_columns(volts)}
         ring, end = self._ring, int(self._ring.head["rows"])
         first = max(0, end - _SPECTRUM)
         if end - first < 64:
@@ -161,28 +151,21 @@ class LivePage:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("ring", type=Path)
-    parser.add_argument("told")
-    parser.add_argument("--recorded", action="store_true")
-    given = parser.parse_args()
+    given = begun(__doc__, "ring", "told", "--recorded", nice=_NICE)
     quiet()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the live loop's
-    beside()
-    if hasattr(os, "nice"):
-        os.nice(5)
-    ring, told = SlotRing(given.ring, writable=given.recorded), json.loads(given.told)
+    recorded = given.recorded is not None
+    ring, told = SlotRing(given.ring, writable=recorded), json.loads(given.told)
     shape = ring.head["image"].shape
     made = document(
         told["size"], told["electrode_xy"], shape, "image, shares of its highest",
         (-_SPAN, 0.0), "conductance, µS",
     )  # fmt: skip
     made |= {
-        "live": True, "marks": given.recorded, "electrodes": ring.electrodes,
+        "live": True, "marks": recorded, "electrodes": ring.electrodes,
         "residuals": False, "span": [0, 1],
     }  # fmt: skip
-    page = LivePage(ring, told, given.recorded)
-    pages = Pages(made, page.answer, page.mark if given.recorded else None)
+    page = LivePage(ring, told, recorded)
+    pages = Pages(made, page.answer, page.mark if recorded else None)
     tell = lambda url: print(f"page: {url}", file=sys.stderr, flush=True)  # noqa: E731
     serve(pages, tell, until=lambda: ring.done, meanwhile=page.look)
 

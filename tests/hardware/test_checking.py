@@ -9,11 +9,11 @@ import pytest
 from tomojax.hardware import Counters, Got, SlotSource
 from tomojax.hardware.sources import check_grounds, check_source
 
-M, RATE = 6, 400.0
+M, RATE = 6, 1000.0
 
 
 class Steady(SlotSource):
-    """A right source: a slot each 2.5 ms, every hundredth lost."""
+    """A right source: a slot each millisecond, every hundredth lost."""
 
     electrodes = M
 
@@ -165,7 +165,7 @@ class Once(Steady):
         (Deaf, "set_grounds([0, 5]) is not obeyed: later slots ground [0]"),
         (Credulous, "set_grounds([6]) raised no ValueError"),
         (Waiting, "read(codes, 0.1) has not come back"),
-        (Silent, "no slot came in 0.6 s"),
+        (Silent, "no slot came in 0.4 s"),
         (OwnArray, "read() wrote nothing into the array given"),
         (Late, "an array was changed after read() returned"),
         (WallClock, "take time.perf_counter()"),
@@ -180,7 +180,7 @@ class Once(Steady):
     ],
 )
 def test_each_mistake_is_told(wrong, told):
-    said = check_source(wrong(), 0.6)
+    said = check_source(wrong(), 0.4)
     assert any(told in text for text in said), said
     # One mistake is one sentence, but where the others follow from it.
     assert len(said) <= 3, said

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -93,45 +94,60 @@ def test_a_rig_switched_off_and_on(scene, tmp_path):
     assert rows["time"][-1] > 1.5 and (np.diff(rows["time"]) > 0).all()
 
 
-def command(*words, cwd, timeout=120):
-    code = "from tomojax.cli import main; main()"
-    line = [sys.executable, "-c", code, *map(str, words)]
-    return subprocess.run(line, cwd=cwd, capture_output=True, text=True, timeout=timeout)
+class Done(NamedTuple):
+    """A command that has ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_record_then_info_and_reconstruct(scene, tmp_path):
+@pytest.fixture
+def command(monkeypatch, capfd, tmp_path):
+    """Runs a command in this process; what the processes beside it print counts, too."""
+    monkeypatch.chdir(tmp_path)
+
+    def ended(*words):
+        monkeypatch.setattr(sys, "argv", ["tomojax", *map(str, words)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            app.run()
+        return Done(stop.value.code, *capfd.readouterr())
+
+    return ended
+
+
+def test_record_then_info_and_reconstruct(command, scene, tmp_path):
     with VirtualRig(scene, rate=RATE) as rig:
-        done = command(
-            *("record", rig.where, "-o", "a.h5", "--seconds", 2, "--pattern", "edge"),
-            cwd=tmp_path,
-        )
+        words = "record", rig.where, "-o", "a.h5", "--seconds", 2, "--pattern", "edge"
+        done = command(*words)
         assert done.returncode == 0, done.stderr
         assert "recording: a.h5" in done.stdout and "slots" in done.stdout
-        again = command("record", rig.where, "-o", "a.h5", cwd=tmp_path)
+        again = command("record", rig.where, "-o", "a.h5")
     assert again.returncode == 2 and "is there" in again.stderr
     with tx.open_recording(tmp_path / "a.h5") as recording:
         assert recording.scans > RATE and recording.rig.f_switch == RATE
-        grounds = recording.read(0, recording.scans).grounds[100:, 0]
+        grounds = recording.read(recording.scans // 2, recording.scans).grounds[:, 0]
     edge = np.asarray(tx.pattern(tx.Sensor.grid(), "edge"))
     np.testing.assert_array_equal(np.unique(grounds), np.unique(edge))
-    told = command("info", "a.h5", cwd=tmp_path)
+    told = command("info", "a.h5")
     assert told.returncode == 0, told.stderr
 
 
-def test_live_into_a_file_of_rerun(scene, tmp_path):
+def test_live_into_a_file_of_rerun(command, scene, tmp_path):
     with VirtualRig(scene, rate=RATE, link="udp") as rig:
         words = "live", rig.where, "--view", "rerun", "--rrd", "c.rrd", "--seconds", 4
-        done = command(*words, cwd=tmp_path)
+        done = command(*words)
     assert done.returncode == 0, done.stderr
     told = (tmp_path / "c.rrd").read_bytes()
     assert all(name in told for name in (b"contacts_mm", b"image", b"latency_us"))
 
 
-def test_live_draws_shapes(held, tmp_path):
+def test_live_draws_shapes(command, held):
     """At the end, if it has not begun before."""
     with VirtualRig(held, rate=RATE, link="udp") as rig:
         words = "live", rig.where, "--view", "none", "--shapes", "--seconds", 2
-        done = command(*words, cwd=tmp_path)
+        done = command(*words)
     assert done.returncode == 0, done.stderr
     (line,) = [x for x in done.stdout.splitlines() if "images of what touches" in x]
     assert int(line.split()[0]) > 0
@@ -150,18 +166,18 @@ def test_the_latest_slots_of_an_image():
     assert len(latest(rows[:1])) == 1
 
 
-def test_live_with_a_config_and_a_recording(held, tmp_path):
+def test_live_with_a_config_and_a_recording(command, held, tmp_path):
     (tmp_path / "rig.toml").write_text(
         'method = "follow"\ncontacts = 1\nseconds = 4.0\nfile-seconds = 60.0\n'
     )
     with VirtualRig(held, rate=RATE) as rig:
         words = "live", rig.where, "--config", "rig.toml", "--record", "b.h5"
-        done = command(*words, cwd=tmp_path)
+        done = command(*words)
     assert done.returncode == 0, done.stderr
     assert "ground command" in done.stdout and "contact at" in done.stdout
     with tx.open_recording(tmp_path / "b.h5") as recording:
         assert recording.scans > RATE
-    replayed = command("live", "b.h5", "--seconds", 3, "--view", "none", cwd=tmp_path)
+    replayed = command("live", "b.h5", "--seconds", 3, "--view", "none")
     assert replayed.returncode == 0, replayed.stderr
     assert "slots" in replayed.stdout
 
@@ -188,15 +204,15 @@ def test_mistakes_are_one_line(words, told, tmp_path, monkeypatch, capsys):
     assert stop.value.code == 2 and len(said) == 1 and told in said[0]
 
 
-def test_record_grounds_of_ones_own(scene, tmp_path):
+def test_record_grounds_of_ones_own(command, scene, tmp_path):
     with VirtualRig(scene, rate=RATE, link="udp") as rig:
         words = "record", rig.where, "-o", "a.h5", "--seconds", 2, "--pattern", "9,40,3"
-        done = command(*words, cwd=tmp_path)
+        done = command(*words)
     assert done.returncode == 0, done.stderr
     # Nothing is worked on, and so nothing is said of latencies.
     assert "nan" not in done.stdout and "ground command" not in done.stdout
     with tx.open_recording(tmp_path / "a.h5") as recording:
-        grounds = recording.read(0, recording.scans).grounds[200:, 0]
+        grounds = recording.read(recording.scans // 2, recording.scans).grounds[:, 0]
     assert set(grounds.tolist()) == {9, 40, 3}
 
 
@@ -245,5 +261,7 @@ def test_ctrl_c_while_live_prepares_is_a_line(tmp_path, said, seconds):
 
 
 def test_a_mistake_ends_the_process(tmp_path):
-    done = command("live", "none.h5", cwd=tmp_path)
+    code = "from tomojax.cli import main; main()"
+    line = [sys.executable, "-c", code, "live", "none.h5"]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and done.stderr.count("\n") == 1

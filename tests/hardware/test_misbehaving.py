@@ -48,7 +48,8 @@ def test_forged_senders_are_not_let_in():
     assert source.counters.late == source.counters.bad == source.counters.restarts == 0
 
 
-def test_a_rig_that_ignores_start_is_told():
+def test_a_rig_that_ignores_start_is_told(monkeypatch):
+    monkeypatch.setattr("tomojax.hardware.sources._wire._NO_ANSWER", 2.0)
     rig = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     rig.bind(("127.0.0.1", 0))
     source = UdpSource("127.0.0.1", rig.getsockname()[1], electrodes=rigs.M)

@@ -4,6 +4,7 @@ import os
 import resource
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,14 @@ def feed(ring, seconds, start, meanwhile=lambda: None):
     return number
 
 
+def wait_until(there: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Waits for another process."""
+    end = time.monotonic() + seconds
+    while not there():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def files(path: Path) -> list[Path]:
     """In the order of what they hold."""
     return sorted(path.parent.glob(f"{path.stem}*.h5"), key=_first)
@@ -85,7 +94,7 @@ def test_all_of_it_and_gaps_are_records(ring, told, tmp_path):
     recorder = Recorder(ring, path, told)
     some = [*range(50), *range(53, 90), *range(97, 300)]
     before = put(ring, some)
-    time.sleep(2)
+    wait_until(lambda: int(ring.head["recorded"]) == len(some))
     put(ring, range(before + 6, 900), before)
     ring.head["done"][...] = 1
     recorder.close()

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,16 @@ import tomojax.hardware
 from tomojax.events import Event
 from tomojax.hardware import SlotRing
 from tomojax.hardware.loop.recorder import attributes
-from tomojax.hardware.sinks import check, check_all, follow, LiveRow, parse
+from tomojax.hardware.sinks import (
+    check,
+    check_all,
+    Counted,
+    follow,
+    Force,
+    LiveRow,
+    parse,
+)
+from tomojax.hardware.sinks.run import open_sink
 from tomojax.recordings import Rig
 
 SLOTS = 60
@@ -58,8 +68,16 @@ def fill(ring: SlotRing, slots: int = SLOTS, pause: float = 0.0) -> None:
     ring.head["done"][...] = 1
 
 
-def started(name: str, ring: SlotRing, told: dict, law: str = "null") -> subprocess.Popen:
-    words = [str(ring.path), json.dumps(told), name, law]
+def sent(name: str, ring: SlotRing, told: dict, law: tuple | None = None) -> Counted:
+    """Fills the ring, and lets a sink of that name follow it to the end."""
+    fill(ring)
+    where = parse(name)
+    force = {} if law is None else {"force": Force(*law)}
+    return follow(ring, open_sink(where, ring), told, where.rate, **force)
+
+
+def started(name: str, ring: SlotRing, told: dict) -> subprocess.Popen:
+    words = [str(ring.path), json.dumps(told), name]
     command = [sys.executable, "-m", "tomojax.hardware.sinks.run", *words]
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
@@ -77,17 +95,14 @@ def receiver() -> tuple[socket.socket, int]:
     return made, made.getsockname()[1]
 
 
-def all_of(sock: socket.socket, process: subprocess.Popen) -> list[bytes]:
-    process.wait(60)
-    sock.settimeout(0.2)
+def all_of(sock: socket.socket) -> list[bytes]:
+    """Reads all datagrams that have come."""
+    sock.setblocking(False)
     found = []
-    try:
+    with sock, suppress(BlockingIOError):
         while True:
             found.append(sock.recv(2048))
-    except TimeoutError:
-        return found
-    finally:
-        sock.close()
+    return found
 
 
 class Kept:
@@ -156,11 +171,9 @@ def test_a_slow_sink_loses_its_own_rows_and_says_so(told) -> None:
 
 def test_datagrams(ring, told, tmp_path) -> None:
     sock, port = receiver()
-    process = started(f"udp://127.0.0.1:{port}", ring, told, "[0.02, 1.0, 1e-4]")
-    wait_for(process)
-    fill(ring)
-    packets = all_of(sock, process)
-    assert f"{SLOTS} rows" in ended(process)
+    counted = sent(f"udp://127.0.0.1:{port}", ring, told, (0.02, 1.0, 1e-4))
+    packets = all_of(sock)
+    assert counted == (SLOTS, 0, 0)
     assert len(packets) == SLOTS + 4
     program = tmp_path / "reads"
     if shutil.which("cc") is None:
@@ -217,21 +230,9 @@ int main(void)
 """
 
 
-def wait_for(process: subprocess.Popen, seconds: float = 1.5) -> None:
-    """Until it follows the ring: what was put before is not for it."""
-    end = time.monotonic() + 60
-    stat = Path(f"/proc/{process.pid}/maps")
-    while time.monotonic() < end:
-        if stat.exists() and "tomojax-" in stat.read_text():
-            time.sleep(0.5)
-            return
-        time.sleep(0.05)
-
-
 def test_json_lines(ring, told, tmp_path) -> None:
     out = tmp_path / "rows.jsonl"
     process = started(f"jsonl:{out}", ring, told)
-    wait_for(process)
     fill(ring)
     assert f"{SLOTS} rows" in ended(process)
     lines = [json.loads(line) for line in out.read_text().splitlines()]
@@ -247,20 +248,18 @@ def test_osc(ring, told) -> None:
     from pythonosc.osc_packet import OscPacket
 
     sock, port = receiver()
-    process = started(f"osc://127.0.0.1:{port}?rate=10000", ring, told)
-    wait_for(process)
     fill(ring)
+    assert f"{SLOTS} rows" in ended(
+        started(f"osc://127.0.0.1:{port}?rate=10000", ring, told)
+    )
     messages = [
-        timed.message
-        for data in all_of(sock, process)
-        for timed in OscPacket(data).messages
+        timed.message for data in all_of(sock) for timed in OscPacket(data).messages
     ]
     counts = [m.params[0] for m in messages if m.address == "/tomojax/count"]
     assert len(counts) >= SLOTS - 2 and max(counts) == 2
     down = [m.params for m in messages if m.address == "/tomojax/touch_down"]
     assert [p[0] for p in down] == [1, 2] and down[1][1] == pytest.approx(0.06)
     assert math.isnan(down[0][4])
-    ended(process)
 
 
 def test_lab_streaming_layer(ring, told) -> None:
@@ -291,8 +290,8 @@ def test_foxglove(ring, told) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    process = started(f"foxglove:{port}?rate=10000", ring, told)
-    wait_for(process)
+    where = parse(f"foxglove:{port}?rate=10000")
+    sink = open_sink(where, ring)
     with client.connect(
         f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], open_timeout=20
     ) as page:
@@ -304,8 +303,9 @@ def test_foxglove(ring, told) -> None:
                 topics |= {c["topic"]: c["id"] for c in told_json["channels"]}
         wanted = {"id": 1, "channelId": topics["/tomojax/state"]}
         page.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
-        time.sleep(0.5)
-        fill(ring, pause=0.02)
+        time.sleep(0.5)  # nothing says when the server has heard of it
+        fill(ring)
+        follow(ring, sink, told, where.rate)
         state = b""
         while not state:
             message = page.recv(timeout=20)
@@ -313,16 +313,12 @@ def test_foxglove(ring, told) -> None:
         row = json.loads(state[13:])
         assert row["contacts"][0]["y_m"] == pytest.approx(0.05)
     assert "/tomojax/contacts" in topics and "/tomojax/image" in topics
-    ended(process)
 
 
 def test_nobody_listens(ring, told) -> None:
     sock, port = receiver()
     sock.close()
-    process = started(f"udp://127.0.0.1:{port}", ring, told)
-    wait_for(process)
-    fill(ring)
-    assert f"{SLOTS} rows" in ended(process)
+    assert sent(f"udp://127.0.0.1:{port}", ring, told) == (SLOTS, 0, 0)
 
 
 @pytest.mark.parametrize(

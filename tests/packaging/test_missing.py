@@ -22,7 +22,6 @@ ROWS = [
     ("h5py", "app", "reconstruct {h5} -o {out}"),
     ("h5py", "app", "record udp://127.0.0.1:9 -o {out}"),
     ("matplotlib", "app", "demo"),
-    ("tqdm", "app", "reconstruct {h5} -o {out}"),
     ("nptdms", "tdms", "info {tdms}"),
     ("serial", "serial", "record serial:/dev/null -o {out}"),
     ("cobs", "serial", "record serial:/dev/null -o {out}"),

@@ -383,9 +383,6 @@ def test_track_copies_no_other_file(results, tmp_path, capsys):
 
 # ---- sources -------------------------------------------------------------------------
 
-# Programs that tomojax itself has compiled and kept in its user's cache folder.
-OWN = {"tomojax/_programs.py"}
-
 
 def test_no_source_runs_what_a_file_says():
     wrong = []
@@ -405,5 +402,5 @@ def test_no_source_runs_what_a_file_says():
                     names = ["allow_pickle"] if value is not False else []
                 bad = {"pickle", "marshal", "shelve", "dill", "eval()", "exec()"}
                 bad |= {"allow_pickle", "cloudpickle", "joblib"}
-                wrong += [f"{name}: {n}" for n in names if n in bad and name not in OWN]
+                wrong += [f"{name}: {n}" for n in names if n in bad]
     assert not wrong

@@ -15,22 +15,57 @@ from click.testing import CliRunner
 import tomojax as tx
 from tomojax.cli import app, compiled, entry
 
-# The process tells at its end what it imported and what other processes would inherit.
-_COMMAND = """
-import atexit, json, os, sys
-
-def tell():
-    print(json.dumps([sorted({m.split(".")[0] for m in sys.modules}), dict(os.environ)]))
-
-atexit.register(tell)
+# One process runs all commands, and tells of each: its status, what it said, what the
+# process has imported so far, and what other processes would inherit.
+_COMMANDS = """
+import contextlib, io, json, os, sys
 from tomojax.cli import main
-main()
+
+for words in json.loads(sys.argv.pop()):
+    sys.argv[1:] = words.split()
+    said, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+        try:
+            main()
+        except SystemExit as stop:
+            status = stop.code
+    loaded = sorted({m.split(".")[0] for m in sys.modules})
+    told = [status, said.getvalue(), errors.getvalue(), loaded, dict(os.environ)]
+    print(json.dumps(told))
 """
 _HEAVY = {"jax", "jaxlib", "scipy", "matplotlib"}
-_LIGHT = _HEAVY | {"numpy", "h5py", "tqdm"}
+_LIGHT = _HEAVY | {"numpy", "h5py"}
+_HELP = ("--help", "--version", "--wrong")
+
+_MISTAKES = [
+    ("reconstruct rec.h5 --method magic", "--method: got 'magic', expected one of auto"),
+    ("reconstruct none.h5", "none.h5: no such file"),
+    ("reconstruct text.h5", "text.h5: "),
+    ("reconstruct rec.h5 -o there.h5", "there.h5: got a file, expected a new name"),
+    ("reconstruct rec.h5 --picture a.txt", "a.txt: got '.txt', expected a name with"),
+    ("reconstruct rec.h5 --from 99", "from: got 99 s, expected a stretch of the file"),
+    ("reconstruct rec.h5 --calibration none.json", "none.json: no such file"),
+    ("calibrate text.h5", "text.h5: "),
+    ("check text.h5", "text.h5: "),
+    ("track text.h5", "text.h5: "),
+    ("live virtual --method magic", "--method: got 'magic', expected one of follow"),
+    ("live virtual --policy magic", "--policy: got 'magic', expected one of all"),
+    ("live virtual --policy 0,64", "expected electrodes from 0 to 63"),
+    ("live virtual --policy none.npz", "none.npz: no such file"),
+    ("live usb:3", "source: got 'usb:3', expected serial:PORT"),
+    ("live none.h5", "none.h5: no such file"),
+    ("live virtual --send smoke:3", "send: got 'smoke:3', expected one of udp"),
+    ("record virtual -o a.h5 --pattern around", "expected one of all, boundary"),
+    ("record virtual -o a.h5 --pattern 0,64", "expected electrodes from 0 to 63"),
+    ("record virtual -o rec.h5", "rec.h5: is there"),
+    ("design --region 0 0 900 9", "--region: got 0, 0, 900, 9, expected on the sheet"),
+    ("design --grounds 64", "--grounds: got '64', expected electrodes from 0 to 63"),
+]
 
 
-def process(tmp_path: Path, code: str, *arguments: object) -> subprocess.CompletedProcess:
+def process(
+    tmp_path: Path, code: str, *arguments: object, cwd: Path | None = None
+) -> subprocess.CompletedProcess:
     """Runs `code` with an empty cache folder that is the user's, and without settings."""
     set_by_us = ("JAX_", "TF_CPP", "OPENBLAS", "TOMOJAX")
     own = {k: v for k, v in os.environ.items() if not k.startswith(set_by_us)}
@@ -39,72 +74,47 @@ def process(tmp_path: Path, code: str, *arguments: object) -> subprocess.Complet
         capture_output=True,
         text=True,
         env=own | {"XDG_CACHE_HOME": str(tmp_path / "cache")},
+        cwd=cwd,
     )
 
 
-@pytest.mark.parametrize("option", ["--help", "--version", "--wrong"])
-def test_nothing_heavy_is_loaded_to_say_what_there_is(tmp_path, option) -> None:
-    run = process(tmp_path, _COMMAND, option)
-    loaded, _ = json.loads(run.stdout.splitlines()[-1])
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory) -> dict[str, list]:
+    """What is told of each command; those that import least come first."""
+    folder = tmp_path_factory.mktemp("commands")
+    recordings.write(folder / "rec.h5", recordings.touched(scans=3)[0])
+    (folder / "text.h5").write_text("volts")
+    (folder / "there.h5").write_text("results")
+    words = [*_HELP, *(words for words, _ in _MISTAKES), "info rec.h5"]
+    run = process(folder, _COMMANDS, json.dumps(words), cwd=folder)
+    assert run.returncode == 0, run.stderr
+    return dict(zip(words, map(json.loads, run.stdout.splitlines()), strict=True))
+
+
+@pytest.mark.parametrize("option", _HELP)
+def test_nothing_heavy_is_loaded_to_say_what_there_is(ran, option) -> None:
+    status, _, _, loaded, _ = ran[option]
     assert not _LIGHT & set(loaded)
-    assert run.returncode == (2 if option == "--wrong" else 0)
+    assert status == (2 if option == "--wrong" else 0)
 
 
-def test_info_loads_no_jax_and_sets_the_cache(tmp_path) -> None:
-    path = recordings.write(tmp_path / "rec.h5", recordings.touched(scans=3)[0])
-    run = process(tmp_path, _COMMAND, "info", path)
-    assert "can be read" in run.stdout, run.stderr
-    loaded, settings = json.loads(run.stdout.splitlines()[-1])
+def test_info_loads_no_jax_and_sets_the_cache(ran) -> None:
+    _, said, errors, loaded, settings = ran["info rec.h5"]
+    assert "can be read" in said, errors
     assert "numpy" in loaded and not _HEAVY & set(loaded)
     folder = Path(settings["JAX_COMPILATION_CACHE_DIR"])
-    assert folder.parent == tmp_path / "cache" / "tomojax"
+    assert folder.parent == Path(settings["XDG_CACHE_HOME"]) / "tomojax"
     assert folder.stat().st_mode & 0o777 == 0o700
     assert settings["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] == "0"
     assert settings["OPENBLAS_NUM_THREADS"] == "1"
 
 
-@pytest.mark.parametrize(
-    "words, told",
-    [
-        (
-            "reconstruct rec.h5 --method magic",
-            "--method: got 'magic', expected one of auto",
-        ),
-        ("reconstruct none.h5", "none.h5: no such file"),
-        ("reconstruct text.h5", "text.h5: "),
-        ("reconstruct rec.h5 -o there.h5", "there.h5: got a file, expected a new name"),
-        ("reconstruct rec.h5 --picture a.txt", "a.txt: got '.txt', expected a name with"),
-        ("reconstruct rec.h5 --from 99", "from: got 99 s, expected a stretch of the file"),
-        ("reconstruct rec.h5 --calibration none.json", "none.json: no such file"),
-        ("calibrate text.h5", "text.h5: "),
-        ("check text.h5", "text.h5: "),
-        ("track text.h5", "text.h5: "),
-        ("live virtual --method magic", "--method: got 'magic', expected one of follow"),
-        ("live virtual --policy magic", "--policy: got 'magic', expected one of all"),
-        ("live virtual --policy 0,64", "expected electrodes from 0 to 63"),
-        ("live virtual --policy none.npz", "none.npz: no such file"),
-        ("live usb:3", "source: got 'usb:3', expected serial:PORT"),
-        ("live none.h5", "none.h5: no such file"),
-        ("live virtual --send smoke:3", "send: got 'smoke:3', expected one of udp"),
-        ("record virtual -o a.h5 --pattern around", "expected one of all, boundary"),
-        ("record virtual -o a.h5 --pattern 0,64", "expected electrodes from 0 to 63"),
-        ("record virtual -o rec.h5", "rec.h5: is there"),
-        ("design --region 0 0 900 9", "--region: got 0, 0, 900, 9, expected on the sheet"),
-        ("design --grounds 64", "--grounds: got '64', expected electrodes from 0 to 63"),
-    ],
-)
-def test_mistakes_are_told_before_jax_is_imported(
-    tmp_path, monkeypatch, words, told
-) -> None:
+@pytest.mark.parametrize("words, told", _MISTAKES)
+def test_mistakes_are_told_before_jax_is_imported(ran, words, told) -> None:
     """So they are told in under a second."""
-    monkeypatch.chdir(tmp_path)
-    recordings.write(tmp_path / "rec.h5", recordings.touched(scans=3)[0])
-    (tmp_path / "text.h5").write_text("volts")
-    (tmp_path / "there.h5").write_text("results")
-    run = process(tmp_path, _COMMAND, *words.split())
-    loaded, _ = json.loads(run.stdout.splitlines()[-1])
-    assert run.returncode == 2 and told in run.stderr, run.stderr
-    assert len(run.stderr.strip().splitlines()) == 1
+    status, _, errors, loaded, _ = ran[words]
+    assert status == 2 and told in errors, errors
+    assert len(errors.strip().splitlines()) == 1
     assert not {"jax", "scipy", "matplotlib"} & set(loaded)
 
 

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from tomojax.cli.app import app
+from tomojax.hardware import web
 
 pytest.importorskip("bokeh")
 ROWS, M = 300_000, 64
@@ -42,23 +43,17 @@ def results(tmp_path_factory):
     return path
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def served(results):
-    """Serves the page; the address."""
-    started = []
-
-    def start(*words):
-        line = "from tomojax.cli import main; main()"
-        command = [sys.executable, "-c", line, "view", str(results), *words]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        return browser.address(iter(process.stdout.readline, ""))
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.wait(30)
-        process.stdout.close()
+    """Serves the page of the whole file; the address."""
+    line = "from tomojax.cli import main; main()"
+    command = [sys.executable, "-c", line, "view", str(results)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    yield browser.address(iter(process.stdout.readline, ""))
+    process.terminate()
+    process.wait(30)
+    process.stdout.close()
 
 
 def answer(url, asked=""):
@@ -67,7 +62,7 @@ def answer(url, asked=""):
 
 
 def test_nothing_is_missed(served):
-    url, said = served(), {"thinned": "not yet"}
+    url, said = served, {"thinned": "not yet"}
     while said["thinned"]:
         said = answer(url)
     sources = said["sources"]
@@ -90,9 +85,14 @@ def test_nothing_is_missed(served):
         assert answer(url, odd)["sources"]["line"]["t"]
 
 
-def test_a_stretch(served):
-    url = served("--from", "100", "--to", "110")
-    times = answer(url)["sources"]["line"]["t"]
+def test_a_stretch(results, monkeypatch):
+    """What the command would serve."""
+    shown = []
+    monkeypatch.setattr(web, "serve", lambda pages, tell, until: shown.append(pages))
+    words = ["view", str(results), "--from", "100", "--to", "110"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    times = shown[0].answer({})["sources"]["line"]["t"]
     assert times[0] == pytest.approx(105) and times[-1] == pytest.approx(115, abs=0.1)
 
 
@@ -100,7 +100,7 @@ def test_a_stretch(served):
 def test_in_a_browser(served):
     pytest.importorskip("websockets")
     with browser.Browser() as page:
-        page.go(served())
+        page.go(served)
         page.wait("document.body && document.body.dataset.pictures > 0")
         page.value(
             "(() => { const s = document.getElementById('scrub'); s.value = 128.4571;"

@@ -1,32 +1,26 @@
 """`tomojax design`: chooses grounds for the places where contacts may be."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
 from tomojax._require import require
-from tomojax._whole import whole, write_text
+from tomojax.cli._design_shown import draw, text
 from tomojax.cli.entry import (
     Command,
     ground_numbers,
-    InputFile,
+    json_option,
+    like_option,
     NUMBER,
     OutputFile,
     OutputFolder,
+    Progress,
+    save_picture,
     sheet_of,
+    write_report,
 )
-
-# What a criterion is of, in a picture.
-_WORDS = {
-    "place": "error of place",
-    "a": "variance",
-    "d": "volume of what stays unknown",
-    "worst": "largest error",
-    "rigs": "error on simulated rigs",
-}
 
 # Cells of the map of what a design tells, along a side.
 _MAP = 32
@@ -81,18 +75,8 @@ _MAP = 32
     show_default=True,
     help="Spread this many contacts over the region.",
 )
-@click.option(
-    "--like",
-    type=InputFile(),
-    help="Take the sheet and electrodes from this recording of the rig. [default: "
-    "the paper's sensor]",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report", makes=True),
-    help="Write the whole report here; replaces an earlier report.",
-)
+@like_option
+@json_option("the whole report", makes=True)
 @click.option("--out", type=OutputFolder("design.png"), help="Folder for a picture.")
 @click.option(
     "--policy",
@@ -131,7 +115,6 @@ def design(
     import jax
     import numpy as np
 
-    from tomojax._environment import environment
     from tomojax.sensor import Sensor
 
     # Variances of a small λ want all digits.
@@ -139,18 +122,14 @@ def design(
         sensor = Sensor.grid(divisions=(32, 32), dtype=np.float64)
         if rig is not None:
             sensor = rig.sensor(dtype=np.float64)
-        report = _designed(sensor, region, spots, own, options)
-        print(_text(report))
-        if json_path:
-            told = {k: v for k, v in report.items() if not k.startswith("_")}
-            told["environment"] = environment()
-            text = json.dumps(told, indent=1).replace("NaN", "null")
-            write_text(json_path, text + "\n")
+        places = _places(sensor, region, spots, options["contacts"])
+        rows, summary, figures = _designed(sensor, places, own, options)
+        print(text(rows, summary))
+        told = {"rows": rows, "summary": summary}
+        write_report(json_path, **json.loads(json.dumps(told).replace("NaN", "null")))
         if out:
-            path = out / "design.png"
-            with whole(path) as part:
-                _draw(sensor, report).savefig(part, dpi=110)
-            print(f"picture: {path}")
+            figure = draw(sensor, rows, summary, places, figures)
+            save_picture(figure, out / "design.png")
         if policy:
             _table(sensor, policy, options)
 
@@ -176,66 +155,69 @@ def _own(grounds: str | None, electrodes: int) -> list[int]:
     return found
 
 
+def _places(sensor: Any, region: Any, spots: tuple, contacts: int) -> Any:
+    """Returns the places (P, 2), m, that are designed for."""
+    import numpy as np
+
+    from tomojax.design import design_places
+
+    if spots:
+        return np.array(spots) / 1e3
+    box = None if not region else np.array(region) / 1e3
+    return np.asarray(design_places(sensor, box, contacts))
+
+
 def _designed(
-    sensor: Any, region: Any, spots: tuple, own: list[int], options: dict
-) -> dict[str, Any]:
+    sensor: Any, places: Any, own: list[int], options: dict
+) -> tuple[list[dict[str, Any]], dict[str, Any], Any]:
+    """Returns the table's rows, the summary, and a map of figures where there is one."""
     import jax
     import numpy as np
 
-    from tomojax import design as d, design as problem
+    from tomojax import design as room
 
-    if spots:
-        places = np.array(spots) / 1e3
-    else:
-        box = None if not region else np.array(region) / 1e3
-        places = np.asarray(problem.design_places(sensor, box, options["contacts"]))
     words = {k: options[k] for k in ("noise", "lam")}
-    criterion = options["criterion"] or "place"
+    method, criterion = options["method"], options["criterion"] or "place"
 
     def objective(where: Any) -> Any:
-        return problem.design_objective(
-            sensor, where, options["method"], criterion, **words
-        )
+        return room.design_objective(sensor, where, method, criterion, **words)
 
-    with click.progressbar(length=3, label="design", file=sys.stderr) as bar:
+    with Progress("design:") as progress:
+        progress.say("the grounds")
         made = objective(places)
-        found = d.design(made, options["slots"])
-        bar.update(1)
-        explored = problem.exploratory_voltages(sensor, jax.numpy.asarray(places))
-        rows = d.patterns_beside(sensor, made, explored)
+        found = room.design(made, options["slots"])
+        progress.say("designs beside the patterns")
+        explored = room.exploratory_voltages(sensor, jax.numpy.asarray(places))
+        rows = room.patterns_beside(sensor, made, explored)
         rows = ([_yours(made, own)] if own else []) + rows
         # What knows the contact is beside designs that do, the others beside one for all.
         kinds = {(row["slots"], row["adaptive"]) for row in rows}
         best = {kind: _best(made, *kind) for kind in kinds}
         for row in rows:
             row["designed"] = best[row["slots"], row["adaptive"]]
-        bar.update(1)
-        parts = [(np.arange(_MAP) + 0.5) / _MAP * s for s in np.asarray(sensor.size)]
-        grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
-        chosen = np.zeros(made.slots)
-        chosen[found.grounds] = 1
-        whole = criterion == "d" and options["method"] != "points"
-        figures = None if whole else np.asarray(objective(grid)(jax.numpy.asarray(chosen)))
-        bar.update(1)
-    gap = found.value / found.bound - 1
-    return {
-        "rows": rows,
-        "summary": {
-            "grounds": found.grounds.tolist(),
-            "lam": None if options["method"] == "points" else float(made.lam),
-            "objective": found.value,
-            "bound": found.bound,
-            "gap": gap,
-            "unit": found.unit,
-            "greedy": found.greedy,
-            "rounded": found.rounded,
-            "method": options["method"],
-            "criterion": criterion,
-            "baselines": {row["name"]: row["value"] for row in rows},
-        },
-        "_places": places,
-        "_map": None if figures is None else figures.reshape(_MAP, _MAP),
+        progress.say("the map")
+        figures = None
+        if criterion != "d" or method == "points":  # else one figure for all places
+            parts = [(np.arange(_MAP) + 0.5) / _MAP * s for s in np.asarray(sensor.size)]
+            grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+            chosen = np.zeros(made.slots)
+            chosen[found.grounds] = 1
+            figures = np.asarray(objective(grid)(jax.numpy.asarray(chosen)))
+            figures = figures.reshape(_MAP, _MAP)
+    summary = {
+        "grounds": found.grounds.tolist(),
+        "lam": None if method == "points" else float(made.lam),
+        "objective": found.value,
+        "bound": found.bound,
+        "gap": found.value / found.bound - 1,
+        "unit": found.unit,
+        "greedy": found.greedy,
+        "rounded": found.rounded,
+        "method": method,
+        "criterion": criterion,
+        "baselines": {row["name"]: row["value"] for row in rows},
     }
+    return rows, summary, figures
 
 
 def _yours(objective: Any, grounds: list[int]) -> dict[str, Any]:
@@ -250,37 +232,14 @@ def _yours(objective: Any, grounds: list[int]) -> dict[str, Any]:
 
 
 def _best(objective: Any, slots: int, by_place: bool) -> float:
-    from tomojax import design as d
-    from tomojax.design import designs_by_place, ImageVariance
+    from tomojax import design as room
 
     if not by_place:
-        return d.design(objective, slots).value
-    if isinstance(objective, ImageVariance) and objective.criterion == "d":
+        return room.design(objective, slots).value
+    if isinstance(objective, room.ImageVariance) and objective.criterion == "d":
         return float("nan")  # one figure for all contacts
-    figures = d.each_its_own(objective, designs_by_place(objective, slots)[0])
+    figures = room.each_its_own(objective, room.designs_by_place(objective, slots)[0])
     return float(figures.max() if objective.worst else figures.mean())
-
-
-def _text(report: dict[str, Any]) -> str:
-    s = report["summary"]
-    scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
-    grounds = " ".join(map(str, s["grounds"]))
-    bound = f"{scale * s['bound']:.4g} ({100 * s['gap']:.1f} %)"
-    beside = f"; no set of as many is below {bound}" if s["gap"] == s["gap"] else ""
-    lines = [
-        f"grounds: {grounds}",
-        *([] if s["lam"] is None else [f"λ: {s['lam']:.4g}"]),
-        f"objective: {scale * s['objective']:.4g} {unit}{beside}",
-        f"{'pattern':12s} slots  {'its own':>10s}  designed, {unit}",
-    ]
-    for row in report["rows"]:
-        mark = "*" if row["adaptive"] else " "
-        known = [row[key] for key in ("value", "designed")]
-        own, best = (f"{scale * v:.4g}" if v == v else "-" for v in known)
-        values = f"{own:>10s}  {best:>8s}"
-        lines.append(f"{row['name']:11s}{mark} {row['slots']:5d}  {values}")
-    known = "* knows where the contact is, and so does the design beside it: --policy"
-    return "\n".join([*lines, known])
 
 
 def _table(sensor: Any, path: Path, options: dict) -> None:
@@ -295,66 +254,3 @@ def _table(sensor: Any, path: Path, options: dict) -> None:
     worst = 100 * float((found.value / found.bound - 1).max())
     told = f", each {worst:.1f} % off its bound at most" if worst == worst else ""
     print(f"policy: {path}, {nx} x {ny} places{told}")
-
-
-def _draw(sensor: Any, report: dict[str, Any]) -> Any:
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from tomojax._pictures import (
-        lay_sheet,
-        name_points,
-        plain,
-        show_image,
-        style,
-        VALUE,
-        VERMILION,
-    )
-
-    s = report["summary"]
-    scale, unit = (1e3, "mm") if s["unit"] == "m" else (1.0, s["unit"])
-    figure = Figure(figsize=(14, 5.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    xy = 1e3 * np.asarray(sensor.electrode_xy)
-    word = _WORDS[s["criterion"]]
-    figure.suptitle(f"Grounds designed for {s['method']}: the least {word}")
-    if report["_map"] is not None:
-        image = scale * report["_map"]
-        label = f"{word} there, {unit}"
-        show_image(left, image, sensor.size, label, cmap=f"{VALUE}_r", norm="log")
-    lay_sheet(left, sensor.size, sensor.electrode_xy, float(sensor.electrode_diameter))
-    left.plot(*1e3 * report["_places"].T, "k.", ms=2)
-    for order, ground in enumerate(s["grounds"], 1):
-        left.plot(*xy[ground], "o", color=VERMILION, ms=11)
-        left.text(*xy[ground], str(order), color="w", ha="center", va="center", size=8)
-    left.set_title(f"{len(s['grounds'])} grounds in order; dots: contacts")
-    rows = sorted(report["rows"], key=lambda row: row["slots"])
-    for row in rows:
-        mark = "^" if row["adaptive"] else "o"
-        right.loglog(row["slots"], scale * row["value"], mark, color="0.4", ms=5)
-    for adaptive, k, label in ((False, 0, "one for all"), (True, 2, "by place")):
-        some = [row for row in rows if row["adaptive"] == adaptive]
-        values = [scale * row["designed"] for row in some]
-        slots = [row["slots"] for row in some]
-        right.loglog(slots, values, **style(k, label=f"designed, {label}"))
-    right.loglog([], [], "o", color="0.4", ms=5, label="pattern")
-    right.loglog([], [], "^", color="0.4", ms=5, label="pattern that knows the contact")
-    at = len(s["grounds"]), scale * s["objective"]
-    right.loglog(
-        *at, "*", color=VERMILION, ms=12, ls="none", label="the design on the left"
-    )
-    name_points(
-        right,
-        [
-            (row["name"].replace("_", " "), row["slots"], scale * row["value"])
-            for row in rows
-        ],
-    )
-    right.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
-    slots = sorted({row["slots"] for row in rows})
-    right.set_xticks(slots, [str(n) for n in slots], minor=False)
-    right.set_xticks([], minor=True)
-    plain(right.yaxis)
-    right.set(xlabel="slots", ylabel=f"{word}, {unit}")
-    right.set_title("Patterns and designs, the lower the better")
-    return figure

@@ -6,8 +6,6 @@ import sys
 import click
 
 from tomojax.cli._design import design
-from tomojax.cli._live import live, record
-from tomojax.cli._rig import calibrate, check
 from tomojax.cli._studies import studies
 from tomojax.cli._table1 import table1
 from tomojax.cli.compiled import keep_compiled
@@ -15,6 +13,7 @@ from tomojax.cli.demo import demo
 from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track, view
+from tomojax.cli.rigs import calibrate, check, live, record
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

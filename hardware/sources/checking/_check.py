@@ -12,16 +12,24 @@ from tomojax.hardware.sources._source import Counters, Got, SlotSource
 # What an array holds before a read: no source writes that into every channel.
 _BEFORE = 12345
 
-# Seconds that a read may take beyond its timeout; that a start may take; of one read; and
-# by which a time of arrival may be off.
-_LATE, _START, _TIMEOUT, _ARRIVED = 1.0, 10.0, 0.1, 1.0
+# Seconds.
+_LATE = 1.0  # that a read may take beyond its timeout
+_START = 10.0  # that a start may take
+_TIMEOUT = 0.1  # of one read
+_ARRIVED = 1.0  # by which a time of arrival may be off
 
 # A converter of a larger range, V, is none: codes are volts by mistake.
 _RANGE = 1000.0
 
-# A rig's clock and rate agree within this part; grounds are obeyed in this part of the
-# later slots.
-_CLOCK, _OBEYED = 0.05, 0.9
+_CLOCK = 0.05  # within this part a rig's clock and rate agree
+_OBEYED = 0.9  # in this part of the later slots grounds are obeyed
+
+# What a source tells after its start: what is expected, and whether a number is that.
+_TOLD: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "rate": ("slots/s above 0", lambda value: value > 0),
+    "scale": ("V per code, not 0", lambda value: value != 0),
+    "offset": ("V at code 0", lambda value: True),
+}
 
 # Units that a time may be in by mistake.
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -107,14 +115,9 @@ class _Trial:
     def _start(self) -> bool:
         self.source.start()
         fine = True
-        for name in ("rate", "scale", "offset"):
-            value = getattr(self.source, name, None)
-            number = isinstance(value, int | float | np.number)
-            told = float(value) if number else np.nan  # pyright: ignore
-            wanted = {"rate": "slots/s above 0", "scale": "V per code, not 0"}
-            right = bool(np.isfinite(told)) and (name == "offset" or told != 0)
-            if not right or (name == "rate" and told < 0):
-                expected = wanted.get(name, "V at code 0")
+        for name, (expected, right) in _TOLD.items():
+            value: Any = getattr(self.source, name, None)
+            if not (_is_finite(value) and right(value)):
                 self.say(f"{name} is {value!r} after start(), expected {expected}")
                 fine = False
         full = 32768 * abs(float(self.source.scale)) if fine else 0.0
@@ -190,7 +193,7 @@ class _Trial:
                 return False
         for name in ("time", "arrived"):
             value = getattr(got, name)
-            if not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            if not _is_finite(value):
                 self.say(f"{name} of a Got is {value!r}, expected seconds")
                 return False
         return True
@@ -242,6 +245,10 @@ class _Trial:
                 self.source.stop()
             except Exception as error:
                 self.say(f"{call} raised {type(error).__name__}: {error}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def _numbers(got: list[Got]) -> str:

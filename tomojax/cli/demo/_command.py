@@ -1,6 +1,5 @@
 """The command `tomojax demo`."""
 
-import sys
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import click
 
 from tomojax._whole import whole
 from tomojax.cli.demo._scenes import SCENES
-from tomojax.cli.entry import Command, OutputFolder
+from tomojax.cli.entry import Command, OutputFolder, Progress, save_picture
 
 
 @click.command(cls=Command)
@@ -35,8 +34,6 @@ def demo(scene: str, listed: bool, out: Path) -> None:
 
 
 def _demo(name: str, out: Path) -> None:
-    from tqdm import tqdm
-
     from tomojax.cli.demo import _pictures
     from tomojax.recordings import open_recording
     from tomojax.results import plots, reconstruct_recording, report, Settings
@@ -52,23 +49,13 @@ def _demo(name: str, out: Path) -> None:
         reconstruct_recording(recording, results, settings, overwrite=True)
         touched, xy = _truth(path)
         told = _pictures.Told(recording, touched, results)
-    with whole(out / "demo.png") as part:
-        _pictures.still(told, scene.words, part)
-    print(f"picture: {out / 'demo.png'}")
+    save_picture(_pictures.still(told, scene.words), out / "demo.png")
     print(report.text(report.summary(results), results))
     print(_judged(told, xy))
-    with tqdm(desc="film", disable=None, file=sys.stderr) as bar:
-
-        def progress(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        with whole(out / "demo.gif") as part:
-            _pictures.film(told, part, scene.slow, progress)
+    with Progress("film") as progress, whole(out / "demo.gif") as part:
+        _pictures.film(told, part, scene.slow, progress)
     print(f"film: {out / 'demo.gif'}")
-    with whole(out / "contacts.png") as part:
-        plots.timeline(results).savefig(part, dpi=110)
-    print(f"picture: {out / 'contacts.png'}")
+    save_picture(plots.timeline(results), out / "contacts.png")
 
 
 def _truth(path: Path):

@@ -96,7 +96,7 @@ class _Panels:
             shown.set_data(images[row].T)
 
 
-def still(told: Told, words: str, out: Path) -> None:
+def still(told: Told, words: str) -> Figure:
     """Draws some moments: a line each, with truth, Eq. 3 and what was found."""
     figure = Figure(figsize=(7.2, 2.35 * _MOMENTS + 0.8), layout="constrained")
     grid = figure.subplots(_MOMENTS, 3, squeeze=False)
@@ -112,7 +112,7 @@ def still(told: Told, words: str, out: Path) -> None:
     shown = grid[0, 0].images[0]
     bar = figure.colorbar(shown, ax=grid, location="bottom", shrink=0.6)
     bar.set_label(label)
-    figure.savefig(out, dpi=110)
+    return figure
 
 
 def film(told: Told, out: Path, slow: float, progress: Callable[[int, int], None]) -> None:

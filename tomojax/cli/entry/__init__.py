@@ -20,6 +20,12 @@ from tomojax.cli.entry._interrupts import (
     listening as listening,
     STOPPED as STOPPED,
 )
+from tomojax.cli.entry._left import (
+    json_option as json_option,
+    picture_option as picture_option,
+    save_picture as save_picture,
+    write_report as write_report,
+)
 from tomojax.cli.entry._names import (
     check_name as check_name,
     FIXED as FIXED,
@@ -29,6 +35,13 @@ from tomojax.cli.entry._names import (
     sheet_of as sheet_of,
     SIZE as SIZE,
 )
+from tomojax.cli.entry._options import (
+    calibration_option as calibration_option,
+    grouped as grouped,
+    like_option as like_option,
+    stretch_options as stretch_options,
+    wire_options as wire_options,
+)
 from tomojax.cli.entry._paths import (
     check_paths as check_paths,
     InputFile as InputFile,
@@ -36,5 +49,4 @@ from tomojax.cli.entry._paths import (
     OutputFolder as OutputFolder,
     Written as Written,
 )
-from tomojax.cli.entry._said import stages as stages
-from tomojax.cli.entry._stretch import stretch_options as stretch_options
+from tomojax.cli.entry._progress import Progress as Progress

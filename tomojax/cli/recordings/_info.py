@@ -1,12 +1,17 @@
 """`tomojax info`: prints what a recording holds, and its faults."""
 
-import json
 from pathlib import Path
 
 import click
 
-from tomojax._whole import write_text
-from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
+from tomojax.cli.entry import (
+    Command,
+    InputFile,
+    json_option,
+    Progress,
+    stretch_options,
+    write_report,
+)
 from tomojax.cli.recordings._opened import layout_option, opened
 
 
@@ -17,12 +22,7 @@ from tomojax.cli.recordings._opened import layout_option, opened
     type=InputFile(),
     help="Say how old this calibration is, and whether REC still fits it.",
 )
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report"),
-    help="Write the faults and a summary here; replaces an earlier report.",
-)
+@json_option("the faults and a summary")
 @layout_option
 @stretch_options
 def info(
@@ -37,8 +37,6 @@ def info(
 
     The command also looks for signs of wrong wiring.
     """
-    from tqdm import tqdm
-
     from tomojax.bringup.signs import find_signs
     from tomojax.recordings import info
 
@@ -49,12 +47,7 @@ def info(
 
             known = Calibration.load(calibration, recording.electrodes)
         summary = info.summary(recording)
-        with tqdm(desc="info", unit="chunk", disable=None) as bar:
-
-            def progress(done: int, total: int) -> None:
-                bar.total = total
-                bar.update(done - bar.n)
-
+        with Progress("info", "chunks") as progress:
             rows = info.faults(recording, progress)
         signs = find_signs(recording)
         rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
@@ -72,8 +65,4 @@ def info(
 
         print(fit_text(fit))
         summary["calibration"] = {"file": str(calibration), **fit}
-    if json_path:
-        from tomojax._environment import environment
-
-        report = {"rows": rows, "summary": summary, "environment": environment()}
-        write_text(json_path, json.dumps(report, indent=1) + "\n")
+    write_report(json_path, rows=rows, summary=summary)

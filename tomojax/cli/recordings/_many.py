@@ -5,14 +5,16 @@ import json
 import sys
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import click
-
 from tomojax._require import require
-from tomojax._whole import whole, write_text
+from tomojax._whole import whole
+from tomojax.cli.compiled import compiling
+from tomojax.cli.entry import interrupts, Progress, STOPPED, write_report
+from tomojax.cli.recordings._one import COMPILING, settings_of
+from tomojax.cli.recordings._opened import opened
 
 # What recordings are called.
 _TABLES = (".csv", ".tsv", ".txt")
@@ -40,11 +42,25 @@ _COLUMNS = {
 }
 
 
-class Recordings(click.Path):
-    """A recording, or a folder of them."""
+def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -> None:
+    """Reconstructs all with the same settings; a rig's first compiles the programs.
 
-    def __init__(self) -> None:
-        super().__init__(exists=False, path_type=Path)
+    **Raises:** `SystemExit` if a recording failed.
+    """
+    for name in ("picture", "outlines", "coordinator", "processes", "process"):
+        if options[name] is not None:
+            raise ValueError(f"--{name}: got several recordings, expected one")
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out: {out}: got a file, expected a folder for several")
+    if not out.absolute().parent.is_dir():
+        raise ValueError(f"{out}: no such folder; make it, or give another")
+    places = places_of(found_in(given), out)
+    rows, wrong = _rows(places, out, options, settings_of(options))
+    print(text(rows, wrong, out))
+    summary = {"recordings": len(rows), "done": len(rows) - wrong}
+    write_report(options["json_path"], rows=rows, summary=summary)
+    if wrong:
+        raise SystemExit(2)
 
 
 def found_in(given: Sequence[Path]) -> list[Path]:
@@ -94,60 +110,65 @@ def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
     return places
 
 
-def reconstruct_all(
-    recordings: list[Path],
-    out: Path,
-    work: Callable[[Path, Path, Callable[[str], None]], None],
-    fresh: bool,
+def _rows(
+    places: dict[Path, Path], out: Path, options: dict[str, Any], settings: Any
 ) -> tuple[list[dict[str, Any]], int]:
     """Reconstructs each recording; an error gives one line, and the next recording follows.
 
-    `work` makes the results of a recording. If `fresh`, no results may exist before.
     Returns the rows of the table, and how many recordings failed. The table is written anew
     after each recording.
     """
-    places = places_of(recordings, out)
     there = [place for place in places.values() if place.exists() or _begun(place)]
-    if fresh and there:
+    if there and not (options["resume"] or options["overwrite"]):
         mend = "--resume to go on, --overwrite, or another folder"
         raise ValueError(f"{out}: got results of {len(there)} already, expected {mend}")
     out.mkdir(exist_ok=True)
     rows, wrong = [], 0
-    for number, (rec, place) in enumerate(places.items(), 1):
-        began = time.monotonic()
-        row: dict[str, Any] = dict.fromkeys(_COLUMNS, "") | {"file": str(rec)}
-        try:
-            if not rec.is_file():
-                raise ValueError(f"{rec}: no such file")
-            told = f"{number} of {len(places)}: {rec.name}"
-            work(rec, place, lambda text, told=told: _say(f"{told} {text}"))
-            row |= {"status": "done", "results": str(place)} | _counted(place)
-        except KeyboardInterrupt:
-            done = number - 1 - wrong
-            raise Stopped(
-                f"tomojax: stopped after {done} of {len(places)}; --resume goes on in {out}"
-            ) from None
-        except (OSError, ValueError) as error:
-            wrong += 1
-            row["status"] = " ".join(str(error).splitlines())
-            print(f"tomojax: {row['status']}", file=sys.stderr)
-        row["took"] = f"{time.monotonic() - began:.2f}"
-        rows.append(row)
-        write_table(rows, out / "table.csv")
+    with Progress(unit="chunks") as progress, interrupts():
+        begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
+        with compiling(begun=begun):
+            for number, (rec, place) in enumerate(places.items(), 1):
+                began = time.monotonic()
+                row: dict[str, Any] = dict.fromkeys(_COLUMNS, "") | {"file": str(rec)}
+                progress.label = f"{number} of {len(places)}: {rec.name}"
+                try:
+                    _reconstruct(rec, place, options, settings, progress)
+                    row |= {"status": "done", "results": str(place)} | _counted(place)
+                except KeyboardInterrupt:
+                    done = f"{number - 1 - wrong} of {len(places)}"
+                    told = f"tomojax: stopped after {done}; --resume goes on in {out}"
+                    print(f"\n{told}", file=sys.stderr)
+                    raise SystemExit(STOPPED) from None
+                except (OSError, ValueError) as error:
+                    wrong += 1
+                    row["status"] = " ".join(str(error).splitlines())
+                    progress.above(f"tomojax: {row['status']}")
+                row["took"] = f"{time.monotonic() - began:.2f}"
+                rows.append(row)
+                write_table(rows, out / "table.csv")
     return rows, wrong
 
 
-class Stopped(Exception):
-    """Ctrl-C, with the line to print."""
+def _reconstruct(
+    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: Progress
+) -> None:
+    from tomojax.results import reconstruct_recording
+
+    if not rec.is_file():
+        raise ValueError(f"{rec}: no such file")
+    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
+        reconstruct_recording(
+            recording,
+            place,
+            settings,
+            resume=options["resume"],
+            overwrite=options["overwrite"],
+            progress=progress,
+        )
 
 
 def _begun(place: Path) -> bool:
     return place.with_name(place.name + ".partial").exists()
-
-
-def _say(text: str) -> None:
-    if sys.stderr.isatty():
-        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _counted(place: Path) -> dict[str, Any]:
@@ -191,16 +212,3 @@ def text(rows: list[dict[str, Any]], wrong: int, out: Path) -> str:
     ]
     done = f"{len(rows) - wrong} of {len(rows)} done; table: {out / 'table.csv'}"
     return "\n".join([head, *lines, done])
-
-
-def write_json(rows: list[dict[str, Any]], path: Path) -> None:
-    """Writes the table as JSON, in the layout of other commands' reports."""
-    from tomojax._environment import environment
-
-    done = sum(row["status"] == "done" for row in rows)
-    told = {
-        "rows": rows,
-        "summary": {"recordings": len(rows), "done": done},
-        "environment": environment(),
-    }
-    write_text(path, json.dumps(told, indent=1) + "\n")

@@ -5,7 +5,14 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import Command, COUNT, InputFile, OutputFile, stretch_options
+from tomojax.cli.entry import (
+    Command,
+    COUNT,
+    InputFile,
+    OutputFile,
+    Progress,
+    stretch_options,
+)
 
 _NAMES = (
     "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
@@ -95,8 +102,6 @@ def repair(
     REC itself stays as it is. Every command that reads REC puts right clocks that fall,
     stand or begin anew. This command writes the corrected times into the new file.
     """
-    from tqdm import tqdm
-
     from tomojax.files import read_toml
     from tomojax.recordings import between, open_recording, repair_recording
 
@@ -112,13 +117,8 @@ def repair(
         raise ValueError("--scans: got --from or --to as well, expected one of them")
     with (
         open_recording(rec, header=header) as recording,
-        tqdm(desc="repair", unit="scan", total=recording.scans, disable=None) as bar,
+        Progress("repair", "scans") as progress,
     ):
-
-        def progress(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
         scans = scans or between(recording, since, until).stretch
         given = order_of.get("channels"), order_of.get("grounds")
         repair_recording(recording, out, scans, *given, join, progress)  # pyright: ignore

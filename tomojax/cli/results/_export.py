@@ -1,8 +1,7 @@
 """`tomojax export`: writes results for other tools."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from tomojax.cli.entry import (
     interrupts,
     NUMBER,
     OutputFile,
+    Progress,
     STOPPED,
     Written,
 )
@@ -112,10 +112,10 @@ def export(results: Sequence[Path], to: dict, **options: Any) -> None:
     _check(results, list(work.values()), kind, options["overwrite"])
     given = {n: options[n] for n in ("since", "rate", "task", "slow")}
     wrong = 0
-    with interrupts() as interrupted:
+    with interrupts():
         for number, (one, place) in enumerate(work.items()):
             try:
-                with _progress(place, interrupted) as progress:
+                with Progress(place.name, "rows") as progress:
                     export(one, place, kind, until=to["until"], **given, progress=progress)
             except KeyboardInterrupt:
                 print(
@@ -173,18 +173,3 @@ def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None
         there = one.path.exists() and not overwrite
         require(not there, f"{one.path}", "a file", "a new name, or --overwrite")
     check_paths(list(results), written, overwrite)
-
-
-@contextmanager
-def _progress(place: Path, interrupted: Any) -> Iterator[Any]:
-    from tqdm import tqdm
-
-    with tqdm(desc=place.name, unit="row", disable=None, unit_scale=True) as bar:
-
-        def told(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-            if interrupted.is_set():
-                raise KeyboardInterrupt
-
-        yield told

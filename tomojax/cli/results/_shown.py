@@ -17,17 +17,19 @@ from tomojax.hardware.web import (
     ellipse_columns,
     flag_lines,
     flag_rows,
-    mark_columns,
+    marked_line,
     numbers,
     pixels,
     spectrum,
+    volt_columns,
 )
 from tomojax.recordings import open_recording, Recording
 from tomojax.results.loading import LoadedResults
 
-# Parts of a time line, and of one that flags are drawn at; rows of a trail; scans of a
-# spectrum.
-_MOST, _MOST_FLAGS, _TRAIL, _SPECTRUM = 1000, 400, 2000, 2048
+_MOST = 1000  # parts of a time line
+_MOST_FLAGS = 400  # parts of it that flags are drawn at
+_TRAIL = 2000  # rows
+_SPECTRUM = 2048  # scans
 
 
 class ShownResults:
@@ -102,7 +104,8 @@ class ShownResults:
         until = until if until > since else end
         sources, told, t = self._row(row)
         sources |= self._volts(row, t, asked, told)
-        sources |= self._time_line(since, until)
+        lines, names = self._time_line(since, until)
+        sources |= lines
         read = f"{100 * line.read:.0f} % of the rows are in the line"
         if line.failed:
             read += f"; then: {line.failed}"
@@ -110,7 +113,7 @@ class ShownResults:
             "sources": sources,
             "told": told,
             "flags": flag_lines(int(file.stretch("flags", row, row + 1)[0])),
-            "names": sources.pop("names"),
+            "names": names,
             "title": f"{file.path.name}, {file.rows} rows",
             "thinned": "" if line.read == 1 else read,
             "t": t,
@@ -180,19 +183,16 @@ class ShownResults:
                 ("voltages", f"{self._heard} is another recording: its times differ")
             )
             return {}
-        volts = numbers(some.voltages[scan - first, slot])
         ground = int(some.grounds[scan - first, slot])
         told.append(("voltages", f"{self._heard}, ground {ground}"))
         electrode = chosen_electrode(asked, recording.electrodes)
         series = np.nan_to_num(some.voltages[:, slot, electrode].astype(float))
-        found: dict[str, Any] = {
-            "volts": {"electrode": list(range(len(volts))), "volts": volts}
-        }
+        found = {"volts": volt_columns(some.voltages[scan - first, slot])}
         if len(series) >= 16:
             found["spectrum"] = spectrum(series, 1 / recording.interval)
         return found
 
-    def _time_line(self, since: float, until: float) -> dict[str, Any]:
+    def _time_line(self, since: float, until: float) -> tuple[dict[str, Any], list[str]]:
         line, scale = self._line, 1.0 if self._line.name == "contact_force" else 1e6
         parts = line.parts(self._file, since, until, _MOST)
         t = parts.t.tolist()
@@ -200,18 +200,13 @@ class ShownResults:
         at = np.arange(0, len(t), each)
         doubts = flag_rows(parts.t[at], np.bitwise_or.reduceat(parts.flags, at))
         marks = [one for one in self.marks if since <= one[0] <= until]
-        names = sorted(set(doubts["name"]))
-        return {
-            "line": {
-                "t": t,
-                "count": parts.contacts.tolist(),
-                "low": numbers(scale * parts.low.astype(float)),
-                "high": numbers(scale * parts.high.astype(float)),
-            },
-            "doubts": doubts,
-            **mark_columns(marks, since, until),
-            "names": [*names, "marks"] if marks else names or ["no flags"],
+        line = {
+            "t": t,
+            "count": parts.contacts.tolist(),
+            "low": numbers(scale * parts.low.astype(float)),
+            "high": numbers(scale * parts.high.astype(float)),
         }
+        return marked_line(line, doubts, marks, since, until)
 
 
 _OF_A_ROW = (

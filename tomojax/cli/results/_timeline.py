@@ -10,9 +10,11 @@ import numpy as np
 from tomojax._require import require
 from tomojax.results.loading import LoadedResults
 
-# Parts of the whole file that are kept; places that are looked at before the first
-# picture, and rows at each; rows that are read exactly; and in one piece.
-_PARTS, _PLACES, _FEW, _EXACT, _PIECE = 16384, 256, 8, 200_000, 1 << 19
+_PARTS = 16384  # of the whole file that are kept
+_PLACES = 256  # that are looked at before the first picture
+_FEW = 8  # rows at each of these
+_EXACT = 200_000  # rows that are read exactly
+_PIECE = 1 << 19  # rows that are read in one piece
 
 
 class Parts(NamedTuple):

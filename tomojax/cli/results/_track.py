@@ -1,14 +1,21 @@
 """`tomojax track`: follows contacts over time."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import click
 
-from tomojax._whole import whole, write_text
-from tomojax.cli.entry import Command, InputFile, OutputFile, stretch_options
+from tomojax.cli.entry import (
+    Command,
+    InputFile,
+    json_option,
+    OutputFile,
+    picture_option,
+    save_picture,
+    stretch_options,
+    write_report,
+)
 
 
 def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
@@ -62,17 +69,8 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     "deviations M,LN_G, or auto. 0,0 stands still.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
-@click.option(
-    "--picture",
-    type=OutputFile("picture"),
-    help="Draw the contacts' paths here (PNG); replaces a picture.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report"),
-    help="Write the contacts here; replaces an earlier report.",
-)
+@picture_option("the contacts' paths")
+@json_option("the contacts")
 @stretch_options
 def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS over time.
@@ -83,24 +81,16 @@ def track(results: Path, out: Path, **options: Any) -> None:
     """
     _check_stretch(results, options["since"], options["until"])
 
-    from tomojax._environment import environment
     from tomojax.results import track_file as work
 
     names = ("overwrite", "smooth", "hold", "least", "drift", "since", "until")
     _, found = work.track_results(results, out, **{name: options[name] for name in names})
     print(work.text(found))
     print(f"tracks: {out}")
-    if options["json_path"]:
-        report = {
-            "rows": [touch._asdict() for touch in found],
-            "summary": {"contacts": len(found)},
-            "environment": environment(),
-        }
-        write_text(options["json_path"], json.dumps(report, indent=1) + "\n")
+    rows = [touch._asdict() for touch in found]
+    write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})
     if options["picture"]:
-        with whole(options["picture"]) as part:
-            work.picture(results, out).savefig(part, dpi=110)
-        print(f"picture: {options['picture']}")
+        save_picture(work.picture(results, out), options["picture"])
 
 
 def _check_stretch(results: Path, since: float | None, until: float | None) -> None:

@@ -3,11 +3,11 @@
 import math
 import time
 import webbrowser
-from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
+from tomojax._require import require_library
 from tomojax.cli.entry import AMOUNT, Command, InputFile, interrupts, stretch_options
 
 
@@ -38,8 +38,7 @@ def view(
     The printed address has a secret. Whoever has the address sees the page while the
     command runs.
     """
-    if find_spec("bokeh") is None:
-        raise ValueError("bokeh is not installed; pip install 'tomojax[web]' brings it")
+    require_library("bokeh", "web")
     from tomojax.cli.results._shown import ShownResults
     from tomojax.hardware.web import Pages, quiet, serve
     from tomojax.results.loading import attributes

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, ExitStack
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from tomojax._require import require_library
 from tomojax.cli.entry import interrupts, sheet_of
 
 # Seconds that a process beside the loop has to end: `shape` may be compiling.
@@ -151,16 +151,13 @@ def _viewer(view: str, rrd: Path | None, ring: str) -> list[str]:
     if view == "none":
         return []
     if view == "web":
-        if find_spec("bokeh") is None:
-            mend = "pip install 'tomojax[web]' brings it"
-            raise ValueError(f"bokeh is not installed; {mend}")
+        require_library("bokeh", "web")
         return [sys.executable, "-m", "tomojax.hardware.web.live", ring]
-    module = "view" if view == "terminal" else "view_rerun"
-    if view == "rerun" and find_spec("rerun") is None:
-        mend = "pip install 'tomojax[rerun]' brings it"
-        raise ValueError(f"rerun is not installed; {mend}")
-    words = [] if rrd is None or view != "rerun" else ["--rrd", str(rrd)]
-    return [sys.executable, "-m", f"tomojax.hardware.loop.{module}", ring, *words]
+    if view == "terminal":
+        return [sys.executable, "-m", "tomojax.hardware.loop.view", ring]
+    require_library("rerun", "rerun")
+    words = [] if rrd is None else ["--rrd", str(rrd)]
+    return [sys.executable, "-m", "tomojax.hardware.loop.view_rerun", ring, *words]
 
 
 @contextmanager

@@ -1,6 +1,5 @@
-"""Commands that find out what a rig really is: `tomojax calibrate` and `check`."""
+"""`tomojax check`: checks a new rig from a recording of rest, a rub and two touches."""
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -8,115 +7,21 @@ from typing import Any
 
 import click
 
-from tomojax._whole import whole, write_text
 from tomojax.cli.entry import (
     AMOUNT,
     Command,
-    COUNT,
     InputFile,
+    json_option,
     OutputFile,
-    stages,
+    picture_option,
+    Progress,
+    save_picture,
     stretch_options,
+    wire_options,
+    write_report,
 )
 from tomojax.cli.recordings import layout_option, opened
-
-
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
-@click.argument("places", type=InputFile(), required=False)
-@click.option(
-    "-o",
-    "--out",
-    type=OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
-    help="Write the calibration here. [default: REC.calibration.json]",
-)
-@click.option(
-    "--older", "before", type=InputFile(), help="Begin with this older calibration."
-)
-@click.option(
-    "--frames",
-    type=int,
-    default=1000,
-    show_default=True,
-    help="Use this many frames of ten slots at most.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
-@click.option(
-    "--picture",
-    type=OutputFile("picture"),
-    help="Draw the sheet and electrodes here (PNG); replaces a picture.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report"),
-    help="Write the printed figures here; replaces an earlier report.",
-)
-@layout_option
-@stretch_options
-def calibrate(
-    rec: Path,
-    places: Path | None,
-    out: Path,
-    before: Path | None,
-    frames: int,
-    overwrite: bool,
-    picture: Path | None,
-    json_path: Path | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
-) -> None:
-    """Calibrate the rig from REC, a recording of a rub.
-
-    Rub the whole sheet with one finger or a blunt pen. The finger's places need not be
-    known. The command finds places, gains, zeros, the sheet, the ground paths and the
-    electrodes' places together.
-
-    PLACES, where you have them, gives x and y in metres of each slot or each scan. PLACES
-    is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
-    uses the result.
-    """
-    if out.exists() and not overwrite:
-        raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
-    if frames < 16:
-        raise ValueError(f"frames: got {frames}, expected 16 or more")
-
-    say = stages()
-    with opened(rec, layout, since, until) as recording:
-        # JAX is imported from here on: what is wrong with REC is told without.
-        from tomojax import calibration as room
-        from tomojax.sensor import Calibration
-
-        sensor = recording.rig.sensor()
-        told = room.read_places(places) if places else None
-        older = Calibration.load(before, recording.electrodes) if before else None
-        try:
-            found = room.calibrated_recording(
-                recording, told, frames, calibration=older, progress=say
-            )
-        except ValueError as error:
-            say("")
-            raise ValueError(f"{rec}: {error}") from None
-    say("")
-    found.calibration.save(out)
-    print(room.text(sensor, found))
-    print(f"calibration: {out}")
-    if picture:
-        with whole(picture) as part:
-            room.picture(sensor, found).savefig(part, dpi=110)
-        print(f"picture: {picture}")
-    if json_path:
-        from tomojax._environment import environment
-
-        row = room.summary(sensor, found)
-        report = {"rows": [row], "summary": row, "environment": environment()}
-        write_text(json_path, json.dumps(report, indent=1) + "\n")
-
-
-def _calibration_of(rec: Path) -> Path:
-    return rec.with_name(rec.stem + ".calibration.json")
-
+from tomojax.cli.rigs._session import session
 
 # Names of sources that are no files.
 _SOURCES = ("serial:", "udp://", "ni:", "virtual")
@@ -159,17 +64,8 @@ class _Corners(click.ParamType):
     help="Write the corrected order of wires here, for --config of `tomojax live`; "
     "replaces an earlier order.",
 )
-@click.option(
-    "--picture",
-    type=OutputFile("picture"),
-    help="Draw the sheet and its faults here (PNG); replaces a picture.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile("report"),
-    help="Write the faults here; replaces an earlier report.",
-)
+@picture_option("the sheet and its faults")
+@json_option("the faults")
 @click.option("--like", type=InputFile(), help="Expect as many channels as this recording.")
 @click.option(
     "--quiet",
@@ -192,8 +88,7 @@ class _Corners(click.ParamType):
     show_default=True,
     help="Record each touch on SOURCE for this time, s.",
 )
-@click.option("--baud", type=COUNT, help="Speed of a serial line, baud. [default: 4000000]")
-@click.option("--bind", help="Listen here over UDP. [default: 127.0.0.1, this machine]")
+@wire_options
 @layout_option
 @stretch_options
 def check(
@@ -237,31 +132,23 @@ def check(
         path = out or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
         _record(source, path, like, quiet, rub, touch, corners, baud=baud, bind=bind)
 
-    say = stages()
     with opened(path, layout, since, until) as recording:
         if like is not None:
             _same_sensor(path, recording, like)
         from tomojax import bringup  # imports JAX, without which a bad file is told
 
-        try:
-            found = bringup.check(recording, corners, progress=say)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-        finally:
-            say("")
+        with Progress() as progress:
+            try:
+                found = bringup.check(recording, corners, progress=progress.say)
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from None
     print(bringup.text(found))
     if write:
         bringup.write_order(found, write)
         print(f"order of channels and grounds: {write}; use it with --config {write}")
     if picture:
-        with whole(picture) as part:
-            bringup.picture(found).savefig(part, dpi=110)
-        print(f"picture: {picture}")
-    if json_path:
-        from tomojax._environment import environment
-
-        report = bringup.summary(found) | {"environment": environment()}
-        write_text(json_path, json.dumps(report, indent=1) + "\n")
+        save_picture(bringup.picture(found), picture)
+    write_report(json_path, **bringup.summary(found))
     return 1 if found.faults else 0
 
 
@@ -290,8 +177,6 @@ def _record(
 ) -> None:
     """Records a source while the user is told what to do."""
     import numpy as np
-
-    from tomojax.cli._session import session
 
     first = "the corner of electrode 0 (x and y least)"
     second = "the corner at the end of row 0 (x least, y most)"

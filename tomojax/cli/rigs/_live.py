@@ -1,0 +1,174 @@
+"""`tomojax live`: finds contacts in each slot of a rig as the slot comes."""
+
+import json
+import math
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tomojax.cli.entry import (
+    AMOUNT,
+    calibration_option,
+    check_name,
+    Command,
+    COUNT,
+    ground_numbers,
+    METHODS,
+    OutputFile,
+    POLICIES,
+)
+from tomojax.cli.rigs._options import session_options
+from tomojax.cli.rigs._session import session
+
+# While JAX is imported and compiles, nothing else is seen.
+_COMPILING = (
+    "compiling the step: up to half a minute the first time; later runs start in seconds"
+)
+
+
+@click.command(cls=Command)
+@session_options
+@click.option(
+    "--method",
+    default="follow",
+    show_default=True,
+    help="Find contacts by this method: follow, or one that sees each slot alone.",
+)
+@click.option(
+    "--policy",
+    default="around_contacts",
+    show_default=True,
+    help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
+    "electrodes as 0,7,14, or a table of `tomojax design --policy`.",
+)
+@click.option("--cheaper", help="Method for slots that are late. [default: the same]")
+@click.option(
+    "--budget", type=AMOUNT, help="A slot older than this is late, s. [default: one slot]"
+)
+@click.option(
+    "--contacts",
+    type=COUNT,
+    default=2,
+    show_default=True,
+    help="Find this many contacts at most.",
+)
+@calibration_option
+@click.option(
+    "--adapt",
+    is_flag=True,
+    help="Follow zeros and gains that drift slowly. If --record OUT is given, "
+    "OUT.adapted.h5 logs them.",
+)
+@click.option(
+    "--shapes",
+    is_flag=True,
+    help="Let a separate process draw the view's image by the method shape.",
+)
+@click.option(
+    "--record",
+    "out",
+    type=OutputFile("recording", also=(".adapted.h5",)),
+    help="Write the slots to this recording as well. [default: no recording]",
+)
+@click.option(
+    "--send",
+    multiple=True,
+    metavar="KIND:WHERE",
+    help="Send contacts, touch-downs and lift-offs to udp://HOST:PORT, jsonl:FILE (- is "
+    "standard output), osc://HOST:PORT, lsl:NAME or foxglove:PORT. Add ?rate=100 "
+    "for at most 100 rows a second. May be repeated.",
+)
+@click.option(
+    "--radius",
+    type=AMOUNT,
+    help="Radius of the tip that presses, m. --send then includes forces. Needs a "
+    "--calibration with a law of pressure.",
+)
+@click.option(
+    "--real-time",
+    is_flag=True,
+    help="Answer sooner: one core, one compiled function, no garbage collection, "
+    "SCHED_FIFO where the system allows.",
+)
+def live(source: str, method: str, policy: str, out: Path | None, **options: Any) -> None:
+    """Find the contacts in each slot of SOURCE as the slot comes.
+
+    SOURCE is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording, or virtual, a
+    simulated rig. The command sends the next grounds back to SOURCE.
+    """
+    from tomojax.hardware.sinks import check_all
+
+    for option, name in (("--method", method), ("--cheaper", options["cheaper"])):
+        check_name(option, name or method, ("follow", *METHODS))
+    own = policy.endswith(".npz")
+    if own and not Path(policy).is_file():
+        raise ValueError(f"--policy: {policy}: no such file")
+    if not own and ground_numbers("--policy", policy) is None:
+        more = ", electrodes with commas: 0,7,14, or a table, .npz"
+        check_name("--policy", policy, POLICIES, more)
+    sinks = check_all(options["send"], out)
+    # What is read line by line has no pictures of a terminal in between.
+    lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)
+    if lines and options["view"] != "none":
+        raise ValueError("--send jsonl:-: got a view as well, expected --view none")
+    path, calibration, law = options["calibration"], None, None
+
+    def check(electrodes: int) -> None:
+        nonlocal calibration, law
+        if not own:
+            ground_numbers("--policy", policy, electrodes)
+        if path is not None:
+            from tomojax.sensor import Calibration
+
+            calibration = Calibration.load(path, electrodes)
+        law = _law(calibration, options["radius"])
+        print(_COMPILING, file=sys.stderr)
+
+    def compiled(sensor: Any) -> Any:
+        from tomojax.step import load_policy, make_step
+
+        step = make_step(
+            sensor,
+            method,
+            policy,
+            tables={policy: load_policy(policy, sensor)} if own else None,
+            contacts=options["contacts"],
+            cheaper=options["cheaper"],
+            calibration=calibration,
+        )
+        # The view's image is compiled here as well: in the loop slots would wait for it.
+        if not options["shapes"]:
+            step.image(step.state).block_until_ready()
+        return step
+
+    with ExitStack() as stack:
+        if options["real_time"]:
+            from tomojax.hardware import real_time
+
+            allowed = stack.enter_context(real_time())
+            print(f"real time: {', '.join(allowed)}", file=sys.stderr)
+        opened, step = stack.enter_context(session(source, out, options, compiled, check))
+        if options["adapt"]:
+            log = "" if out is None else str(out.with_name(out.stem + ".adapted.h5"))
+            opened.beside("loop.adapter", str(path or ""), log)
+        if options["shapes"]:
+            opened.beside("loop.drawing", str(path or ""))
+        for name in options["send"]:
+            opened.beside("sinks.run", name, "--force", json.dumps(law))
+        opened.words = sys.stderr if lines else sys.stdout
+        opened.run(step, options["budget"], images=not options["shapes"])
+
+
+def _law(calibration: Any, radius: float | None) -> tuple[float, ...] | None:
+    """Returns c, k and the contact's area, m², which turn conductances into forces."""
+    if radius is None:
+        return None
+    law = None if calibration is None else calibration.pressure
+    if law is None:
+        raise ValueError(
+            "--radius: got no law of pressure, expected --calibration with one"
+        )
+    return *law, math.pi * radius**2
