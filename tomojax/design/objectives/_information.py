@@ -88,16 +88,14 @@ class PlaceInformation(AbstractObjective):
     F_l = JᵀN⁻¹J of place and size, with the slot's current free. The currents are those
     that the ground really draws; N has the errors of `points`, or stated errors. Figures in
     m: "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4). "a" is the variance C_xx +
-    C_yy, m². `directions` are the unknowns that count: x and y, or the distance of two
-    contacts.
+    C_yy, m².
     """
 
     convex: ClassVar[bool] = True
     criterion: str = eqx.field(static=True)
-    information: Float[Array, "P L n n"]  # of x, y (per unit) and size, of each contact
-    prior: Float[Array, "n n"]
+    information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
+    prior: Float[Array, "3 3"]
     length: Float[Array, ""]  # the unit, m
-    directions: Float[Array, "P n q"]  # what of these counts: x and y
 
     @property
     def unit(self) -> str:
@@ -112,16 +110,14 @@ class PlaceInformation(AbstractObjective):
         return self.information.shape[1]
 
     def alone(self, k: Array) -> "PlaceInformation":
-        one = self.information[k][None], self.directions[k][None]
-        return replace(self, information=one[0], directions=one[1])
+        return replace(self, information=self.information[k][None])
 
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
-        known = told + self.prior
-        solved = solve_small(known, self.directions) * self.length**2
-        covariance = jnp.einsum("pnq,pnr->pqr", self.directions, solved)
+        place = jnp.broadcast_to(jnp.eye(3, 2, dtype=told.dtype), (len(told), 3, 2))
+        covariance = solve_small(told + self.prior, place)[:, :2] * self.length**2
         if self.criterion == "d":
-            return jnp.linalg.det(covariance) ** (0.5 / covariance.shape[1])
+            return jnp.linalg.det(covariance) ** 0.25
         variance = jnp.trace(covariance, axis1=1, axis2=2)
         return variance if self.criterion == "a" else jnp.sqrt(variance)
 

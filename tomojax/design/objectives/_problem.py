@@ -265,9 +265,7 @@ def _of_points(
 
     every = jax.vmap(one, (None, 0))
     each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
-    xy = jnp.broadcast_to(jnp.eye(3, dtype=places.dtype)[:, :2], (len(places), 3, 2))
-    prior = place_prior(sheet.unit)
-    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
+    return PlaceInformation(criterion, each(places), place_prior(sheet.unit), sheet.unit)
 
 
 def place_prior(unit: Array) -> Float[Array, "3 3"]:
