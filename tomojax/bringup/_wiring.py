@@ -3,18 +3,30 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
-from tomojax.bringup.sheet._fit import Fits, fitted
+from tomojax.bringup.sheet._fit import Fits, fitted, sound
 from tomojax.bringup.sheet._plane import Plane
 
-# Slots that starts are compared on; rounds of assigning; blocks of slots, whose median no
-# slot that is fitted wrongly moves.
-_SOME, _ROUNDS, _BLOCKS = 120, 12, 9
+# Slots that starts are compared on.
+_SOME = 120
 
-# A channel moves to an electrode that fits so much better, of what its own leaves, if that
-# leaves more than usual so many times, and more than this part of the voltages' span.
-_BETTER, _MORE, _LEAST = 0.4, 3.0, 0.006
+# Rounds of assigning.
+_ROUNDS = 12
+
+# Blocks of slots, whose median no slot that is fitted wrongly moves.
+_BLOCKS = 9
+
+# A start, or an order, is better if it leaves so much less than the best before it.
+_LESS = 0.7
+
+# A channel moves to an electrode that fits so much better, of what its own leaves.
+_BETTER = 0.4
+
+# A channel moves if its own electrode leaves more than usual so many times, and more than
+# this part of the voltages' span.
+_MORE = 3.0
+_LEAST = 0.006
 
 # Electrodes without a channel that are tried as grounds, at most.
 _BLIND = 4
@@ -38,12 +50,9 @@ def lattice(plane: Plane) -> tuple[int, int] | None:
         rows = m // columns
         at = plane.xy.reshape(rows, columns, 2)
         slack = _LINE * plane.pitch
-        straight = (
-            np.ptp(at[..., 0], 1).max() < slack and np.ptp(at[..., 1], 0).max() < slack
-        )
-        rising = rows == 1 or (np.diff(at[:, 0, 0]) > slack).all()
-        rising = rising and (columns == 1 or (np.diff(at[0, :, 1]) > slack).all())
-        if straight and rising:
+        off = max(np.ptp(at[..., 0], 1).max(), np.ptp(at[..., 1], 0).max())
+        steps = np.append(np.diff(at[:, 0, 0]), np.diff(at[0, :, 1]))
+        if off < slack and (steps > slack).all():
             return rows, columns
     return None
 
@@ -53,16 +62,14 @@ def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
 
     The symmetries are images of the sheet onto itself, by name, `identity` first.
     """
-    a, b = plane.size
-    square = abs(a - b) < 1e-3 * max(a, b)
-    x, y = plane.xy.T
+    (a, b), (x, y) = plane.size, plane.xy.T
     images = {
         "identity": (x, y),
         "mirrored along x": (a - x, y),
         "mirrored along y": (x, b - y),
         "turned by 180°": (a - x, b - y),
     }
-    if square:
+    if abs(a - b) < 1e-3 * max(a, b):
         images |= {
             "mirrored, x and y exchanged": (y, x),
             "turned by 90°": (a - y, x),
@@ -102,14 +109,10 @@ class Order(NamedTuple):
     fits: Fits
     cost: Float[np.ndarray, "M M"]  # of channels at electrodes, of the voltages' span
 
-    def by_electrode(self, values: np.ndarray) -> np.ndarray:
-        """Sorts values of channels (…, M) into the order of electrodes."""
-        return values[..., np.argsort(self.electrode)]
-
 
 def quality(fits: Fits) -> float:
     """Computes the part of a slot's span that fits leave, in the median."""
-    return float(np.median(fits.left / np.maximum(fits.span, 1e-12)))
+    return float(np.median(fits.relative))
 
 
 def grounds_to_try(
@@ -121,39 +124,54 @@ def grounds_to_try(
     return np.column_stack([inside, *(np.full(len(inside), e) for e in blind)])
 
 
+def fit_in_order(
+    plane: Plane,
+    volts: Float[np.ndarray, "n M"],
+    order: Integer[np.ndarray, " M"],
+    usable: Bool[np.ndarray, " M"],
+    told: Integer[np.ndarray, "n k"] | None = None,
+    always: int | None = None,
+) -> Fits:
+    """Fits contacts to voltages by channel, where channel c reads electrode `order[c]`.
+
+    `told`: further grounds to try; `always`: a channel whose electrode is grounded as well.
+    """
+    back = np.argsort(order)
+    weight = np.broadcast_to(usable[back].astype(float), volts.shape)
+    on = None if always is None else int(order[always])
+    return fitted(plane, volts[:, back], weight, told, on)
+
+
 def order_of(
     plane: Plane,
     volts: Float[np.ndarray, "n M"],
     usable: np.ndarray,
     asked: Integer[np.ndarray, " n"],
     always: int | None = None,
-    enough: float = 0.01,
+    *,
+    enough: float,
 ) -> Order:
     """Finds the order of channels in which contacts fit; only `usable` channels count."""
-    n, m = volts.shape
+    n = len(volts)
     rng = np.random.default_rng(1)
     some = np.sort(rng.choice(n, min(n, _SOME), replace=False))
 
     def fit(order: np.ndarray, slots: np.ndarray) -> Fits:
-        back = np.argsort(order)
-        weight = np.broadcast_to(usable[back].astype(float), (len(slots), m))
-        given = volts[slots][:, back], weight, grounds_to_try(asked[slots], order, usable)
-        return fitted(plane, *given, None if always is None else int(order[always]))
+        told = grounds_to_try(asked[slots], order, usable)
+        return fit_in_order(plane, volts[slots], order, usable, told, always)
 
-    best, lowest = None, np.inf
+    best, lowest = np.arange(plane.count), np.inf
     for order in starts(plane).values():
         q = quality(fit(order, some))
-        if q < 0.7 * lowest:
+        if q < _LESS * lowest:
             best, lowest = order, q
         if lowest < enough:
             break
     if lowest > 5 * enough:
-        scaled = _embedded(plane, volts, usable)
-        for order in scaled:
+        for order in _embedded(plane, volts, usable):
             q = quality(fit(order, some))
-            if q < 0.7 * lowest:
+            if q < _LESS * lowest:
                 best, lowest = order, q
-    assert best is not None
     every = np.arange(n)
     seen = {tuple(best)}
     for _ in range(_ROUNDS):
@@ -176,9 +194,7 @@ def order_of(
 
 def costs(volts: np.ndarray, fits: Fits) -> Float[np.ndarray, "M M"]:
     """Computes what each channel leaves at each electrode, at any gain, over span; rms."""
-    relative = fits.left / np.maximum(fits.span, 1e-12)
-    sound = relative < 4 * np.median(relative)
-    weight = (fits.far * sound[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
+    weight = (fits.far * sound(fits)[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
     rng = np.random.default_rng(2)
     blocks = np.array_split(rng.permutation(len(volts)), min(_BLOCKS, len(volts)))
     found = []
@@ -223,10 +239,8 @@ def _whole(new, order, usable, cost) -> np.ndarray:
     """Makes a permutation again: the best fit keeps an electrode that two channels take."""
     m = len(new)
     taken: dict[int, int] = {}
-    sure = sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]]))
-    for c in sure:
-        if int(new[c]) not in taken:
-            taken[int(new[c])] = c
+    for c in sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]])):
+        taken.setdefault(int(new[c]), c)
     lost = [c for c in range(m) if taken[int(new[c])] != c]
     left = [e for e in range(m) if e not in taken]
     for c in lost:
@@ -243,8 +257,7 @@ def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.nd
     m = plane.count
     scaled = volts / np.maximum(np.median(volts, 1, keepdims=True), 1e-9)
     ranks = scaled.argsort(1).argsort(1) / m
-    apart = np.sqrt(((ranks[:, :, None] - ranks[:, None]) ** 2).mean(0))
-    apart = apart**2
+    apart = ((ranks[:, :, None] - ranks[:, None]) ** 2).mean(0)
     centre = np.eye(m) - 1 / m
     values, vectors = np.linalg.eigh(-centre @ apart @ centre / 2)
     flat = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0))
@@ -269,10 +282,15 @@ class Lines(NamedTuple):
     share: Float[np.ndarray, " L"]  # of the slots that say so
     slots: Integer[np.ndarray, " L"]
 
+    def moved(self, image: Integer[np.ndarray, " M"]) -> "Lines":
+        """Replaces each electrode by its image."""
+        known = image[np.maximum(self.ground, 0)]
+        return self._replace(ground=np.where(self.ground >= 0, known, self.ground))
+
 
 def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
     """Finds the electrode that most slots of each commanded ground show."""
-    relative = fits.left / np.maximum(fits.span, 1e-12)
+    relative = fits.relative
     weight = 1 / (1 + (relative / max(np.median(relative), 1e-6)) ** 2)
     numbers = np.unique(asked)
     ground, share, count = [], [], []
@@ -293,7 +311,6 @@ def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
 def floating(volts: np.ndarray, usable: np.ndarray, drive: float) -> np.ndarray:
     """Finds slots in which nothing is grounded: all channels high and alike."""
     v = volts[:, usable]
-    low, middle, high = np.quantile(v, [0.0, 0.5, 0.95], axis=1)
-    second = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]
-    del low
-    return (high - second < _FLAT * drive) & (middle > 0.1 * drive)
+    middle, high = np.quantile(v, [0.5, 0.95], axis=1)
+    third = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]
+    return (high - third < _FLAT * drive) & (middle > 0.1 * drive)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated
-from tomojax.calibration._frames import explained_about, fit_of
+from tomojax.calibration._frames import Near, near_of
 from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
 from tomojax.kernels.contacts import Sheet, WhitenedFrame
 from tomojax.methods import method as make_method, Points
@@ -18,6 +18,8 @@ from tomojax.sensor import Sensor
 
 # Newton's steps end where none changes a value by more than this part of its deviation.
 _CLOSE = 1e-9
+
+# Newton's steps, at most.
 _STEPS = 30
 
 
@@ -90,14 +92,13 @@ class HeldCalibration(eqx.Module):
         """Computes the cost of θ and the contacts, given voltages (n, S, M)."""
         m = voltages.shape[-1]
         gain, zero, moved = state[:m], state[m : 2 * m], (state - self.state)[2 * m :]
-        unit, tolerance = self.sheet.unit, self.tolerance
+        tolerance = self.tolerance
 
         def one(v, grounds, place, spread, scale, slopes, contact) -> Array:
             v = (v - zero) / gain - jnp.matmul(slopes, moved, precision="highest")
             none = jnp.zeros((len(v), 0, m), v.dtype)
             frame = WhitenedFrame(grounds, v * scale, scale, none, none)
-            about = self.sheet, frame, tolerance, place / unit, spread / unit
-            found = explained_about(contact, *about)
+            found = Near(self.sheet, frame, tolerance, place, spread).explained(contact)
             misfit = (found.rest**2).sum(1) / tolerance
             return tolerance * jnp.log1p(misfit).sum() + (found.prior**2).sum()
 
@@ -141,8 +142,10 @@ def _fits(
 
     def one(v: Array, g: Array, place: Array, spread: Array) -> Any:
         ready = prepared._replace(grounds=g)
-        contact, found, frame, _ = fit_of(points, ready, v, place, spread)
-        by_rig = slopes_by_rig(points.sheet, slopes, g, found.fitted)
-        return contact, frame.scale, by_rig[..., 2 * v.shape[-1] :]
+        near, _ = near_of(points, ready, v, place, spread)
+        contact = near.fitted()
+        fitted = near.explained(contact).fitted
+        by_rig = slopes_by_rig(points.sheet, slopes, g, fitted)
+        return contact, near.frame.scale, by_rig[..., 2 * v.shape[-1] :]
 
     return jax.vmap(one)(volts, grounds, places, spread)

@@ -30,7 +30,6 @@ from tomojax.design._electrodes import (
 from tomojax.design._search import exchange as exchange, relax as relax, Relaxed as Relaxed
 from tomojax.design.objectives import (
     AbstractObjective as AbstractObjective,
-    contact_columns as contact_columns,
     design_objective as design_objective,
     design_places as design_places,
     exploratory_voltages as exploratory_voltages,

@@ -14,13 +14,18 @@ from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import least_weights, project_weights
 
-# Of a largest figure: how sharply it stands for the maximum, from rough to fine.
-_SHARPNESS = (10.0, 100.0, 1000.0)
+# How sharply a largest figure stands for the maximum, from rough to fine.
+_SHARPNESS = 10.0, 100.0, 1000.0
 
-# Steps of each, the gap that is small enough (a part of the value), and the values that a
-# step must not exceed all of (a nonmonotone search takes the lengths of Barzilai and
-# Borwein as they are).
-_STEPS, _GAP, _MEMORY = 200, 1e-4, 5
+# Steps of each sharpness.
+_STEPS = 200
+
+# The gap between value and bound that is small enough, as a part of the value.
+_GAP = 1e-4
+
+# The last values that a step must not exceed all of: a nonmonotone search takes the lengths
+# of Barzilai and Borwein as they are.
+_MEMORY = 5
 
 
 class Relaxed(NamedTuple):
@@ -77,17 +82,16 @@ def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None)
     scale = figures(start).max()
 
     def soft(sharp: float) -> Callable[[Array], tuple[Array, Array, Array]]:
-        def value(w: Array) -> tuple[Array, tuple[Array, Array]]:
+        def value(w: Array) -> tuple[Array, Array]:
             f = figures(w)
             if not worst:
-                return f.mean(), (f.mean(), f.mean())
+                return f.mean(), f.mean()
             tilted = sharp * f / scale
             shares = lax.stop_gradient(jax.nn.softmax(tilted))
-            smooth = jax.nn.logsumexp(tilted) * scale / sharp
-            return smooth, (f.max(), (shares * f).sum())
+            return jax.nn.logsumexp(tilted) * scale / sharp, (shares * f).sum()
 
         def both(w: Array) -> tuple[Array, Array, Array]:
-            (smooth, (_, linear)), slope = jax.value_and_grad(value, has_aux=True)(w)
+            (smooth, linear), slope = jax.value_and_grad(value, has_aux=True)(w)
             return smooth, slope, linear
 
         return both
@@ -129,14 +133,14 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
 
     value, slope, linear = both(best.weights)
     first = _State(
-        best.weights,
-        value,
-        slope,
-        jnp.full(_MEMORY, value),
-        1 / (jnp.abs(slope).max() + 1e-30),
-        jnp.maximum(best.bound, bounded(best.weights, slope, linear)),
-        jnp.array(False),
-        best.steps,
+        weights=best.weights,
+        value=value,
+        slope=slope,
+        before=jnp.full(_MEMORY, value),
+        length=1 / (jnp.abs(slope).max() + 1e-30),
+        bound=jnp.maximum(best.bound, bounded(best.weights, slope, linear)),
+        done=jnp.array(False),
+        steps=best.steps,
     )
     limit = best.steps + _STEPS
     end = lax.while_loop(lambda s: ~s.done & (s.steps < limit), step, first)

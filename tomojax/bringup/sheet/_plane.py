@@ -16,7 +16,8 @@ from tomojax.recordings import Rig
 _IMAGES = 3
 
 # Places that a contact is looked for at, of the pitch; and how near to the edge.
-_STEP, _EDGE = 0.25, 0.1
+_STEP = 0.25
+_EDGE = 0.1
 
 # Places nearer than this are one, of the electrodes' diameter.
 _POINT = 0.05
@@ -78,12 +79,10 @@ class Plane:
     @cached_property
     def between(self) -> Float[np.ndarray, "M M"]:
         """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
-        apart = self.xy[:, None] - self.xy[None]
         rim = np.array([self.diameter / 2, 0.0])
         table = self.green(self.xy[:, None], self.xy[None])
         inward = np.where(self.xy[:, :1] + rim[:1] < self.size[0], 1, -1) * rim
         np.fill_diagonal(table, self.green(self.xy, self.xy + inward))
-        del apart
         return table
 
     def distance(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n M"]:

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import solve_small
+from tomojax.methods import UNIT
 
 Criterion = Literal["place", "a", "d", "worst", "rigs"]
 
@@ -46,14 +47,14 @@ class AbstractObjective(eqx.Module):
     swaps: ClassVar[int | None] = None
 
     @property
-    @abstractmethod
     def unit(self) -> str:
-        """Returns the figures' unit."""
+        """Returns the figures' unit; "1" by default."""
+        return "1"
 
     @property
-    @abstractmethod
     def worst(self) -> bool:
-        """Tells whether the highest figure counts."""
+        """Tells whether the highest figure counts; by default the mean does."""
+        return False
 
     @property
     @abstractmethod
@@ -82,6 +83,16 @@ class AbstractObjective(eqx.Module):
         return figures.max() if self.worst else figures.mean()
 
 
+def place_prior(unit: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Returns the prior information on place (per unit) and size.
+
+    A contact's place is known to a pitch beforehand, and its size to what `points` knows of
+    it. Without the first, one slot may say nothing.
+    """
+    known = jnp.full_like(unit, UNIT**2)
+    return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
+
+
 class PlaceInformation(AbstractObjective):
     """The least error of a contact's place by `points`, after Cramér and Rao.
 
@@ -94,7 +105,6 @@ class PlaceInformation(AbstractObjective):
     convex: ClassVar[bool] = True
     criterion: str = eqx.field(static=True)
     information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
-    prior: Float[Array, "3 3"]
     length: Float[Array, ""]  # the unit, m
 
     @property
@@ -115,7 +125,8 @@ class PlaceInformation(AbstractObjective):
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
         place = jnp.broadcast_to(jnp.eye(3, 2, dtype=told.dtype), (len(told), 3, 2))
-        covariance = solve_small(told + self.prior, place)[:, :2] * self.length**2
+        known = told + place_prior(self.length)
+        covariance = solve_small(known, place)[:, :2] * self.length**2
         if self.criterion == "d":
             return jnp.linalg.det(covariance) ** 0.25
         variance = jnp.trace(covariance, axis1=1, axis2=2)
@@ -151,7 +162,6 @@ class ImageVariance(AbstractObjective):
     columns: Float[Array, "P r"]
     shares: Float[Array, "contacts L"] | None  # c_l²
     lam: Float[Array, ""]
-    unit: ClassVar[str] = "1"  # pyright: ignore
 
     @property
     def worst(self) -> bool:

@@ -14,8 +14,11 @@ from tomojax.kernels.algebra import matmul
 from tomojax.methods import ShapeModel
 from tomojax.sensor import Sensor
 
-# Pixels of a pitch; waves whose coefficients are looked at, the longest.
-_PIXELS, _WAVES = 2.5, 48
+# Pixels of a pitch.
+_PIXELS = 2.5
+
+# Waves whose coefficients are looked at, the longest.
+_WAVES = 48
 
 
 class ShapeInformation(AbstractObjective):
@@ -37,9 +40,7 @@ class ShapeInformation(AbstractObjective):
 
     convex: ClassVar[bool] = True
     information: Float[Array, "P L K K"]
-    worst: ClassVar[bool] = False  # pyright: ignore
     swaps: ClassVar[int | None] = 32
-    unit: ClassVar[str] = "1"  # pyright: ignore
 
     @property
     def slots(self) -> int:
