@@ -42,24 +42,16 @@ def gain_faults(work: Work, named: Bool[np.ndarray, " M"]) -> list[Fault]:
     middle, usual = float(np.median(gain[some])), spread(gain[some])
     faults = []
     for e in some:
-        off, own = gain[e] - middle, work.values.deviation[e, 0]
-        least = max(_GAIN, BEYOND * np.hypot(usual, own))
-        if abs(off) <= least:
+        off, own, c = gain[e] - middle, work.values.deviation[e, 0], int(work.channel[e])
+        known = np.hypot(usual, own)
+        if abs(off) <= max(_GAIN, BEYOND * known):
             continue
-        c = int(work.channel[e])
-        faults.append(
-            Fault(
-                "gain",
-                (c,),
-                round(float(1 + off), 4),
-                "of the others'",
-                certainty(abs(off) / np.hypot(usual + _GAIN / 3, own)),
-                f"channel {c} reads {100 * off:+.1f} % beside the others, ± "
-                f"{100 * np.hypot(usual, own):.2f} %",
-                f"divide channel {c} by {1 + off:.4f} (tomojax calibrate does), or mend "
-                "its divider",
-            )
-        )
+        sure = certainty(abs(off) / np.hypot(usual + _GAIN / 3, own))
+        seen = f"{100 * off:+.1f} % beside the others, ± {100 * known:.2f} %"
+        how = f"divide channel {c} by {1 + off:.4f} (tomojax calibrate does)"
+        text, mend = f"channel {c} reads {seen}", f"{how}, or mend its divider"
+        value = round(float(1 + off), 4)
+        faults.append(Fault("gain", (c,), value, "of the others'", sure, text, mend))
     return faults
 
 
@@ -116,16 +108,11 @@ def drive_faults(work: Work, found: float, error: float) -> list[Fault]:
         sigma = np.hypot(sigma, _SHARED)
     if not off > max(_DRIVE, 4 * sigma):
         return []
-    fault = Fault(
-        "drive",
-        (),
-        round(found, 3),
-        "V",
-        certainty(off / sigma),
-        f"the object is at {found:.2f} V ± {error:.2f} V; {work.drive:g} V is told",
-        f"set drive_voltage to {found:.2f} V, or look at the drive",
-    )
-    return [fault]
+    seen = f"the object is at {found:.2f} V ± {error:.2f} V"
+    text = f"{seen}; {work.drive:g} V is told"
+    mend = f"set drive_voltage to {found:.2f} V, or look at the drive"
+    sure = certainty(off / sigma)
+    return [Fault("drive", (), round(found, 3), "V", sure, text, mend)]
 
 
 class SheetFactor(NamedTuple):
@@ -187,17 +174,14 @@ def sheet_faults(found: SheetFactor, rig: Rig) -> list[Fault]:
     if found.why or off <= max(np.log1p(_SHEET), 4 * part):
         return []
     true = found.factor * rig.sheet_resistance
-    fault = Fault(
-        "sheet_resistance",
-        (),
-        round(float(found.factor), 3),
-        "times what is told",
-        certainty(off / part),
+    text = (
         f"the sheet has {true:.3g} Ω per square ± {100 * part:.0f} % if the ground path "
-        f"has its {rig.ground_resistance:g} Ω; {rig.sheet_resistance:g} Ω are told",
-        f"measure the ground path; if it is right set sheet_resistance to {true:.3g} Ω",
+        f"has its {rig.ground_resistance:g} Ω; {rig.sheet_resistance:g} Ω are told"
     )
-    return [fault]
+    how = f"if it is right set sheet_resistance to {true:.3g} Ω"
+    mend, sure = f"measure the ground path; {how}", certainty(off / part)
+    value, unit = round(float(found.factor), 3), "times what is told"
+    return [Fault("sheet_resistance", (), value, unit, sure, text, mend)]
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,34 +43,24 @@ def unresponsive(
     silent_too = swing < _FOLLOWS * usual
     dead = still & (np.abs(middle) < near) & (silent_too | (silent.slots == 0))
     faults = []
-    for c in np.flatnonzero(dead):
-        part = float(swing[c] / max(usual, 1e-12))
-        faults.append(
-            Fault(
-                "dead",
-                (int(c),),
-                float(middle[c]),
-                "V",
-                certainty(0.2 / max(part, 1e-3)),
-                f"channel {c} stays at {1e3 * middle[c]:+.1f} mV in every touch; "
-                f"the others rise by {usual:.2f} V",
-                f"look for a broken wire between channel {c} and its electrode",
-            )
+    for c in np.flatnonzero(dead).tolist():
+        level, part = float(middle[c]), float(swing[c] / max(usual, 1e-12))
+        sure, seen = certainty(0.2 / max(part, 1e-3)), f"{1e3 * level:+.1f} mV"
+        text = (
+            f"channel {c} stays at {seen} in every touch; the others rise by {usual:.2f} V"
         )
-    for c in np.flatnonzero(still & ~dead):
-        rail = min(abs(middle[c] - r) for r in slots.rig.rails) < 0.01 * slots.drive
-        where = f"{middle[c]:+.3f} V" + (", the converter's rail" if rail else "")
-        faults.append(
-            Fault(
-                "stuck",
-                (int(c),),
-                float(middle[c]),
-                "V",
-                certainty(0.2 * usual / max(moving[c], 1e-3 * usual)),
-                f"channel {c} stays at {where}, touched or not",
-                f"look for a short of channel {c} to a supply, or a dead input",
-            )
+        mend = f"look for a broken wire between channel {c} and its electrode"
+        faults.append(Fault("dead", (c,), level, "V", sure, text, mend))
+    for c in np.flatnonzero(still & ~dead).tolist():
+        level, sure = (
+            float(middle[c]),
+            certainty(0.2 * usual / max(moving[c], 1e-3 * usual)),
         )
+        rail = min(abs(level - r) for r in slots.rig.rails) < 0.01 * slots.drive
+        where = f"{level:+.3f} V" + (", the converter's rail" if rail else "")
+        text = f"channel {c} stays at {where}, touched or not"
+        mend = f"look for a short of channel {c} to a supply, or a dead input"
+        faults.append(Fault("stuck", (c,), level, "V", sure, text, mend))
     return faults
 
 
@@ -85,32 +75,17 @@ def noise_faults(
     floor = max(usual, slots.rig.resolution / np.sqrt(12))
     faults = []
     if usual > _ALL_LOUD * nominal:
-        faults.append(
-            Fault(
-                "noise",
-                (),
-                usual,
-                "V rms",
-                certainty(usual / nominal - 2),
-                f"all channels have {1e3 * usual:.2f} mV rms of noise; "
-                f"{1e3 * nominal:.2f} mV are usual at this drive and resolution",
-                "shield the cables, join grounds at one point, average in the converter",
-            )
-        )
-    for c in np.flatnonzero(sane & (silent.noise > _LOUD * floor)):
-        ratio = float(silent.noise[c] / floor)
-        faults.append(
-            Fault(
-                "noise",
-                (int(c),),
-                float(silent.noise[c]),
-                "V rms",
-                certainty(ratio - 1),
-                f"channel {c} has {1e3 * silent.noise[c]:.2f} mV rms of noise, {ratio:.0f} "
-                "times the others'",
-                f"look at the joint and the shield of channel {c}'s wire",
-            )
-        )
+        sure, seen = certainty(usual / nominal - 2), f"{1e3 * usual:.2f} mV rms"
+        most = f"{1e3 * nominal:.2f} mV are usual at this drive and resolution"
+        text = f"all channels have {seen} of noise; {most}"
+        mend = "shield the cables, join grounds at one point, average in the converter"
+        faults.append(Fault("noise", (), usual, "V rms", sure, text, mend))
+    for c in np.flatnonzero(sane & (silent.noise > _LOUD * floor)).tolist():
+        rms, ratio = float(silent.noise[c]), float(silent.noise[c] / floor)
+        seen = f"{1e3 * rms:.2f} mV rms of noise, {ratio:.0f} times the others'"
+        text, sure = f"channel {c} has {seen}", certainty(ratio - 1)
+        mend = f"look at the joint and the shield of channel {c}'s wire"
+        faults.append(Fault("noise", (c,), rms, "V rms", sure, text, mend))
     return faults
 
 
@@ -130,16 +105,18 @@ def hum_faults(slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]) -> l
         if abs(frequency - mains) < width:
             name = f", the mains' {mains:.0f} Hz"
     everywhere = len(loud) > 0.5 * sane.sum()
-    some = f"channels {', '.join(map(str, loud))} have"
-    fault = Fault(
-        "hum",
-        () if everywhere else tuple(loud),
-        {"amplitude_V": value, "frequency_Hz": round(frequency, 2)},
-        "V, Hz",
-        certainty(np.sqrt(silent.prominence / 10)),
-        f"{'all channels have' if everywhere else some} a hum of {1e3 * value:.2f} mV at "
-        f"{frequency:.1f} Hz{name} (or a multiple of {slots.rig.f_switch:g} Hz from it)",
-        "join the object's drive, the converter and the sheet's ground at one point; "
-        "keep mains leads away",
+    who = "all channels have"
+    if not everywhere:
+        who = f"channels {', '.join(map(str, loud))} have"
+    text = (
+        f"{who} a hum of {1e3 * value:.2f} mV at {frequency:.1f} Hz{name} "
+        f"(or a multiple of {slots.rig.f_switch:g} Hz from it)"
     )
-    return [fault]
+    mend = (
+        "join the object's drive, the converter and the sheet's ground at one point; "
+        "keep mains leads away"
+    )
+    channels = () if everywhere else tuple(loud)
+    seen = {"amplitude_V": value, "frequency_Hz": round(frequency, 2)}
+    sure = certainty(np.sqrt(silent.prominence / 10))
+    return [Fault("hum", channels, seen, "V, Hz", sure, text, mend)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.bringup._reading import Reading
-from tomojax.bringup._wiring import lattice, symmetries
+from tomojax.bringup.sheet._orders import lattice, symmetries
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._slots import Slots, WINDOW
 

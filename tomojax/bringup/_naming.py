@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Integer
 
 from tomojax.bringup._fault import Fault, Kind, SUREST
-from tomojax.bringup._wiring import lattice, Lines, starts, symmetries
+from tomojax.bringup._wiring import Lines
+from tomojax.bringup.sheet._orders import lattice, starts, symmetries
 from tomojax.bringup.sheet._plane import Plane
 
 # Part of the channels, or of the judged lines, that a mirror or a shift must explain.
@@ -84,18 +85,10 @@ def channel_faults(
         many = len(wrong) > 0.3 * len(electrode)
         if other != "as told" and many and off < 0.3 * len(wrong):
             wound = "rows" in other and "columns" in other
-            faults.append(
-                Fault(
-                    "mirrored" if wound else "swapped",
-                    tuple(wrong),
-                    other,
-                    "",
-                    sure,
-                    f"channels are in another order: {other}",
-                    "count electrodes as the recording's electrode_xy does, or take the "
-                    "order of --write",
-                )
-            )
+            kind: Kind = "mirrored" if wound else "swapped"
+            text = f"channels are in another order: {other}"
+            mend = f"count electrodes as the recording's electrode_xy does, {_OR_WRITE}"
+            faults.append(Fault(kind, tuple(wrong), other, "", sure, text, mend))
             wrong = {c: e for c, e in wrong.items() if order[c] != electrode[c]}
             break
     faults += _reversed_lines(plane, wrong, sure)
@@ -119,17 +112,10 @@ def _reversed_lines(plane: Plane, wrong: dict[int, int], sure: float) -> list[Fa
                 continue
             for c in moved:
                 del wrong[c]
-            faults.append(
-                Fault(
-                    "mirrored",
-                    tuple(line),
-                    f"{what} {number}",
-                    "",
-                    sure,
-                    f"channels of {what} {number} ({line[0]} to {line[-1]}) are reversed",
-                    f"turn the plug of {what} {number}, {_OR_WRITE}",
-                )
-            )
+            name, ends = f"{what} {number}", f"{line[0]} to {line[-1]}"
+            text = f"channels of {name} ({ends}) are reversed"
+            mend = f"turn the plug of {name}, {_OR_WRITE}"
+            faults.append(Fault("mirrored", tuple(line), name, "", sure, text, mend))
     return faults
 
 
@@ -139,15 +125,10 @@ def _swapped(group: tuple[int, ...], electrode: Order, both: bool, sure: float) 
     if both:
         what = "and their ground lines with them: the electrodes' wires"
     names = (" and " if len(group) == 2 else ", ").join(map(str, group))
-    return Fault(
-        "swapped",
-        tuple(sorted(group)),
-        {str(c): int(electrode[c]) for c in group},
-        "",
-        sure,
-        f"channels {names} are swapped ({pairs}); {what}",
-        f"exchange the wires of {names}, {_OR_WRITE}",
-    )
+    reads = {str(c): int(electrode[c]) for c in group}
+    text = f"channels {names} are swapped ({pairs}); {what}"
+    mend = f"exchange the wires of {names}, {_OR_WRITE}"
+    return Fault("swapped", tuple(sorted(group)), reads, "", sure, text, mend)
 
 
 def line_faults(
@@ -166,43 +147,22 @@ def line_faults(
         expected = np.where((asked + shift >= 0) & (asked + shift < m), asked + shift, -1)
         wrapped = (asked + shift) % m
         expected = np.where(ground == wrapped, wrapped, expected)
-        faults.append(
-            Fault(
-                "ground_off_by",
-                (),
-                shift,
-                "electrodes",
-                sure,
-                f"commanding ground g grounds electrode g {shift:+d}",
-                f"command the ground's number {-shift:+d}, or count from "
-                f"{'1' if shift < 0 else '0'} in the firmware, or take --write's order",
-            )
+        text = f"commanding ground g grounds electrode g {shift:+d}"
+        mend = (
+            f"command the ground's number {-shift:+d}, or count from "
+            f"{'1' if shift < 0 else '0'} in the firmware, or take --write's order"
         )
+        faults.append(Fault("ground_off_by", (), shift, "electrodes", sure, text, mend))
     elif name != "identity":
         expected = image[inside]
-        faults.append(
-            Fault(
-                "ground_permuted",
-                (),
-                name,
-                "",
-                sure,
-                f"ground lines are {name}; channels are right",
-                f"turn the plugs of the ground lines, {_OR_WRITE}",
-            )
-        )
-    for g, s in zip(*(a[(ground == -1) & (expected != -1)] for a in (asked, share))):
-        faults.append(
-            Fault(
-                "ground_stuck",
-                (int(g),),
-                "off",
-                "",
-                float(min(s, SUREST)),
-                f"ground line {g} switches nothing: the whole sheet rises to the drive",
-                f"look at the switch of line {g} and its wire",
-            )
-        )
+        text = f"ground lines are {name}; channels are right"
+        mend = f"turn the plugs of the ground lines, {_OR_WRITE}"
+        faults.append(Fault("ground_permuted", (), name, "", sure, text, mend))
+    off = (ground == -1) & (expected != -1)
+    for g, part in zip(asked[off].tolist(), share[off].tolist()):
+        text = f"ground line {g} switches nothing: the whole sheet rises to the drive"
+        mend, sure = f"look at the switch of line {g} and its wire", min(part, SUREST)
+        faults.append(Fault("ground_stuck", (g,), "off", "", sure, text, mend))
     return faults + _permuted_lines(lines, expected, wires)
 
 
@@ -223,17 +183,10 @@ def _permuted_lines(
         if any(set(group) == set(w) for w in wires) or not closed and sure < _SURE:
             continue
         pairs = ", ".join(f"line {g} grounds electrode {grounded[g]}" for g in group)
-        faults.append(
-            Fault(
-                "ground_permuted",
-                tuple(sorted(group)),
-                {str(g): grounded[g] for g in group},
-                "",
-                min(sure, SUREST),
-                f"ground lines are permuted: {pairs}",
-                f"exchange these lines' wires, {_OR_WRITE}",
-            )
-        )
+        text, sure = f"ground lines are permuted: {pairs}", min(sure, SUREST)
+        mend, lines_at = f"exchange these lines' wires, {_OR_WRITE}", tuple(sorted(group))
+        value = {str(g): grounded[g] for g in group}
+        faults.append(Fault("ground_permuted", lines_at, value, "", sure, text, mend))
     return faults
 
 

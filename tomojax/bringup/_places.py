@@ -66,19 +66,14 @@ def place_faults(
         named |= moved & ~lone
     for e in np.flatnonzero(lone):
         (x, y), c = 1e3 * shift[e], int(work.channel[e])
-        far = np.hypot(x, y)
-        faults.append(
-            Fault(
-                "misplaced",
-                (c,),
-                {"x_mm": round(float(x), 2), "y_mm": round(float(y), 2)},
-                "mm",
-                certainty(sure[e]),
-                f"the electrode of channel {c} lies {far:.1f} mm from its place: "
-                f"{x:+.1f} mm along x, {y:+.1f} mm along y",
-                "put it back, or correct electrode_xy (tomojax calibrate finds all places)",
-            )
+        text = (
+            f"the electrode of channel {c} lies {np.hypot(x, y):.1f} mm from its place: "
+            f"{x:+.1f} mm along x, {y:+.1f} mm along y"
         )
+        mend = "put it back, or correct electrode_xy (tomojax calibrate finds all places)"
+        value = {"x_mm": round(float(x), 2), "y_mm": round(float(y), 2)}
+        known = certainty(sure[e])
+        faults.append(Fault("misplaced", (c,), value, "mm", known, text, mend))
     return faults, named | lone
 
 
@@ -127,16 +122,19 @@ def _tear(
         ends = middle[[along.argmin(), along.argmax()]]
         reach = "from ({:.0f}, {:.0f}) to ({:.0f}, {:.0f}) mm".format(*ends.ravel())
     most = float(np.exp(over.max()))
-    return Fault(
-        "tear",
-        tuple(np.unique(work.channel[np.r_[first, second]]).tolist()),
-        {"x_mm": round(float(x), 1), "y_mm": round(float(y), 1), "times": round(most, 2)},
-        "mm",
-        certainty(float(over.max()) / max(usual + _TORN / 4, 1e-6)),
+    text = (
         f"a tear or a bad joint in the sheet {reach}: up to {most:.1f} times an even "
-        "sheet's drop between electrodes",
-        "look at the sheet there; glue or replace it",
+        "sheet's drop between electrodes"
     )
+    channels = tuple(np.unique(work.channel[np.r_[first, second]]).tolist())
+    value = {
+        "x_mm": round(float(x), 1),
+        "y_mm": round(float(y), 1),
+        "times": round(most, 2),
+    }
+    sure = certainty(float(over.max()) / max(usual + _TORN / 4, 1e-6))
+    mend = "look at the sheet there; glue or replace it"
+    return Fault("tear", channels, value, "mm", sure, text, mend)
 
 
 def joint_faults(work: Work) -> list[Fault]:
@@ -156,18 +154,14 @@ def joint_faults(work: Work) -> list[Fault]:
     more, usual = x - np.median(x), spread(x)
     faults = []
     for k in np.flatnonzero(more > max(_JOINT, 2 * BEYOND * usual)):
-        e, over = electrode[k], float(more[k])
-        c, place = int(work.channel[e]), (1e3 * plane.xy[e]).tolist()
-        faults.append(
-            Fault(
-                "tear",
-                (c,),
-                {"x_mm": place[0], "y_mm": place[1], "squares": round(over, 2)},
-                "squares of the sheet",
-                certainty(over / (usual + _JOINT / 4)),
-                f"a bad joint between the electrode of channel {c} and the sheet: "
-                f"{over:.1f} squares of the sheet's resistance",
-                "clean or glue the joint there",
-            )
+        c, squares_more = int(work.channel[electrode[k]]), float(more[k])
+        x, y = (1e3 * plane.xy[electrode[k]]).tolist()
+        value = {"x_mm": x, "y_mm": y, "squares": round(squares_more, 2)}
+        text = (
+            f"a bad joint between the electrode of channel {c} and the sheet: "
+            f"{squares_more:.1f} squares of the sheet's resistance"
         )
+        sure, unit = certainty(squares_more / (usual + _JOINT / 4)), "squares of the sheet"
+        mend = "clean or glue the joint there"
+        faults.append(Fault("tear", (c,), value, unit, sure, text, mend))
     return faults

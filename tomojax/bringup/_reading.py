@@ -12,6 +12,7 @@ from tomojax.bringup._wiring import (
     fit_in_order,
     floating,
     grounds_to_try,
+    Lines,
     lines_of,
     Order,
     order_of,
@@ -149,10 +150,14 @@ class Reading:
         given = self.plane, volts, self.order.electrode, self.usable
         return fit_in_order(*given, told, self.always)
 
+    def lines(self) -> Lines:
+        """Finds the electrode that each commanded line grounds."""
+        flat = floating(self.volts, self.usable, self.slots.drive)
+        return lines_of(self.order.fits, self.asked, flat)
+
     def _older(self, before: np.ndarray) -> np.ndarray:
         """Returns the electrode that was grounded in the slot before."""
-        flat = floating(self.volts, self.usable, self.slots.drive)
-        lines = lines_of(self.order.fits, self.asked, flat)
+        lines = self.lines()
         known = np.full(max(int(self.slots.asked.max()) + 1, 1), -1)
         known[lines.asked] = np.maximum(lines.ground, -1)
         older = known[self.slots.asked[np.maximum(self.number - 1, 0)]]

@@ -79,18 +79,16 @@ def settling_faults(work: Work) -> list[Fault]:
 
 def _lingers(channels: tuple[int, ...], part: float, sure: float) -> Fault:
     who = f"channel {channels[0]} shows" if channels else "all channels show"
+    text = f"{who} {100 * part:.1f} % of the slot before"
+    mend = "convert after the ground is switched, not before"
+    if part < 0.9:
+        waits = max(np.log(max(part, 1e-3) / 1e-3), 1) / np.log(1 / part) + 1
+        mend = (
+            "wait longer between switching the ground and converting: about "
+            f"{waits:.1f} times as long; or make the sources' resistance less"
+        )
     return Fault(
-        "settling",
-        channels,
-        round(part, 4),
-        "of the slot before",
-        sure,
-        f"{who} {100 * part:.1f} % of the slot before",
-        "wait longer between switching the ground and converting: about "
-        f"{max(np.log(max(part, 1e-3) / 1e-3), 1) / np.log(1 / min(part, 0.9)) + 1:.1f} "
-        "times as long; or make the sources' resistance less"
-        if part < 0.9
-        else "convert after the ground is switched, not before",
+        "settling", channels, round(part, 4), "of the slot before", sure, text, mend
     )
 
 

@@ -14,7 +14,8 @@ from tomojax.bringup._naming import (
     whole_fault,
 )
 from tomojax.bringup._reading import Reading
-from tomojax.bringup._wiring import floating, Lines, lines_of, symmetries
+from tomojax.bringup._wiring import Lines
+from tomojax.bringup.sheet._orders import symmetries
 
 # The part of the slots that must be elsewhere than half of them are, so many pitches away.
 _ELSEWHERE = 0.1
@@ -59,8 +60,7 @@ def judge_wires(reading: Reading, corners: Corners | None) -> Lines:
 
 
 def _lines(reading: Reading) -> Lines:
-    flat = floating(reading.volts, reading.usable, reading.slots.drive)
-    lines = lines_of(reading.order.fits, reading.asked, flat)
+    lines = reading.lines()
     if reading.always is not None:
         own = lines.asked == reading.order.electrode[reading.always]
         lines.ground[own] = lines.asked[own]
@@ -127,14 +127,6 @@ def _name(reading: Reading, lines: Lines, unknown_which: bool) -> None:
     reading.faults += channels + line_faults(plane, lines, wires)
     if reading.always is not None:
         e = int(electrode[reading.always])
-        reading.faults.append(
-            Fault(
-                "ground_stuck",
-                (e,),
-                "on",
-                "",
-                0.99,
-                f"electrode {e} is grounded in every slot",
-                f"look at the switch of ground line {e}: it never opens",
-            )
-        )
+        text = f"electrode {e} is grounded in every slot"
+        mend = f"look at the switch of ground line {e}: it never opens"
+        reading.faults.append(Fault("ground_stuck", (e,), "on", "", 0.99, text, mend))

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax.bringup.sheet._fit import Fits, fitted, sound
+from tomojax.bringup.sheet._orders import starts
 from tomojax.bringup.sheet._plane import Plane
 
 # Slots that starts are compared on.
@@ -31,9 +32,6 @@ _LEAST = 0.006
 # Electrodes without a channel that are tried as grounds, at most.
 _BLIND = 4
 
-# Electrodes in one row or column are in line to this part of a pitch.
-_LINE = 0.25
-
 # Part of the slots of a line that show the same ground.
 _SHARE = 0.5
 
@@ -41,73 +39,11 @@ _SHARE = 0.5
 _FLAT = 0.02
 
 
-def lattice(plane: Plane) -> tuple[int, int] | None:
-    """Returns rows and columns, if electrodes lie on a grid ordered as `Sensor.grid`."""
-    m = plane.count
-    for columns in range(1, m + 1):
-        if m % columns:
-            continue
-        rows = m // columns
-        at = plane.xy.reshape(rows, columns, 2)
-        slack = _LINE * plane.pitch
-        off = max(np.ptp(at[..., 0], 1).max(), np.ptp(at[..., 1], 0).max())
-        steps = np.append(np.diff(at[:, 0, 0]), np.diff(at[0, :, 1]))
-        if off < slack and (steps > slack).all():
-            return rows, columns
-    return None
-
-
-def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Lists symmetries: the electrode at each electrode's image, where all have one.
-
-    The symmetries are images of the sheet onto itself, by name, `identity` first.
-    """
-    (a, b), (x, y) = plane.size, plane.xy.T
-    images = {
-        "identity": (x, y),
-        "mirrored along x": (a - x, y),
-        "mirrored along y": (x, b - y),
-        "turned by 180°": (a - x, b - y),
-    }
-    if abs(a - b) < 1e-3 * max(a, b):
-        images |= {
-            "mirrored, x and y exchanged": (y, x),
-            "turned by 90°": (a - y, x),
-            "turned by −90°": (y, a - x),
-            "mirrored at the other diagonal": (a - y, a - x),
-        }
-    found = {}
-    for name, image in images.items():
-        apart = np.hypot(*(np.stack(image, 1)[:, None] - plane.xy).transpose(2, 0, 1))
-        nearest = apart.argmin(1)
-        whole = len(np.unique(nearest)) == plane.count
-        if whole and apart.min(1).max() < _LINE * plane.pitch:
-            found[name] = nearest
-    return found
-
-
-def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Lists orders of channels to begin with: as stated, and those of a plug or a loop."""
-    m = np.arange(plane.count)
-    found = {"as told": m, "one on": np.roll(m, -1), "one back": np.roll(m, 1)}
-    grid = lattice(plane)
-    if grid is not None:
-        index = m.reshape(grid)
-        found["rows for columns"] = index.T.ravel()
-        found["columns for rows"] = m.reshape(grid[::-1]).T.ravel()
-        for name, first in (("every second row reversed", 1), ("first row reversed", 0)):
-            winding = index.copy()
-            winding[first::2] = winding[first::2, ::-1]
-            found[name] = winding.ravel()
-    return found
-
-
 class Order(NamedTuple):
     """The electrode that each channel reads, and the fits of contacts then."""
 
     electrode: Integer[np.ndarray, " M"]  # of each channel
     fits: Fits
-    cost: Float[np.ndarray, "M M"]  # of channels at electrodes, of the voltages' span
 
 
 def quality(fits: Fits) -> float:
@@ -168,7 +104,7 @@ def order_of(
         if lowest < enough:
             break
     if lowest > 5 * enough:
-        for order in _embedded(plane, volts, usable):
+        for order in _embedded(plane, volts):
             q = quality(fit(order, some))
             if q < _LESS * lowest:
                 best, lowest = order, q
@@ -177,19 +113,17 @@ def order_of(
     for _ in range(_ROUNDS):
         slots = some if n > 2 * _SOME and len(seen) < 3 and lowest > enough else every
         fits = fit(best, slots)
-        cost = costs(volts[slots], fits)
-        new = _assigned(cost, best, usable)
+        new = _assigned(costs(volts[slots], fits), best, usable)
         if tuple(new) in seen:
             if len(slots) == n:
                 if (new == best).all():
-                    return Order(best, fits, cost)
+                    return Order(best, fits)
                 break
             lowest = 0.0
             continue
         seen.add(tuple(new))
         best = new
-    fits = fit(best, every)
-    return Order(best, fits, costs(volts, fits))
+    return Order(best, fit(best, every))
 
 
 def costs(volts: np.ndarray, fits: Fits) -> Float[np.ndarray, "M M"]:
@@ -222,35 +156,34 @@ def _assigned(cost: np.ndarray, order: np.ndarray, usable: np.ndarray) -> np.nda
         return order
     from scipy.optimize import linear_sum_assignment  # `info` seldom comes here
 
-    table = cost[np.ix_(moving, free)].copy()
-    for i, c in enumerate(moving):
-        table[i, free == order[c]] *= _BETTER
+    table = cost[np.ix_(moving, free)]
+    table = np.where(free == order[moving][:, None], _BETTER * table, table)
     rows, columns = linear_sum_assignment(table)
-    new = order.copy()
-    for i, j in zip(rows, columns):
-        c, e = moving[i], free[j]
-        if cost[c, e] < _BETTER * own[c]:
-            new[c] = e
+    c, e, new = moving[rows], free[columns], order.copy()
+    better = cost[c, e] < _BETTER * own[c]
+    new[c[better]] = e[better]
     # Whoever lost its electrode takes one that is left.
     return _whole(new, order, usable, cost)
 
 
-def _whole(new, order, usable, cost) -> np.ndarray:
+def _whole(
+    new: np.ndarray, order: np.ndarray, usable: np.ndarray, cost: np.ndarray
+) -> np.ndarray:
     """Makes a permutation again: the best fit keeps an electrode that two channels take."""
     m = len(new)
     taken: dict[int, int] = {}
     for c in sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]])):
         taken.setdefault(int(new[c]), c)
-    lost = [c for c in range(m) if taken[int(new[c])] != c]
     left = [e for e in range(m) if e not in taken]
-    for c in lost:
-        e = int(order[c]) if int(order[c]) in left else left[0]
-        left.remove(e)
-        new[c] = e
+    for c in range(m):
+        if taken[int(new[c])] != c:
+            e = int(order[c]) if int(order[c]) in left else left[0]
+            left.remove(e)
+            new[c] = e
     return new
 
 
-def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
+def _embedded(plane: Plane, volts: np.ndarray) -> list[np.ndarray]:
     """Orders channels by likeness, slot by slot: neighbours on the sheet are alike."""
     from scipy.optimize import linear_sum_assignment
 

@@ -1,6 +1,7 @@
 """Designs tables of ground conditions by place, for a step to look up."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -125,26 +126,25 @@ def design_policy(
     )
 
 
-def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array]:
+@partial(jax.jit, static_argnums=1)
+def designs_by_place(
+    objective: AbstractObjective, n: int
+) -> tuple[Float[Array, "P L"], Float[Array, " P"]]:
     """Finds the best set of n slots for each place alone, and each place's bound."""
     slots, dtype = objective.slots, objective.dtype
     count = jax.eval_shape(objective, jnp.ones(slots, dtype)).shape[0]
 
-    @jax.jit
-    def whole(objective: AbstractObjective) -> tuple[Array, Array]:
-        def one(k: Array) -> tuple[Array, Array]:
-            alone = objective.alone(k)
-            if not objective.convex:
-                start = greedy(alone.value, slots, n, dtype)
-                unknown = jnp.full((), jnp.nan, dtype)
-                return exchange(alone.value, start, n, objective.swaps), unknown
-            best = relax(alone, slots, n, dtype=dtype)
-            start = heaviest(best.weights, n)
-            return exchange(alone.value, start, n, _TRIED), best.bound
+    def one(k: Array) -> tuple[Array, Array]:
+        alone = objective.alone(k)
+        if not objective.convex:
+            start = greedy(alone.value, slots, n, dtype)
+            unknown = jnp.full((), jnp.nan, dtype)
+            return exchange(alone.value, start, n, objective.swaps), unknown
+        best = relax(alone, slots, n, dtype=dtype)
+        start = heaviest(best.weights, n)
+        return exchange(alone.value, start, n, _TRIED), best.bound
 
-        return jax.lax.map(one, jnp.arange(count), batch_size=min(_TOGETHER, count))
-
-    return whole(objective)
+    return jax.lax.map(one, jnp.arange(count), batch_size=min(_TOGETHER, count))
 
 
 def _smoothed(
@@ -205,9 +205,7 @@ def place_lambdas(
     def each(objective: ImageError, sets: Array, nearby: Array) -> Array:
         def one(x: tuple[Array, Array]) -> Array:
             weights, some = x
-            here = replace(
-                objective, rights=objective.rights[some], targets=objective.targets[some]
-            )
+            here = objective.alone(some)
 
             def error(lam: Array) -> Array:
                 log_lam = jnp.log(lam * model.scale())

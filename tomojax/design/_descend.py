@@ -147,8 +147,12 @@ def descend_sets(
     keys = jax.random.split(jax.random.key(seed), _LAST)
     sets = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
     sets = sets.at[0].set(heaviest(logits, n))
-    values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(now, sets)
-    return Drawn(sets[jnp.argmin(values)], logits, now)
+    return Drawn(sets[jnp.argmin(_values(now, sets))], logits, now)
+
+
+@eqx.filter_jit
+def _values(objective: AbstractObjective, sets: Float[Array, "n L"]) -> Float[Array, " n"]:
+    return jax.lax.map(objective.value, sets)
 
 
 @eqx.filter_jit

@@ -1,5 +1,6 @@
 """Designs sets of ground conditions; compares them with the best possible and patterns."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -90,45 +91,44 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     )
 
 
+@partial(jax.jit, static_argnums=1)
 def _search(
     objective: AbstractObjective, n: int
 ) -> tuple[Float[Array, " L"], dict[str, Array], Relaxed]:
     """Returns the best set, the values of sets by name, and the relaxed solution."""
-    dtype, count = objective.dtype, objective.slots
-
-    @jax.jit
-    def whole(objective: AbstractObjective) -> tuple[Array, dict[str, Array], Relaxed]:
-        value = objective.value
-        best = relax(objective, count, n, objective.worst, dtype)
-        sets = {
-            "rounded": heaviest(best.weights, n),
-            "greedy": greedy(value, count, n, dtype),
-        }
-        # Sets drawn by those weights: exchanges end in the best nearby.
-        inside = jnp.clip(best.weights, 0.01, 0.99)
-        logits = jnp.log(inside / (1 - inside))
-        keys = jax.random.split(jax.random.key(0), _DRAWN)
-        drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
-        starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
-        ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
-        reached = lax.map(value, ends)
-        sets["best"] = ends[jnp.argmin(reached)]
-        values = {name: value(chosen) for name, chosen in sets.items()}
-        return sets["best"], values, best
-
-    return whole(objective)
+    value, count, dtype = objective.value, objective.slots, objective.dtype
+    relaxed = relax(objective, count, n, objective.worst, dtype)
+    sets = {
+        "rounded": heaviest(relaxed.weights, n),
+        "greedy": greedy(value, count, n, dtype),
+    }
+    # Sets drawn by those weights: exchanges end in the best nearby.
+    inside = jnp.clip(relaxed.weights, 0.01, 0.99)
+    logits = jnp.log(inside / (1 - inside))
+    keys = jax.random.split(jax.random.key(0), _DRAWN)
+    drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
+    starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
+    ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
+    sets["best"] = ends[jnp.argmin(lax.map(value, ends))]
+    values = lax.map(value, jnp.stack(list(sets.values())))
+    return sets["best"], dict(zip(sets, values)), relaxed
 
 
 def _ordered(objective: AbstractObjective, grounds: np.ndarray) -> Int[np.ndarray, " n"]:
     """Orders grounds: each next ground lowers the objective most."""
-    value = jax.jit(lambda o, w: o.value(w))
     each = jnp.eye(objective.slots, dtype=objective.dtype)
     left, order, weights = grounds.tolist(), [], 0 * each[0]
     while left:
-        scores = [float(value(objective, weights + each[g])) for g in left]
+        scores = [float(value_of(objective, weights + each[g])) for g in left]
         order.append(left.pop(int(np.argmin(scores))))
         weights = weights + each[order[-1]]
     return np.array(order, int)
+
+
+@jax.jit
+def value_of(objective: AbstractObjective, weights: Float[Array, " L"]) -> Float[Array, ""]:
+    """Rates one set of slots, compiled."""
+    return objective.value(weights)
 
 
 def patterns_beside(
@@ -167,12 +167,13 @@ def patterns_beside(
             figures = each_its_own(objective, weights)
             value = float(figures.max() if objective.worst else figures.mean())
         else:
-            value = float(objective.value(weights[0]))
+            value = float(value_of(objective, weights[0]))
         slots = sets.shape[1]
         rows.append({"name": name, "slots": slots, "value": value, "adaptive": adaptive})
     return rows
 
 
+@jax.jit
 def each_its_own(
     objective: AbstractObjective, weights: Float[Array, "P L"]
 ) -> Float[Array, " P"]:
@@ -183,4 +184,4 @@ def each_its_own(
         figures = objective(w)
         return figures[k] if len(figures) == len(weights) else jnp.full((), jnp.nan)
 
-    return jax.jit(lambda w: jax.lax.map(one, (jnp.arange(len(w)), w)))(weights)
+    return lax.map(one, (jnp.arange(len(weights)), weights))

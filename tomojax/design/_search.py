@@ -81,7 +81,7 @@ def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None)
     start = jnp.full(slots, n / slots, dtype)
     scale = figures(start).max()
 
-    def soft(sharp: float) -> Callable[[Array], tuple[Array, Array, Array]]:
+    def sharpened(best: Relaxed, sharp: Array) -> tuple[Relaxed, None]:
         def value(w: Array) -> tuple[Array, Array]:
             f = figures(w)
             if not worst:
@@ -90,21 +90,19 @@ def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None)
             shares = lax.stop_gradient(jax.nn.softmax(tilted))
             return jax.nn.logsumexp(tilted) * scale / sharp, (shares * f).sum()
 
-        def both(w: Array) -> tuple[Array, Array, Array]:
-            (smooth, linear), slope = jax.value_and_grad(value, has_aux=True)(w)
-            return smooth, slope, linear
-
-        return both
+        return _descend(value, best, n), None
 
     best = Relaxed(start, scale, jnp.full_like(scale, -jnp.inf), jnp.zeros((), int))
-    for sharp in _SHARPNESS if worst else (1.0,):
-        best = _descend(soft(sharp), best, n)
+    sharpness = jnp.asarray(_SHARPNESS if worst else (1.0,), scale.dtype)
+    best, _ = lax.scan(sharpened, best, sharpness)
     f = figures(best.weights)
     return best._replace(value=f.max() if worst else f.mean())
 
 
-def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
+def _descend(figure: Callable, best: Relaxed, n: int) -> Relaxed:
+    """Descends from `best`; `figure` returns a value, and that of the bound's line."""
     count = jnp.asarray(n, best.weights.dtype)
+    both = jax.value_and_grad(figure, has_aux=True)
 
     def bounded(w: Array, slope: Array, linear: Array) -> Array:
         return linear + (slope * (least_weights(slope, n) - w)).sum()
@@ -114,13 +112,13 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
         fall = (s.slope * towards).sum()
 
         def too_far(part: Array) -> Array:
-            value = both(s.weights + part * towards)[0]
+            value = figure(s.weights + part * towards)[0]
             enough = value <= s.before.max() + 1e-4 * part * fall
             return ~enough & (part > 1e-6)
 
         part = lax.while_loop(too_far, lambda p: p / 2, jnp.ones_like(s.value))
         weights = s.weights + part * towards
-        value, slope, linear = both(weights)
+        (value, linear), slope = both(weights)
         moved, changed = weights - s.weights, slope - s.slope
         curved: Array = (moved * changed).sum()
         length = jnp.where(curved > 0, (moved**2).sum() / curved, 4 * s.length)
@@ -131,7 +129,7 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
         length = jnp.clip(length, 1e-9 * longest, longest)
         return _State(weights, value, slope, before, length, bound, done, s.steps + 1)
 
-    value, slope, linear = both(best.weights)
+    (value, linear), slope = both(best.weights)
     first = _State(
         weights=best.weights,
         value=value,

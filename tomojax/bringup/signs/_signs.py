@@ -11,8 +11,8 @@ from tomojax.bringup._wiring import (
     lines_of,
     order_of,
     quality,
-    starts,
 )
+from tomojax.bringup.sheet._orders import starts
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.signs._some import Some, some_of
 from tomojax.kernels.flags import Flag

@@ -5,7 +5,7 @@ from typing import Any, get_args, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.stats import qmc
 
 from tomojax._checks import (
@@ -153,13 +153,14 @@ def design_objective(
     precision = None if noise is None else _precision(sensor, noise)
     metal = 1.0 if rigs and method == "linear" else 1e-4
     conductance = metal if conductance is None else conductance
-    pitch, grounds = sensor.mean_pitch, jnp.arange(sensor.electrode_count)
+    pitch = sensor.mean_pitch
     if method == "points":
         contact = Contact.of(sheet_of(sensor), radius, conductance)
         if rigs:
             return simulated_place_error(sensor, contact, where)
         errors = noise_of(sensor) if precision is None else precision
-        return _of_points(contact, where, criterion, errors)
+        information = _information(contact, errors, where)
+        return PlaceInformation(criterion, information, contact.sheet.unit)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
     value = _RELATIVE * found.scale() if lam is None else lam
     if rigs:
@@ -169,7 +170,7 @@ def design_objective(
     shares = None
     if method == "source":
         contact = Contact.of(sheet_of(sensor), radius, conductance)
-        current = jax.vmap(jax.vmap(contact.current, (None, 0)), (0, None))(where, grounds)
+        current = _currents(contact, where, jnp.arange(sensor.electrode_count))
         shares = (current / current.mean(1, keepdims=True)) ** 2
     width = _BLOB * pitch if radius is None else radius
     return image_objective(found, where, criterion, value, precision, width, shares)
@@ -224,26 +225,38 @@ def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
     return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
 
 
-def _of_points(
-    contact: Contact,
-    places: Float[Array, "P 2"],
-    criterion: str,
-    noise: Noise | Float[Array, "M M"],
-) -> PlaceInformation:
-    """Makes the objective of `points`; `noise` is that of `points`, or N⁻¹."""
-    m = len(contact.sheet.field.electrodes)
+@jax.jit
+def _information(
+    contact: Contact, noise: Noise | Float[Array, "M M"], places: Float[Array, "P 2"]
+) -> Float[Array, "P L 3 3"]:
+    """Computes `points`' F_l at places; `noise` is that of `points`, or N⁻¹."""
+    grounds = jnp.arange(len(contact.sheet.field.electrodes))
 
     def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
         columns = contact.columns(place, ground)
         if isinstance(noise, Noise):
-            seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
+            read = jnp.ones(len(grounds), bool)
+            seen = weighed(slot_weights(noise, columns[0], read), columns)
         else:
             seen = matmul(columns, noise)
         return without_current(matmul(columns, seen.T))
 
-    every = jax.vmap(one, (None, 0))
-    each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
-    return PlaceInformation(criterion, each(places), contact.sheet.unit)
+    return jax.lax.map(lambda x: jax.vmap(one, (None, 0))(x, grounds), places)
+
+
+@jax.jit
+def _currents(
+    contact: Contact, places: Float[Array, "P 2"], grounds: Int[Array, " L"]
+) -> Float[Array, "P L"]:
+    return jax.vmap(jax.vmap(contact.current, (None, 0)), (0, None))(places, grounds)
+
+
+@jax.jit
+def _voltages(
+    contact: Contact, places: Float[Array, "P 2"], grounds: Int[Array, " L"]
+) -> Float[Array, "P L M"]:
+    one = lambda place, ground: contact.columns(place, ground)[0]  # noqa: E731
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(places, grounds)
 
 
 def exploratory_voltages(
@@ -263,6 +276,4 @@ def exploratory_voltages(
     (4, 2, 16)
     """
     contact = Contact.of(sheet_of(sensor), radius, conductance)
-    one = lambda x, g: contact.columns(x, g)[0]  # noqa: E731
-    every = jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))
-    return every(places, exploration(sensor))
+    return _voltages(contact, places, exploration(sensor))

@@ -17,7 +17,7 @@ from tomojax.design.objectives._contacts import Contact, without_current
 from tomojax.design.objectives._information import AbstractObjective, place_prior
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import slot_weights, solve_small, weighed
+from tomojax.kernels.contacts import Noise, slot_weights, solve_small, weighed
 from tomojax.methods import noise_of
 from tomojax.sensor import converter_of, Sensor
 
@@ -67,19 +67,35 @@ def simulated_place_error(
     hisses = jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
     hisses = converter_of(sensor).noise * hisses
 
-    def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
+    rigs = more_ee, more_ek.transpose(2, 0, 1), gains, hisses
+    told, scores = _scores(contact, noise, places, *rigs)
+    return SimulatedPlaceError(told, scores, sheet.unit)
+
+
+@jax.jit
+def _scores(
+    contact: Contact,
+    noise: Noise,
+    places: Float[Array, "P 2"],
+    more_ee: Float[Array, "R M M"],
+    more_ek: Float[Array, "P R M"],
+    gains: Float[Array, "R M"],
+    hisses: Float[Array, "M R M"],
+) -> tuple[Float[Array, "P L 3 3"], Float[Array, "P L R 3"]]:
+    """Computes F_l and h_l at places, by rigs' resistances less the nominal ones."""
+    grounds = jnp.arange(len(hisses))
+
+    def one(place: Array, ek: Array, ground: Array) -> tuple[Array, Array]:
         columns, current = contact.columns(place, ground), contact.current(place, ground)
         own = (more_ee[:, ground, ground] - ek[:, ground])[:, None]
         off = current * (ek - more_ee[:, ground] + own)
         off = off + gains * columns[0] + hisses[ground]
-        seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
+        read = jnp.ones(len(grounds), bool)
+        seen = weighed(slot_weights(noise, columns[0], read), columns)
         return score(columns, seen, off)
 
-    every = jax.vmap(one, (None, 0, None))
-    grounds = jnp.arange(m)
-    each = jax.jit(lambda p, e: jax.lax.map(lambda x: every(x[0], grounds, x[1]), (p, e)))
-    told, scores = each(places, more_ek.transpose(2, 0, 1))
-    return SimulatedPlaceError(told, scores, sheet.unit)
+    every = jax.vmap(one, (None, None, 0))
+    return jax.lax.map(lambda x: every(*x, grounds), (places, more_ek))
 
 
 def score(

@@ -77,15 +77,12 @@ def shape_objective(sensor: Sensor, shapes: int = 8, seed: int = 0) -> ShapeInfo
     pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
     side = max(8, round(_PIXELS * pitches))
     model = ShapeModel.of(sensor, (side, side))
-    return _information(model, jax.random.key(seed), shapes)
-
-
-def _information(model: ShapeModel, key: Array, shapes: int) -> ShapeInformation:
-    @jax.jit
-    def of(model: ShapeModel, errors: Any, w: Array) -> Array:
-        slopes = model.slopes_at(errors, w)[:, :, :_WAVES]
-        return jax.vmap(lambda s: matmul(s.T, s))(slopes)
-
     errors, count = model.every_slot(), model.field.waves.shape[2]
-    drawn = jax.random.normal(key, (shapes, count), model.cell.dtype)
-    return ShapeInformation(jnp.stack([of(model, errors, w) for w in drawn]))
+    drawn = jax.random.normal(jax.random.key(seed), (shapes, count), model.cell.dtype)
+    return ShapeInformation(jnp.stack([_information(model, errors, w) for w in drawn]))
+
+
+@jax.jit
+def _information(model: ShapeModel, errors: Any, w: Array) -> Float[Array, "L K K"]:
+    slopes = model.slopes_at(errors, w)[:, :, :_WAVES]
+    return jax.vmap(lambda s: matmul(s.T, s))(slopes)
