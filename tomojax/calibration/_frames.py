@@ -1,5 +1,6 @@
 """Computes what frames with one contact each say of the rig, the contact eliminated."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -34,6 +35,11 @@ class Known(NamedTuple):
     spread: Float[np.ndarray, " n"]  # 1 σ of them, m
     times: Float[np.ndarray, "n S"]  # of slots, s
     weight: Float[np.ndarray, " n"]  # of what a frame tells, beside its neighbours
+
+    def on_device(self, dtype: Any) -> "Known":
+        """Makes JAX's arrays, of which a compiled call takes each frame by itself."""
+        wide = Known(*(jnp.asarray(a, dtype) for a in self))
+        return wide._replace(grounds=jnp.asarray(self.grounds))
 
 
 class Sums(NamedTuple):
@@ -84,17 +90,16 @@ def sums_of(
     """Sums the normal equations of the rig's values over frames; `volts` are corrected."""
     used = np.isfinite(volts).all((0, 1))
     prepared = points.prepare(known.grounds[0], np.tile(used, (volts.shape[1], 1)), 1.0)
-    volts, dtype = np.nan_to_num(volts), points.errors.noise.dtype
+    dtype = points.errors.noise.dtype
     times = known.times - known.times.mean(1, keepdims=True)
+    whole = known._replace(voltages=np.nan_to_num(volts), times=times)
     each, parts = [], []
     for k in range(0, len(volts), _FRAMES):
         part = np.arange(k, k + _FRAMES)
         there = part < len(volts)
-        part = np.minimum(part, len(volts) - 1)
-        weight = there * known.weight[part]
-        given = volts[part], known.places[part], known.spread[part], times[part], weight
-        given = [jnp.asarray(a, dtype) for a in given]
-        found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
+        some = Known(*(a[np.minimum(part, len(volts) - 1)] for a in whole))
+        some = some._replace(weight=there * some.weight).on_device(dtype)
+        found = _frames(points, slopes, prepared, some)
         parts.append(Sums(*(np.asarray(a, float) for a in found)))
         each.append(parts[-1].each[there])
     total = Sums(*(sum(a) for a in zip(*parts)))
@@ -105,20 +110,11 @@ def sums_of(
 
 @eqx.filter_jit
 def _frames(
-    points: Points,
-    slopes: RigSlopes,
-    prepared: Any,
-    grounds: Array,
-    volts: Array,
-    places: Array,
-    spread: Array,
-    times: Array,
-    weight: Array,
+    points: Points, slopes: RigSlopes, prepared: Any, frames: Known
 ) -> tuple[Array, ...]:
-    def one(v: Array, g: Array, *about: Array) -> tuple[Array, ...]:
-        return _frame(points, slopes, prepared._replace(grounds=g), v, *about)
-
-    rows, shared, rest, *sums = jax.vmap(one)(volts, grounds, places, spread, times)
+    one = partial(_frame, points, slopes, prepared)
+    rows, shared, rest, *sums = jax.vmap(one)(frames)
+    weight = frames.weight
     # One product for all frames.
     count = rows.shape[-1]
     root = jnp.sqrt(weight)[:, None, None]
@@ -134,13 +130,7 @@ def _frames(
 
 
 def _frame(
-    points: Points,
-    slopes: RigSlopes,
-    prepared: Any,
-    volts: Float[Array, "S M"],
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-    times: Float[Array, " S"],
+    points: Points, slopes: RigSlopes, prepared: Any, one: Known
 ) -> tuple[Array, ...]:
     """Computes rows A of slopes by the rig, B, the contact's part of AᵀA, and the rest.
 
@@ -148,7 +138,7 @@ def _frame(
     the slots share, are eliminated by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. The contact's own fit leaves
     nothing along T but the priors' part, and so the right side is Aᵀr.
     """
-    near, whole = near_of(points, prepared, volts, place, spread)
+    near, whole = near_of(points, prepared, one)
     found, sheet, frame = near.explained(near.fitted()), near.sheet, near.frame
     # Slots that do not fit at all count little, as in the fit.
     robust = jax.lax.rsqrt(1 + (found.rest**2).sum(1) / near.tolerance)[:, None]
@@ -162,39 +152,32 @@ def _frame(
     scale = (frame.scale * robust)[..., None]
     rows = free(slopes_by_rig(sheet, slopes, frame.grounds, found.fitted) * scale)
     by_contact = found.tangent.transpose(0, 2, 1) * robust[..., None]
-    moving = by_contact[..., :2] * (times * _SPEED / sheet.unit)[:, None, None]
+    moving = by_contact[..., :2] * (one.times * _SPEED / sheet.unit)[:, None, None]
     by_contact = free(jnp.concatenate([by_contact, moving], -1))
     rest = found.rest * robust
     shape = rows.shape[0] * rows.shape[1], -1
     a, t = rows.reshape(shape), by_contact.reshape(shape)
     known = jnp.matmul(found.slope.T, found.slope, precision="highest")
-    known = jnp.pad(known, (0, 2)) + jnp.diag(
-        jnp.array([0.0] * model.DISC + [1.0] * 2, t.dtype)
-    )
-    own = jnp.matmul(t.T, t, precision="highest") + known
+    still = jnp.diag(jnp.array([0.0] * model.DISC + [1.0] * 2, t.dtype))
+    own = jnp.matmul(t.T, t, precision="highest") + (jnp.pad(known, (0, 2)) + still)
     both = jnp.matmul(t.T, a, precision="highest")
     shared = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(own), both, lower=True)
-    left = model.whitened_columns(whole, volts - found.fitted.voltages)
-    left = left[:, volts.shape[1] :]
+    left = model.whitened_columns(whole, one.voltages - found.fitted.voltages)
+    left = left[:, one.voltages.shape[1] :]
     count = (frame.scale > 0).sum() - rows.shape[0] - t.shape[1]
     sums = (rest**2).sum(), count.astype(rest.dtype), jnp.square(left * robust).mean()
     sound = jnp.isfinite(found.fitted.place).all() & jnp.isfinite(shared).all()
     return tuple(jnp.where(sound, x, 0) for x in (a, shared, rest.ravel(), *sums))
 
 
-def near_of(
-    points: Points,
-    prepared: Any,
-    volts: Float[Array, "S M"],
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-) -> tuple[Near, WhitenedFrame]:
+def near_of(points: Points, prepared: Any, one: Known) -> tuple[Near, WhitenedFrame]:
     """Whitens a frame by each channel's own errors alone, and by all errors.
 
     A calibration looks for the errors in common: its contacts are fitted without these.
     """
-    frame = fitting_of(points, prepared, volts, 1).frame
+    volts, here = one.voltages, prepared._replace(grounds=one.grounds)
+    frame = fitting_of(points, here, volts, 1).frame
     own = frame._replace(
         whitened=volts * frame.scale, common=frame.common[:, :0], filter=frame.filter[:, :0]
     )
-    return Near(points.sheet, own, prepared.tolerance, place, spread), frame
+    return Near(points.sheet, own, prepared.tolerance, one.places, one.spread), frame

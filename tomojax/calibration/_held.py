@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated
-from tomojax.calibration._frames import Near, near_of
+from tomojax.calibration._frames import Known, Near, near_of
 from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
 from tomojax.kernels.contacts import Sheet, WhitenedFrame
 from tomojax.methods import method as make_method, Points
@@ -74,12 +74,11 @@ class HeldCalibration(eqx.Module):
         volts = found.told.voltages(known.voltages.astype(float))
         require(bool(np.isfinite(volts).all()), "found", "channels of NaN", "volts in all")
         prepared = points.prepare(known.grounds[0], np.ones(volts.shape[1:], bool), 1.0)
-        given = volts, known.grounds, known.places, known.spread
-        given = tuple(map(jnp.asarray, given))
-        contacts, scale, slopes = _fits(points, rig_slopes(sensor), prepared, *given)
+        known = known._replace(voltages=volts).on_device(float)
+        contacts, scale, slopes = _fits(points, rig_slopes(sensor), prepared, known)
         self.sheet, self.tolerance = points.sheet, prepared.tolerance
-        _, self.grounds, self.places, self.spread = given
-        self.weight, self.contacts = jnp.asarray(known.weight), contacts
+        self.grounds, self.places, self.spread = known.grounds, known.places, known.spread
+        self.weight, self.contacts = known.weight, contacts
         self.scale, self.slopes = scale, slopes
         self.state, self.start = jnp.asarray(found.state), jnp.asarray(unknowns.start)
         self.prior = jnp.asarray(unknowns.prior)
@@ -136,16 +135,15 @@ class HeldCalibration(eqx.Module):
 
 @eqx.filter_jit
 def _fits(
-    points: Points, slopes: RigSlopes, prepared: Any, volts, grounds, places, spread
+    points: Points, slopes: RigSlopes, prepared: Any, frames: Known
 ) -> tuple[Array, Array, Array]:
     """Fits each frame: its contact, its errors' scale, and slopes by the rig's geometry."""
 
-    def one(v: Array, g: Array, place: Array, spread: Array) -> Any:
-        ready = prepared._replace(grounds=g)
-        near, _ = near_of(points, ready, v, place, spread)
+    def one(frame: Known) -> tuple[Array, Array, Array]:
+        near, _ = near_of(points, prepared, frame)
         contact = near.fitted()
         fitted = near.explained(contact).fitted
-        by_rig = slopes_by_rig(points.sheet, slopes, g, fitted)
-        return contact, near.frame.scale, by_rig[..., 2 * v.shape[-1] :]
+        by_rig = slopes_by_rig(points.sheet, slopes, frame.grounds, fitted)
+        return contact, near.frame.scale, by_rig[..., 2 * frame.voltages.shape[-1] :]
 
-    return jax.vmap(one)(volts, grounds, places, spread)
+    return jax.vmap(one)(frames)
