@@ -155,7 +155,7 @@ def images(objective: tx.design.ImageError, weights: np.ndarray, lam: float) -> 
 
 @jax.jit
 def _images(objective: tx.design.ImageError, weights: jax.Array) -> jax.Array:
-    each = lambda x: objective.images_of(x[0], x[1][None])[0]  # noqa: E731
+    each = lambda x: replace(objective, rights=x[1][None]).images(x[0])[0]  # noqa: E731
     return jax.lax.map(each, (weights, objective.rights))
 
 

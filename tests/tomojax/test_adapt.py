@@ -72,6 +72,7 @@ def results(sensor, day, path, **more):
     tx.reconstruct_recording(day.recording(sensor), path, settings(**more), overwrite=True)
     with h5py.File(path) as file:
         found = {name: file[name][...] for name in file}
+    found["bytes"] = path.read_bytes()
     xy = found["contact_xy"].reshape(-1, 4, 2, 2)[:, 3, 0]
     found["hours"] = np.hypot(*(xy - day.places).T).reshape(-1, 60)
     found["mm"] = 1e3 * np.median(found["hours"], 1)
@@ -117,9 +118,8 @@ def test_results_log_what_was_used(found):
 
 
 def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
-    recording, one, other = day.recording(sensor), tmp_path / "a.h5", tmp_path / "b.h5"
+    recording, other = day.recording(sensor), tmp_path / "b.h5"
     given = settings(adapt=True)
-    tx.reconstruct_recording(recording, one, given)
 
     def stop(done, total):
         if done == 3:
@@ -129,9 +129,7 @@ def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
         tx.reconstruct_recording(recording, other, given, progress=stop)
     assert not other.exists()
     tx.reconstruct_recording(recording, other, given, resume=True)
-    assert one.read_bytes() == other.read_bytes()
-    with h5py.File(one) as file:
-        np.testing.assert_array_equal(file["adapted_gain"], found[True]["adapted_gain"])
+    assert other.read_bytes() == found[True]["bytes"]
     with pytest.raises(ValueError, match="^--processes: got 2, expected one process"):
         tx.reconstruct_recording(recording, tmp_path / "c.h5", given, share=(0, 2))
 

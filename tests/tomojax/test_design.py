@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import recordings
 from click.testing import CliRunner
 from jaxtyping import Array, Float
 
@@ -50,9 +51,15 @@ def objectives(sensor):
     return one
 
 
-def central(f, x, k, h=1e-5):
-    step = h * jnp.zeros(len(x)).at[k].set(1.0)
-    return float((f(x + step) - f(x - step)) / (2 * h))
+# One program each for all tests of an objective.
+VALUE = jax.jit(lambda objective, w: objective.value(w))
+SLOPE = jax.jit(lambda objective, w: jax.grad(objective.value)(w))
+VALUES = jax.jit(lambda objective, sets: jax.lax.map(objective.value, sets))
+
+
+def central(objective, w, k, h=1e-5):
+    step = h * jnp.zeros(len(w)).at[k].set(1.0)
+    return float((VALUE(objective, w + step) - VALUE(objective, w - step)) / (2 * h))
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
@@ -60,12 +67,11 @@ def central(f, x, k, h=1e-5):
 def test_slopes_in_weights(objectives, rng, kind, start):
     objective = objectives(*kind)
     w = np.full(16, 0.25) if start == "symmetric" else rng.uniform(0.1, 1, 16)
-    value = jax.jit(lambda w: objective.value(w))
-    slope = np.asarray(jax.jit(jax.grad(value))(jnp.asarray(w)))
+    slope = np.asarray(SLOPE(objective, jnp.asarray(w)))
     assert np.isfinite(slope).all()
     if kind[1] == "worst" and start == "symmetric":
         return  # two places can be the worst at once: no derivative there
-    wanted = np.array([central(value, jnp.asarray(w), k) for k in range(0, 16, 5)])
+    wanted = np.array([central(objective, jnp.asarray(w), k) for k in range(0, 16, 5)])
     np.testing.assert_allclose(slope[::5], wanted, rtol=1e-5, atol=1e-7 * abs(wanted).max())
 
 
@@ -74,9 +80,10 @@ def test_slope_in_lambda(objectives, method):
     objective = objectives(method, "a")
     assert isinstance(objective, ImageVariance)
     w = jnp.linspace(0.2, 1, 16)
-    f = lambda t: replace(objective, lam=jnp.exp(t)).value(w)  # noqa: E731
+    f = jax.jit(lambda t: replace(objective, lam=jnp.exp(t)).value(w))
     t, h = jnp.log(objective.lam), 1e-4
-    np.testing.assert_allclose(jax.grad(f)(t), (f(t + h) - f(t - h)) / (2 * h), rtol=1e-5)
+    slope = jax.jit(jax.grad(f))(t)
+    np.testing.assert_allclose(slope, (f(t + h) - f(t - h)) / (2 * h), rtol=1e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
@@ -85,14 +92,13 @@ def test_all_sets_of_three_are_above_the_bound_and_the_best_is_found(objectives,
     sets = np.array(list(itertools.combinations(range(16), 3)))
     weights = np.zeros((len(sets), 16))
     np.put_along_axis(weights, sets, 1, 1)
-    values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(objective, jnp.asarray(weights))
-    best = float(values.min())
+    best = float(VALUES(objective, jnp.asarray(weights)).min())
     found = tx.design.design(objective, 3)
     assert found.bound <= best * (1 + 1e-9)
     assert found.value <= 1.01 * best
     chosen = np.zeros(16)
     chosen[found.grounds] = 1
-    assert float(objective.value(jnp.asarray(chosen))) == pytest.approx(found.value)
+    assert float(VALUE(objective, jnp.asarray(chosen))) == pytest.approx(found.value)
     assert found.relaxed <= found.value * (1 + 1e-9) and found.value <= found.greedy
 
 
@@ -105,7 +111,7 @@ def test_relaxed_weights(objectives):
         assert abs(w.sum() - count) < 1e-9 and w.min() >= 0 and w.max() <= 1
         assert 0 <= found.value - found.bound < 1e-3 * found.value
         # Slots that are not taken in full have the same slope.
-        slope = np.asarray(jax.grad(objective.value)(found.weights))
+        slope = np.asarray(SLOPE(objective, found.weights))
         between = (w > 0.05) & (w < 0.95)
         partly += between.sum()
         if between.any():
@@ -119,16 +125,16 @@ def test_all_slots_and_one(objectives):
     assert sorted(whole.grounds) == list(range(16))
     assert whole.value == pytest.approx(whole.bound, rel=1e-6)
     single = tx.design.design(objective, 1)
-    values = [float(objective.value(row)) for row in jnp.eye(16)]
+    values = VALUES(objective, jnp.eye(16))
     assert single.grounds.tolist() == [int(np.argmin(values))]
 
 
 def test_few_swaps_by_slope(objectives):
     objective = objectives("linear", "a")
     start = jnp.zeros(16).at[:4].set(1)
-    some = objective.value(exchange(objective.value, start, 4, tried=8))
-    assert objective.value(exchange(objective.value, start, 4)) <= some
-    assert some < 0.95 * objective.value(start)
+    some = VALUE(objective, exchange(objective.value, start, 4, tried=8))
+    assert VALUE(objective, exchange(objective.value, start, 4)) <= some
+    assert some < 0.95 * VALUE(objective, start)
 
 
 def test_noise_that_is_stated(sensor):
@@ -147,16 +153,16 @@ def test_noise_that_is_stated(sensor):
     assert (shifted(w) > plain(w)).all()
 
 
-def test_single_precision(sensor):
-    places = tx.design.design_places(sensor, count=8)
+def test_single_precision(sensor, objectives):
+    places = np.asarray(tx.design.design_places(sensor, count=12))
     words = {"divisions": (16, 16), "electrode_diameter": 0.005}
     single = tx.Sensor.grid(4, 4, dtype=np.float32, **words)
-    for method in ("points", "linear"):
-        wide = tx.design.design_objective(sensor, places, method, grid=16)
-        narrow = tx.design.design_objective(single, np.asarray(places), method, grid=16)
-        a, b = tx.design.design(wide, 4), tx.design.design(narrow, 4)
+    for kind in (("points", "place"), ("linear", "a")):
+        wide = objectives(*kind)
+        narrow = tx.design.design_objective(single, places, *kind, grid=16)
+        a, b = tx.design.design(wide, 3), tx.design.design(narrow, 3)
         chosen = jnp.zeros(16).at[jnp.asarray(b.grounds)].set(1)
-        assert float(wide.value(chosen)) <= 1.01 * a.value
+        assert float(VALUE(wide, chosen)) <= 1.01 * a.value
         assert b.value == pytest.approx(a.value, rel=0.02)
 
 
@@ -169,7 +175,7 @@ def test_patterns_beside(sensor, objectives):
         row["name"]: row for row in tx.design.patterns_beside(sensor, objective, explored)
     }
     assert list(rows) == list(tx.paper.PATTERNS)
-    every = float(objective.value(jnp.ones(16)))
+    every = float(VALUE(objective, jnp.ones(16)))
     assert rows["all"]["value"] == pytest.approx(every)
     assert all(row["value"] >= every * (1 - 1e-9) for row in rows.values())
 
@@ -189,17 +195,16 @@ def simulated(sensor):
 def test_slopes_of_simulated_errors(simulated, rng, smooth):
     objective = simulated[smooth]
     w = jnp.asarray(rng.uniform(0.2, 1, 16))
-    value = lambda w: objective.value(w)  # noqa: E731
-    slope = jax.grad(value)(w)
-    wanted = [central(value, w, k) for k in (0, 7, 15)]
+    slope = SLOPE(objective, w)
+    wanted = [central(objective, w, k) for k in (0, 7, 15)]
     np.testing.assert_allclose(slope[jnp.array([0, 7, 15])], wanted, rtol=1e-5)
     names = ["log_lam", "log_length"] if smooth else ["log_lam"]
+    by_all = jax.jit(jax.grad(lambda o: o.value(w)))(objective)
     for name in names:
-        f = lambda t, n=name: replace(objective, **{n: t}).value(w)  # noqa: E731
         at, h = getattr(objective, name), 1e-4
-        np.testing.assert_allclose(
-            jax.grad(f)(at), (f(at + h) - f(at - h)) / (2 * h), rtol=1e-5, atol=1e-9
-        )
+        ahead, behind = (VALUE(replace(objective, **{name: at + by}), w) for by in (h, -h))
+        wanted = (ahead - behind) / (2 * h)
+        np.testing.assert_allclose(getattr(by_all, name), wanted, rtol=1e-5, atol=1e-9)
 
 
 def test_lambda_and_length_by_gradient_against_a_grid(simulated):
@@ -223,12 +228,10 @@ def test_sets_by_gradients_through_draws(simulated):
     found = tx.design.descend_sets(objective, 4, steps=60)
     assert found.weights.sum() == 4
     rng = np.random.default_rng(0)
-    others = []
-    for _ in range(40):
-        w = np.zeros(16)
-        w[rng.permutation(16)[:4]] = 1
-        others.append(float(found.objective.value(jnp.asarray(w))))
-    assert float(found.objective.value(found.weights)) < np.quantile(others, 0.25)
+    drawn = np.zeros((40, 16))
+    np.put_along_axis(drawn, np.array([rng.permutation(16)[:4] for _ in drawn]), 1, 1)
+    others = VALUES(found.objective, jnp.asarray(drawn))
+    assert VALUE(found.objective, found.weights) < np.quantile(others, 0.25)
 
 
 class Own(tx.design.AbstractObjective):
@@ -365,39 +368,46 @@ def test_a_table_of_what_has_one_figure_for_all(sensor):
         tx.design.design_policy(sensor, 3, "linear", criterion="d")
 
 
-def test_the_command(tmp_path, monkeypatch):
+def small(path):
+    """A recording's file of a 4 × 4 sensor, for `--like`."""
+    xy = 0.01 + 0.02 * np.indices((4, 4)).reshape(2, -1).T
+    codes = np.zeros((1, 2, 16), np.int16)
+    recordings.write(path, codes, [0, 15], electrode_xy=xy, size=[0.08, 0.08])
+    return tx.Sensor.grid(4, 4, divisions=(16, 16)), ["--like", str(path)]
+
+
+def paper(path):
+    return tx.Sensor.grid(), []
+
+
+# Eight slots as some patterns have: one search less to compile. Without a criterion the
+# table is for errors on rigs, which takes half a minute.
+WORDS = ["--region", "20", "20", "60", "60", "--contacts", "4", "--slots", "8"]
+
+
+@pytest.mark.parametrize("rig", [small, pytest.param(paper, marks=pytest.mark.long)])
+def test_the_command(tmp_path, monkeypatch, rig):
     monkeypatch.chdir(tmp_path)
-    # Eight as some patterns have: one search less to compile. Without a criterion the
-    # table is for errors on rigs, which takes half a minute.
-    words = ["--region", "60", "60", "100", "100", "--contacts", "4", "--slots", "8"]
-    words += ["--criterion", "place"]
-    more = ["--json", "out/d.json", "--out", "out", "--policy", "out/p.npz"]
+    sensor, like = rig(tmp_path / "rig.h5")
+    m = sensor.electrode_count
+    own = ["--grounds", ",".join(map(str, range(1, m, m // 8)))]
+    words = [*WORDS, *like, *own, "--criterion", "place", "--json", "out/d.json"]
+    more = ["--out", "out", "--policy", "out/p.npz"]
     result = CliRunner().invoke(app, ["design", *words, *more])
     assert result.exit_code == 0, result.output
     report = json.loads(Path("out/d.json").read_text())
-    summary, rows = report["summary"], report["rows"]
-    assert len(summary["grounds"]) == 8 and summary["bound"] <= summary["objective"] * (
-        1 + 1e-9
-    )
-    assert [row["name"] for row in rows] == list(tx.paper.PATTERNS)
-    for row in rows:
-        assert row["designed"] <= row["value"] * 1.02
-        assert row["name"] in result.output
-    assert Path("out/design.png").stat().st_size > 10_000
-    table = tx.step.load_policy("out/p.npz", tx.Sensor.grid())
-    assert table.table.shape == (32, 32, 8)
-
-
-def test_grounds_of_ones_own_are_rated(tmp_path):
-    words = ["--region", "60", "60", "100", "100", "--contacts", "4", "--slots", "8"]
-    own = ["--grounds", "0,7,14,21,28,35,42,49", "--json", str(tmp_path / "d.json")]
-    result = CliRunner().invoke(app, ["design", *words, *own])
-    assert result.exit_code == 0, result.output
-    first, *rows = json.loads((tmp_path / "d.json").read_text())["rows"]
+    summary, (first, *rows) = report["summary"], report["rows"]
+    assert len(summary["grounds"]) == 8
+    assert summary["bound"] <= summary["objective"] * (1 + 1e-9)
     assert first["name"] == "yours" and first["slots"] == 8
     assert first["designed"] < first["value"]
     assert [row["name"] for row in rows] == list(tx.paper.PATTERNS)
-    assert "yours" in result.output
+    for row in report["rows"]:
+        assert row["designed"] <= row["value"] * 1.02
+        assert row["name"] in result.output
+    assert Path("out/design.png").stat().st_size > 10_000
+    table = tx.step.load_policy("out/p.npz", sensor)
+    assert table.table.shape == (32, 32, 8)
 
 
 @pytest.mark.parametrize(

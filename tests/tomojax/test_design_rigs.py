@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.design import contact_columns, designs_by_place, score
-from tomojax.design.objectives import exact_on_rig
+from tomojax.design import designs_by_place, score
+from tomojax.design.objectives import Contact, exact_on_rig
 from tomojax.methods import Points
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -62,7 +62,8 @@ def test_metal_on_the_grounded_electrode():
     ground, other = 18, 27
     exact = rig.scene((rig.disc(place, 0.002), 1.0))[0]
     wide = tx.Sensor.grid(divisions=(32, 32))
-    got = np.asarray(tx.design.simulate_scenes(wide, [place], rigs=1).voltages[0])
+    # Two scenes as above: one program.
+    got = np.asarray(tx.design.simulate_scenes(wide, [place] * 2, rigs=1).voltages[0])
     assert np.abs(got[ground] - exact[ground]).max() < 0.05
     assert np.ptp(got[ground]) < 0.01 and np.ptp(got[other]) > 1
 
@@ -99,12 +100,11 @@ def test_bad_scenes(sensor, words, message):
 def test_a_move_of_the_contact_is_its_score(sensor):
     """What the voltages of a contact a little further on pull by is that move."""
     points = Points.of(sensor, (8, 8))
-    size, resistance = jnp.zeros(()), jnp.asarray(1e4)
+    contact, ground = Contact.of(points.sheet, None, 1e-4), jnp.asarray(5)
     place, move = jnp.asarray([0.033, 0.041]), 1e-6
     there = place + jnp.asarray([move, 0])
-    args = size, resistance, jnp.asarray(5)
-    columns = contact_columns(points.sheet, place, *args)
-    off = 1.3 * contact_columns(points.sheet, there, *args)[0] - columns[0]
+    columns = contact.columns(place, ground)
+    off = 1.3 * contact.columns(there, ground)[0] - columns[0]
     told, pull = score(columns, columns, off[None])
     known = told + jnp.diag(jnp.asarray([0.0, 0.0, 1e-9]))
     moved = jnp.linalg.solve(known, pull[0]) * points.sheet.unit
@@ -122,24 +122,26 @@ def test_errors_on_rigs(sensor):
     assert np.isnan(found.bound) and found.value <= found.greedy * (1 + 1e-9)
     quiet = replace(objective, scores=objective.scores / 2)  # pyright: ignore
     np.testing.assert_allclose(quiet(ones), figures / 2, rtol=1e-9)
-    slope = jax.grad(objective.value)(0.25 * ones)
+    slope = jax.jit(jax.grad(objective.value))(0.25 * ones)
     assert np.isfinite(np.asarray(slope)).all()
 
 
 def test_images_on_rigs(sensor, images):
     """Figures are of places and widths; alone they are the same; slopes are right."""
     w = jnp.asarray(np.random.default_rng(3).uniform(0.2, 1, 16))
-    figures = np.asarray(images(w))
+    value, slope_at = jax.jit(images.value), jax.jit(jax.grad(images.value))
+    figures = np.asarray(jax.jit(images)(w))
     assert images.lam > 0
     assert figures.shape == (4,) and (figures > 0.002).all() and (figures < 0.05).all()
-    alone = [float(images.alone(jnp.asarray(k)).value(w)) for k in range(4)]
+    one = jax.jit(lambda k: images.alone(k).value(w))
+    alone = [float(one(jnp.asarray(k))) for k in range(4)]
     np.testing.assert_allclose(alone, figures, rtol=1e-9)
-    slope, h = jax.grad(images.value)(w), 1e-6
+    slope, h = slope_at(w), 1e-6
     for k in (0, 7, 15):
         step = h * jnp.zeros(16).at[k].set(1.0)
-        wanted = (images.value(w + step) - images.value(w - step)) / (2 * h)
+        wanted = (value(w + step) - value(w - step)) / (2 * h)
         np.testing.assert_allclose(slope[k], wanted, rtol=1e-5, atol=1e-9)
-    even = jax.grad(images.value)(jnp.full(16, 0.5))
+    even = slope_at(jnp.full(16, 0.5))
     assert np.isfinite(np.asarray(even)).all()
 
 

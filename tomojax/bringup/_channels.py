@@ -1,7 +1,5 @@
 """Finds faults that levels of channels show before a fit: dead, stuck, noise, hum."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -13,70 +11,57 @@ from tomojax.bringup.sheet._slots import Slots
 _FOLLOWS = 0.05
 
 # A dead channel stays nearer to 0 than this, of the drive, or than so many times the noise.
-_NEAR_ZERO, _NOISES = 0.01, 8.0
+_NEAR_ZERO = 0.01
+_NOISES = 8.0
 
-# Noise of a channel beside the others', and of all beside what a converter has: more is a
-# fault. Hum, of the noise that a converter has.
-_LOUD, _ALL_LOUD, _HUM = 3.0, 5.0, 2.0
+# A channel is noisy from so many times the others' noise on.
+_LOUD = 3.0
+
+# All channels are noisy from so many times a converter's noise on.
+_ALL_LOUD = 5.0
+
+# Hum is a fault from so many times a converter's noise on.
+_HUM = 2.0
 
 # Mains, Hz, and how near its frequency must be.
-_MAINS, _NEAR = (50.0, 60.0), 0.02
+_MAINS = 50.0, 60.0
+_NEAR = 0.02
 
 
-class Levels(NamedTuple):
-    faults: list[Fault]
-    dead: Bool[np.ndarray, " M"]
-    stuck: Bool[np.ndarray, " M"]
-
-
-def nominal_noise(slots: Slots) -> float:
-    """Computes the same as `tomojax.sensor.nominal_noise`, V rms, without JAX."""
-    return max(1e-4 * slots.drive, slots.rig.resolution / np.sqrt(12))
-
-
-def unresponsive(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence) -> Levels:
+def unresponsive(
+    slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence
+) -> list[Fault]:
     """Finds dead and stuck channels; `volts` of touched slots, with their zeros."""
     low, middle, high = np.quantile(volts, [0.1, 0.5, 0.9], axis=0)
     swing = np.quantile(np.abs(volts - silent.zero), 0.8, axis=0)
     usual = np.median(swing)
     moving = np.maximum(high - low, 0)
     still = moving < _FOLLOWS * max(float(np.median(moving)), 1e-12)
-    noise = np.nan_to_num(silent.noise, nan=nominal_noise(slots))
+    noise = np.nan_to_num(silent.noise, nan=slots.nominal_noise)
     near = max(_NEAR_ZERO * slots.drive, _NOISES * float(np.median(noise)))
     # At the rail in a touch and elsewhere else: a level that does not follow is stuck.
     silent_too = swing < _FOLLOWS * usual
     dead = still & (np.abs(middle) < near) & (silent_too | (silent.slots == 0))
-    stuck = still & ~dead
     faults = []
-    for c in np.flatnonzero(dead):
-        part = float(swing[c] / max(usual, 1e-12))
-        faults.append(
-            Fault(
-                "dead",
-                (int(c),),
-                float(middle[c]),
-                "V",
-                certainty(0.2 / max(part, 1e-3)),
-                f"channel {c} stays at {1e3 * middle[c]:+.1f} mV in every touch; "
-                f"the others rise by {usual:.2f} V",
-                f"look for a broken wire between channel {c} and its electrode",
-            )
+    for c in np.flatnonzero(dead).tolist():
+        level, part = float(middle[c]), float(swing[c] / max(usual, 1e-12))
+        sure, seen = certainty(0.2 / max(part, 1e-3)), f"{1e3 * level:+.1f} mV"
+        text = (
+            f"channel {c} stays at {seen} in every touch; the others rise by {usual:.2f} V"
         )
-    for c in np.flatnonzero(stuck):
-        rail = min(abs(middle[c] - r) for r in slots.rig.rails) < 0.01 * slots.drive
-        where = f"{middle[c]:+.3f} V" + (", the converter's rail" if rail else "")
-        faults.append(
-            Fault(
-                "stuck",
-                (int(c),),
-                float(middle[c]),
-                "V",
-                certainty(0.2 * usual / max(moving[c], 1e-3 * usual)),
-                f"channel {c} stays at {where}, touched or not",
-                f"look for a short of channel {c} to a supply, or a dead input",
-            )
+        mend = f"look for a broken wire between channel {c} and its electrode"
+        faults.append(Fault("dead", (c,), level, "V", sure, text, mend))
+    for c in np.flatnonzero(still & ~dead).tolist():
+        level, sure = (
+            float(middle[c]),
+            certainty(0.2 * usual / max(moving[c], 1e-3 * usual)),
         )
-    return Levels(faults, dead, stuck)
+        rail = min(abs(level - r) for r in slots.rig.rails) < 0.01 * slots.drive
+        where = f"{level:+.3f} V" + (", the converter's rail" if rail else "")
+        text = f"channel {c} stays at {where}, touched or not"
+        mend = f"look for a short of channel {c} to a supply, or a dead input"
+        faults.append(Fault("stuck", (c,), level, "V", sure, text, mend))
+    return faults
 
 
 def noise_faults(
@@ -85,37 +70,22 @@ def noise_faults(
     """Finds channels that are noisier than the others, and noise of all channels."""
     if np.isnan(silent.noise).any():
         return []
-    nominal = nominal_noise(slots)
+    nominal = slots.nominal_noise
     usual = float(np.median(silent.noise[sane])) if sane.any() else nominal
     floor = max(usual, slots.rig.resolution / np.sqrt(12))
     faults = []
     if usual > _ALL_LOUD * nominal:
-        faults.append(
-            Fault(
-                "noise",
-                (),
-                usual,
-                "V rms",
-                certainty(usual / nominal - 2),
-                f"all channels have {1e3 * usual:.2f} mV rms of noise; "
-                f"{1e3 * nominal:.2f} mV are usual at this drive and resolution",
-                "shield the cables, join grounds at one point, average in the converter",
-            )
-        )
-    for c in np.flatnonzero(sane & (silent.noise > _LOUD * floor)):
-        ratio = float(silent.noise[c] / floor)
-        faults.append(
-            Fault(
-                "noise",
-                (int(c),),
-                float(silent.noise[c]),
-                "V rms",
-                certainty(ratio - 1),
-                f"channel {c} has {1e3 * silent.noise[c]:.2f} mV rms of noise, {ratio:.0f} "
-                "times the others'",
-                f"look at the joint and the shield of channel {c}'s wire",
-            )
-        )
+        sure, seen = certainty(usual / nominal - 2), f"{1e3 * usual:.2f} mV rms"
+        most = f"{1e3 * nominal:.2f} mV are usual at this drive and resolution"
+        text = f"all channels have {seen} of noise; {most}"
+        mend = "shield the cables, join grounds at one point, average in the converter"
+        faults.append(Fault("noise", (), usual, "V rms", sure, text, mend))
+    for c in np.flatnonzero(sane & (silent.noise > _LOUD * floor)).tolist():
+        rms, ratio = float(silent.noise[c]), float(silent.noise[c] / floor)
+        seen = f"{1e3 * rms:.2f} mV rms of noise, {ratio:.0f} times the others'"
+        text, sure = f"channel {c} has {seen}", certainty(ratio - 1)
+        mend = f"look at the joint and the shield of channel {c}'s wire"
+        faults.append(Fault("noise", (c,), rms, "V rms", sure, text, mend))
     return faults
 
 
@@ -123,34 +93,30 @@ def hum_faults(slots: Slots, silent: Silence, sane: Bool[np.ndarray, " M"]) -> l
     """Finds hum, its frequency and the channels that have hum."""
     if not silent.frequency:
         return []
-    amplitude = np.where(sane, silent.hum, 0)
-    loud = amplitude > max(
-        _HUM * nominal_noise(slots), 0.3 * float(np.quantile(amplitude, 0.95))
-    )
-    if not loud.any():
+    amplitude, frequency = np.where(sane, silent.hum, 0), silent.frequency
+    enough = max(_HUM * slots.nominal_noise, 0.3 * float(np.quantile(amplitude, 0.95)))
+    loud = np.flatnonzero(amplitude > enough).tolist()
+    if not loud:
         return []
-    frequency = silent.frequency
-    everywhere = loud.sum() > 0.5 * sane.sum()
     value = float(np.median(amplitude[loud]))
     name = ""
     for mains in _MAINS:
         width = max(_NEAR * mains, 1 / max(silent.seconds, 1e-9))
         if abs(frequency - mains) < width:
             name = f", the mains' {mains:.0f} Hz"
-    who = "all channels have" if everywhere else f"channels {_list(loud)} have"
-    faults = Fault(
-        "hum",
-        () if everywhere else tuple(int(c) for c in np.flatnonzero(loud)),
-        {"amplitude_V": value, "frequency_Hz": round(frequency, 2)},
-        "V, Hz",
-        certainty(np.sqrt(silent.prominence / 10)),
+    everywhere = len(loud) > 0.5 * sane.sum()
+    who = "all channels have"
+    if not everywhere:
+        who = f"channels {', '.join(map(str, loud))} have"
+    text = (
         f"{who} a hum of {1e3 * value:.2f} mV at {frequency:.1f} Hz{name} "
-        f"(or a multiple of {slots.rig.f_switch:g} Hz from it)",
-        "join the object's drive, the converter and the sheet's ground at one point; "
-        "keep mains leads away",
+        f"(or a multiple of {slots.rig.f_switch:g} Hz from it)"
     )
-    return [faults]
-
-
-def _list(which: np.ndarray) -> str:
-    return ", ".join(str(int(c)) for c in np.flatnonzero(which))
+    mend = (
+        "join the object's drive, the converter and the sheet's ground at one point; "
+        "keep mains leads away"
+    )
+    channels = () if everywhere else tuple(loud)
+    seen = {"amplitude_V": value, "frequency_Hz": round(frequency, 2)}
+    sure = certainty(np.sqrt(silent.prominence / 10))
+    return [Fault("hum", channels, seen, "V, Hz", sure, text, mend)]

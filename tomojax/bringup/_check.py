@@ -1,37 +1,37 @@
 """Finds out what is wrong with a new rig, from one of its recordings."""
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from tomojax.bringup._amounts import (
-    common_settling,
     drive_faults,
+    drive_of,
     gain_faults,
-    settling_faults,
+    sheet_factor,
     sheet_faults,
-    Work,
 )
 from tomojax.bringup._channels import hum_faults, noise_faults
-from tomojax.bringup._fault import Checked, Fault
+from tomojax.bringup._corners import Corners
+from tomojax.bringup._fault import Checked, Fault, Seen
 from tomojax.bringup._places import joint_faults, place_faults
-from tomojax.bringup._reading import Reading
-from tomojax.bringup._settled import settle
-from tomojax.bringup._wired import judge_wires
+from tomojax.bringup._reading import Reading, Work
+from tomojax.bringup._settling import common_settling, settle, settling_faults
+from tomojax.bringup._wires import judge_wires
 from tomojax.bringup._wiring import quality
-from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._slots import slots_of
 from tomojax.recordings import Recording
 
-# Grounds that gains and places need; rounds in which what is named is left out.
-_GROUNDS, _ROUNDS = 2, 3
+# Grounds that gains and places need.
+_GROUNDS = 2
+
+# Rounds in which what is named is left out.
+_ROUNDS = 2
 
 
 def check(
     recording: Recording,
-    corners: tuple[int, int] | Literal["auto"] | None = "auto",
+    corners: Corners | None = "auto",
     progress: Callable[[str], None] = lambda text: None,
 ) -> Checked:
     """Judges the rig that made a recording of nothing, of a rub and of two corners.
@@ -78,21 +78,14 @@ def check(
     grounds[lines.asked[judged]] = lines.ground[judged]
     swing = np.median(np.abs(reading.volts), 0)[np.argsort(electrode)]
     return Checked(
-        tuple(reading.faults),
-        reading.unjudged,
-        electrode,
-        grounds,
-        {name: float(value) for name, value in figures.items() if np.isfinite(value)},
-        reading.order.fits.xy,
-        Seen(reading.plane, swing),
+        faults=tuple(reading.faults),
+        unjudged=reading.unjudged,
+        channels=electrode,
+        grounds=grounds,
+        figures={n: float(value) for n, value in figures.items() if np.isfinite(value)},
+        contacts=reading.order.fits.xy,
+        seen=Seen(reading.plane, swing),
     )
-
-
-class Seen(NamedTuple):
-    """The data that the picture shows beside the faults."""
-
-    plane: Plane
-    swing: Float[np.ndarray, " M"]  # by electrode, V
 
 
 def _judge_silence(reading: Reading) -> None:
@@ -119,10 +112,9 @@ def _judge_channels(reading: Reading) -> Work:
         )
         return work
     named, now = _named(work), every
-    for _ in range(_ROUNDS - 1):
-        odd = np.zeros(reading.plane.count, bool)
-        odd[[f.channels[0] for f in named if f.kind != "tear"]] = True
-        left = every & ~odd
+    for _ in range(_ROUNDS):
+        left = every.copy()
+        left[[f.channels[0] for f in named if f.kind != "tear"]] = False
         if (left == now).all() or left.sum() < reading.plane.count // 2:
             break
         now = reading.usable = left
@@ -141,7 +133,8 @@ def _named(work: Work) -> list[Fault]:
     slow = settling_faults(work)
     lingering = np.isin(work.channel, [f.channels[0] for f in slow])
     places, taken = place_faults(work, lingering)
-    slow = [f for f in slow if not taken[work.channel == f.channels[0]].any()]
+    named = work.channel[taken]
+    slow = [f for f in slow if f.channels[0] not in named]
     alone = [f.channels[0] for f in places if f.kind == "misplaced"]
     gains = gain_faults(work, taken & ~np.isin(work.channel, alone))
     return [*gains, *slow, *places]
@@ -149,14 +142,15 @@ def _named(work: Work) -> list[Fault]:
 
 def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
     """Judges the drive and the sheet's resistance; returns the measured figures."""
-    slots, silent = reading.slots, reading.silent
-    faults, drive, error = drive_faults(work)
-    reading.faults += faults
+    rig, silent = reading.slots.rig, reading.silent
+    drive, error = drive_of(work)
+    torn = any(f.kind == "tear" for f in reading.faults)
+    reading.faults += drive_faults(work, drive, error)
     if not np.isfinite(drive):
         reading.unjudged["drive"] = "no contact that holds still under several grounds"
-    told = slots.rig.ground_resistance, slots.rig.sheet_resistance
-    faults, factor, sigma, why = sheet_faults(work, *told, silent.frequency)
-    if faults and any(f.kind == "tear" for f in reading.faults):
+    sheet = sheet_factor(work, rig, silent.frequency)
+    faults, why = sheet_faults(sheet, rig), sheet.why
+    if faults and torn:
         # Its current goes around: what is left of the sheet seems to have more.
         faults, why = [], "the sheet is torn: mend that first"
     reading.faults += faults
@@ -165,11 +159,11 @@ def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
     return {
         "drive_V": drive,
         "drive_known_V": error,
-        "sheet_factor": factor,
-        "sheet_factor_known": sigma,
+        "sheet_factor": sheet.factor,
+        "sheet_factor_known": sheet.deviation,
         "noise_V": float(np.median(silent.noise)),
         "residual_percent": 100 * quality(reading.order.fits),
         "settling": reading.lingers,
         "slots_quiet": float(silent.slots),
-        "slots_touched": float(slots.touched.sum()),
+        "slots_touched": float(reading.slots.touched.sum()),
     }

@@ -1,26 +1,36 @@
 """Tells which way round the array is, by the last two touches that hold still."""
 
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from tomojax._require import require
-from tomojax.bringup._wiring import lattice, symmetries
-from tomojax.bringup.sheet._fit import fitted
+from tomojax.bringup._reading import Reading
+from tomojax.bringup.sheet._orders import lattice, symmetries
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._slots import Slots, WINDOW
 
-# A touch has as many slots at least; it holds still to this part of a pitch (in a corner
-# the potential is level, and places scatter), and is at a corner to this many pitches.
-_FEW, _STILL, _NEAR = 8, 0.7, 1.3
+# A touch has as many slots at least.
+_FEW = 8
+
+# A touch holds still to this part of a pitch: in a corner the potential is level, and
+# places scatter.
+_STILL = 0.7
+
+# A touch is at a corner to this many pitches.
+_NEAR = 1.3
 
 # Slots of a touch that are looked at.
 _SOME = 30
 
+Corners = tuple[int, int] | Literal["auto"]
 
-class Corners(NamedTuple):
-    image: str | None  # the symmetry that brings the touches to their corners
-    why: str  # where there is none
+
+class Turn(NamedTuple):
+    """Which way round the array is."""
+
+    image: str | None = None  # the symmetry that brings the touches to their corners
+    why: str = ""  # where there is none
 
 
 def named(plane: Plane) -> tuple[int, int]:
@@ -40,66 +50,41 @@ def events(slots: Slots) -> list[np.ndarray]:
     return [part for part in np.split(at, split) if len(part) >= _FEW]
 
 
-def corners_of(
-    slots: Slots,
-    volts: np.ndarray,
-    plane: Plane,
-    electrode: np.ndarray,
-    usable: np.ndarray,
-    always: int | None,
-    corners: Any,
-) -> Corners:
+def turn_of(reading: Reading, corners: Corners) -> Turn:
     """Compares the last two still touches with the corners that were to be touched."""
-    m = plane.count
-    if corners == "auto":
-        first, second = named(plane)
-    else:
-        first, second = (int(c) for c in corners)
-        inside = 0 <= first < m and 0 <= second < m and first != second
-        require(inside, "corners", (first, second), f"two electrodes of 0 to {m - 1}")
+    plane, m = reading.plane, reading.plane.count
+    first, second = named(plane) if corners == "auto" else map(int, corners)
+    inside = 0 <= first < m and 0 <= second < m and first != second
+    require(inside, "corners", (first, second), f"two electrodes of 0 to {m - 1}")
     need = f"touches that hold still at the corners of electrodes {first} and {second}"
-    last = events(slots)[-2:]
+    must = f"the recording must end with {need}"
+    last = events(reading.slots)[-2:]
     if len(last) < 2:
-        return Corners(
-            None, f"no pauses between touches: the recording must end with {need}"
-        )
+        return Turn(why=f"no pauses between touches: {must}")
     places = []
     for touch in last:
         some = touch[np.linspace(0, len(touch) - 1, min(_SOME, len(touch))).astype(int)]
-        back = np.argsort(electrode)
-        own = volts[some].astype(float)[:, back]
-        weight = np.broadcast_to(usable[back].astype(float), own.shape)
-        on = None if always is None else int(electrode[always])
-        xy = fitted(plane, own, weight, always=on).xy
+        xy = reading.fits_of(reading.every[some].astype(float)).xy
         middle = np.median(xy, 0)
-        wide = np.median(np.hypot(*(xy - middle).T)) / plane.pitch
-        if wide > _STILL:
-            return Corners(
-                None, f"the last touches move: the recording must end with {need}"
-            )
+        if np.median(np.hypot(*(xy - middle).T)) > _STILL * plane.pitch:
+            return Turn(why=f"the last touches move: {must}")
         places.append(middle)
-    ends = plane.xy[[first, second]]
-    return _matched(plane, np.array(places), ends, need)
-
-
-def _matched(plane: Plane, places: np.ndarray, ends: np.ndarray, need: str) -> Corners:
-    """Finds the symmetry under which both places are at their corners."""
     fits = {}
     for name, image in symmetries(plane).items():
         # An electrode's image tells what becomes of a place beside it.
-        nearest = np.hypot(*(places[:, None] - plane.xy).transpose(2, 0, 1)).argmin(1)
-        away = np.hypot(*(plane.xy[image[nearest]] - ends).T) / plane.pitch
+        nearest = plane.distance(np.array(places)).argmin(1)
+        off = plane.xy[image[nearest]] - plane.xy[[first, second]]
+        away = np.hypot(*off.T) / plane.pitch
         if away.max() < _NEAR:
             fits[name] = float(away.sum())
     if not fits:
         where = " and ".join(f"({1e3 * x:.0f}, {1e3 * y:.0f}) mm" for x, y in places)
-        return Corners(
-            None, f"the last two touches are at {where}: the recording must end with {need}"
-        )
+        return Turn(why=f"the last two touches are at {where}: {must}")
     least = min(fits.values())
     equal = [name for name, away in fits.items() if away <= least + 0.5]
-    if len(equal) > 1 and "identity" not in equal:
-        return Corners(
-            None, f"{need} do not tell {' from '.join(equal)}: two adjacent corners do"
-        )
-    return Corners("identity" if "identity" in equal else equal[0], "")
+    if "identity" in equal:
+        return Turn("identity")
+    if len(equal) > 1:
+        names = " from ".join(equal)
+        return Turn(why=f"{need} do not tell {names}: two adjacent corners do")
+    return Turn(equal[0])

@@ -1,10 +1,12 @@
 """Defines what `check` returns: faults, parts not judged, and the rig's real wiring."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+
+from tomojax.bringup.sheet._plane import Plane
 
 Kind = Literal[
     "dead",
@@ -26,14 +28,14 @@ Kind = Literal[
 ]
 
 # Nothing is surer than this: physics that no one thought of.
-_SUREST = 0.999
+SUREST = 0.999
 
 
 class Fault(NamedTuple):
     """One thing that is wrong with a rig.
 
     `channels`: the channels at fault, or ground lines for the kinds of grounds; none: all.
-    `value`: how much, in SI (`unit`), or None. `certainty`: the probability of the fault,
+    `value`: how much, in SI (`unit`). `certainty`: the probability of the fault,
     from normal errors as large as sound channels show, 0.999 at most. `text`: the fault in
     words; `mend`: what to do.
 
@@ -47,11 +49,18 @@ class Fault(NamedTuple):
 
     kind: Kind
     channels: tuple[int, ...]
-    value: Any
+    value: float | str | dict[str, float] | dict[str, int]
     unit: str
     certainty: float
     text: str
     mend: str
+
+
+class Seen(NamedTuple):
+    """The data that the picture shows beside the faults."""
+
+    plane: Plane
+    swing: Float[np.ndarray, " M"]  # by electrode, V
 
 
 class Checked(NamedTuple):
@@ -74,9 +83,9 @@ class Checked(NamedTuple):
     grounds: Integer[np.ndarray, " M"]
     figures: dict[str, float]  # noise V, drive V, …: measured
     contacts: Float[np.ndarray, "n 2"]  # of the slots that were looked at, m
-    seen: Any = None  # for the picture
+    seen: Seen
 
 
-def certainty(deviations: Any) -> float:
+def certainty(deviations: float) -> float:
     """Computes the probability of a fault, so many deviations from sound."""
-    return float(np.clip(math.erf(abs(deviations) / math.sqrt(2)), 0.5, _SUREST))
+    return float(np.clip(math.erf(abs(deviations) / math.sqrt(2)), 0.5, SUREST))

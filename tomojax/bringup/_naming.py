@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Integer
 
-from tomojax.bringup._fault import Fault
-from tomojax.bringup._wiring import lattice, starts, symmetries
+from tomojax.bringup._fault import Fault, Kind, SUREST
+from tomojax.bringup._wiring import Lines
+from tomojax.bringup.sheet._orders import lattice, starts, symmetries
 from tomojax.bringup.sheet._plane import Plane
 
 # Part of the channels, or of the judged lines, that a mirror or a shift must explain.
@@ -17,6 +18,8 @@ _SURE = 0.85
 
 # Lines that have to be judged for a shift.
 _FEW = 3
+
+_OR_WRITE = "or take the order of --write"
 
 Order = Integer[np.ndarray, " M"]
 
@@ -45,75 +48,47 @@ def best_image(plane: Plane, electrode: np.ndarray, of: np.ndarray) -> tuple[str
     return name, every[name]
 
 
-def kind_of(name: str) -> str:
-    return "turned" if name.startswith("turned") else "mirrored"
+def whole_fault(name: str, lines_too: bool, unknown_which: bool, sure: float) -> Fault:
+    """Names an array, or channels, that a symmetry other than "identity" explains.
+
+    `lines_too`: ground lines are mirrored with the channels; `unknown_which`: nobody knows
+    whether channels or lines are.
+    """
+    what, mend = "channels are", "turn the channels' plugs"
+    if lines_too:
+        what = "the array, channels and ground lines alike, is"
+        mend = "turn the array, or number electrodes anew"
+    elif unknown_which:
+        what = "channels are, beside the ground lines,"
+    doubt = ": or the lines are; two corners would tell" if unknown_which else ""
+    kind: Kind = "turned" if name.startswith("turned") else "mirrored"
+    sure = 0.5 if unknown_which else sure
+    return Fault(kind, (), name, "", sure, f"{what} {name}{doubt}", f"{mend}; {_OR_WRITE}")
 
 
 def channel_faults(
     plane: Plane,
     electrode: Order,
-    lines_too: bool,
+    image: Order,
     sure: float,
-    unknown_which: bool,
     wires: Sequence[tuple[int, ...]],
 ) -> list[Fault]:
-    """Names mirrored, turned and swapped channels; channel c reads `electrode[c]`.
+    """Names channels in another order than `image`; channel c reads `electrode[c]`.
 
-    `lines_too`: ground lines are mirrored with the channels; `wires`: groups whose ground
-    lines are swapped as well.
+    `wires`: groups whose ground lines are swapped as well.
     """
-    m = len(electrode)
-    numbers = np.arange(m)
-    name, image = best_image(plane, electrode, numbers)
     faults = []
-    if name != "identity":
-        what = (
-            "the array, channels and ground lines alike, is"
-            if lines_too
-            else (
-                "channels are, beside the ground lines,"
-                if unknown_which
-                else "channels are"
-            )
-        )
-        mend = (
-            "turn the array, or number electrodes anew"
-            if lines_too
-            else "turn the channels' plugs"
-        )
-        faults.append(
-            Fault(
-                kind_of(name),  # pyright: ignore
-                (),
-                name,
-                "",
-                0.5 if unknown_which else sure,
-                f"{what} {name}"
-                + (": or the lines are; two corners would tell" if unknown_which else ""),
-                f"{mend}; or take the order of --write",
-            )
-        )
-    wrong = {int(c): int(np.flatnonzero(image == electrode[c])[0]) for c in numbers
-             if image[c] != electrode[c]}  # fmt: skip
-    if not wrong:
-        return faults
+    back = np.argsort(image)
+    wrong = {int(c): int(back[electrode[c]]) for c in np.flatnonzero(image != electrode)}
     for other, order in starts(plane).items():
-        off = [order[c] != electrode[c] for c in range(m)]
-        explained = sum(off) < 0.3 * len(wrong)
-        if other != "as told" and explained and len(wrong) > 0.3 * m:
+        off = int((order != electrode).sum())
+        many = len(wrong) > 0.3 * len(electrode)
+        if other != "as told" and many and off < 0.3 * len(wrong):
             wound = "rows" in other and "columns" in other
-            faults.append(
-                Fault(
-                    "mirrored" if wound else "swapped",
-                    tuple(wrong),
-                    other,
-                    "",
-                    sure,
-                    f"channels are in another order: {other}",
-                    "count electrodes as the recording's electrode_xy does, or take the "
-                    "order of --write",
-                )
-            )
+            kind: Kind = "mirrored" if wound else "swapped"
+            text = f"channels are in another order: {other}"
+            mend = f"count electrodes as the recording's electrode_xy does, {_OR_WRITE}"
+            faults.append(Fault(kind, tuple(wrong), other, "", sure, text, mend))
             wrong = {c: e for c, e in wrong.items() if order[c] != electrode[c]}
             break
     faults += _reversed_lines(plane, wrong, sure)
@@ -131,130 +106,87 @@ def _reversed_lines(plane: Plane, wrong: dict[int, int], sure: float) -> list[Fa
     index = np.arange(plane.count).reshape(grid)
     faults = []
     for what, table in (("row", index), ("column", index.T)):
-        for number, line in enumerate(table):
-            back = dict(zip(line.tolist(), line[::-1].tolist()))
-            moved = {c: e for c, e in back.items() if c != e}
+        for number, line in enumerate(table.tolist()):
+            moved = {c: e for c, e in zip(line, line[::-1]) if c != e}
             if len(moved) < 4 or any(wrong.get(c) != e for c, e in moved.items()):
                 continue
             for c in moved:
                 del wrong[c]
-            faults.append(
-                Fault(
-                    "mirrored",
-                    tuple(int(c) for c in line),
-                    f"{what} {number}",
-                    "",
-                    sure,
-                    f"channels of {what} {number} ({line[0]} to {line[-1]}) are reversed",
-                    f"turn the plug of {what} {number}, or take the order of --write",
-                )
-            )
+            name, ends = f"{what} {number}", f"{line[0]} to {line[-1]}"
+            text = f"channels of {name} ({ends}) are reversed"
+            mend = f"turn the plug of {name}, {_OR_WRITE}"
+            faults.append(Fault("mirrored", tuple(line), name, "", sure, text, mend))
     return faults
 
 
 def _swapped(group: tuple[int, ...], electrode: Order, both: bool, sure: float) -> Fault:
     pairs = ", ".join(f"channel {c} reads electrode {electrode[c]}" for c in group)
-    what = (
-        "and their ground lines with them: the electrodes' wires"
-        if both
-        else ("their ground lines are right")
-    )
-    names = " and ".join(map(str, group)) if len(group) == 2 else ", ".join(map(str, group))
-    return Fault(
-        "swapped",
-        tuple(sorted(group)),
-        {str(c): int(electrode[c]) for c in group},
-        "",
-        sure,
-        f"channels {names} are swapped ({pairs}); {what}",
-        f"exchange the wires of {names}, or take the order of --write",
-    )
+    what = "their ground lines are right"
+    if both:
+        what = "and their ground lines with them: the electrodes' wires"
+    names = (" and " if len(group) == 2 else ", ").join(map(str, group))
+    reads = {str(c): int(electrode[c]) for c in group}
+    text = f"channels {names} are swapped ({pairs}); {what}"
+    mend = f"exchange the wires of {names}, {_OR_WRITE}"
+    return Fault("swapped", tuple(sorted(group)), reads, "", sure, text, mend)
 
 
 def line_faults(
-    plane: Plane,
-    asked: np.ndarray,
-    ground: np.ndarray,
-    share: np.ndarray,
-    wires: Sequence[tuple[int, ...]],
+    plane: Plane, lines: Lines, wires: Sequence[tuple[int, ...]]
 ) -> list[Fault]:
-    """Names shifted, permuted and dead lines; −1 in `ground` means none, −2 unsure.
-
-    `wires`: groups of channels that are swapped.
-    """
-    m = plane.count
-    told = ground >= 0
+    """Names shifted, permuted and dead lines; `wires`: groups of channels swapped."""
+    asked, ground, share, m = lines.asked, lines.ground, lines.share, plane.count
+    told, inside = ground >= 0, np.clip(asked, 0, m - 1)
     faults, expected = [], asked.copy()
-    sure = float(min(np.median(share[told]), 0.999)) if told.any() else 0.5
+    sure = float(min(np.median(share[told]), SUREST)) if told.any() else 0.5
     shift = _shift(asked[told], ground[told], m)
+    name, image = "identity", inside
+    if told.any() and not shift:
+        name, image = best_image(plane, ground[told], inside[told])
     if shift:
         expected = np.where((asked + shift >= 0) & (asked + shift < m), asked + shift, -1)
         wrapped = (asked + shift) % m
         expected = np.where(ground == wrapped, wrapped, expected)
-        faults.append(
-            Fault(
-                "ground_off_by",
-                (),
-                shift,
-                "electrodes",
-                sure,
-                f"commanding ground g grounds electrode g {shift:+d}",
-                f"command the ground's number {-shift:+d}, or count from "
-                f"{'1' if shift < 0 else '0'} in the firmware, or take --write's order",
-            )
+        text = f"commanding ground g grounds electrode g {shift:+d}"
+        mend = (
+            f"command the ground's number {-shift:+d}, or count from "
+            f"{'1' if shift < 0 else '0'} in the firmware, or take --write's order"
         )
-    elif told.any():
-        name, image = best_image(plane, ground[told], np.clip(asked[told], 0, m - 1))
-        if name != "identity":
-            expected = image[np.clip(asked, 0, m - 1)]
-            faults.append(
-                Fault(
-                    "ground_permuted",
-                    (),
-                    name,
-                    "",
-                    sure,
-                    f"ground lines are {name}; channels are right",
-                    "turn the plugs of the ground lines, or take the order of --write",
-                )
-            )
-    dead = (ground == -1) & (expected != -1)
-    for g, s in zip(asked[dead], share[dead]):
-        faults.append(
-            Fault(
-                "ground_stuck",
-                (int(g),),
-                "off",
-                "",
-                float(min(s, 0.999)),
-                f"ground line {g} switches nothing: the whole sheet rises to the drive",
-                f"look at the switch of line {g} and its wire",
-            )
-        )
-    wrong = {int(g): int(e) for g, e in zip(asked, ground) if e >= 0}
-    wrong = {g: e for g, e in wrong.items() if e != expected[asked == g][0]}
+        faults.append(Fault("ground_off_by", (), shift, "electrodes", sure, text, mend))
+    elif name != "identity":
+        expected = image[inside]
+        text = f"ground lines are {name}; channels are right"
+        mend = f"turn the plugs of the ground lines, {_OR_WRITE}"
+        faults.append(Fault("ground_permuted", (), name, "", sure, text, mend))
+    off = (ground == -1) & (expected != -1)
+    for g, part in zip(asked[off].tolist(), share[off].tolist()):
+        text = f"ground line {g} switches nothing: the whole sheet rises to the drive"
+        mend, sure = f"look at the switch of line {g} and its wire", min(part, SUREST)
+        faults.append(Fault("ground_stuck", (g,), "off", "", sure, text, mend))
+    return faults + _permuted_lines(lines, expected, wires)
+
+
+def _permuted_lines(
+    lines: Lines, expected: np.ndarray, wires: Sequence[tuple[int, ...]]
+) -> list[Fault]:
+    """Names lines that ground other electrodes than `expected`."""
+    grounded = {int(g): int(e) for g, e in zip(lines.asked, lines.ground)}
+    share = {int(g): float(s) for g, s in zip(lines.asked, lines.share)}
     # By the number that would ground what this one grounds.
-    number = {int(e): int(g) for g, e in zip(asked, expected) if e >= 0}
-    groups = cycles({g: number.get(e, e) for g, e in wrong.items()})
-    for group in groups:
-        if any(set(group) == set(w) for w in wires):
+    number = {int(e): int(g) for g, e in zip(lines.asked, expected) if e >= 0}
+    off = (lines.ground >= 0) & (lines.ground != expected)
+    wrong = {int(g): number.get(grounded[g], grounded[g]) for g in lines.asked[off]}
+    faults = []
+    for group in cycles(wrong):
+        sure = min(share[g] for g in group)
+        closed = {wrong[g] for g in group} == set(group)
+        if any(set(group) == set(w) for w in wires) or not closed and sure < _SURE:
             continue
-        pairs = ", ".join(f"line {g} grounds electrode {wrong[g]}" for g in group)
-        share_of = min(float(share[asked == g][0]) for g in group)
-        closed = {number.get(wrong[g], wrong[g]) for g in group} == set(group)
-        if not closed and share_of < _SURE:
-            continue
-        faults.append(
-            Fault(
-                "ground_permuted",
-                tuple(sorted(group)),
-                {str(g): wrong[g] for g in group},
-                "",
-                float(min(share_of, 0.999)),
-                f"ground lines are permuted: {pairs}",
-                "exchange these lines' wires, or take the order of --write",
-            )
-        )
+        pairs = ", ".join(f"line {g} grounds electrode {grounded[g]}" for g in group)
+        text, sure = f"ground lines are permuted: {pairs}", min(sure, SUREST)
+        mend, lines_at = f"exchange these lines' wires, {_OR_WRITE}", tuple(sorted(group))
+        value = {str(g): grounded[g] for g in group}
+        faults.append(Fault("ground_permuted", lines_at, value, "", sure, text, mend))
     return faults
 
 
@@ -268,7 +200,7 @@ def _shift(asked: np.ndarray, ground: np.ndarray, m: int) -> int:
     return best if best and counts.max() >= _MOST * len(asked) else 0
 
 
-def line_groups(asked: np.ndarray, ground: np.ndarray) -> list[tuple[int, ...]]:
+def line_groups(lines: Lines) -> list[tuple[int, ...]]:
     """Groups lines that are exchanged among themselves."""
-    wrong = {int(g): int(e) for g, e in zip(asked, ground) if e >= 0 and e != g}
-    return cycles(wrong)
+    off = (lines.ground >= 0) & (lines.ground != lines.asked)
+    return cycles(dict(zip(lines.asked[off].tolist(), lines.ground[off].tolist())))

@@ -1,35 +1,61 @@
 """Holds a recording while its rig is judged: usable channels, their order, the fits."""
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
-from tomojax.bringup._amounts import Work
-from tomojax.bringup._channels import Levels, unresponsive
+from tomojax.bringup._channels import unresponsive
 from tomojax.bringup._fault import Fault
 from tomojax.bringup._wiring import (
+    fit_in_order,
     floating,
     grounds_to_try,
+    Lines,
     lines_of,
     Order,
     order_of,
     quality,
 )
-from tomojax.bringup.sheet._fit import fitted
+from tomojax.bringup.sheet._fit import Fits
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._silence import silence_of
 from tomojax.bringup.sheet._slots import chosen, Slots
-from tomojax.bringup.sheet._values import before_of, values_of
+from tomojax.bringup.sheet._values import before_of, Values, values_of
 
 # Touched slots that are needed.
 _TOUCHED = 40
 
-# What contacts leave of voltages where geometry is right, of their span; and of their own
-# scatter where nothing is right.
-_RIGHT, _WRONG = 0.01, 0.45
+# Contacts leave so much of voltages where geometry is right, of their span.
+_RIGHT = 0.01
+
+# Contacts leave so much of voltages where nothing is right, of their own scatter.
+_WRONG = 0.45
 
 # A line that is always on makes fits better by this factor at least, on so many slots. No
 # more channels than these are taken for one.
-_ON, _TRIED, _LOW = 0.5, 150, 3
+_ON = 0.5
+_TRIED = 150
+_LOW = 3
+
+
+class Work(NamedTuple):
+    """The data that amounts are judged from; all by electrode."""
+
+    plane: Plane
+    volts: Float[np.ndarray, "n M"]
+    before: Float[np.ndarray, "n M"]  # the slot before, NaN where it is not known
+    fits: Fits
+    values: Values
+    usable: Bool[np.ndarray, " M"]
+    channel: Integer[np.ndarray, " M"]  # that reads each electrode
+    number: Integer[np.ndarray, " n"]  # of the slots in the recording
+    older: Integer[np.ndarray, " n"]  # electrode grounded in the slot before, −1: not known
+    drive: float  # as told, V
+    always: int | None  # electrode that is grounded in every slot
+    time: Float[np.ndarray, " n"]  # of slots, s
+    left: float  # of the voltages' span
 
 
 class Reading:
@@ -59,18 +85,16 @@ class Reading:
         )
         self.silent = silence_of(slots)
         self.number = chosen(slots, self.rng)
+        self.asked = slots.asked[self.number]
         raw = slots.volts[self.number].astype(float)
-        levels = unresponsive(slots, raw, self.silent)
-        if len(np.unique(slots.asked[self.number])) < 2 and levels.dead.sum() == 1:
+        faults = {f.channels[0]: f for f in unresponsive(slots, raw, self.silent)}
+        dead = [c for c, fault in faults.items() if fault.kind == "dead"]
+        if len(np.unique(self.asked)) < 2 and len(dead) == 1:
             # The only ground is low all the time.
-            only = int(np.flatnonzero(levels.dead)[0])
+            only = dead.pop()
             self.unjudged[f"channel {only}"] = "one ground alone: record with --pattern all"
-            levels.dead[only] = False
-            levels = levels._replace(
-                faults=[f for f in levels.faults if f.channels != (only,)]
-            )
-        self.dead, self.stuck = levels.dead, levels.stuck
-        self.usable = ~(levels.dead | levels.stuck)
+            del faults[only]
+        self.usable = ~np.isin(np.arange(m), list(faults))
         require(
             self.usable.sum() > max(6, m // 3),
             "recording",
@@ -79,8 +103,8 @@ class Reading:
         )
         self.every = slots.volts - self.silent.zero.astype(np.float32)
         self.volts = raw - self.silent.zero
-        self.asked = slots.asked[self.number]
-        self._always_on(levels)
+        self.always = self._always_on(dead)
+        self.faults += [fault for c, fault in faults.items() if c != self.always]
         self.fit()
         require(
             _unlike(self.order, self.volts, self.usable) < _WRONG,
@@ -90,73 +114,75 @@ class Reading:
             "a recording of this sensor: is it another sensor's electrode_xy?",
         )
 
-    def _always_on(self, levels: Levels) -> None:
+    def _always_on(self, dead: list[int]) -> int | None:
         """Tells dead channels from an electrode that is grounded all the time."""
-        self.always: int | None = None
-        low = np.flatnonzero(levels.dead)
-        faults = {f.channels[0]: f for f in levels.faults}
-        if len(low) and len(low) <= _LOW:
-            n = len(self.volts)
-            some = self.rng.choice(n, min(n, _TRIED), replace=False)
-            volts, asked = self.volts[some], self.inside(self.asked[some])
-            for c in low:
-                use = np.broadcast_to(self.usable.astype(float), volts.shape)
-                single = quality(fitted(self.plane, volts, use, asked[:, None]))
-                both = quality(fitted(self.plane, volts, use, asked[:, None], int(c)))
-                if both < _ON * single:
-                    self.always = int(c)
-                    del faults[int(c)]
-                    self.dead[c] = False
-                    break
-        self.faults += list(faults.values())
+        if not 0 < len(dead) <= _LOW:
+            return None
+        some = self.rng.choice(len(self.volts), min(len(self.volts), _TRIED), replace=False)
+        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
+        given = self.plane, self.volts[some], as_told, self.usable, told
+        single = quality(fit_in_order(*given))
+        for c in dead:
+            if quality(fit_in_order(*given, c)) < _ON * single:
+                return c
+        return None
 
     def inside(self, asked: np.ndarray) -> np.ndarray:
         return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
 
     def fit(self) -> None:
+        """Finds the order of channels, and fits contacts."""
         given = self.plane, self.volts, self.usable, self.asked, self.always
         self.order = order_of(*given, enough=_RIGHT)
 
     def again(self) -> None:
         """Fits once more, in the known order of channels."""
-        order = self.order.electrode
-        back = np.argsort(order)
-        weight = np.broadcast_to(self.usable[back].astype(float), self.volts.shape)
-        always = None if self.always is None else int(order[self.always])
-        known = grounds_to_try(self.asked, order, self.usable)
+        known = grounds_to_try(self.asked, self.order.electrode, self.usable)
         told = np.column_stack([known, self.order.fits.ground])
-        fits = fitted(self.plane, self.volts[:, back], weight, told, always)
-        self.order = self.order._replace(fits=fits)
+        self.order = self.order._replace(fits=self.fits_of(self.volts, told))
+
+    def fits_of(
+        self,
+        volts: Float[np.ndarray, "n M"],
+        told: Integer[np.ndarray, "n k"] | None = None,
+    ) -> Fits:
+        """Fits contacts to voltages by channel, in the known order of channels."""
+        given = self.plane, volts, self.order.electrode, self.usable
+        return fit_in_order(*given, told, self.always)
+
+    def lines(self) -> Lines:
+        """Finds the electrode that each commanded line grounds."""
+        flat = floating(self.volts, self.usable, self.slots.drive)
+        return lines_of(self.order.fits, self.asked, flat)
 
     def _older(self, before: np.ndarray) -> np.ndarray:
         """Returns the electrode that was grounded in the slot before."""
-        flat = floating(self.volts, self.usable, self.slots.drive)
-        lines = lines_of(self.order.fits, self.asked, flat)
+        lines = self.lines()
         known = np.full(max(int(self.slots.asked.max()) + 1, 1), -1)
         known[lines.asked] = np.maximum(lines.ground, -1)
         older = known[self.slots.asked[np.maximum(self.number - 1, 0)]]
         return np.where(np.isfinite(before).any(1), older, -1)
 
     def work(self) -> Work:
-        back = np.argsort(self.order.electrode)
-        fits, drive = self.order.fits, self.slots.drive
+        """Sorts all that is known by electrode, with the values that fits leave."""
+        order, fits, drive = self.order.electrode, self.order.fits, self.slots.drive
+        back = np.argsort(order)
         volts = self.volts[:, back]
         before = before_of(volts, fits, self.number, self.slots.follows[self.number])
-        values = values_of(self.plane, volts, before, fits, drive)
         return Work(
-            self.plane,
-            volts,
-            before,
-            fits,
-            values,
-            self.usable[back],
-            back,
-            self.number,
-            self._older(before),
-            drive,
-            None if self.always is None else int(self.order.electrode[self.always]),
-            self.slots.time[self.number],
-            quality(fits),
+            plane=self.plane,
+            volts=volts,
+            before=before,
+            fits=fits,
+            values=values_of(self.plane, volts, before, fits, drive),
+            usable=self.usable[back],
+            channel=back,
+            number=self.number,
+            older=self._older(before),
+            drive=drive,
+            always=None if self.always is None else int(order[self.always]),
+            time=self.slots.time[self.number],
+            left=quality(fits),
         )
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from tomojax._pictures import (
     BLACK,
@@ -82,7 +83,7 @@ def summary(checked: Checked) -> dict[str, Any]:
     >>> tx.bringup.summary.__name__
     'summary'
     """
-    faults = [_row(fault) for fault in checked.faults]
+    faults = [f._asdict() | {"channels": list(f.channels)} for f in checked.faults]
     return {
         "faults": faults,
         "unjudged": dict(checked.unjudged),
@@ -91,11 +92,6 @@ def summary(checked: Checked) -> dict[str, Any]:
         "rows": faults,
         "summary": {name: float(value) for name, value in checked.figures.items()},
     }
-
-
-def _row(fault: Fault) -> dict[str, Any]:
-    row = fault._asdict()
-    return row | {"channels": list(fault.channels)}
 
 
 def write_order(checked: Checked, path: Path | str) -> None:
@@ -133,58 +129,40 @@ def picture(checked: Checked) -> Any:
     axes = figure.subplots()
     xy, radius = 1e3 * plane.xy, 500 * plane.diameter
     lay_sheet(axes, plane.size, plane.xy, plane.diameter)
-    axes.plot(
-        *1e3 * checked.contacts.T, ".", color="0.75", ms=3, zorder=1, label="contacts"
-    )
+    contacts = 1e3 * checked.contacts.T
+    axes.plot(*contacts, ".", color="0.75", ms=3, zorder=1, label="contacts")
     look = {"cmap": VALUE, "edgecolors": "0.3", "lw": 0.5, "zorder": 2}
     drawn = axes.scatter(*xy.T, c=swing, s=90, **look)
     figure.colorbar(drawn, label="median voltage while something touches, V")
-    back = np.argsort(checked.channels)
-    for e, (x, y) in enumerate(xy):
-        axes.annotate(
-            str(back[e]),
-            (x, y),
-            (x, y + 1.3 * radius),
-            ha="center",
-            va="bottom",
-            fontsize=6,
-        )
+    number = {"ha": "center", "va": "bottom", "fontsize": 6}
+    for channel, (x, y) in zip(np.argsort(checked.channels), xy):
+        axes.annotate(str(channel), (x, y), (x, y + 1.3 * radius), **number)
     for fault in checked.faults:
-        _draw(axes, checked, fault, xy, back, plane)
-    whole = [f for f in checked.faults if not f.channels]
-    told = "; ".join(f.text for f in whole) or (
-        "no fault found" if not checked.faults else ""
-    )
+        if fault.channels and fault.kind in _MARKS:
+            _draw(axes, checked, fault, xy)
+    whole = [f.text for f in checked.faults if not f.channels]
     axes.set_title("Electrodes, numbered by the channels that read them")
     handles, names = axes.get_legend_handles_labels()
     if handles:
         figure.legend(handles, names, loc="outside lower center", fontsize=8, ncols=2)
-    if told:
-        figure.suptitle(told, fontsize=9, wrap=True)
+    if whole or not checked.faults:
+        figure.suptitle("; ".join(whole) or "no fault found", fontsize=9, wrap=True)
     return figure
 
 
-def _draw(axes: Any, checked: Checked, fault: Fault, xy, back, plane) -> None:
-    if not fault.channels or fault.kind not in _MARKS:
-        return
+def _draw(axes: Any, checked: Checked, fault: Fault, xy: Float[np.ndarray, "M 2"]) -> None:
     marker, colour = _MARKS[fault.kind]
-    # Lines of grounds are named by themselves; channels by what they read.
-    lines = fault.kind.startswith("ground")
-    at = [
-        checked.grounds[c] if lines and checked.grounds[c] >= 0 else c if lines
-        else int(np.flatnonzero(back == c)[0])
-        for c in fault.channels
-    ]  # fmt: skip
+    numbers = np.array(fault.channels)
+    at = checked.channels[numbers]
+    if fault.kind.startswith("ground"):  # lines are named by themselves
+        grounds = checked.grounds[numbers]
+        at = np.where(grounds >= 0, grounds, numbers)
     some = ", ".join(map(str, fault.channels[:_SHOWN]))
-    more = ", …" if len(fault.channels) > _SHOWN else ""
-    axes.plot(
-        *xy[at].T, marker, color=colour, ms=13, mfc="none", mew=2, zorder=4,
-        label=f"{fault.kind} {some}{more}",
-    )  # fmt: skip
-    if fault.kind == "misplaced":
-        by = [fault.value["x_mm"], fault.value["y_mm"]]
-        axes.annotate(
-            "", xy[at[0]] + by, xy[at[0]], arrowprops={"arrowstyle": "->", "color": colour}
-        )
+    label = f"{fault.kind} {some}" + (", …" if len(numbers) > _SHOWN else "")
+    look = {"color": colour, "ms": 13, "mfc": "none", "mew": 2, "zorder": 4}
+    axes.plot(*xy[at].T, marker, label=label, **look)
+    if fault.kind == "misplaced" and isinstance(fault.value, dict):
+        by, arrow = [fault.value["x_mm"], fault.value["y_mm"]], {"arrowstyle": "->"}
+        axes.annotate("", xy[at[0]] + by, xy[at[0]], arrowprops={**arrow, "color": colour})
     if fault.kind == "swapped" and len(at) == 2:
         axes.plot(*xy[at].T, "-", color=colour, lw=1, zorder=3)

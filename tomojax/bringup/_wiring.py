@@ -3,24 +3,34 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
-from tomojax.bringup.sheet._fit import Fits, fitted
+from tomojax.bringup.sheet._fit import Fits, fitted, sound
+from tomojax.bringup.sheet._orders import starts
 from tomojax.bringup.sheet._plane import Plane
 
-# Slots that starts are compared on; rounds of assigning; blocks of slots, whose median no
-# slot that is fitted wrongly moves.
-_SOME, _ROUNDS, _BLOCKS = 120, 12, 9
+# Slots that starts are compared on.
+_SOME = 120
 
-# A channel moves to an electrode that fits so much better, of what its own leaves, if that
-# leaves more than usual so many times, and more than this part of the voltages' span.
-_BETTER, _MORE, _LEAST = 0.4, 3.0, 0.006
+# Rounds of assigning.
+_ROUNDS = 12
+
+# Blocks of slots, whose median no slot that is fitted wrongly moves.
+_BLOCKS = 9
+
+# A start, or an order, is better if it leaves so much less than the best before it.
+_LESS = 0.7
+
+# A channel moves to an electrode that fits so much better, of what its own leaves.
+_BETTER = 0.4
+
+# A channel moves if its own electrode leaves more than usual so many times, and more than
+# this part of the voltages' span.
+_MORE = 3.0
+_LEAST = 0.006
 
 # Electrodes without a channel that are tried as grounds, at most.
 _BLIND = 4
-
-# Electrodes in one row or column are in line to this part of a pitch.
-_LINE = 0.25
 
 # Part of the slots of a line that show the same ground.
 _SHARE = 0.5
@@ -29,87 +39,16 @@ _SHARE = 0.5
 _FLAT = 0.02
 
 
-def lattice(plane: Plane) -> tuple[int, int] | None:
-    """Returns rows and columns, if electrodes lie on a grid ordered as `Sensor.grid`."""
-    m = plane.count
-    for columns in range(1, m + 1):
-        if m % columns:
-            continue
-        rows = m // columns
-        at = plane.xy.reshape(rows, columns, 2)
-        slack = _LINE * plane.pitch
-        straight = (
-            np.ptp(at[..., 0], 1).max() < slack and np.ptp(at[..., 1], 0).max() < slack
-        )
-        rising = rows == 1 or (np.diff(at[:, 0, 0]) > slack).all()
-        rising = rising and (columns == 1 or (np.diff(at[0, :, 1]) > slack).all())
-        if straight and rising:
-            return rows, columns
-    return None
-
-
-def symmetries(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Lists symmetries: the electrode at each electrode's image, where all have one.
-
-    The symmetries are images of the sheet onto itself, by name, `identity` first.
-    """
-    a, b = plane.size
-    square = abs(a - b) < 1e-3 * max(a, b)
-    x, y = plane.xy.T
-    images = {
-        "identity": (x, y),
-        "mirrored along x": (a - x, y),
-        "mirrored along y": (x, b - y),
-        "turned by 180°": (a - x, b - y),
-    }
-    if square:
-        images |= {
-            "mirrored, x and y exchanged": (y, x),
-            "turned by 90°": (a - y, x),
-            "turned by −90°": (y, a - x),
-            "mirrored at the other diagonal": (a - y, a - x),
-        }
-    found = {}
-    for name, image in images.items():
-        apart = np.hypot(*(np.stack(image, 1)[:, None] - plane.xy).transpose(2, 0, 1))
-        nearest = apart.argmin(1)
-        whole = len(np.unique(nearest)) == plane.count
-        if whole and apart.min(1).max() < _LINE * plane.pitch:
-            found[name] = nearest
-    return found
-
-
-def starts(plane: Plane) -> dict[str, Integer[np.ndarray, " M"]]:
-    """Lists orders of channels to begin with: as stated, and those of a plug or a loop."""
-    m = np.arange(plane.count)
-    found = {"as told": m, "one on": np.roll(m, -1), "one back": np.roll(m, 1)}
-    grid = lattice(plane)
-    if grid is not None:
-        index = m.reshape(grid)
-        found["rows for columns"] = index.T.ravel()
-        found["columns for rows"] = m.reshape(grid[::-1]).T.ravel()
-        for name, first in (("every second row reversed", 1), ("first row reversed", 0)):
-            winding = index.copy()
-            winding[first::2] = winding[first::2, ::-1]
-            found[name] = winding.ravel()
-    return found
-
-
 class Order(NamedTuple):
     """The electrode that each channel reads, and the fits of contacts then."""
 
     electrode: Integer[np.ndarray, " M"]  # of each channel
     fits: Fits
-    cost: Float[np.ndarray, "M M"]  # of channels at electrodes, of the voltages' span
-
-    def by_electrode(self, values: np.ndarray) -> np.ndarray:
-        """Sorts values of channels (…, M) into the order of electrodes."""
-        return values[..., np.argsort(self.electrode)]
 
 
 def quality(fits: Fits) -> float:
     """Computes the part of a slot's span that fits leave, in the median."""
-    return float(np.median(fits.left / np.maximum(fits.span, 1e-12)))
+    return float(np.median(fits.relative))
 
 
 def grounds_to_try(
@@ -121,64 +60,75 @@ def grounds_to_try(
     return np.column_stack([inside, *(np.full(len(inside), e) for e in blind)])
 
 
+def fit_in_order(
+    plane: Plane,
+    volts: Float[np.ndarray, "n M"],
+    order: Integer[np.ndarray, " M"],
+    usable: Bool[np.ndarray, " M"],
+    told: Integer[np.ndarray, "n k"] | None = None,
+    always: int | None = None,
+) -> Fits:
+    """Fits contacts to voltages by channel, where channel c reads electrode `order[c]`.
+
+    `told`: further grounds to try; `always`: a channel whose electrode is grounded as well.
+    """
+    back = np.argsort(order)
+    weight = np.broadcast_to(usable[back].astype(float), volts.shape)
+    on = None if always is None else int(order[always])
+    return fitted(plane, volts[:, back], weight, told, on)
+
+
 def order_of(
     plane: Plane,
     volts: Float[np.ndarray, "n M"],
     usable: np.ndarray,
     asked: Integer[np.ndarray, " n"],
     always: int | None = None,
-    enough: float = 0.01,
+    *,
+    enough: float,
 ) -> Order:
     """Finds the order of channels in which contacts fit; only `usable` channels count."""
-    n, m = volts.shape
+    n = len(volts)
     rng = np.random.default_rng(1)
     some = np.sort(rng.choice(n, min(n, _SOME), replace=False))
 
     def fit(order: np.ndarray, slots: np.ndarray) -> Fits:
-        back = np.argsort(order)
-        weight = np.broadcast_to(usable[back].astype(float), (len(slots), m))
-        given = volts[slots][:, back], weight, grounds_to_try(asked[slots], order, usable)
-        return fitted(plane, *given, None if always is None else int(order[always]))
+        told = grounds_to_try(asked[slots], order, usable)
+        return fit_in_order(plane, volts[slots], order, usable, told, always)
 
-    best, lowest = None, np.inf
+    best, lowest = np.arange(plane.count), np.inf
     for order in starts(plane).values():
         q = quality(fit(order, some))
-        if q < 0.7 * lowest:
+        if q < _LESS * lowest:
             best, lowest = order, q
         if lowest < enough:
             break
     if lowest > 5 * enough:
-        scaled = _embedded(plane, volts, usable)
-        for order in scaled:
+        for order in _embedded(plane, volts):
             q = quality(fit(order, some))
-            if q < 0.7 * lowest:
+            if q < _LESS * lowest:
                 best, lowest = order, q
-    assert best is not None
     every = np.arange(n)
     seen = {tuple(best)}
     for _ in range(_ROUNDS):
         slots = some if n > 2 * _SOME and len(seen) < 3 and lowest > enough else every
         fits = fit(best, slots)
-        cost = costs(volts[slots], fits)
-        new = _assigned(cost, best, usable)
+        new = _assigned(costs(volts[slots], fits), best, usable)
         if tuple(new) in seen:
             if len(slots) == n:
                 if (new == best).all():
-                    return Order(best, fits, cost)
+                    return Order(best, fits)
                 break
             lowest = 0.0
             continue
         seen.add(tuple(new))
         best = new
-    fits = fit(best, every)
-    return Order(best, fits, costs(volts, fits))
+    return Order(best, fit(best, every))
 
 
 def costs(volts: np.ndarray, fits: Fits) -> Float[np.ndarray, "M M"]:
     """Computes what each channel leaves at each electrode, at any gain, over span; rms."""
-    relative = fits.left / np.maximum(fits.span, 1e-12)
-    sound = relative < 4 * np.median(relative)
-    weight = (fits.far * sound[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
+    weight = (fits.far * sound(fits)[:, None]) / np.maximum(fits.span, 1e-12)[:, None] ** 2
     rng = np.random.default_rng(2)
     blocks = np.array_split(rng.permutation(len(volts)), min(_BLOCKS, len(volts)))
     found = []
@@ -206,45 +156,41 @@ def _assigned(cost: np.ndarray, order: np.ndarray, usable: np.ndarray) -> np.nda
         return order
     from scipy.optimize import linear_sum_assignment  # `info` seldom comes here
 
-    table = cost[np.ix_(moving, free)].copy()
-    for i, c in enumerate(moving):
-        table[i, free == order[c]] *= _BETTER
+    table = cost[np.ix_(moving, free)]
+    table = np.where(free == order[moving][:, None], _BETTER * table, table)
     rows, columns = linear_sum_assignment(table)
-    new = order.copy()
-    for i, j in zip(rows, columns):
-        c, e = moving[i], free[j]
-        if cost[c, e] < _BETTER * own[c]:
-            new[c] = e
+    c, e, new = moving[rows], free[columns], order.copy()
+    better = cost[c, e] < _BETTER * own[c]
+    new[c[better]] = e[better]
     # Whoever lost its electrode takes one that is left.
     return _whole(new, order, usable, cost)
 
 
-def _whole(new, order, usable, cost) -> np.ndarray:
+def _whole(
+    new: np.ndarray, order: np.ndarray, usable: np.ndarray, cost: np.ndarray
+) -> np.ndarray:
     """Makes a permutation again: the best fit keeps an electrode that two channels take."""
     m = len(new)
     taken: dict[int, int] = {}
-    sure = sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]]))
-    for c in sure:
-        if int(new[c]) not in taken:
-            taken[int(new[c])] = c
-    lost = [c for c in range(m) if taken[int(new[c])] != c]
+    for c in sorted(range(m), key=lambda c: (not usable[c], cost[c, new[c]])):
+        taken.setdefault(int(new[c]), c)
     left = [e for e in range(m) if e not in taken]
-    for c in lost:
-        e = int(order[c]) if int(order[c]) in left else left[0]
-        left.remove(e)
-        new[c] = e
+    for c in range(m):
+        if taken[int(new[c])] != c:
+            e = int(order[c]) if int(order[c]) in left else left[0]
+            left.remove(e)
+            new[c] = e
     return new
 
 
-def _embedded(plane: Plane, volts: np.ndarray, usable: np.ndarray) -> list[np.ndarray]:
+def _embedded(plane: Plane, volts: np.ndarray) -> list[np.ndarray]:
     """Orders channels by likeness, slot by slot: neighbours on the sheet are alike."""
     from scipy.optimize import linear_sum_assignment
 
     m = plane.count
     scaled = volts / np.maximum(np.median(volts, 1, keepdims=True), 1e-9)
     ranks = scaled.argsort(1).argsort(1) / m
-    apart = np.sqrt(((ranks[:, :, None] - ranks[:, None]) ** 2).mean(0))
-    apart = apart**2
+    apart = ((ranks[:, :, None] - ranks[:, None]) ** 2).mean(0)
     centre = np.eye(m) - 1 / m
     values, vectors = np.linalg.eigh(-centre @ apart @ centre / 2)
     flat = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0))
@@ -269,10 +215,15 @@ class Lines(NamedTuple):
     share: Float[np.ndarray, " L"]  # of the slots that say so
     slots: Integer[np.ndarray, " L"]
 
+    def moved(self, image: Integer[np.ndarray, " M"]) -> "Lines":
+        """Replaces each electrode by its image."""
+        known = image[np.maximum(self.ground, 0)]
+        return self._replace(ground=np.where(self.ground >= 0, known, self.ground))
+
 
 def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
     """Finds the electrode that most slots of each commanded ground show."""
-    relative = fits.left / np.maximum(fits.span, 1e-12)
+    relative = fits.relative
     weight = 1 / (1 + (relative / max(np.median(relative), 1e-6)) ** 2)
     numbers = np.unique(asked)
     ground, share, count = [], [], []
@@ -293,7 +244,6 @@ def lines_of(fits: Fits, asked: np.ndarray, flat: np.ndarray) -> Lines:
 def floating(volts: np.ndarray, usable: np.ndarray, drive: float) -> np.ndarray:
     """Finds slots in which nothing is grounded: all channels high and alike."""
     v = volts[:, usable]
-    low, middle, high = np.quantile(v, [0.0, 0.5, 0.95], axis=1)
-    second = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]
-    del low
-    return (high - second < _FLAT * drive) & (middle > 0.1 * drive)
+    middle, high = np.quantile(v, [0.5, 0.95], axis=1)
+    third = np.sort(v, 1)[:, min(2, v.shape[1] - 1)]
+    return (high - third < _FLAT * drive) & (middle > 0.1 * drive)

@@ -26,23 +26,35 @@ from tomojax.sensor import Calibration, Sensor
 # What is never believed to be known better, of what nominal values leave.
 _LEAST = 0.1
 
-# Passes at most: what places of electrodes and the sheet make is not quite linear. They
-# end where no value changes by more than this part of its deviation, or where the cost
-# falls by less than this part.
-_PASSES, _ENOUGH, _LITTLE = 8, 0.2, 0.003
+# Passes at most: what places of electrodes and the sheet make is not quite linear.
+_PASSES = 8
 
-# 1 σ of a place that is given, of the pitch; of one that `points` has found. The latter
-# leaves a contact free, beside what voltages tell of it.
-_GIVEN, _FOUND = 0.005, 0.5
+# Passes end where no value changes by more than this part of its deviation.
+_ENOUGH = 0.2
+
+# Passes end where the cost falls by less than this part.
+_LITTLE = 0.003
+
+# 1 σ of a place that is given, of the pitch.
+_GIVEN = 0.005
+
+# 1 σ of a place that `points` has found: the contact is free, beside what voltages tell.
+_FOUND = 0.5
 
 # Frames scatter by no less than this part of what errors as told would make them.
-_SCATTER, _NEVER = 0.05, 1e-9
+_SCATTER = 0.05
+
+# Keeps a direction that no frame shows from a division by 0.
+_NEVER = 1e-9
 
 # Contacts within this part of a pitch make the same errors of the model.
 _ALIKE = 0.25
 
-# Frames that at least are needed, and squares of a pitch that they lie in, of all.
-_FEWEST, _TOUCHED = 16, 0.1
+# Frames that at least are needed.
+_FEWEST = 16
+
+# Squares of a pitch, of all, that these frames lie in.
+_TOUCHED = 0.1
 
 
 class Calibrated(NamedTuple):
@@ -104,8 +116,8 @@ def calibrate(
     >>> len(known.gain), len(known.sheet), known.error <= 1
     (4, 27, True)
     """
-    given = sensor, voltages, grounds, places, calibration
-    return calibrated(*given, spread=spread, times=times, progress=progress).calibration
+    known = {"spread": spread, "times": times, "progress": progress}
+    return calibrated(sensor, voltages, grounds, places, calibration, **known).calibration
 
 
 def calibrated(
@@ -137,8 +149,8 @@ def calibrated(
         told = calibration_of(unknowns, trial, before)
         points = make_method(sensor, "points", 32, told)
         assert isinstance(points, Points)
-        given = points, slopes, told.voltages(known.voltages.astype(float))
-        new = sums_of(*given, known)
+        volts = told.voltages(known.voltages.astype(float))
+        new = sums_of(points, slopes, volts, known)
         first = first or new
         cost = _cost(unknowns, new, trial)
         if cost < lowest:
@@ -149,7 +161,7 @@ def calibrated(
                 less = usual / np.maximum(new.each, usual)
                 known = known._replace(weight=known.weight * less)
                 unknowns = widened(unknowns, trial)
-                new = sums_of(*given, known)
+                new = sums_of(points, slopes, volts, known)
                 cost = _cost(unknowns, new, trial)
             state, now, sums, lowest = trial, told, new, cost
             step, covariance, prior = _step(unknowns, sums, state)
@@ -161,17 +173,25 @@ def calibrated(
         if np.abs(step / np.sqrt(np.diag(covariance))).max() < _ENOUGH:
             break
     assert first is not None and sums is not None
-    left = float(sums.left / max(float(sums.free), 1.0))
-    error = float(np.clip(np.sqrt(sums.shared / first.shared), _LEAST, 1))
-    known_as = replace(
-        now,
-        own=float(np.clip(np.sqrt(left), _LEAST, 1)) * before.own,
-        error=error * before.error,
-        deviation=values_of(unknowns, np.sqrt(np.diag(covariance))),
-        made=date.today().isoformat(),
+
+    def part(square: float) -> float:
+        return float(np.clip(np.sqrt(square), _LEAST, 1))
+
+    return Calibrated(
+        calibration=replace(
+            now,
+            own=part(sums.left / np.maximum(sums.free, 1)) * before.own,
+            error=part(sums.shared / first.shared) * before.error,
+            deviation=values_of(unknowns, np.sqrt(np.diag(covariance))),
+            made=date.today().isoformat(),
+        ),
+        places=known.places,
+        covariance=covariance,
+        unknowns=unknowns._replace(prior=prior),
+        state=state,
+        frames=known,
+        told=now,
     )
-    unknowns = unknowns._replace(prior=prior)
-    return Calibrated(known_as, known.places, covariance, unknowns, state, known, now)
 
 
 def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:
@@ -201,34 +221,39 @@ def _step(
     return step, root @ (turn / whole) @ turn.T @ root.T, (back / part) @ back.T
 
 
-def _known(sensor, voltages, grounds, places, spread, times) -> Known:
-    m, v = sensor.electrode_count, np.asarray(voltages)
-    grounds = np.asarray(grounds)
+def _known(
+    sensor: Sensor,
+    voltages: Numbers,
+    grounds: Numbers,
+    places: Numbers | None,
+    spread: Numbers | None,
+    times: Numbers | None,
+) -> Known:
+    m, v, under = sensor.electrode_count, np.asarray(voltages), np.asarray(grounds)
     fits = v.ndim == 3 and v.shape[2] == m and len(v) > 0
     require(fits, "voltages", f"shape {v.shape}", f"(frames, slots, {m})")
-    require(grounds.shape == v.shape[:2], "grounds", grounds.shape, f"{v.shape[:2]}")
-    inside = grounds.dtype.kind in "iu" and grounds.min() >= 0 and grounds.max() < m
+    n, slots = v.shape[:2]
+    require(under.shape == (n, slots), "grounds", under.shape, f"{(n, slots)}")
+    inside = under.dtype.kind in "iu" and under.min() >= 0 and under.max() < m
     require(bool(inside), "grounds", "an electrode that is none", f"0 to {m - 1}")
     finite = np.isfinite(v)
     whole = (finite.any((0, 1)) == finite.all((0, 1))).all() and finite.any()
-    require(
-        bool(whole), "voltages", "some that are no numbers", "volts, or a channel of NaN"
-    )
-    given = np.full((len(v), 2), np.nan) if places is None else np.asarray(places, float)
-    require(given.shape == (len(v), 2), "places", given.shape, f"{(len(v), 2)}")
-    size = np.asarray(sensor.size)
-    told = np.isfinite(given).all(1)
+    wanted = "volts, or a channel of NaN"
+    require(bool(whole), "voltages", "some that are no numbers", wanted)
+    given = np.full((n, 2), np.nan) if places is None else np.asarray(places, float)
+    require(given.shape == (n, 2), "places", given.shape, f"{(n, 2)}")
+    size, told = np.asarray(sensor.size), np.isfinite(given).all(1)
     on = ((given[told] >= 0) & (given[told] <= size)).all() and not np.isinf(given).any()
     require(bool(on), "places", "some off the sheet", f"0 to {size.tolist()} m")
     pitch = sensor.mean_pitch
     near = np.asarray(_GIVEN * pitch if spread is None else spread, float)
-    require(near.shape in ((), (len(v),)), "spread", near.shape, f"() or ({len(v)},)")
+    require(near.shape in ((), (n,)), "spread", near.shape, f"() or ({n},)")
     require(bool((near > 0).all()), "spread", "0 or less", "m, above 0")
-    at = np.zeros(grounds.shape) if times is None else np.asarray(times, float)
-    fits = at.shape == grounds.shape and bool(np.isfinite(at).all())
-    require(fits, "times", f"shape {at.shape}", f"{grounds.shape}, s")
+    at = np.zeros(under.shape) if times is None else np.asarray(times, float)
+    fits = at.shape == under.shape and bool(np.isfinite(at).all())
+    require(fits, "times", f"shape {at.shape}", f"{under.shape}, s")
     wide = np.where(told, near, _FOUND * pitch)
-    return Known(v, grounds, given, wide, at, np.ones(len(v)))
+    return Known(v, under, given, spread=wide, times=at, weight=np.ones(n))
 
 
 def _weight(places: np.ndarray, side: float) -> Float[np.ndarray, " n"]:

@@ -1,5 +1,6 @@
 """Computes what frames with one contact each say of the rig, the contact eliminated."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,8 +15,12 @@ from tomojax.kernels.algebra import descend, Normal
 from tomojax.kernels.contacts import Explained, normal_of, Sheet, WhitenedFrame
 from tomojax.methods import fitting_of, Points
 
-# Steps of a contact's own fit; frames of a compiled call, and that its loop works on.
-_STEPS, _FRAMES, _TOGETHER = 15, 64, 16
+# Steps of a contact's own fit.
+_STEPS = 15
+
+# Frames of a compiled call, and those that its loop works on at once.
+_FRAMES = 64
+_TOGETHER = 16
 
 # How fast a contact may move in a frame, 1 σ, m/s: a hand that rubs.
 _SPEED = 0.3
@@ -31,6 +36,11 @@ class Known(NamedTuple):
     times: Float[np.ndarray, "n S"]  # of slots, s
     weight: Float[np.ndarray, " n"]  # of what a frame tells, beside its neighbours
 
+    def on_device(self, dtype: Any) -> "Known":
+        """Makes JAX's arrays, of which a compiled call takes each frame by itself."""
+        wide = Known(*(jnp.asarray(a, dtype) for a in self))
+        return wide._replace(grounds=jnp.asarray(self.grounds))
+
 
 class Sums(NamedTuple):
     """The normal equations of all frames, and what the frames leave."""
@@ -39,9 +49,39 @@ class Sums(NamedTuple):
     normal: Float[np.ndarray, "P P"]
     right: Float[np.ndarray, " P"]
     scatter: Float[np.ndarray, "P P"]  # of the right side, frame by frame
-    left: float | np.ndarray  # Σ of squares, whitened
-    free: float | np.ndarray  # how many of them errors leave
-    shared: float | np.ndarray  # mean square of common errors, of nominal ones
+    left: Float[np.ndarray, ""]  # Σ of squares, whitened
+    free: Float[np.ndarray, ""]  # how many of them errors leave
+    shared: Float[np.ndarray, ""]  # mean square of common errors, of nominal ones
+
+
+class Near(NamedTuple):
+    """A frame, and about where its one contact is."""
+
+    sheet: Sheet
+    frame: WhitenedFrame
+    tolerance: Float[Array, ""]
+    place: Float[Array, "2"]  # m
+    spread: Float[Array, ""]  # 1 σ of it, m; ∞: the place is a start alone
+
+    def explained(self, parameters: Float[Array, "5"]) -> Explained:
+        """Explains the frame by a contact with these parameters."""
+        found, unit = model.discs(self.sheet, self.frame, parameters), self.sheet.unit
+        place, spread = self.place / unit, self.spread / unit
+        slope = jnp.eye(2, model.DISC, dtype=spread.dtype) / spread
+        return found._replace(
+            prior=jnp.concatenate([found.prior, (parameters[:2] - place) / spread]),
+            slope=jnp.concatenate([found.slope, slope]),
+        )
+
+    def fitted(self) -> Float[Array, "5"]:
+        """Fits a contact: its parameters."""
+        start = jnp.pad(self.place / self.sheet.unit, (0, model.DISC - 2))[None]
+        limits, counts = model.limits_of(self.sheet), (_STEPS, _STEPS, _TOGETHER)
+        return descend(_cost, start, limits, *counts, jnp.inf, 0.0, self)[0]
+
+
+def _cost(parameters: Float[Array, "5"], near: Near) -> Normal:
+    return normal_of(near.explained(parameters), near.tolerance)
 
 
 def sums_of(
@@ -50,42 +90,31 @@ def sums_of(
     """Sums the normal equations of the rig's values over frames; `volts` are corrected."""
     used = np.isfinite(volts).all((0, 1))
     prepared = points.prepare(known.grounds[0], np.tile(used, (volts.shape[1], 1)), 1.0)
-    volts, dtype = np.nan_to_num(volts), points.errors.noise.dtype
+    dtype = points.errors.noise.dtype
     times = known.times - known.times.mean(1, keepdims=True)
-    total: Any = None
-    each = []
+    whole = known._replace(voltages=np.nan_to_num(volts), times=times)
+    each, parts = [], []
     for k in range(0, len(volts), _FRAMES):
         part = np.arange(k, k + _FRAMES)
         there = part < len(volts)
-        part = np.minimum(part, len(volts) - 1)
-        weight = there * known.weight[part]
-        given = volts[part], known.places[part], known.spread[part], times[part], weight
-        given = [jnp.asarray(a, dtype) for a in given]
-        found = _frames(points, slopes, prepared, jnp.asarray(known.grounds[part]), *given)
-        own, *found = (np.asarray(s, float) for s in found)
-        each.append(own[there])
-        total = found if total is None else [a + b for a, b in zip(total, found)]
-    normal, right, scatter, left, free, shared = total
-    shared = shared / known.weight.sum()
-    return Sums(np.concatenate(each), normal, right, scatter, left, free, shared)
+        some = Known(*(a[np.minimum(part, len(volts) - 1)] for a in whole))
+        some = some._replace(weight=there * some.weight).on_device(dtype)
+        found = _frames(points, slopes, prepared, some)
+        parts.append(Sums(*(np.asarray(a, float) for a in found)))
+        each.append(parts[-1].each[there])
+    total = Sums(*(sum(a) for a in zip(*parts)))
+    return total._replace(
+        each=np.concatenate(each), shared=total.shared / known.weight.sum()
+    )
 
 
 @eqx.filter_jit
 def _frames(
-    points: Points,
-    slopes: RigSlopes,
-    prepared: Any,
-    grounds: Array,
-    volts: Array,
-    places: Array,
-    spread: Array,
-    times: Array,
-    weight: Array,
+    points: Points, slopes: RigSlopes, prepared: Any, frames: Known
 ) -> tuple[Array, ...]:
-    def one(v: Array, g: Array, *about: Array) -> tuple[Array, ...]:
-        return _frame(points, slopes, prepared._replace(grounds=g), v, *about)
-
-    rows, shared, rest, *sums = jax.vmap(one)(volts, grounds, places, spread, times)
+    one = partial(_frame, points, slopes, prepared)
+    rows, shared, rest, *sums = jax.vmap(one)(frames)
+    weight = frames.weight
     # One product for all frames.
     count = rows.shape[-1]
     root = jnp.sqrt(weight)[:, None, None]
@@ -101,13 +130,7 @@ def _frames(
 
 
 def _frame(
-    points: Points,
-    slopes: RigSlopes,
-    prepared: Any,
-    volts: Float[Array, "S M"],
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-    times: Float[Array, " S"],
+    points: Points, slopes: RigSlopes, prepared: Any, one: Known
 ) -> tuple[Array, ...]:
     """Computes rows A of slopes by the rig, B, the contact's part of AᵀA, and the rest.
 
@@ -115,10 +138,10 @@ def _frame(
     the slots share, are eliminated by BᵀB = AᵀT(TᵀT + Λ)⁻¹TᵀA. The contact's own fit leaves
     nothing along T but the priors' part, and so the right side is Aᵀr.
     """
-    _, found, frame, whole = fit_of(points, prepared, volts, place, spread)
-    sheet, tolerance = points.sheet, prepared.tolerance
+    near, whole = near_of(points, prepared, one)
+    found, sheet, frame = near.explained(near.fitted()), near.sheet, near.frame
     # Slots that do not fit at all count little, as in the fit.
-    robust = jax.lax.rsqrt(1 + (found.rest**2).sum(1) / tolerance)[:, None]
+    robust = jax.lax.rsqrt(1 + (found.rest**2).sum(1) / near.tolerance)[:, None]
     column = found.column[:, 0] * robust
     length = jnp.maximum((column**2).sum(1, keepdims=True), 1e-30)
 
@@ -129,79 +152,32 @@ def _frame(
     scale = (frame.scale * robust)[..., None]
     rows = free(slopes_by_rig(sheet, slopes, frame.grounds, found.fitted) * scale)
     by_contact = found.tangent.transpose(0, 2, 1) * robust[..., None]
-    moving = by_contact[..., :2] * (times * _SPEED / sheet.unit)[:, None, None]
+    moving = by_contact[..., :2] * (one.times * _SPEED / sheet.unit)[:, None, None]
     by_contact = free(jnp.concatenate([by_contact, moving], -1))
     rest = found.rest * robust
     shape = rows.shape[0] * rows.shape[1], -1
     a, t = rows.reshape(shape), by_contact.reshape(shape)
     known = jnp.matmul(found.slope.T, found.slope, precision="highest")
-    known = jnp.pad(known, (0, 2)) + jnp.diag(
-        jnp.array([0.0] * model.DISC + [1.0] * 2, t.dtype)
-    )
-    own = jnp.matmul(t.T, t, precision="highest") + known
+    still = jnp.diag(jnp.array([0.0] * model.DISC + [1.0] * 2, t.dtype))
+    own = jnp.matmul(t.T, t, precision="highest") + (jnp.pad(known, (0, 2)) + still)
     both = jnp.matmul(t.T, a, precision="highest")
     shared = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(own), both, lower=True)
-    left = model.whitened_columns(whole, volts - found.fitted.voltages)
-    left = left[:, volts.shape[1] :]
+    left = model.whitened_columns(whole, one.voltages - found.fitted.voltages)
+    left = left[:, one.voltages.shape[1] :]
     count = (frame.scale > 0).sum() - rows.shape[0] - t.shape[1]
     sums = (rest**2).sum(), count.astype(rest.dtype), jnp.square(left * robust).mean()
     sound = jnp.isfinite(found.fitted.place).all() & jnp.isfinite(shared).all()
     return tuple(jnp.where(sound, x, 0) for x in (a, shared, rest.ravel(), *sums))
 
 
-def fit_of(
-    points: Points,
-    prepared: Any,
-    volts: Float[Array, "S M"],
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-) -> tuple[Float[Array, "5"], Explained, WhitenedFrame, WhitenedFrame]:
-    """Fits a contact near a place: its parameters, what they explain, and two frames.
+def near_of(points: Points, prepared: Any, one: Known) -> tuple[Near, WhitenedFrame]:
+    """Whitens a frame by each channel's own errors alone, and by all errors.
 
-    The first frame has each channel's own errors alone, because the errors in common are
-    looked for. The second frame has both kinds of errors.
+    A calibration looks for the errors in common: its contacts are fitted without these.
     """
-    scene = fitting_of(points, prepared, volts, 1)
-    frame = scene.frame._replace(
-        whitened=volts * scene.frame.scale,
-        common=scene.frame.common[:, :0],
-        filter=scene.frame.filter[:, :0],
+    volts, here = one.voltages, prepared._replace(grounds=one.grounds)
+    frame = fitting_of(points, here, volts, 1).frame
+    own = frame._replace(
+        whitened=volts * frame.scale, common=frame.common[:, :0], filter=frame.filter[:, :0]
     )
-    sheet = points.sheet
-    start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))
-    about = sheet, frame, prepared.tolerance, start[:2], spread / sheet.unit
-    limits = model.limits_of(sheet)
-    parameters, _ = descend(
-        _cost, start[None], limits, _STEPS, _STEPS, _TOGETHER, jnp.inf, 0.0, *about
-    )
-    return parameters, explained_about(parameters, *about), frame, scene.frame
-
-
-def explained_about(
-    parameters: Float[Array, "5"],
-    sheet: Sheet,
-    frame: WhitenedFrame,
-    tolerance: Array,
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-) -> Explained:
-    """Explains a frame by a contact near a place."""
-    found = model.discs(sheet, frame, parameters)
-    slope = jnp.eye(2, model.DISC, dtype=spread.dtype) / spread
-    return found._replace(
-        prior=jnp.concatenate([found.prior, (parameters[:2] - place) / spread]),
-        slope=jnp.concatenate([found.slope, slope]),
-    )
-
-
-def _cost(
-    parameters: Float[Array, "5"],
-    sheet: Sheet,
-    frame: WhitenedFrame,
-    tolerance: Array,
-    place: Float[Array, "2"],
-    spread: Float[Array, ""],
-) -> Normal:
-    return normal_of(
-        explained_about(parameters, sheet, frame, tolerance, place, spread), tolerance
-    )
+    return Near(points.sheet, own, prepared.tolerance, one.places, one.spread), frame

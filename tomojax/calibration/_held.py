@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated
-from tomojax.calibration._frames import explained_about, fit_of
+from tomojax.calibration._frames import Known, Near, near_of
 from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
 from tomojax.kernels.contacts import Sheet, WhitenedFrame
 from tomojax.methods import method as make_method, Points
@@ -18,6 +18,8 @@ from tomojax.sensor import Sensor
 
 # Newton's steps end where none changes a value by more than this part of its deviation.
 _CLOSE = 1e-9
+
+# Newton's steps, at most.
 _STEPS = 30
 
 
@@ -73,12 +75,11 @@ class HeldCalibration(eqx.Module):
         volts = found.told.voltages(known.voltages.astype(float))
         require(bool(np.isfinite(volts).all()), "found", "channels of NaN", "volts in all")
         prepared = points.prepare(known.grounds[0], np.ones(volts.shape[1:], bool), 1.0)
-        given = volts, known.grounds, known.places, known.spread
-        given = tuple(map(jnp.asarray, given))
-        contacts, scale, slopes = _fits(points, rig_slopes(sensor), prepared, *given)
+        known = known._replace(voltages=volts).on_device(float)
+        contacts, scale, slopes = _fits(points, rig_slopes(sensor), prepared, known)
         self.sheet, self.tolerance = points.sheet, prepared.tolerance
-        _, self.grounds, self.places, self.spread = given
-        self.weight, self.contacts = jnp.asarray(known.weight), contacts
+        self.grounds, self.places, self.spread = known.grounds, known.places, known.spread
+        self.weight, self.contacts = known.weight, contacts
         self.scale, self.slopes = scale, slopes
         self.state, self.start = jnp.asarray(found.state), jnp.asarray(unknowns.start)
         self.prior = jnp.asarray(unknowns.prior)
@@ -91,14 +92,13 @@ class HeldCalibration(eqx.Module):
         """Computes the cost of θ and the contacts, given voltages (n, S, M)."""
         m = voltages.shape[-1]
         gain, zero, moved = state[:m], state[m : 2 * m], (state - self.state)[2 * m :]
-        unit, tolerance = self.sheet.unit, self.tolerance
+        tolerance = self.tolerance
 
         def one(v, grounds, place, spread, scale, slopes, contact) -> Array:
             v = (v - zero) / gain - jnp.matmul(slopes, moved, precision="highest")
             none = jnp.zeros((len(v), 0, m), v.dtype)
             frame = WhitenedFrame(grounds, v * scale, scale, none, none)
-            about = self.sheet, frame, tolerance, place / unit, spread / unit
-            found = explained_about(contact, *about)
+            found = Near(self.sheet, frame, tolerance, place, spread).explained(contact)
             misfit = (found.rest**2).sum(1) / tolerance
             return tolerance * jnp.log1p(misfit).sum() + (found.prior**2).sum()
 
@@ -136,14 +136,15 @@ class HeldCalibration(eqx.Module):
 
 @eqx.filter_jit
 def _fits(
-    points: Points, slopes: RigSlopes, prepared: Any, volts, grounds, places, spread
+    points: Points, slopes: RigSlopes, prepared: Any, frames: Known
 ) -> tuple[Array, Array, Array]:
     """Fits each frame: its contact, its errors' scale, and slopes by the rig's geometry."""
 
-    def one(v: Array, g: Array, place: Array, spread: Array) -> Any:
-        ready = prepared._replace(grounds=g)
-        contact, found, frame, _ = fit_of(points, ready, v, place, spread)
-        by_rig = slopes_by_rig(points.sheet, slopes, g, found.fitted)
-        return contact, frame.scale, by_rig[..., 2 * v.shape[-1] :]
+    def one(frame: Known) -> tuple[Array, Array, Array]:
+        near, _ = near_of(points, prepared, frame)
+        contact = near.fitted()
+        fitted = near.explained(contact).fitted
+        by_rig = slopes_by_rig(points.sheet, slopes, frame.grounds, fitted)
+        return contact, near.frame.scale, by_rig[..., 2 * frame.voltages.shape[-1] :]
 
-    return jax.vmap(one)(volts, grounds, places, spread)
+    return jax.vmap(one)(frames)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated, calibrated
@@ -14,24 +14,45 @@ from tomojax.files import read_npz, read_table
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 
-# Slots of a frame, in which a contact hardly moves: as many tell of its place; a scan with
-# no fewer than the least is one. Frames that a calibration is made of; of so many times as
-# many they are chosen.
-_SLOTS, _LEAST, _MOST, _CHOICE = 10, 5, 1000, 4
+# Slots of a frame, in which a contact hardly moves: as many tell of its place.
+_SLOTS = 10
 
-# A contact of use exceeds so many times the noise. A channel must be good in this part of
-# the frames.
-_TOUCHED, _GOOD = 110.0, 0.9
+# A scan with no fewer slots is a frame.
+_LEAST = 5
+
+# Frames that a calibration is made of, chosen from so many times as many.
+_MOST = 1000
+_CHOICE = 4
+
+# A contact of use exceeds so many times the noise.
+_TOUCHED = 110.0
+
+# A channel must be good in this part of the frames.
+_GOOD = 0.9
 
 
-class _Frames(NamedTuple):
+class Frames(NamedTuple):
     """Stretches of slots that show a contact."""
 
     number: Integer[np.ndarray, "n S"]  # of the slots in the recording
-    times: Float[np.ndarray, "n S"]
-    voltages: Float[np.ndarray, "n S M"]
+    times: Float[np.ndarray, "n S"]  # s
+    voltages: Float[np.ndarray, "n S M"]  # V, as read
     grounds: Integer[np.ndarray, "n S"]
-    good: np.ndarray  # (n, S, M)
+    good: Bool[np.ndarray, "n S M"]
+
+    def take(self, some: np.ndarray) -> "Frames":
+        return Frames(*(a[some] for a in self))
+
+    def usable(self) -> "Frames":
+        """Keeps frames without faults; a channel that is seldom good is NaN in all."""
+        often = self.good.sum((0, 1)) > _GOOD * self.good[..., 0].size
+        kept = self.take(self.good[:, :, often].all((1, 2)))
+        return kept._replace(voltages=np.where(often, kept.voltages, np.nan))
+
+    def spread(self, most: int) -> "Frames":
+        """Keeps so many frames at most, spread evenly."""
+        n = len(self.number)
+        return self.take(np.linspace(0, n - 1, min(most, n)).round().astype(int))
 
 
 def calibrate_recording(
@@ -57,10 +78,8 @@ def calibrate_recording(
     >>> len(known.gain), len(known.sheet), known.error <= 1
     (4, 27, True)
     """
-    given = recording, places, most
-    return calibrated_recording(
-        *given, calibration=calibration, progress=progress
-    ).calibration
+    known = {"calibration": calibration, "progress": progress}
+    return calibrated_recording(recording, places, most, **known).calibration
 
 
 def calibrated_recording(
@@ -110,25 +129,21 @@ def calibrated_recording(
     before = tare(recording, calibration)
     # Places of scans are those of their middle, whatever moves in them.
     length = frame_length(recording) if places is None else min(per_scan, _SLOTS)
-    frames = touched(recording, before, length, most)
-    good = frames.good.mean((0, 1)) > _GOOD if len(frames.good) else np.ones(0, bool)
-    usable = frames.good[:, :, good].all((1, 2))
-    where = None
+    frames = touched(recording, before, length, most).usable()
     if places is not None:
-        where = places[frames.number].mean(1)
-        usable &= np.isfinite(where).all(1)
-        require(bool(usable.any()), "places", "0 usable slots", "slots with a contact")
-    some = np.flatnonzero(usable)
-    some = some[np.linspace(0, len(some) - 1, min(most, len(some))).round().astype(int)]
-    require(len(some) > 0, "recording", "no stretch with a contact", "a contact that moves")
-    volts = np.where(good, frames.voltages[some], np.nan)
+        placed = np.isfinite(places[frames.number].mean(1)).all(1)
+        require(bool(placed.any()), "places", "0 usable slots", "slots with a contact")
+        frames = frames.take(placed)
+    frames = frames.spread(most)
+    some = len(frames.number) > 0
+    require(some, "recording", "no stretch with a contact", "a contact that moves")
     return calibrated(
         recording.rig.sensor(),
-        volts,
-        frames.grounds[some],
-        None if where is None else where[some],
+        frames.voltages,
+        frames.grounds,
+        None if places is None else places[frames.number].mean(1),
         before,
-        times=frames.times[some],
+        times=frames.times,
         progress=progress,
     )
 
@@ -140,7 +155,7 @@ def frame_length(recording: Recording) -> int:
     return min(per_scan if whole else recording.scans * per_scan, _SLOTS)
 
 
-def touched(recording: Recording, before: Calibration, length: int, most: int) -> _Frames:
+def touched(recording: Recording, before: Calibration, length: int, most: int) -> Frames:
     """Reads stretches of `length` slots that show a contact throughout."""
     enough = _TOUCHED * nominal_noise(recording.rig.sensor())
     slots = recording.scans * recording.slots
@@ -150,17 +165,19 @@ def touched(recording: Recording, before: Calibration, length: int, most: int) -
     found = []
     for start in range(0, recording.scans, each):
         stop = min(start + each, recording.scans)
-        t, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
-        count = len(v) // length
-        some = np.arange(0, count, every)
-        number = (some[:, None] * length + np.arange(length)).astype(int)
-        v, good = v[number, 0], good[number, 0]
-        high = np.where(good, np.abs(before.voltages(v)), 0).max(-1)
-        kept = (high > enough).all(1)
-        own = number + start * recording.slots
-        parts = own, t[number], v, grounds[number, 0], good
-        found.append(tuple(a[kept] for a in parts))
-    return _Frames(*(np.concatenate(a) for a in zip(*found)))
+        chunk = read_chunk(recording, start, stop, "slot")
+        first = np.arange(0, len(chunk.t) // length, every) * length
+        number = first[:, None] + np.arange(length)
+        frames = Frames(
+            number=number + start * recording.slots,
+            times=chunk.t[number],
+            voltages=chunk.voltages[number, 0],
+            grounds=chunk.grounds[number, 0],
+            good=chunk.good[number, 0],
+        )
+        level = np.where(frames.good, np.abs(before.voltages(frames.voltages)), 0)
+        found.append(frames.take((level.max(-1) > enough).all(1)))
+    return Frames(*(np.concatenate(a) for a in zip(*found)))
 
 
 def read_places(path: Path) -> Float[np.ndarray, "n 2"]:

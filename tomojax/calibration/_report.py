@@ -7,7 +7,7 @@ import numpy as np
 from tomojax._pictures import lay_sheet, show_image, SIGNED
 from tomojax.calibration._calibrate import Calibrated
 from tomojax.calibration._unknowns import affine, all_waves
-from tomojax.sensor import Calibration, Sensor
+from tomojax.sensor import Sensor
 
 # A square that fewer frames touch is hardly known.
 _FEW = 2
@@ -73,7 +73,8 @@ def text(sensor: Sensor, found: Calibrated) -> str:
     if told["not_told"]:
         names = ", ".join(told["not_told"])
         lines.append(f"not told by these frames, held by what is usual: {names}")
-    return "\n".join([line.format(**told) for line in lines] + advice(sensor, found))
+    more = rub_more(sensor, squares_touched(sensor, found.places))
+    return "\n".join([line.format(**told) for line in lines] + more)
 
 
 def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
@@ -104,13 +105,11 @@ def not_told(sensor: Sensor, found: Calibrated) -> list[str]:
     return [name for name, move in moves.items() if kept(*move) > _KEPT]
 
 
-def advice(sensor: Sensor, found: Calibrated) -> list[str]:
-    """Says where the sheet was hardly touched; returns no line if all of it was touched."""
-    return rub_more(sensor, squares_touched(sensor, found.places))
-
-
 def rub_more(sensor: Sensor, touched: np.ndarray) -> list[str]:
-    """Says where to rub, by how often each square was `touched`, (rows, columns)."""
+    """Says where to rub, by how often each square was `touched`, (rows, columns).
+
+    Returns no line if all of the sheet was touched.
+    """
     missing = touched < _FEW
     if not missing.any():
         return []
@@ -149,16 +148,15 @@ def _certainty(sensor: Sensor, found: Calibrated) -> tuple[float, float]:
     whole = affine(np.asarray(sensor.electrode_xy, float))
     inside = float(np.trace(whole.T @ covariance @ whole))
     rest = max(float(np.trace(covariance)) - inside, 0.0)
-    return float(np.sqrt(inside / sensor.electrode_count)), float(
-        np.sqrt(rest / sensor.electrode_count)
-    )
+    known, relative = np.sqrt(np.array([inside, rest]) / sensor.electrode_count).tolist()
+    return known, relative
 
 
 def picture(sensor: Sensor, found: Calibrated) -> Any:
     """Draws the sheet's resistance, the contacts, and how far electrodes are off."""
     from matplotlib.figure import Figure
 
-    calibration: Calibration = found.calibration
+    calibration = found.calibration
     size, m = np.asarray(sensor.size, float), sensor.electrode_count
     figure = Figure(figsize=(7.2, 6.0), layout="constrained")
     axes = figure.subplots()
@@ -175,14 +173,14 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
     room = 0.4e3 * sensor.mean_pitch / largest
     whole = 10 ** np.floor(np.log10(room))
     enlarged = whole * max(k for k in (1, 2, 5) if k * whole <= room)
-    given, scale = (*xy.T, *moved.T), float(1 / enlarged)
-    axes.quiver(*given, angles="xy", scale_units="xy", scale=scale, width=0.004)
+    look = {"angles": "xy", "scale_units": "xy", "scale": float(1 / enlarged)}
+    axes.quiver(*xy.T, *moved.T, width=0.004, **look)
     lay_sheet(axes, size, sensor.electrode_xy, float(sensor.electrode_diameter), "k")
     axes.set_title(
         "The sheet's resistance; arrows: how far the electrodes\n"
         f"are off their nominal places, enlarged {enlarged:g} times"
     )
     axes.plot([], [], "o", mfc="none", mec="k", ms=5, label="electrodes, nominal")
-    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.1), fontsize=8, ncols=2,
-                frameon=False)  # fmt: skip
+    below = {"loc": "upper left", "bbox_to_anchor": (0, -0.1), "frameon": False}
+    axes.legend(fontsize=8, ncols=2, **below)
     return figure

@@ -3,18 +3,31 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from tomojax.recordings import read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 
-# Slots looked at for zeros, in how many stretches; the least there must be; what none of
-# them exceeds, in the noise (and codes, where these are coarse). Means of a ground's slots
-# beside those of all, in σ²: more is a contact.
-_SLOTS, _STRETCHES, _LEAST, _QUIET, _CODES, _SAME = 8192, 16, 16, 11.0, 3.0, 2.0
+# Slots looked at for zeros, in so many stretches.
+_SLOTS = 8192
+_STRETCHES = 16
 
-# The noise that is seen, times what is left of zeros; and of the nominal one at least.
-_MORE, _NO_LESS = 1.1, 0.02
+# Contact-free slots that there must be.
+_LEAST = 16
+
+# A contact-free slot does not exceed so many times the noise, or so many codes where these
+# are coarse.
+_QUIET = 11.0
+_CODES = 3.0
+
+# Means of a ground's slots differ from those of all by more σ²: something touches.
+_SAME = 2.0
+
+# The noise that is seen, times what is left of zeros.
+_MORE = 1.1
+
+# The noise is no less than this part of the nominal noise.
+_NO_LESS = 0.02
 
 
 def tare(recording: Recording, calibration: Calibration | None = None) -> Calibration:
@@ -65,7 +78,8 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
 
 def quiet_slots(
     recording: Recording, calibration: Calibration
-) -> tuple[Float[np.ndarray, "n M"], np.ndarray]:
+) -> tuple[Float[np.ndarray, "n M"], Integer[np.ndarray, " n"]]:
+    """Reads slots whose voltages are all within the noise, corrected, and their grounds."""
     each = max(1, _SLOTS // _STRETCHES // recording.slots)
     # No slot twice: grounds' means would seem to differ by more than noise lets them.
     count = min(_STRETCHES, max(1, recording.scans // each))
@@ -75,9 +89,9 @@ def quiet_slots(
     found, under = [], []
     for start in np.unique(starts).tolist():
         stop = min(start + each, recording.scans)
-        _, v, grounds, good, _ = read_chunk(recording, start, stop, "slot")
-        v = calibration.voltages(v[:, 0].astype(float))
-        quiet = good.all((1, 2)) & (np.abs(v).max(1) < least)
+        chunk = read_chunk(recording, start, stop, "slot")
+        v = calibration.voltages(chunk.voltages[:, 0].astype(float))
+        quiet = chunk.good.all((1, 2)) & (np.abs(v).max(1) < least)
         found.append(v[quiet])
-        under.append(grounds[quiet, 0])
+        under.append(chunk.grounds[quiet, 0])
     return np.concatenate(found), np.concatenate(under).astype(int)

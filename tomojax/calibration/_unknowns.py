@@ -9,10 +9,13 @@ from jaxtyping import Float
 from tomojax.kernels.sheet import smooth_orders
 from tomojax.sensor import Calibration, nominal_noise, Sensor, WAVES
 
-# What is known of a rig beforehand, 1 σ: gains, zeros (of the noise), the sheet's longest
-# wave (which falls as the wave's length does), and resistances at grounds: of each, and
-# what all have in common, of the sheet's resistance; electrodes' places, of their diameter.
-_GAIN, _ZERO, _SHEET, _GROUND, _GROUNDS, _OFF = 1e-3, 1.1, 0.03, 0.01, 0.1, 0.04
+# What is known of a rig beforehand, 1 σ.
+_GAIN = 1e-3
+_ZERO = 1.1  # of the noise
+_SHEET = 0.03  # of the longest wave; others' falls as their length does
+_GROUND = 0.01  # of each ground path, of the sheet's resistance
+_GROUNDS = 0.1  # of what all ground paths have in common
+_OFF = 0.04  # of electrodes' places, of their diameter
 
 # Zeros that were taken from contact-free slots are known so many times better.
 _TARED = 10.0
@@ -40,21 +43,17 @@ def unknowns_of(sensor: Sensor, before: Calibration) -> Unknowns:
         start[parts[name]] = getattr(before, name)
     start[parts["sheet"]] = all_waves(before.sheet)
     start[parts["electrodes"]] = np.broadcast_to(before.electrodes, (m, 2)).T.ravel()
-    known = np.zeros((ends[-1],) * 2)
-
-    def put(name: str, covariance: np.ndarray | float) -> None:
-        at = parts[name]
-        known[at, at] = np.eye(at.stop - at.start) * covariance
-
     tared = 1 if np.size(before.offset) == 1 else _TARED
-    put("gain", _GAIN**2)
-    put("offset", (_ZERO * nominal_noise(sensor) / tared) ** 2)
-    put("sheet", (_SHEET / (smooth_orders(MOST) ** 2).sum(1)) ** 2)
-    put("electrodes", (_OFF * float(sensor.electrode_diameter)) ** 2)
     rho = float(np.asarray(sensor.sheet_resistance).mean())
-    known[parts["ground"], parts["ground"]] = rho**2 * (
-        _GROUND**2 * np.eye(m) + _GROUNDS**2
-    )
+    variances = {
+        "gain": _GAIN**2 * np.ones(m),
+        "offset": (_ZERO * nominal_noise(sensor) / tared) ** 2 * np.ones(m),
+        "sheet": (_SHEET / (smooth_orders(MOST) ** 2).sum(1)) ** 2,
+        "ground": (rho * _GROUND) ** 2 * np.ones(m),
+        "electrodes": (_OFF * float(sensor.electrode_diameter)) ** 2 * np.ones(2 * m),
+    }
+    known = np.diag(np.concatenate(list(variances.values())))
+    known[parts["ground"], parts["ground"]] += (rho * _GROUNDS) ** 2
     return Unknowns(parts, start, np.linalg.inv(known))
 
 

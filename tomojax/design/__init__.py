@@ -28,20 +28,8 @@ from tomojax.design._electrodes import (
     image_spread as image_spread,
 )
 from tomojax.design._search import exchange as exchange, relax as relax, Relaxed as Relaxed
-from tomojax.design._shared import (
-    closed as closed,
-    design_shared as design_shared,
-    gamma as gamma,
-    pair_objective as pair_objective,
-    Pairs as Pairs,
-    pairs_of as pairs_of,
-    shared_columns as shared_columns,
-    shared_map as shared_map,
-    SharedDesign as SharedDesign,
-)
 from tomojax.design.objectives import (
     AbstractObjective as AbstractObjective,
-    contact_columns as contact_columns,
     design_objective as design_objective,
     design_places as design_places,
     exploratory_voltages as exploratory_voltages,
@@ -65,7 +53,6 @@ __all__ = [
     "design_objective",
     "design_places",
     "design_policy",
-    "design_shared",
     "ElectrodeDesign",
     "exploratory_voltages",
     "image_scale",
@@ -78,7 +65,6 @@ __all__ = [
     "PlaceDesigns",
     "relax",
     "Relaxed",
-    "SharedDesign",
     "simulate_scenes",
     "SimulatedScenes",
     "tune",

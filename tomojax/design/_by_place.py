@@ -1,6 +1,7 @@
 """Designs tables of ground conditions by place, for a step to look up."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,19 +22,30 @@ from tomojax.paper import exploration
 from tomojax.sensor import Sensor
 from tomojax.step import Lookup
 
-# Swaps that are looked at for each place, and places that are computed side by side.
-_TRIED, _TOGETHER = 16, 64
+# Swaps that are looked at for each place.
+_TRIED = 16
+
+# Places that are computed side by side.
+_TOGETHER = 64
 
 # Places of a table.
 _SHAPES = {"points": (32, 32), "linear": (24, 24), "source": (16, 16)}
 
-# λ/σ₁² that are tried (decades, and how many), pixels along a side of the images that they
-# are tried on, and the width of a contact in those (σ), of the pitch.
-_LAMS, _PIXELS, _WIDTH = (-7.5, -2, 12), 32, 0.4
+# λ/σ₁² that are tried for each place.
+_LAMS = np.logspace(-7.5, -2, 12)
+
+# Pixels along a side of the images that λ is tried on.
+_PIXELS = 32
+
+# The width of a contact in those images (σ), of the pitch.
+_WIDTH = 0.4
 
 # What a set may be worse by, as a part, to have as many grounds in common with its
-# neighbours' as it has; and how often all are gone through.
-_SMOOTH, _PASSES = 0.02, 4
+# neighbours' as it has.
+_SMOOTH = 0.02
+
+# How often all sets are gone through.
+_PASSES = 4
 
 
 class PlaceDesigns(NamedTuple):
@@ -107,32 +119,32 @@ def design_policy(
     lams = None
     if method != "points":
         lams = place_lambdas(sensor, method, places, sets, (nx, ny))
-    policy = Lookup(table, idle, sensor.size, lams)
-    each = np.asarray(value).reshape(nx, ny), np.asarray(bound).reshape(nx, ny)
-    return PlaceDesigns(policy, *each)
+    return PlaceDesigns(
+        policy=Lookup(table, idle, sensor.size, lams),
+        value=np.asarray(value).reshape(nx, ny),
+        bound=np.asarray(bound).reshape(nx, ny),
+    )
 
 
-def designs_by_place(objective: AbstractObjective, n: int) -> tuple[Array, Array]:
+@partial(jax.jit, static_argnums=1)
+def designs_by_place(
+    objective: AbstractObjective, n: int
+) -> tuple[Float[Array, "P L"], Float[Array, " P"]]:
     """Finds the best set of n slots for each place alone, and each place's bound."""
     slots, dtype = objective.slots, objective.dtype
-    count = jax.eval_shape(objective, jnp.ones(slots, dtype))
+    count = jax.eval_shape(objective, jnp.ones(slots, dtype)).shape[0]
 
-    @jax.jit
-    def whole(objective: AbstractObjective) -> tuple[Array, Array]:
-        def one(k: Array) -> tuple[Array, Array]:
-            alone = objective.alone(k)
-            if not objective.convex:
-                start = greedy(alone.value, slots, n, dtype)
-                unknown = jnp.full((), jnp.nan, dtype)
-                return exchange(alone.value, start, n, objective.swaps), unknown
-            best = relax(alone, slots, n, dtype=dtype)
-            start = heaviest(best.weights, n)
-            return exchange(alone.value, start, n, _TRIED), best.bound
+    def one(k: Array) -> tuple[Array, Array]:
+        alone = objective.alone(k)
+        if not objective.convex:
+            start = greedy(alone.value, slots, n, dtype)
+            unknown = jnp.full((), jnp.nan, dtype)
+            return exchange(alone.value, start, n, objective.swaps), unknown
+        best = relax(alone, slots, n, dtype=dtype)
+        start = heaviest(best.weights, n)
+        return exchange(alone.value, start, n, _TRIED), best.bound
 
-        places = jnp.arange(count.shape[0])
-        return jax.lax.map(one, places, batch_size=min(_TOGETHER, len(places)))
-
-    return whole(objective)
+    return jax.lax.map(one, jnp.arange(count), batch_size=min(_TOGETHER, count))
 
 
 def _smoothed(
@@ -184,22 +196,16 @@ def place_lambdas(
     )
     model = (Linear if method == "linear" else Source).of(sensor, (_PIXELS, _PIXELS))
     objective = ImageError.of(model, scenes, _WIDTH * sensor.mean_pitch)
-    nx, ny = shape
-    i, j = np.indices(shape).reshape(2, -1)
-    nearby = [
-        np.clip(i + a, 0, nx - 1) * ny + np.clip(j + b, 0, ny - 1)
-        for a in (-1, 0, 1)
-        for b in (-1, 0, 1)
-    ]
-    lams = jnp.asarray(np.logspace(*_LAMS), sensor.dtype)
+    # Numbers of each place and its neighbours, in blocks of 3 × 3.
+    grid = np.pad(np.arange(len(places)).reshape(shape), 1, mode="edge")
+    nearby = np.lib.stride_tricks.sliding_window_view(grid, (3, 3)).reshape(-1, 9)
+    lams = jnp.asarray(_LAMS, sensor.dtype)
 
     @jax.jit
     def each(objective: ImageError, sets: Array, nearby: Array) -> Array:
         def one(x: tuple[Array, Array]) -> Array:
             weights, some = x
-            here = replace(
-                objective, rights=objective.rights[some], targets=objective.targets[some]
-            )
+            here = objective.alone(some)
 
             def error(lam: Array) -> Array:
                 log_lam = jnp.log(lam * model.scale())
@@ -209,4 +215,4 @@ def place_lambdas(
 
         return jax.lax.map(one, (sets, nearby))
 
-    return each(objective, sets, jnp.asarray(np.stack(nearby, 1))).reshape(shape)
+    return each(objective, sets, jnp.asarray(nearby)).reshape(shape)

@@ -30,14 +30,18 @@ from tomojax.paper import (
 from tomojax.sensor import ground_set, jacobian, Sensor
 from tomojax.step import ADAPTIVE
 
-# λ/σ₁² of the search, and bisections after it; a width that is off by less is reached.
-_LAMS, _BISECTIONS, _ALIKE = 10.0 ** np.arange(-8, 0.1), 10, 0.03
+# λ/σ₁² of the search, and bisections after it.
+_LAMS = 10.0 ** np.arange(-8, 0.1)
+_BISECTIONS = 10
+
+# A width that is off by less is reached.
+_ALIKE = 0.03
 
 # Rows of the basis that stands for J, for each electrode.
 _RANK = 2
 
-# Radius of a contact, of the pitch; it holds the sheet at the drive, as in Eq. 1.
-_RADIUS, _SIEMENS = 0.1, 1.0
+# Radius of a contact, of the pitch.
+_RADIUS = 0.1
 
 
 class PatternFigures(NamedTuple):
@@ -152,18 +156,29 @@ def compare_patterns(
     require(rate, "f_switch", f_switch, "slots/s, above 0")
     checked = {name: _checked(sensor, name, one) for name, one in given.items()}
     places = design_places(sensor, count=contacts)
-    simulated = {"radius": _RADIUS * sensor.mean_pitch, "conductance": _SIEMENS}
+    radius = _RADIUS * sensor.mean_pitch
     sensor = _on_coarse_mesh(sensor)
-    scenes = simulate_scenes(sensor, places, rigs=rigs, seed=seed, **simulated)
+    scenes = simulate_scenes(sensor, places, radius=radius, rigs=rigs, seed=seed)
     explored = scenes.voltages[:, exploration(sensor)]
     images = _Images.of(sensor, np.asarray(scenes.voltages, float))
     rows = []
     for name, one in checked.items():
         sets = _sets(sensor, one, explored, seed)
-        found = _at_width(sensor, images.of_sets(sets), images.scale, wide, places)
-        explores = 2 if isinstance(one, str) and one in ADAPTIVE else 0
+        lam, width_m, off = _at_width(sensor, images, sets, wide, places)
         slots = sets.shape[1]
-        rows.append(PatternFigures(name, slots, explores, 1e3 * slots / f_switch, *found))
+        rows.append(
+            PatternFigures(
+                pattern=name,
+                slots=slots,
+                exploratory_slots=2 if isinstance(one, str) and one in ADAPTIVE else 0,
+                dt_ms=1e3 * slots / f_switch,
+                lam_relative=lam,
+                width_mm=1e3 * width_m,
+                place_median_mm=1e3 * float(np.median(off)),
+                place_p90_mm=1e3 * float(np.quantile(off, 0.9)),
+                equally_wide=abs(width_m / wide - 1) < _ALIKE,
+            )
+        )
     return PatternTable(tuple(rows), 1e3 * wide, contacts)
 
 
@@ -177,15 +192,14 @@ def _on_coarse_mesh(sensor: Sensor) -> Sensor:
 
 
 def _checked(sensor: Sensor, name: str, one: str | Numbers) -> str | np.ndarray:
+    argument = f"patterns[{name!r}]"
     if isinstance(one, str):
-        known = ", ".join(PATTERNS)
-        require(
-            one in PATTERNS, f"patterns[{name!r}]", repr(one), f"grounds or one of {known}"
-        )
+        wanted = f"grounds or one of {', '.join(PATTERNS)}"
+        require(one in PATTERNS, argument, repr(one), wanted)
         return one
     grounds = np.asarray(ground_set(sensor, one))
     whole = grounds.ndim == 1 and len(np.unique(grounds)) == len(grounds)
-    require(whole, f"patterns[{name!r}]", one, "numbers of electrodes, each at most once")
+    require(whole, argument, one, "numbers of electrodes, each at most once")
     return grounds
 
 
@@ -246,15 +260,16 @@ class _Images(NamedTuple):
 
 def _at_width(
     sensor: Sensor,
-    images: Callable[[float], np.ndarray],
-    scale: float,
+    images: _Images,
+    sets: Integer[np.ndarray, "P L"],
     wide: float,
     places: Float[Array, "P 2"],
-) -> tuple[float, float, float, float, bool]:
-    """Returns λ/σ₁² at that width; the width, and the place's error, mm."""
+) -> tuple[float, float, Float[np.ndarray, " P"]]:
+    """Finds λ/σ₁² of a width; returns it, the width reached, and errors of place, m."""
+    of_lam = images.of_sets(sets)
 
     def measured(lam: float) -> tuple[float, np.ndarray]:
-        found = jnp.asarray(images(lam * scale), sensor.dtype)
+        found = jnp.asarray(of_lam(lam * images.scale), sensor.dtype)
         widths, at = _measured(found.reshape(-1, *sensor.divisions), cell_size(sensor))
         return 2 * float(np.median(widths)), np.asarray(at)
 
@@ -274,9 +289,7 @@ def _at_width(
             low, high = (lam, high) if measured(lam)[0] < wide else (low, lam)
         lam = high
     width, at = measured(lam)
-    off = 1e3 * np.linalg.norm(at - np.asarray(places), axis=1)
-    fits = abs(width / wide - 1) < _ALIKE
-    return lam, 1e3 * width, float(np.median(off)), float(np.quantile(off, 0.9)), fits
+    return lam, width, np.linalg.norm(at - np.asarray(places), axis=1)
 
 
 @jax.jit

@@ -16,8 +16,11 @@ from tomojax.kernels.algebra import adam, draw_subset, drawn_weights, heaviest
 # Sets that are drawn in the end.
 _LAST = 64
 
-# Decades of λ on both sides that are tried at first, and steps from the best of them.
-_DECADES, _STEPS = 3, 12
+# Decades of λ on both sides that are tried at first.
+_DECADES = 3
+
+# Steps from the best of these.
+_STEPS = 12
 
 # How often a search for λ is gone on with.
 _SCANS = 4
@@ -35,6 +38,7 @@ def _with(objective: AbstractObjective, parameters: list[Array]) -> AbstractObje
 
 
 def _startable(objective: AbstractObjective) -> AbstractObjective:
+    """Returns the objective with parameters in reach of a descent."""
     has = isinstance(getattr(objective, "log_lam", None), jax.Array)
     need = "one with ln λ as its field log_lam, a JAX array"
     require(has, "objective", f"{type(objective).__name__} without log_lam", need)
@@ -83,23 +87,16 @@ def tune(objective: AbstractObjective, weights: Float[Array, " L"]) -> Tuned:
     # BFGS ends by absolute tolerances: the objective's unit must not matter.
     scale = jnp.maximum(jnp.abs(values[best]), jnp.finfo(values.dtype).tiny)
     solver = optimistix.BFGS(rtol=1e-3, atol=1e-3)
-    found = optimistix.minimise(
-        _value,
-        solver,
-        [middle, *lengths],
-        (objective, weights, scale),
-        has_aux=True,
-        max_steps=_STEPS,
-        throw=False,
-    )
+    start, given = [middle, *lengths], (objective, weights, scale)
+    found = optimistix.minimise(_value, solver, start, given, max_steps=_STEPS, throw=False)
     tuned = _with(objective, found.value)
     solves = scans * len(apart) + 2 * int(found.stats["num_steps"])
     return Tuned(tuned, tuned.value(weights), solves)
 
 
-def _value(parameters: list[Array], rest: tuple) -> tuple[Array, Array]:
-    objective, weights, scale = rest
-    return _with(objective, parameters).value(weights) / scale, jnp.zeros(())
+def _value(parameters: list[Array], given: tuple) -> Array:
+    objective, weights, scale = given
+    return _with(objective, parameters).value(weights) / scale
 
 
 @eqx.filter_jit
@@ -148,13 +145,14 @@ def descend_sets(
     keys = jax.random.split(jax.random.key(seed), steps)
     logits, now = _descended(_startable(objective), keys, n, draws, rate)
     keys = jax.random.split(jax.random.key(seed), _LAST)
-    sets = (
-        jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
-        .at[0]
-        .set(heaviest(logits, n))
-    )
-    values = jax.jit(lambda o, w: jax.lax.map(o.value, w))(now, sets)
-    return Drawn(sets[jnp.argmin(values)], logits, now)
+    sets = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
+    sets = sets.at[0].set(heaviest(logits, n))
+    return Drawn(sets[jnp.argmin(_values(now, sets))], logits, now)
+
+
+@eqx.filter_jit
+def _values(objective: AbstractObjective, sets: Float[Array, "n L"]) -> Float[Array, " n"]:
+    return jax.lax.map(objective.value, sets)
 
 
 @eqx.filter_jit

@@ -1,5 +1,6 @@
 """Designs sets of ground conditions; compares them with the best possible and patterns."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
 from tomojax._shown import html_table, named, shown
-from tomojax.design._search import exchange, greedy, relax
+from tomojax.design._search import exchange, greedy, relax, Relaxed
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import draw_subset, heaviest
 from tomojax.paper import AdaptiveScan, pattern, PATTERNS
@@ -77,69 +78,57 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     whole = isinstance(slots, int | np.integer) and 1 <= slots <= most
     require(whole, "slots", repr(slots), f"a whole number from 1 to {most}")
     n = int(slots)
-    found = _search(objective, n)
-    values = {name: float(v) for name, v in found.values.items()}
-    chosen = np.flatnonzero(np.asarray(found.sets["best"]) > 0.5)
+    best, values, relaxed = _search(objective, n)
     return Design(
-        _ordered(objective, chosen),
-        values["best"],
-        float(found.bound) if objective.convex else float("nan"),
-        np.asarray(found.weights),
-        float(found.relaxed),
-        values["rounded"],
-        values["greedy"],
-        objective.unit,
+        grounds=_ordered(objective, np.flatnonzero(np.asarray(best) > 0.5)),
+        value=float(values["best"]),
+        bound=float(relaxed.bound) if objective.convex else float("nan"),
+        weights=np.asarray(relaxed.weights),
+        relaxed=float(relaxed.value),
+        rounded=float(values["rounded"]),
+        greedy=float(values["greedy"]),
+        unit=objective.unit,
     )
 
 
-class _Found(NamedTuple):
-    sets: dict[str, Array]
-    values: dict[str, Array]
-    weights: Array
-    relaxed: Array
-    bound: Array
-
-
-def _search(objective: AbstractObjective, n: int) -> _Found:
-    dtype, count = objective.dtype, objective.slots
-
-    @jax.jit
-    def whole(objective: AbstractObjective) -> _Found:
-        value = objective.value
-        best = relax(objective, count, n, objective.worst, dtype)
-        sets = {
-            "rounded": heaviest(best.weights, n),
-            "greedy": greedy(value, count, n, dtype),
-        }
-        # Sets drawn by those weights: exchanges end in the best nearby.
-        inside = jnp.clip(best.weights, 0.01, 0.99)
-        logits = jnp.log(inside / (1 - inside))
-        keys = jax.random.split(jax.random.key(0), _DRAWN)
-        drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
-        starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
-        ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
-        reached = lax.map(value, ends)
-        sets["best"] = ends[jnp.argmin(reached)]
-        values = {name: value(chosen) for name, chosen in sets.items()}
-        return _Found(sets, values, best.weights, best.value, best.bound)
-
-    return whole(objective)
+@partial(jax.jit, static_argnums=1)
+def _search(
+    objective: AbstractObjective, n: int
+) -> tuple[Float[Array, " L"], dict[str, Array], Relaxed]:
+    """Returns the best set, the values of sets by name, and the relaxed solution."""
+    value, count, dtype = objective.value, objective.slots, objective.dtype
+    relaxed = relax(objective, count, n, objective.worst, dtype)
+    sets = {
+        "rounded": heaviest(relaxed.weights, n),
+        "greedy": greedy(value, count, n, dtype),
+    }
+    # Sets drawn by those weights: exchanges end in the best nearby.
+    inside = jnp.clip(relaxed.weights, 0.01, 0.99)
+    logits = jnp.log(inside / (1 - inside))
+    keys = jax.random.split(jax.random.key(0), _DRAWN)
+    drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
+    starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
+    ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
+    sets["best"] = ends[jnp.argmin(lax.map(value, ends))]
+    values = lax.map(value, jnp.stack(list(sets.values())))
+    return sets["best"], dict(zip(sets, values)), relaxed
 
 
 def _ordered(objective: AbstractObjective, grounds: np.ndarray) -> Int[np.ndarray, " n"]:
     """Orders grounds: each next ground lowers the objective most."""
-    value = jax.jit(lambda o, w: o.value(w))
-    left, order = [int(g) for g in grounds], []
-    weights = np.zeros(objective.slots)
+    each = jnp.eye(objective.slots, dtype=objective.dtype)
+    left, order, weights = grounds.tolist(), [], 0 * each[0]
     while left:
-        scores = []
-        for g in left:
-            weights[g] = 1
-            scores.append(float(value(objective, jnp.asarray(weights, objective.dtype))))
-            weights[g] = 0
+        scores = [float(value_of(objective, weights + each[g])) for g in left]
         order.append(left.pop(int(np.argmin(scores))))
-        weights[order[-1]] = 1
+        weights = weights + each[order[-1]]
     return np.array(order, int)
+
+
+@jax.jit
+def value_of(objective: AbstractObjective, weights: Float[Array, " L"]) -> Float[Array, ""]:
+    """Rates one set of slots, compiled."""
+    return objective.value(weights)
 
 
 def patterns_beside(
@@ -165,27 +154,26 @@ def patterns_beside(
     """
     rows = []
     for name in PATTERNS:
-        if name in ADAPTIVE:
+        adaptive = name in ADAPTIVE
+        if adaptive:
             scan = AdaptiveScan(sensor, name)  # pyright: ignore
             sets = np.asarray(jax.jit(jax.vmap(lambda v, s=scan: s(v)[0]))(explored))
-            weights = np.zeros((len(sets), objective.slots))
-            np.put_along_axis(weights, sets, 1, 1)
-            figures = each_its_own(objective, jnp.asarray(weights, objective.dtype))
-            value = float(figures.max() if objective.worst else figures.mean())
-            count = sets.shape[1]
         else:
-            grounds = np.asarray(pattern(sensor, name))
-            weights = np.zeros(objective.slots)
-            weights[grounds] = 1
-            value, count = (
-                float(objective.value(jnp.asarray(weights, objective.dtype))),
-                len(grounds),
-            )
-        adaptive = name in ADAPTIVE
-        rows.append({"name": name, "slots": count, "value": value, "adaptive": adaptive})
+            sets = np.asarray(pattern(sensor, name))[None]
+        chosen = np.zeros((len(sets), objective.slots))
+        np.put_along_axis(chosen, sets, 1, 1)
+        weights = jnp.asarray(chosen, objective.dtype)
+        if adaptive:
+            figures = each_its_own(objective, weights)
+            value = float(figures.max() if objective.worst else figures.mean())
+        else:
+            value = float(value_of(objective, weights[0]))
+        slots = sets.shape[1]
+        rows.append({"name": name, "slots": slots, "value": value, "adaptive": adaptive})
     return rows
 
 
+@jax.jit
 def each_its_own(
     objective: AbstractObjective, weights: Float[Array, "P L"]
 ) -> Float[Array, " P"]:
@@ -196,4 +184,4 @@ def each_its_own(
         figures = objective(w)
         return figures[k] if len(figures) == len(weights) else jnp.full((), jnp.nan)
 
-    return jax.jit(lambda w: jax.lax.map(one, (jnp.arange(len(w)), w)))(weights)
+    return lax.map(one, (jnp.arange(len(weights)), weights))

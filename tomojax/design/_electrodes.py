@@ -5,6 +5,7 @@ of the sheet, the paper's J and Eq. 3 to the electrodes' places.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -24,19 +25,27 @@ from tomojax.kernels.sheet import (
 )
 from tomojax.sensor import Sensor
 
-# How sharply the largest stands out, from rough to fine, and steps of each.
-_SHARPNESS, _STEPS = (20.0, 60.0, 200.0), 40
+# How sharply the largest stands out, from rough to fine.
+_SHARPNESS = 20.0, 60.0, 200.0
 
-# λ/σ₁² that images of white noise ask for; and a contact's width in images (σ), of the
-# pitch of a square grid of as many electrodes.
-_RELATIVE, _BLOB = 1e-5, 0.2
+# Steps of each sharpness.
+_STEPS = 40
+
+# λ/σ₁² that images of white noise ask for.
+_RELATIVE = 1e-5
+
+# A contact's width in images (σ), of the pitch of a square grid of as many electrodes.
+_BLOB = 0.2
 
 # How far from the sensor's own places later searches begin (σ), of that pitch.
 _JITTER = 0.075
 
-# Of the electrodes' diameter: from a middle to an edge and to another middle, at least;
-# and what less than that costs.
-_EDGE, _APART, _COST = 0.6, 1.4, 1e2
+# The least from an electrode's middle to an edge, and to another middle, in diameters.
+_EDGE = 0.6
+_APART = 1.4
+
+# What less than that costs.
+_COST = 1e2
 
 
 class ElectrodeDesign(NamedTuple):
@@ -110,10 +119,8 @@ def design_electrodes(
     def at(free: Array) -> Array:
         return low + (high - low) * jax.nn.sigmoid(free)
 
-    def figures(xy: Array) -> Array:
-        return image_spread(
-            sensor, where, xy, lam=lam, grid=grid, contact_resistance=contact_resistance
-        )
+    image = {"lam": lam, "grid": grid, "contact_resistance": contact_resistance}
+    figures = partial(image_spread, sensor, where, **image)
 
     def value(free: Array, sharp: Array) -> Array:
         xy = at(free)
@@ -136,10 +143,8 @@ def design_electrodes(
 def _descended(value: Callable, free: Array) -> Array:
     solver = optimistix.BFGS(rtol=1e-4, atol=1e-4)
     for sharp in _SHARPNESS:
-        given = jnp.asarray(sharp, free.dtype)
-        found = optimistix.minimise(
-            value, solver, free, given, max_steps=_STEPS, throw=False
-        )
+        given = free, jnp.asarray(sharp, free.dtype)
+        found = optimistix.minimise(value, solver, *given, max_steps=_STEPS, throw=False)
         free = found.value
     return free
 

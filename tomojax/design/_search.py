@@ -14,13 +14,18 @@ from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import least_weights, project_weights
 
-# Of a largest figure: how sharply it stands for the maximum, from rough to fine.
-_SHARPNESS = (10.0, 100.0, 1000.0)
+# How sharply a largest figure stands for the maximum, from rough to fine.
+_SHARPNESS = 10.0, 100.0, 1000.0
 
-# Steps of each, the gap that is small enough (a part of the value), and the values that a
-# step must not exceed all of (a nonmonotone search takes the lengths of Barzilai and
-# Borwein as they are).
-_STEPS, _GAP, _MEMORY = 200, 1e-4, 5
+# Steps of each sharpness.
+_STEPS = 200
+
+# The gap between value and bound that is small enough, as a part of the value.
+_GAP = 1e-4
+
+# The last values that a step must not exceed all of: a nonmonotone search takes the lengths
+# of Barzilai and Borwein as they are.
+_MEMORY = 5
 
 
 class Relaxed(NamedTuple):
@@ -76,31 +81,28 @@ def relax(figures: Figures, slots: int, n: int, worst: bool = False, dtype=None)
     start = jnp.full(slots, n / slots, dtype)
     scale = figures(start).max()
 
-    def soft(sharp: float) -> Callable[[Array], tuple[Array, Array, Array]]:
-        def value(w: Array) -> tuple[Array, tuple[Array, Array]]:
+    def sharpened(best: Relaxed, sharp: Array) -> tuple[Relaxed, None]:
+        def value(w: Array) -> tuple[Array, Array]:
             f = figures(w)
             if not worst:
-                return f.mean(), (f.mean(), f.mean())
+                return f.mean(), f.mean()
             tilted = sharp * f / scale
             shares = lax.stop_gradient(jax.nn.softmax(tilted))
-            smooth = jax.nn.logsumexp(tilted) * scale / sharp
-            return smooth, (f.max(), (shares * f).sum())
+            return jax.nn.logsumexp(tilted) * scale / sharp, (shares * f).sum()
 
-        def both(w: Array) -> tuple[Array, Array, Array]:
-            (smooth, (_, linear)), slope = jax.value_and_grad(value, has_aux=True)(w)
-            return smooth, slope, linear
-
-        return both
+        return _descend(value, best, n), None
 
     best = Relaxed(start, scale, jnp.full_like(scale, -jnp.inf), jnp.zeros((), int))
-    for sharp in _SHARPNESS if worst else (1.0,):
-        best = _descend(soft(sharp), best, n)
+    sharpness = jnp.asarray(_SHARPNESS if worst else (1.0,), scale.dtype)
+    best, _ = lax.scan(sharpened, best, sharpness)
     f = figures(best.weights)
     return best._replace(value=f.max() if worst else f.mean())
 
 
-def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
+def _descend(figure: Callable, best: Relaxed, n: int) -> Relaxed:
+    """Descends from `best`; `figure` returns a value, and that of the bound's line."""
     count = jnp.asarray(n, best.weights.dtype)
+    both = jax.value_and_grad(figure, has_aux=True)
 
     def bounded(w: Array, slope: Array, linear: Array) -> Array:
         return linear + (slope * (least_weights(slope, n) - w)).sum()
@@ -110,13 +112,13 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
         fall = (s.slope * towards).sum()
 
         def too_far(part: Array) -> Array:
-            value = both(s.weights + part * towards)[0]
+            value = figure(s.weights + part * towards)[0]
             enough = value <= s.before.max() + 1e-4 * part * fall
             return ~enough & (part > 1e-6)
 
         part = lax.while_loop(too_far, lambda p: p / 2, jnp.ones_like(s.value))
         weights = s.weights + part * towards
-        value, slope, linear = both(weights)
+        (value, linear), slope = both(weights)
         moved, changed = weights - s.weights, slope - s.slope
         curved: Array = (moved * changed).sum()
         length = jnp.where(curved > 0, (moved**2).sum() / curved, 4 * s.length)
@@ -127,16 +129,16 @@ def _descend(both: Callable, best: Relaxed, n: int) -> Relaxed:
         length = jnp.clip(length, 1e-9 * longest, longest)
         return _State(weights, value, slope, before, length, bound, done, s.steps + 1)
 
-    value, slope, linear = both(best.weights)
+    (value, linear), slope = both(best.weights)
     first = _State(
-        best.weights,
-        value,
-        slope,
-        jnp.full(_MEMORY, value),
-        1 / (jnp.abs(slope).max() + 1e-30),
-        jnp.maximum(best.bound, bounded(best.weights, slope, linear)),
-        jnp.array(False),
-        best.steps,
+        weights=best.weights,
+        value=value,
+        slope=slope,
+        before=jnp.full(_MEMORY, value),
+        length=1 / (jnp.abs(slope).max() + 1e-30),
+        bound=jnp.maximum(best.bound, bounded(best.weights, slope, linear)),
+        done=jnp.array(False),
+        steps=best.steps,
     )
     limit = best.steps + _STEPS
     end = lax.while_loop(lambda s: ~s.done & (s.steps < limit), step, first)

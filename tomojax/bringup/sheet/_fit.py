@@ -8,7 +8,7 @@ turned: physics cannot tell. Slots are fitted alone, so that no length of a scan
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
 from tomojax.bringup.sheet._plane import Plane
 
@@ -18,8 +18,14 @@ UNDER = 0.65
 # Residuals beyond this many of their deviations (median) are not counted.
 _WILD = 5.0
 
-# Lowest channels that a ground is looked for among; Gauss and Newton's steps.
-_LOWEST, _STEPS = 3, 5
+# Lowest channels that a ground is looked for among.
+_LOWEST = 3
+
+# Gauss and Newton's steps.
+_STEPS = 5
+
+# Slots that fit so many times worse than usual are not counted.
+_SOUND = 4.0
 
 # A residual is as small as this part of the slot's span at best: else nothing is wild.
 _FLOOR = 0.004
@@ -36,9 +42,17 @@ class Fits(NamedTuple):
     far: Float[np.ndarray, "n M"]  # where it holds: 0 or 1
     left: Float[np.ndarray, " n"]  # V, median of residuals
     span: Float[np.ndarray, " n"]  # V, between high and low channels
-    second: Float[
-        np.ndarray, " n"
-    ]  # as `current`, by the electrode that is always grounded
+    second: Float[np.ndarray, " n"]  # as `current`, by the electrode always grounded
+
+    @property
+    def relative(self) -> Float[np.ndarray, " n"]:
+        """Returns the part of each slot's span that the fit leaves."""
+        return self.left / np.maximum(self.span, 1e-12)
+
+
+def sound(fits: Fits) -> Bool[np.ndarray, " n"]:
+    """Finds slots that one contact explains about as well as usual."""
+    return fits.relative < _SOUND * np.median(fits.relative)
 
 
 def fitted(
@@ -52,38 +66,35 @@ def fitted(
 
     `told`: further grounds to try; `always`: an electrode that is grounded as well.
     """
-    n, m = volts.shape
     hidden = np.where(weight > 0, volts, np.inf)
     if always is not None:
         hidden[:, always] = np.inf
     tried = np.argsort(hidden, 1)[:, :_LOWEST]
     if told is not None:
         tried = np.concatenate([told, tried], 1)
-    counted = weight
-    xy = ground = None
-    for again in range(2):
-        cost, place, which = np.full(n, np.inf), np.zeros(n, int), np.zeros(n, int)
-        for k in range(tried.shape[1]):
-            sink = tried[:, k]
-            new = np.flatnonzero((tried[:, :k] != sink[:, None]).all(1))
-            given = volts[new], counted[new], sink[new], always
-            best, at = _searched(plane, *given)
-            less = best < cost[new]
-            new = new[less]
-            cost[new], place[new], which[new] = best[less], at[less], sink[new]
-        xy, ground = plane.places[place], which
-        tried = np.stack([which, tried[:, 0]], 1)
-        xy = _nearer(plane, volts, counted, xy, ground, always)
-        if not again:
-            found = _told(plane, volts, weight, xy, ground, always)
-            counted = weight * _believed(found, volts, weight)
-    assert xy is not None and ground is not None
+    place, ground = _likeliest(plane, volts, weight, tried, always)
+    xy = _nearer(plane, volts, weight, place, ground, always)
+    first = _told(plane, volts, weight, xy, ground, always)
+    # Once more without wild voltages, and with two grounds to choose from.
+    least = np.maximum(1.5 * first.left, _FLOOR * first.span)
+    counted = weight * (np.abs(volts - first.modelled) < _WILD * least[:, None])
+    tried = np.stack([ground, tried[:, 0]], 1)
+    place, ground = _likeliest(plane, volts, counted, tried, always)
+    xy = _nearer(plane, volts, counted, place, ground, always)
     return _told(plane, volts, counted, xy, ground, always, weight)
 
 
-def _believed(found: Fits, volts: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    least = np.maximum(1.5 * found.left, _FLOOR * found.span)
-    return (np.abs(volts - found.modelled) < _WILD * least[:, None]).astype(float)
+def _likeliest(plane, volts, weight, tried, always) -> tuple[np.ndarray, np.ndarray]:
+    """Searches each slot's place and ground of least cost among the grounds tried."""
+    n = len(volts)
+    cost, place, ground = np.full(n, np.inf), np.zeros(n, int), np.zeros(n, int)
+    for k, sink in enumerate(tried.T):
+        new = np.flatnonzero((tried[:, :k] != sink[:, None]).all(1))
+        best, at = _searched(plane, volts[new], weight[new], sink[new], always)
+        less = best < cost[new]
+        new = new[less]
+        cost[new], place[new], ground[new] = best[less], at[less], sink[new]
+    return plane.places[place], ground
 
 
 def _drop_sink(weight: np.ndarray, sink: np.ndarray, always: int | None) -> np.ndarray:

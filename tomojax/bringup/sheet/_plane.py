@@ -20,7 +20,8 @@ _TERMS = 3
 _TOGETHER = 256
 
 # Places that a contact is looked for at, of the pitch; and how near to the edge.
-_STEP, _EDGE = 0.25, 0.1
+_STEP = 0.25
+_EDGE = 0.1
 
 # Places nearer than this are one, of the electrodes' diameter.
 _POINT = 0.05

@@ -7,12 +7,21 @@ from jaxtyping import Float, Integer
 
 from tomojax.bringup.sheet._slots import silence, Slots
 
-# Slots of silence that zeros need, and that a spectrum does.
-_FEW, _ENOUGH = 16, 256
+# Slots of silence that zeros need.
+_FEW = 16
 
-# Hum repeats so often in the stretch; its power is so many times that beside it. Its
-# frequency is refined so often.
-_CYCLES, _PEAK, _BESIDE, _REFINED = 4, 40.0, 24, 3
+# Slots of silence, in one stretch, that a spectrum needs.
+_ENOUGH = 256
+
+# Hum repeats so often in the stretch.
+_CYCLES = 4
+
+# Hum's power is so many times the power at so many frequencies on each side.
+_PEAK = 40.0
+_BESIDE = 24
+
+# Its frequency is refined so often.
+_REFINED = 3
 
 # Lengths of spectra, at most.
 _LONGEST = 1 << 15
@@ -38,17 +47,17 @@ def silence_of(slots: Slots) -> Silence:
         return Silence(len(some), np.zeros(m), none, none, 0.0, 0.0, 0.0)
     v, t = slots.volts[some].astype(float), slots.time[some] - slots.time[some[0]]
     zero = np.median(v, 0)
-    frequency, prominence, seconds, long = 0.0, 0.0, 0.0, slice(0)
-    hum = np.zeros(m)
-    if np.diff(np.r_[0, np.flatnonzero(np.diff(some) > 1) + 1, len(some)]).max() >= _ENOUGH:
+    frequency, prominence, seconds, hum = 0.0, 0.0, 0.0, np.zeros(m)
+    ends = np.r_[np.flatnonzero(np.diff(some) > 1) + 1, len(some)]
+    lengths = np.diff(np.r_[0, ends])
+    if lengths.max() >= _ENOUGH:
         # One stretch: holes would make a peak's sides as high as others.
-        ends = np.r_[np.flatnonzero(np.diff(some) > 1) + 1, len(some)]
-        first = int(ends[np.diff(np.r_[0, ends]).argmax()])
-        long = slice(first - int(np.diff(np.r_[0, ends]).max()), first)
+        end = int(ends[lengths.argmax()])
+        long = slice(end - int(lengths.max()), end)
         frequency, prominence, seconds = _peak((v - zero)[long], some[long], slots)
-    if frequency:
-        frequency = _refined((v - zero)[long], t[long], frequency, seconds)
-        zero, hum, v = _without(v, t, frequency)
+        if frequency:
+            frequency = _refined((v - zero)[long], t[long], frequency, seconds)
+            zero, hum, v = _without(v, t, frequency)
     joined = np.diff(some) == 1
     step = np.diff(v, axis=0)[joined]
     noise = 1.4826 * np.median(np.abs(step - np.median(step, 0)), 0) / np.sqrt(2)
@@ -58,8 +67,13 @@ def silence_of(slots: Slots) -> Silence:
     return Silence(len(some), zero, noise, hum, frequency, prominence, seconds)
 
 
-def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
-    """Finds the frequency at which all channels together have most power beside others."""
+def _peak(
+    v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots
+) -> tuple[float, float, float]:
+    """Finds the frequency at which all channels together have most power beside others.
+
+    Also returns the power over what is beside it, and the stretch's length, s.
+    """
     rate = slots.rig.f_switch
     at = np.round((slots.time[some] - slots.time[some[0]]) * rate).astype(int)
     kept = at < _LONGEST
@@ -67,8 +81,6 @@ def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
     length = int(at[-1]) + 1
     filled = np.zeros((length, v.shape[1]), np.float32)
     filled[at] = v
-    there = np.zeros(length)
-    there[at] = 1
     # The window forgets the ends; holes stay, of a quarter of the stretch or so.
     window = np.hanning(length + 2)[1:-1]
     scale = 1.4826 * np.median(np.abs(v), 0) + 1e-12
@@ -83,9 +95,9 @@ def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
         if len(power) < first + 4 * _BESIDE:
             continue
         k = first + int(power[first:].argmax())
-        near = np.r_[power[max(k - _BESIDE, 1) : max(k - 5, 1)], power[k + 6 : k + _BESIDE]]
-        # Drift rises towards lower frequencies: those alone are the measure then.
         low = power[max(k - _BESIDE, 1) : max(k - 5, 1)]
+        near = np.r_[low, power[k + 6 : k + _BESIDE]]
+        # Drift rises towards lower frequencies: those alone are the measure then.
         beside = max(np.median(near), np.median(low) if len(low) else 0.0, 1e-30)
         prominence = float(power[k] / beside)
         if prominence > max(_PEAK, best[1]):
@@ -93,7 +105,9 @@ def _peak(v: np.ndarray, some: Integer[np.ndarray, " n"], slots: Slots):
     return *best, seconds
 
 
-def _without(v: np.ndarray, t: np.ndarray, frequency: float):
+def _without(
+    v: np.ndarray, t: np.ndarray, frequency: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fits zeros and amplitudes of hum, and takes hum off readings; holes do no harm."""
     turn = 2 * np.pi * frequency * t
     x = np.stack([np.ones_like(t), np.cos(turn), np.sin(turn)], 1)

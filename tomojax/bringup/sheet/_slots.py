@@ -7,17 +7,30 @@ from jaxtyping import Bool, Float, Integer
 
 from tomojax.recordings import Recording, Rig
 
-# Slots of a window, in which a contact hardly moves; windows that are looked at, at most;
-# and slots of silence.
-WINDOW, _WINDOWS, _SILENCE = 10, 120, 1 << 15
+# Slots of a window, in which a contact hardly moves.
+WINDOW = 10
 
-# Half of the channels are lower than this part of the drive where nothing touches. A slot
-# is touched, and no longer quiet, where they exceed so many deviations of those levels, or
-# these parts of the drive.
-_LOW, _TOUCHED, _QUIET, _RISES, _STAYS = 0.015, 0.005, 0.002, 5.0, 3.5
+# Windows, and slots of silence, that are looked at, at most.
+_WINDOWS = 120
+_SILENCE = 1 << 15
+
+# Half of the channels are lower than this part of the drive where nothing touches.
+_LOW = 0.015
+
+# A slot is touched where they exceed this part of the drive, or so many deviations of those
+# levels.
+_TOUCHED = 0.005
+_RISES = 5.0
+
+# A slot is no longer quiet where they exceed this part of the drive, or so many deviations.
+_QUIET = 0.002
+_STAYS = 3.5
 
 # Slots between a touch and what counts as silence, windows.
 _APART = 1
+
+# Noise of a reading, of the drive.
+_NOISE = 1e-4
 
 # Slots whose starts differ from one slot's time by more than this part do not follow.
 _FOLLOWS = 0.5
@@ -39,11 +52,20 @@ class Slots(NamedTuple):
         """Returns the stated drive, V."""
         return abs(self.rig.drive_voltage)
 
+    @property
+    def nominal_noise(self) -> float:
+        return nominal_noise(self.rig)
+
     def runs(self, which: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
         """Lists stretches where `which` holds: first slot, and the slot behind the last."""
         steps = np.diff(np.concatenate([[0], which.astype(int), [0]]))
         ends = (np.flatnonzero(steps == by).tolist() for by in (1, -1))
         return list(zip(*ends))
+
+
+def nominal_noise(rig: Rig) -> float:
+    """Computes the same as `tomojax.sensor.nominal_noise`, V rms, without JAX."""
+    return max(_NOISE * abs(rig.drive_voltage), rig.resolution / np.sqrt(12))
 
 
 def slots_of(recording: Recording) -> Slots:
@@ -53,8 +75,7 @@ def slots_of(recording: Recording) -> Slots:
     m = recording.electrodes
     sign = np.float32(np.sign(rig.drive_voltage))
     volts = np.nan_to_num(scans.voltages.reshape(-1, m), posinf=0, neginf=0) * sign
-    time = scans.t0[:, None] + np.arange(recording.slots) / rig.f_switch
-    time = time.ravel()
+    time = (scans.t0[:, None] + np.arange(recording.slots) / rig.f_switch).ravel()
     follows = np.zeros(len(time), bool)
     follows[1:] = np.abs(np.diff(time) * rig.f_switch - 1) < _FOLLOWS
     after = recording.rows_after_gaps() * recording.slots
@@ -93,21 +114,15 @@ def _contact(volts: np.ndarray, drive: float) -> tuple[np.ndarray, np.ndarray]:
 def chosen(slots: Slots, rng: np.random.Generator) -> Integer[np.ndarray, " n"]:
     """Picks numbers of touched slots to fit: windows anywhere, without a common period."""
     runs = [(a, b) for a, b in slots.runs(slots.touched) if b - a >= 2]
-    starts = [a + k for a, b in runs for k in range(0, b - a, WINDOW)]
-    ends = {a + k: min(a + k + WINDOW, b) for a, b in runs for k in range(0, b - a, WINDOW)}
+    ends = {k: min(k + WINDOW, b) for a, b in runs for k in range(a, b, WINDOW)}
+    starts = list(ends)
     if len(starts) > _WINDOWS:
         starts = sorted(rng.choice(starts, _WINDOWS, replace=False).tolist())
-    some = [np.arange(a, ends[a]) for a in starts]
-    return np.concatenate(some) if some else np.zeros(0, int)
+    return np.concatenate([np.zeros(0, int), *(np.arange(a, ends[a]) for a in starts)])
 
 
 def silence(slots: Slots) -> Integer[np.ndarray, " n"]:
     """Picks numbers of quiet slots: the longest stretch first, no more than needed."""
     runs = sorted(slots.runs(slots.quiet), key=lambda run: run[0] - run[1])
-    some, left = [], _SILENCE
-    for a, b in runs:
-        some.append(np.arange(a, min(b, a + left)))
-        left -= len(some[-1])
-        if left <= 0:
-            break
-    return np.sort(np.concatenate(some)) if some else np.zeros(0, int)
+    every = np.concatenate([np.zeros(0, int), *(np.arange(a, b) for a, b in runs)])
+    return np.sort(every[:_SILENCE])

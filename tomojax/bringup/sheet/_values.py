@@ -3,20 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from tomojax.bringup.sheet._fit import Fits
+from tomojax.bringup.sheet._fit import Fits, sound
 from tomojax.bringup.sheet._plane import Plane
 
-# What is known beforehand, 1 σ: a gain; a zero, of the drive; a place, of the pitch; the
-# part of the slot before. Wide: they keep what nothing tells at 0.
-_GAIN, _ZERO, _PLACE, _BEFORE = 0.5, 0.01, 0.5, 0.5
+# What is known beforehand, 1 σ. These are wide: they keep what nothing tells at 0.
+_GAIN = 0.5
+_ZERO = 0.01  # of the drive
+_PLACE = 0.5  # of the pitch
+_BEFORE = 0.5  # the part of the slot before
 
 # Rows whose residual is beyond so many of the usual ones count less; rounds of that.
-_WILD, _ROUNDS = 2.0, 20
-
-# Slots that fit so many times worse than usual are not counted.
-_SOUND = 4.0
+_WILD = 2.0
+_ROUNDS = 20
 
 
 class Values(NamedTuple):
@@ -31,10 +31,10 @@ class Values(NamedTuple):
     unexplained: Float[np.ndarray, " M"]  # what these ways leave, of what was there
 
 
-def sound(fits: Fits) -> Bool[np.ndarray, " n"]:
-    """Finds slots that one contact explains about as well as usual."""
-    relative = fits.left / np.maximum(fits.span, 1e-12)
-    return relative < _SOUND * np.median(relative)
+def slopes_of(plane: Plane, fits: Fits) -> Float[np.ndarray, "2 n M"]:
+    """Computes how voltages change as an electrode moves along x and y, V/m."""
+    apart = plane.slopes(fits.xy) - plane.slopes(plane.xy)[:, fits.ground]
+    return fits.current[:, None] * apart
 
 
 def values_of(
@@ -49,10 +49,9 @@ def values_of(
     If `before` is unknown everywhere, the part of the slot before is 0 ± its prior.
     """
     m = plane.count
-    size = _scales(plane, drive)
-    slope = fits.current[:, None] * (
-        plane.slopes(fits.xy) - plane.slopes(plane.xy)[:, fits.ground]
-    )
+    place = _PLACE * plane.pitch
+    size = np.array([_GAIN, _ZERO * drive, place, place, _BEFORE])
+    slope = slopes_of(plane, fits)
     use = sound(fits)
     known = np.isfinite(before)
     older = np.where(known, before - fits.modelled, 0.0)
@@ -76,24 +75,18 @@ def values_of(
     return Values(value * size, deviation * size, rows, unexplained)
 
 
-def _scales(plane: Plane, drive: float) -> np.ndarray:
-    place = _PLACE * plane.pitch
-    return np.array([_GAIN, _ZERO * drive, place, place, _BEFORE])
-
-
 def _robust(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fits values in units of their priors, and 1 σ; unusual residuals count less."""
     k = x.shape[1]
     if len(y) < 3:
         return np.zeros(k), np.ones(k)
-    w, found, inverse, scale = np.ones(len(y)), np.zeros(k), np.eye(k), 1.0
-    left = y
+    left, found, inverse = y, np.zeros(k), np.eye(k)
     for _ in range(_ROUNDS):
         scale = max(1.4826 * float(np.median(np.abs(left))), 1e-6)
         w = 1 / np.maximum(1, np.abs(left) / (_WILD * scale))
-        normal = (x * w[:, None]).T @ x / scale**2 + np.eye(k)
-        inverse = np.linalg.inv(normal)
-        found = inverse @ ((x * w[:, None]).T @ y) / scale**2
+        weighed = (x * w[:, None]).T
+        inverse = np.linalg.inv(weighed @ x / scale**2 + np.eye(k))
+        found = inverse @ (weighed @ y) / scale**2
         left = y - x @ found
     return found, np.sqrt(np.diag(inverse))
 
@@ -120,37 +113,12 @@ def before_of(
     return before
 
 
-def old_part(
-    volts: Float[np.ndarray, "n M"],
-    before: Float[np.ndarray, "n M"],
-    fits: Fits,
-    older: np.ndarray,
-    usable: np.ndarray,
-) -> tuple[Float[np.ndarray, " n"], np.ndarray]:
-    """Computes how much of the slot before a channel shows, if its electrode was grounded.
-
-    No other reading shows the part as well: (V − P)/(V_before − P) with V_before near 0.
-    `older`: the electrode that was grounded in the slot before, −1 where none is known.
-    **Returns:** the part in each slot, NaN where unknown, and the electrode.
-    """
-    n = len(volts)
-    e = np.where(older >= 0, older, 0)
-    row = np.arange(n)
-    clear = (older >= 0) & (older != fits.ground) & usable[e] & (fits.far[row, e] > 0)
-    clear &= np.isfinite(before[row, e]) & sound(fits)
-    drop = before[row, e] - fits.modelled[row, e]
-    clear &= -drop > 0.3 * fits.span
-    part = (volts - fits.modelled)[row, e] / np.where(clear, drop, 1)
-    return np.where(clear, part, np.nan), e
-
-
 class Pairs(NamedTuple):
     """Neighbours, and the excess of their voltages' difference over an even sheet's."""
 
     first: np.ndarray
     second: np.ndarray
     ratio: np.ndarray  # 1: as on an even sheet
-    deviation: np.ndarray
 
 
 def pairs_of(plane: Plane, volts: np.ndarray, fits: Fits, usable: np.ndarray) -> Pairs:
@@ -163,12 +131,12 @@ def pairs_of(plane: Plane, volts: np.ndarray, fits: Fits, usable: np.ndarray) ->
     kept = usable[first] & usable[second]
     first, second = first[kept], second[kept]
     use = sound(fits)
-    ratio, deviation = np.ones(len(first)), np.ones(len(first))
+    ratio = np.ones(len(first))
     for i, (a, b) in enumerate(zip(first, second)):
         some = use & (fits.far[:, a] * fits.far[:, b] > 0)
         span = np.maximum(fits.span[some], 1e-12)
         x = (fits.modelled[some, a] - fits.modelled[some, b]) / span
         y = (volts[some, a] - volts[some, b]) / span
-        found, sigma = _robust(np.stack([x, np.ones_like(x) * 0.01], 1), y - x)
-        ratio[i], deviation[i] = 1 + found[0], sigma[0]
-    return Pairs(first, second, ratio, deviation)
+        found, _ = _robust(np.stack([x, np.ones_like(x) * 0.01], 1), y - x)
+        ratio[i] = 1 + found[0]
+    return Pairs(first, second, ratio)

@@ -5,34 +5,52 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from tomojax.bringup._wiring import floating, lines_of, order_of, quality, starts
+from tomojax.bringup._wiring import (
+    floating,
+    Lines,
+    lines_of,
+    order_of,
+    quality,
+)
+from tomojax.bringup.sheet._orders import starts
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.signs._some import Some, some_of
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.levels import level_bits, TELLS
 from tomojax.recordings import Recording
 
-# A slot is touched where its voltages span this part of the drive, and quiet where they
-# span no more than that.
-_TOUCHED, _QUIET = 0.02, 0.005
+# A slot is touched where its voltages span this part of the drive.
+_TOUCHED = 0.02
 
-# Slots that are needed to say anything, and at most that contacts are fitted to.
-_FEW, _MOST = 8, 150
+# A slot is quiet where its voltages span no more than this part of the drive.
+_QUIET = 0.005
+
+# Slots that are needed to say anything.
+_FEW = 8
+
+# Slots, at most, that contacts are fitted to.
+_MOST = 150
 
 # A level is an offset from these parts of the drive, and of a slot's highest voltage, on.
-# Half of the drive, and it is no offset but a ground that is missing.
-_OFFSET, _LIFTED, _FLOATING = 0.01, 0.05, 0.5
+_OFFSET = 0.01
+_LIFTED = 0.05
+
+# A level of so much of the drive is no offset but a ground that is missing.
+_FLOATING = 0.5
 
 # Parts of the touched slots in which something holds that no chance explains.
-_AGAINST, _OFTEN = 0.5, 0.1
+_AGAINST = 0.5
+_OFTEN = 0.1
 
 # What lone contacts leave of a slot's span where the order of channels is right; more, and
 # the contacts are others.
 _FITS = 0.03
 
-# The part of the lines, or channels, that a shift by one explains. And of the slots, from
-# which on a ground is hardly read.
-_SHIFTED, _SELDOM = 0.6, 0.2
+# The part of the lines, or channels, that a shift by one explains.
+_SHIFTED = 0.6
+
+# The part of the slots from which on a grounded channel is hardly read.
+_SELDOM = 0.2
 
 
 class Sign(NamedTuple):
@@ -75,10 +93,9 @@ def find_signs(recording: Recording) -> list[Sign]:
     some = some_of(recording)
     signs: list[Sign] = []
     touched = some.high - some.low > _TOUCHED * some.drive
-    some, sign = _against(some, touched)
-    signs += sign
-    some, sign = _offset(some, touched)
-    signs += sign
+    for judge in (_against, _offset):
+        some, more = judge(some, touched)
+        signs += more
     some = some.take(np.flatnonzero(touched))
     if len(some.asked) < _FEW:
         return signs
@@ -154,36 +171,28 @@ def _wired(some: Some, plane: Plane) -> list[Sign]:
     chosen = some.take(np.unique(np.linspace(0, n - 1, min(n, _MOST)).astype(int)))
     usable = chosen.good.mean(0) > 0.5
     signs = []
+    lower = [_ground(n, wrong, "another electrode is lower")]
+    lower = lower if wrong.mean() > _OFTEN else []
     judged = _order(chosen, plane, usable)
     if judged is None:
-        if wrong.mean() > _OFTEN:
-            signs.append(_ground(n, wrong, "another electrode is lower"))
-        return signs
+        return lower
     electrode, lines = judged
     moved = np.flatnonzero((electrode != np.arange(plane.count)) & usable)
     # Channels that are grounded most of the time are seldom read.
-    if (
-        len(moved)
-        and not np.isin(
-            electrode[moved], lines.ground[lines.slots > _SELDOM * len(chosen.asked)]
-        ).all()
-    ):
+    seldom = lines.ground[lines.slots > _SELDOM * len(chosen.asked)]
+    if not np.isin(electrode[moved], seldom).all():
         signs.append(Sign("channels", _moved(electrode, moved, plane), len(chosen.asked)))
-    off = lines.ground != lines.asked
-    off &= lines.ground >= -1
+    off = (lines.ground != lines.asked) & (lines.ground >= -1)
     if off.any() and wrong.mean() > _OFTEN / 2:
         signs.append(_ground(n, wrong, _shift(lines.asked, lines.ground, plane.count)))
-    elif wrong.mean() > _OFTEN and not signs:
-        signs.append(_ground(n, wrong, "another electrode is lower"))
-    return signs
+    return signs or lower
 
 
-def _order(some: Some, plane: Plane, usable: np.ndarray):
+def _order(some: Some, plane: Plane, usable: np.ndarray) -> tuple[np.ndarray, Lines] | None:
     """Finds the electrode of each channel and what lines ground; None if nothing fits."""
     if usable.sum() < max(7, plane.count // 2):
         return None
-    given = plane, some.volts, usable, some.asked
-    order = order_of(*given, enough=_FITS / 3)
+    order = order_of(plane, some.volts, usable, some.asked, enough=_FITS / 3)
     if quality(order.fits) > _FITS:
         return None
     lines = lines_of(order.fits, some.asked, floating(some.volts, usable, some.drive))
@@ -203,11 +212,9 @@ def _shift(asked: np.ndarray, ground: np.ndarray, count: int) -> str:
     for by in (1, -1):
         if ((asked + by) % count == ground).mean() > _SHIFTED:
             return f"the index is off by {by:+d}"
-    some = np.flatnonzero(asked != ground)[:4]
-    none = "none"
-    return ", ".join(
-        f"line {asked[k]} grounds {ground[k] if ground[k] >= 0 else none}" for k in some
-    )
+    off = asked != ground
+    some = zip(asked[off][:4], ground[off][:4])
+    return ", ".join(f"line {g} grounds {e if e >= 0 else 'none'}" for g, e in some)
 
 
 def _moved(electrode: np.ndarray, moved: np.ndarray, plane: Plane) -> str:

@@ -5,14 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
+from tomojax.bringup.sheet._slots import nominal_noise
 from tomojax.recordings import find_faults, Recording
 
 # Stretches that are read, and slots of each at least; what is kept is bounded, however long
 # the recording.
-_STRETCHES, _SLOTS = 48, 32
-
-# Noise of a reading, of the drive, where the recording does not tell it.
-_NOISE = 1e-4
+_STRETCHES = 48
+_SLOTS = 32
 
 
 class Some(NamedTuple):
@@ -61,7 +60,7 @@ def some_of(recording: Recording) -> Some:
         asked.append(read.grounds.ravel())
     v, sound, lines = np.concatenate(volts), np.concatenate(good), np.concatenate(asked)
     drive = abs(rig.drive_voltage)
-    noise = max(_NOISE * drive, rig.resolution / np.sqrt(12))
     enough = 2 * sound.sum(1) >= m
     v = np.where(sound, v * np.sign(rig.drive_voltage), 0).astype(float)
-    return Some(v, sound, lines, drive, noise).take(np.flatnonzero(enough))
+    some = Some(v, sound, lines, drive, nominal_noise(rig))
+    return some.take(np.flatnonzero(enough))

@@ -18,17 +18,31 @@ from tomojax.methods import method as make_method, Points
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Drift, 1 σ of its rate an hour: of zeros, of the nominal noise (1 mV where that is
-# 0.3 mV), and of a gain. By how much a value may differ from the calibration's in all.
-_ZERO, _GAIN = 3.3, 0.01
-_FARTHEST_ZERO, _FARTHEST_GAIN = 100.0, 0.3
+# 0.3 mV), and of a gain.
+_ZERO = 3.3
+_GAIN = 0.01
 
-# What is known at first, 1 σ: zeros of the noise, tared and nominal; a gain. An older
-# calibration's values have walked for so many hours at most.
-_TARED, _UNTARED, _KNOWN, _OLDEST = 0.3, 1.1, 1e-3, 24.0
+# By how much a value may differ from the calibration's in all.
+_FARTHEST_ZERO = 100.0  # of the nominal noise
+_FARTHEST_GAIN = 0.3
 
-# Silence: no voltage above so many times the noise; so many slots, of each of two grounds
-# or more. How the grounds' means may differ: by what noise makes, and a part of the noise.
-_QUIET, _SLOTS, _EACH, _APART = 5.0, 16, 2, 0.05
+# What is known at first, 1 σ.
+_TARED = 0.3  # of the noise: zeros from contact-free slots
+_UNTARED = 1.1  # of the noise: nominal zeros
+_KNOWN = 1e-3  # a gain
+
+# An older calibration's values have walked for so many hours at most.
+_OLDEST = 24.0
+
+# Silence: no voltage above so many times the noise.
+_QUIET = 5.0
+
+# Silence: so many slots, so many of each of two grounds or more.
+_SLOTS = 16
+_EACH = 2
+
+# The grounds' means in silence may differ by what noise makes, and a part of the noise.
+_APART = 0.05
 
 # A mean of many slots is no better than this part of the noise.
 _FLOOR = 0.1
@@ -37,9 +51,17 @@ _FLOOR = 0.1
 # describes; silence may be off by as many σ of zeros.
 _OUTLYING = 3.0
 
-# Squares that have to be touched before one counts again; slots of a fit; contacts that
-# are fitted at once at most. Beside R a part of what is looked for, which a fit takes up.
-_OTHERS, _FITTED, _MOST, _TAKEN = 8, 10, 32, 0.2
+# Squares that have to be touched before one counts again.
+_OTHERS = 8
+
+# Slots of a fit.
+_FITTED = 10
+
+# Contacts that are fitted at once, at most.
+_MOST = 32
+
+# A fit takes up this part of what is looked for.
+_TAKEN = 0.2
 
 # Frames are observed in stretches of so long, s: a value hardly drifts in them.
 _STRETCH = 60.0
@@ -90,10 +112,9 @@ class Adapter:
         self._zero_rate = _ZERO * self._unit
         tared = _TARED if np.size(self.begun.offset) == m else _UNTARED
         stated = (self.begun.deviation or {}).get("gain", _KNOWN)
-        hours, none = float(np.clip(age, 0, _OLDEST)), np.zeros(m)
-        zeros, gains = none + (tared * self._noise) ** 2, none + np.square(stated)
-        self.zeros = Drift.of(zeros, self._zero_rate, hours)
-        self.gains = Drift.of(gains, _GAIN, hours)
+        hours, each = float(np.clip(age, 0, _OLDEST)), np.ones(m)
+        self.zeros = Drift.of(each * (tared * self._noise) ** 2, self._zero_rate, hours)
+        self.gains = Drift.of(each * np.square(stated), _GAIN, hours)
         self.time = np.nan  # of the last frame that was observed, s
         self._recent = np.full((min(_OTHERS, m // 4), 2), -1)
         # Stretches of silence and contacts that were made use of; those that were not.
@@ -171,10 +192,11 @@ class Adapter:
         self.counts[0 if silent else 2] += 1
         if not silent:
             return
-        count = np.isfinite(slots).sum(0)
-        mean = np.nansum(slots, 0) / np.maximum(count, 1)
-        variance = (_FLOOR * self._noise) ** 2 + self._noise**2 / np.maximum(count, 1)
-        variance = np.where(count >= _SLOTS, variance, np.inf)
+        told = np.isfinite(slots).sum(0)
+        count = np.maximum(told, 1)
+        mean = np.nansum(slots, 0) / count
+        variance = self._noise**2 * (_FLOOR**2 + 1 / count)
+        variance = np.where(told >= _SLOTS, variance, np.inf)
         self.zeros = self._zero(self.zeros.told(mean * self.gain, variance))
 
     def _follow_gains(
@@ -203,13 +225,13 @@ class Adapter:
             self.counts[1 if fits else 3] += 1
             if not fits:
                 continue
-            new = self._bounded(self.gains.told(off, variance))
+            old, new = self.gains, self._bounded(self.gains.told(off, variance))
             # All gains together stay: nothing tells of them.
-            value, rate = (
-                old + np.where(told, a - old - (a - old)[told].mean(), 0)
-                for a, old in ((new.value, self.gains.value), (new.rate, self.gains.rate))
+            value, rate = new.value - old.value, new.rate - old.rate
+            self.gains = new._replace(
+                value=old.value + np.where(told, value - value[told].mean(), 0),
+                rate=old.rate + np.where(told, rate - rate[told].mean(), 0),
             )
-            self.gains = new._replace(value=value, rate=rate)
 
     def _zero(self, zeros: Drift) -> Drift:
         return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)
@@ -298,7 +320,6 @@ def silence(
 
 def _slots_of(frames: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Picks as many slots as a fit has, spread evenly over some frames in a row."""
-    found = frames[some]
-    found = found.reshape(len(some), -1, *frames.shape[2:])
+    found = frames[some].reshape(len(some), -1, *frames.shape[2:])
     spread = np.linspace(0, found.shape[1] - 1, min(_FITTED, found.shape[1]))
     return found[:, spread.round().astype(int)]

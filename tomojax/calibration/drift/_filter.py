@@ -5,13 +5,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-# A rate lasts for so many hours; beside it a value walks at random, by a part of it.
-_LASTS, _WALK = 3.0, 0.1
+# A rate lasts for so many hours.
+_LASTS = 3.0
 
-# A rate beyond so many σ is not believed. A value may run away from its own mean of the
-# last hour by so many rates. A measurement that is off by more than so many σ counts as
-# that.
-_STEEPEST, _FASTEST, _OUTLYING = 3.0, 5.0, 3.0
+# A value walks at random beside its rate, by this part of it.
+_WALK = 0.1
+
+# A rate beyond so many σ is not believed.
+_STEEPEST = 3.0
+
+# A value may run away from its own mean of the last hour by so many rates.
+_FASTEST = 5.0
+
+# A measurement that is off by more than so many σ counts as that.
+_OUTLYING = 3.0
 
 
 class Drift(NamedTuple):

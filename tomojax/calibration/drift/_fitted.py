@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer
 
-from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import descend, Normal
+from tomojax.calibration._frames import Near
+from tomojax.kernels.contacts import DISC
 from tomojax.methods import fitting_of, Points
 
-# Steps of a fit, frames of a compiled call, and those that its loop works on at once.
-_STEPS, _CALL, _TOGETHER = 15, 16, 8
+# Frames of a compiled call.
+_CALL = 16
 
 
 class Left(NamedTuple):
@@ -54,15 +54,17 @@ def left_of(
         none = np.zeros((0, m))
         return Left(none, none, np.zeros(0), np.zeros((0, 2)))
     found = Left(*(np.concatenate(a) for a in zip(*parts)))
-    nothing = ~used | ~(found.variance > 0)
-    relative = np.where(nothing, 0, found.relative)
+    told = used & (found.variance > 0)
     return found._replace(
-        relative=relative, variance=np.where(nothing, np.inf, found.variance)
+        relative=np.where(told, found.relative, 0),
+        variance=np.where(told, found.variance, np.inf),
     )
 
 
 @eqx.filter_jit
-def _left(points: Points, prepared: Any, grounds: Array, volts: Array, places: Array):
+def _left(
+    points: Points, prepared: Any, grounds: Array, volts: Array, places: Array
+) -> tuple[Array, ...]:
     def one(g: Array, v: Array, place: Array) -> tuple[Array, ...]:
         return _one(points, prepared._replace(grounds=g), v, place)
 
@@ -74,13 +76,10 @@ def _one(
 ) -> tuple[Array, ...]:
     """Computes Σ_s f(v − f)/Σ_s f², f the fitted voltages, less the slot's common part."""
     scene = fitting_of(points, prepared, volts, 1)
-    sheet, frame, tolerance = points.sheet, scene.frame, prepared.tolerance
-    start = jnp.pad(place / sheet.unit, (0, model.DISC - 2))
-    limits, given = model.limits_of(sheet), (sheet, frame, tolerance)
-    parameters, _ = descend(
-        _cost, start[None], limits, _STEPS, _STEPS, _TOGETHER, jnp.inf, 0.0, *given
-    )
-    found = model.discs(sheet, frame, parameters)
+    frame, anywhere = scene.frame, jnp.full((), jnp.inf, place.dtype)
+    near = Near(points.sheet, frame, prepared.tolerance, place, anywhere)
+    parameters = near.fitted()
+    found = near.explained(parameters)
     used = (frame.scale > 0).astype(volts.dtype)
     fit = found.fitted.voltages * used
     misfit = (volts - fit) * used
@@ -94,18 +93,12 @@ def _one(
     smooth = (prepared.smooth**2).sum(0)
     variance = prepared.noise**2 / power + own**2 + smooth
     # Free are the voltages but for a current in each slot, and the disc.
-    free = jnp.maximum(used.sum() - used.max(1).sum() - model.DISC, 1)
+    free = jnp.maximum(used.sum() - used.max(1).sum() - DISC, 1)
     chi = (found.rest**2).sum() / free
     sound = jnp.isfinite(parameters).all() & jnp.isfinite(relative).all()
-    where = jnp.where(sound, found.fitted.place[0], jnp.nan)
-    variance = jnp.where(sound & (power > 1e-20), variance, 0)
     return (
         jnp.where(sound, relative, 0),
-        jnp.asarray(variance),
+        jnp.where(sound & (power > 1e-20), variance, 0),
         jnp.where(sound, chi, jnp.nan),
-        where,
+        jnp.where(sound, found.fitted.place[0], jnp.nan),
     )
-
-
-def _cost(parameters: Array, sheet: Any, frame: Any, tolerance: Array) -> Normal:
-    return model.normal_of(model.discs(sheet, frame, parameters), tolerance)

@@ -13,15 +13,23 @@ from tomojax.methods import Batch, method as make_method, Points
 from tomojax.recordings import Recording
 from tomojax.sensor import Calibration, nominal_noise
 
-# Frames that are looked at, slots of each; frames with a lone contact that tell enough.
-_FRAMES, _ENOUGH = 96, 8
+# Frames that are looked at.
+_FRAMES = 96
+
+# Frames with a lone contact that tell enough; slots that do.
+_ENOUGH = 8
+_ENOUGH_SLOTS = 16
 
 # χ² that a rig leaves of a contact where its errors are as stated: told errors are nearly
-# the largest that are usual. Several times as much fits no more, in zeros as in contacts.
-_USUAL, _SEVERAL = 0.4, 4.0
+# the largest that are usual.
+_USUAL = 0.4
+
+# Several times as much fits no more, in zeros as in contacts.
+_SEVERAL = 4.0
 
 # Zeros of a nominal rig, 1 σ, and what a mean of many slots is no better than; of noise.
-_NOMINAL, _FLOOR = 1.1, 0.1
+_NOMINAL = 1.1
+_FLOOR = 0.1
 
 
 def still_fits(
@@ -64,12 +72,12 @@ def _zeros(recording: Recording, calibration: Calibration) -> dict[str, Any]:
     noise = calibration.noise or nominal_noise(recording.rig.sensor())
     slots, grounds = quiet_slots(recording, calibration)
     none = {"silent_slots": len(slots), "zeros_chi2": None, "zeros_off_mV": None}
-    if len(slots) < 16 or not silence(slots, grounds, noise, recording.rig.resolution):
+    enough = len(slots) >= _ENOUGH_SLOTS
+    if not enough or not silence(slots, grounds, noise, recording.rig.resolution):
         return none
     off = slots.mean(0)
     known = (calibration.deviation or {}).get("offset", _NOMINAL * noise)
-    floor = _FLOOR * noise
-    variance = np.square(known) + noise**2 / len(slots) + floor**2
+    variance = np.square(known) + noise**2 * (1 / len(slots) + _FLOOR**2)
     return none | {
         "zeros_chi2": float(np.mean(off**2 / variance)),
         "zeros_off_mV": 1e3 * float(np.sqrt(np.mean(off**2))),
@@ -81,21 +89,18 @@ def _contacts(recording: Recording, calibration: Calibration) -> dict[str, Any]:
     tared = tare(recording, calibration)
     frames = touched(recording, tared, frame_length(recording), _FRAMES)
     none = {"lone_contacts": 0, "contacts_chi2": None, "gains_off_percent": None}
-    if not len(frames.voltages):
+    if not len(frames.number):
         return none
-    good = frames.good.mean((0, 1)) > 0.9
-    some = np.flatnonzero(frames.good[:, :, good].all((1, 2)))
-    some = some[np.linspace(0, len(some) - 1, min(_FRAMES, len(some))).round().astype(int)]
+    frames = frames.usable().spread(_FRAMES)
     points = make_method(sensor, "points", 32, calibration)
     assert isinstance(points, Points)
-    volts = tared.voltages(frames.voltages[some].astype(np.float32))
-    volts = np.where(good, volts, np.nan)
-    rows = Batch(points, 1.0, contacts=2, images=False)(volts, frames.grounds[some])
+    volts, grounds = tared.voltages(frames.voltages.astype(np.float32)), frames.grounds
+    rows = Batch(points, 1.0, contacts=2, images=False)(volts, grounds)
     places = lone_places(rows)
     alone = np.isfinite(places).all(1)
     if alone.sum() < _ENOUGH:
         return none | {"lone_contacts": int(alone.sum())}
-    left = left_of(points, volts[alone], frames.grounds[some][alone], places[alone])
+    left = left_of(points, volts[alone], grounds[alone], places[alone])
     weight = 1 / left.variance
     total = weight.sum(0)
     told = total > 0

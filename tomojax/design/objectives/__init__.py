@@ -3,7 +3,7 @@
 The folder never imports a search.
 """
 
-from tomojax.design.objectives._contacts import contact_columns as contact_columns
+from tomojax.design.objectives._contacts import Contact as Contact
 from tomojax.design.objectives._image_error import ImageError as ImageError
 from tomojax.design.objectives._information import (
     AbstractObjective as AbstractObjective,

@@ -1,6 +1,6 @@
 """Computes a contact's voltages in a slot, in the model of `points`, and ideal images."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,25 +9,40 @@ from tomojax.kernels.contacts import green_of, in_slot, Sheet, SIZE_WIDTH, tange
 from tomojax.kernels.sheet import ground_path
 
 
-def contact_current(
-    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
-) -> Float[Array, ""]:
-    """Computes V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A; R_kk is the disc's own."""
-    raw = tangents(sheet, place, size)[0]
-    radius = sheet.size * jnp.exp(SIZE_WIDTH * size)
-    own = green_of(sheet, place[None], radius[None])(place)[0]
-    path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
-    loop = own + path - 2 * raw[ground]
-    return sheet.drive_voltage / (resistance + loop)
+class Contact(NamedTuple):
+    """A disc in good or bad contact, as `points` knows discs, anywhere on a sheet."""
+
+    sheet: Sheet
+    size: Float[Array, ""]  # as `points` counts sizes
+    resistance: Float[Array, ""]  # Ω
+
+    @classmethod
+    def of(cls, sheet: Sheet, radius: float | None, conductance: float) -> "Contact":
+        """Makes a contact of a radius, m (None: usual for `points`), and conductance, S."""
+        dtype = sheet.size.dtype
+        given = sheet.size if radius is None else jnp.asarray(radius, dtype)
+        size = jnp.log(given / sheet.size) / SIZE_WIDTH
+        return cls(sheet, size, jnp.asarray(1 / conductance, dtype))
+
+    def current(self, place: Float[Array, "2"], ground: Array) -> Float[Array, ""]:
+        """Computes V0/(1/g + R_kk + R_ll + z − 2R_l(x)), A; R_kk is the disc's own."""
+        sheet = self.sheet
+        raw = tangents(sheet, place, self.size)[0]
+        radius = sheet.size * jnp.exp(SIZE_WIDTH * self.size)
+        own = green_of(sheet, place[None], radius[None])(place)[0]
+        path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
+        loop = own + path - 2 * raw[ground]
+        return sheet.drive_voltage / (self.resistance + loop)
+
+    def columns(self, place: Float[Array, "2"], ground: Array) -> Float[Array, "4 M"]:
+        """Computes a disc's voltages, V, and their change by moves (per unit), by size."""
+        raw = tangents(self.sheet, place, self.size)
+        return self.current(place, ground) * in_slot(self.sheet, raw[None], ground)[0]
 
 
-def contact_columns(
-    sheet: Sheet, place: Float[Array, "2"], size: Array, resistance: Array, ground: Array
-) -> Float[Array, "4 M"]:
-    """Computes a disc's voltages, V, and their change by moves (per unit) and by size."""
-    raw = tangents(sheet, place, size)
-    current = contact_current(sheet, place, size, resistance, ground)
-    return current * in_slot(sheet, raw[None], ground)[0]
+def without_current(gram: Float[Array, "k k"]) -> Float[Array, "k-1 k-1"]:
+    """Eliminates the first unknown of JᵀN⁻¹J, the current: it is whatever fits."""
+    return gram[1:, 1:] - gram[1:, :1] * gram[:1, 1:] / gram[0, 0]
 
 
 def blobs(

@@ -8,7 +8,6 @@ with the grounds.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -22,6 +21,9 @@ from tomojax.design.objectives._rigs import SimulatedScenes
 from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.inverse import solve_damped
 from tomojax.methods import Linear, Source
+
+# Directions of an image that are looked at.
+_RANK = 128
 
 # Of λ/σ₁², where the search for λ begins.
 _FIRST = 1e-5
@@ -59,9 +61,6 @@ class ImageError(AbstractObjective):
     log_lam: Float[Array, ""]
     log_length: Float[Array, ""] | None  # in pixels; None: no smoothing
     shape: tuple[int, int] = eqx.field(static=True)
-    worst: ClassVar[bool] = False  # pyright: ignore
-    convex: ClassVar[bool] = False
-    unit: ClassVar[str] = "1"  # pyright: ignore
 
     @classmethod
     def of(
@@ -72,8 +71,7 @@ class ImageError(AbstractObjective):
         smooth: bool = False,
     ) -> "ImageError":
         """Makes the error of `method`'s images; contacts are Gaussians of σ `width`, m."""
-        rank = 128
-        factors, basis = method.factors[..., :rank], method.basis[:rank]
+        factors, basis = method.factors[..., :_RANK], method.basis[:_RANK]
         grams = jnp.einsum("lmr,lms->lrs", factors, factors, precision="highest")
         count, m = len(factors), method.electrode_count
         require_shape("voltages", scenes.voltages, (None, count, m))
@@ -106,11 +104,8 @@ class ImageError(AbstractObjective):
 
     def images(self, weights: Float[Array, " L"]) -> Float[Array, "P pixels"]:
         """Computes φ of every scene, from one set of slots."""
-        return self.images_of(weights, self.rights)
-
-    def images_of(self, weights: Array, rights: Array) -> Float[Array, "P pixels"]:
         total = jnp.einsum("l,lrs->rs", weights, self.grams, precision="highest")
-        right = jnp.einsum("l,plr->rp", weights, rights, precision="highest")
+        right = jnp.einsum("l,plr->rp", weights, self.rights, precision="highest")
         if self.log_length is None:
             return matmul(self._solved(total, right).T, self.basis)
         sides = [gaussian(n, jnp.exp(self.log_length)) for n in self.shape]

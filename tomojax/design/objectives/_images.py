@@ -16,9 +16,20 @@ from tomojax.kernels.images import half_width, image_place
 from tomojax.methods import Linear
 from tomojax.sensor import Sensor
 
-# Contacts around each place, how far off (of the electrodes' pitch, to each side), their
-# radii (factor, both ways), rigs that take turns, and what a width counts.
-_NEAR, _AROUND, _SIZES, _RIGS, _WIDTH = 12, 1 / 6, np.sqrt(2), 16, 0.6
+# Contacts around each place.
+_NEAR = 12
+
+# How far off the contacts are, of the electrodes' pitch, to each side.
+_AROUND = 1 / 6
+
+# The contacts' radii: a factor, both ways.
+_SIZES = np.sqrt(2)
+
+# Rigs that take turns.
+_RIGS = 16
+
+# A width counts so much beside an error of place.
+_WIDTH = 0.6
 
 
 class SimulatedImage(AbstractObjective):
@@ -33,8 +44,6 @@ class SimulatedImage(AbstractObjective):
     images: ImageError  # of P·n scenes
     contacts: Float[Array, "P n 2"]  # m
     cell: Float[Array, "2"]  # m
-    worst: ClassVar[bool] = False  # pyright: ignore
-    convex: ClassVar[bool] = False
     swaps: ClassVar[int | None] = 32
     unit: ClassVar[str] = "m"  # pyright: ignore
 
@@ -68,22 +77,17 @@ def simulated_image(
     lam: float,
     radius: float,
     conductance: float,
-    pitch: float,
 ) -> SimulatedImage:
-    """Simulates contacts within a sixth `pitch` of `places`, of radii about `radius`."""
+    """Simulates contacts within a sixth pitch of `places`, of radii about `radius`."""
+    pitch = sensor.mean_pitch
     # The sequence's first is the corner.
     drawn = qmc.Halton(3, scramble=False).random(len(places) * _NEAR + 1)[1:]
     off = _AROUND * pitch * (2 * drawn[:, :2] - 1)
     at = np.repeat(np.asarray(places), _NEAR, 0) + off
     radii = radius * _SIZES ** (2 * drawn[:, 2] - 1)
     at = np.clip(at, radius, np.asarray(sensor.size) - radius)
-    scenes = simulate_scenes(
-        sensor,
-        at,
-        radius=radii,
-        conductance=conductance,
-        rigs=min(_RIGS, len(at)),
-    )
+    discs = {"radius": radii, "conductance": conductance}
+    scenes = simulate_scenes(sensor, at, rigs=min(_RIGS, len(at)), **discs)
     images = ImageError.of(method, scenes, pitch)
     images = replace(images, log_lam=jnp.log(jnp.asarray(lam, sensor.dtype)))
     contacts = scenes.places.reshape(len(places), _NEAR, 2)

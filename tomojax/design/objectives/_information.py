@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import solve_small
+from tomojax.methods import UNIT
 
 Criterion = Literal["place", "a", "d", "worst", "rigs"]
 
@@ -46,14 +47,14 @@ class AbstractObjective(eqx.Module):
     swaps: ClassVar[int | None] = None
 
     @property
-    @abstractmethod
     def unit(self) -> str:
-        """Returns the figures' unit."""
+        """Returns the figures' unit; "1" by default."""
+        return "1"
 
     @property
-    @abstractmethod
     def worst(self) -> bool:
-        """Tells whether the highest figure counts."""
+        """Tells whether the highest figure counts; by default the mean does."""
+        return False
 
     @property
     @abstractmethod
@@ -82,22 +83,29 @@ class AbstractObjective(eqx.Module):
         return figures.max() if self.worst else figures.mean()
 
 
+def place_prior(unit: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Returns the prior information on place (per unit) and size.
+
+    A contact's place is known to a pitch beforehand, and its size to what `points` knows of
+    it. Without the first, one slot may say nothing.
+    """
+    known = jnp.full_like(unit, UNIT**2)
+    return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
+
+
 class PlaceInformation(AbstractObjective):
     """The least error of a contact's place by `points`, after Cramér and Rao.
 
     F_l = JᵀN⁻¹J of place and size, with the slot's current free. The currents are those
     that the ground really draws; N has the errors of `points`, or stated errors. Figures in
     m: "place" and "worst" √(C_xx + C_yy), "d" (det C)^(1/4). "a" is the variance C_xx +
-    C_yy, m². `directions` are the unknowns that count: x and y, or the distance of two
-    contacts.
+    C_yy, m².
     """
 
     convex: ClassVar[bool] = True
     criterion: str = eqx.field(static=True)
-    information: Float[Array, "P L n n"]  # of x, y (per unit) and size, of each contact
-    prior: Float[Array, "n n"]
+    information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
     length: Float[Array, ""]  # the unit, m
-    directions: Float[Array, "P n q"]  # what of these counts: x and y
 
     @property
     def unit(self) -> str:
@@ -112,16 +120,15 @@ class PlaceInformation(AbstractObjective):
         return self.information.shape[1]
 
     def alone(self, k: Array) -> "PlaceInformation":
-        one = self.information[k][None], self.directions[k][None]
-        return replace(self, information=one[0], directions=one[1])
+        return replace(self, information=self.information[k][None])
 
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
-        known = told + self.prior
-        solved = solve_small(known, self.directions) * self.length**2
-        covariance = jnp.einsum("pnq,pnr->pqr", self.directions, solved)
+        place = jnp.broadcast_to(jnp.eye(3, 2, dtype=told.dtype), (len(told), 3, 2))
+        known = told + place_prior(self.length)
+        covariance = solve_small(known, place)[:, :2] * self.length**2
         if self.criterion == "d":
-            return jnp.linalg.det(covariance) ** (0.5 / covariance.shape[1])
+            return jnp.linalg.det(covariance) ** 0.25
         variance = jnp.trace(covariance, axis1=1, axis2=2)
         return variance if self.criterion == "a" else jnp.sqrt(variance)
 
@@ -155,7 +162,6 @@ class ImageVariance(AbstractObjective):
     columns: Float[Array, "P r"]
     shares: Float[Array, "contacts L"] | None  # c_l²
     lam: Float[Array, ""]
-    unit: ClassVar[str] = "1"  # pyright: ignore
 
     @property
     def worst(self) -> bool:

@@ -5,7 +5,7 @@ from typing import Any, get_args, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.stats import qmc
 
 from tomojax._checks import (
@@ -17,7 +17,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax.design.objectives._contacts import blobs, contact_columns, contact_current
+from tomojax.design.objectives._contacts import blobs, Contact, without_current
 from tomojax.design.objectives._images import simulated_image
 from tomojax.design.objectives._information import (
     AbstractObjective,
@@ -27,23 +27,24 @@ from tomojax.design.objectives._information import (
 )
 from tomojax.design.objectives._scores import simulated_place_error
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import Noise, Sheet, SIZE_WIDTH, slot_weights, weighed
-from tomojax.methods import Linear, noise_of, sheet_of, Source, UNIT
+from tomojax.kernels.contacts import Noise, slot_weights, weighed
+from tomojax.methods import Linear, noise_of, sheet_of, Source
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
 
 DesignMethod = Literal["points", "linear", "source"]
 
-# What is known of a contact beforehand: its place to a pitch, in units of the fit, and its
-# size (in units of what `points` knows of it). Without the first, one slot may say nothing.
-_PLACE_KNOWN = 1 / UNIT
-
 # Radius of a contact that holds the sheet at V0, of the pitch.
 _DISC = 0.1
 
-# λ/σ₁² where the converter's noise alone limits an image, directions of an image that are
-# looked at for each electrode, and the width of a contact in it (σ), of the pitch.
-_RELATIVE, _RANK, _BLOB = 1e-6, 2, 0.4
+# λ/σ₁² where the converter's noise alone limits an image.
+_RELATIVE = 1e-6
+
+# Directions of an image that are looked at, for each electrode.
+_RANK = 2
+
+# The width of a contact in an image (σ), of the pitch.
+_BLOB = 0.4
 
 
 def design_places(
@@ -147,39 +148,31 @@ def design_objective(
     rigs = criterion == "rigs"
     fits = not rigs or method != "source"
     require(fits, "criterion", "'rigs' of 'source'", "another, or another method")
-    given = noise is not None
-    require(not (rigs and given), "noise", "a value for criterion 'rigs'", "none: rigs'")
+    told = noise is None or not rigs
+    require(told, "noise", "a value for criterion 'rigs'", "none: rigs'")
     precision = None if noise is None else _precision(sensor, noise)
     metal = 1.0 if rigs and method == "linear" else 1e-4
     conductance = metal if conductance is None else conductance
-    # Where its contacts are is what `points` alone needs to know closely.
-    sheet = sheet_of(sensor) if method != "linear" else None
+    pitch = sensor.mean_pitch
     if method == "points":
-        assert sheet is not None
-        contact = _contact(sheet, radius, conductance)
+        contact = Contact.of(sheet_of(sensor), radius, conductance)
         if rigs:
-            prior = place_prior(sheet.unit)
-            return simulated_place_error(sensor, sheet, where, *contact, prior)
-        noise = noise_of(sensor) if precision is None else precision
-        return _of_points(sheet, where, criterion, noise, *contact)
+            return simulated_place_error(sensor, contact, where)
+        errors = noise_of(sensor) if precision is None else precision
+        information = _information(contact, errors, where)
+        return PlaceInformation(criterion, information, contact.sheet.unit)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
-    shares = None
-    if sheet is not None:
-        current = jax.vmap(
-            jax.vmap(contact_current, (None, None, None, None, 0)),
-            (None, 0, None, None, None),
-        )
-        size, resistance = _contact(sheet, radius, conductance)
-        each = current(sheet, where, size, resistance, jnp.arange(found.electrode_count))
-        shares = (each / each.mean(1, keepdims=True)) ** 2
     value = _RELATIVE * found.scale() if lam is None else lam
     if rigs:
         assert isinstance(found, Linear)
-        disc = _DISC * sensor.mean_pitch if radius is None else radius
-        return simulated_image(
-            sensor, found, where, value, disc, conductance, sensor.mean_pitch
-        )
-    width = _BLOB * sensor.mean_pitch if radius is None else radius
+        disc = _DISC * pitch if radius is None else radius
+        return simulated_image(sensor, found, where, value, disc, conductance)
+    shares = None
+    if method == "source":
+        contact = Contact.of(sheet_of(sensor), radius, conductance)
+        current = _currents(contact, where, jnp.arange(sensor.electrode_count))
+        shares = (current / current.mean(1, keepdims=True)) ** 2
+    width = _BLOB * pitch if radius is None else radius
     return image_objective(found, where, criterion, value, precision, width, shares)
 
 
@@ -232,48 +225,38 @@ def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
     return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
 
 
-def _contact(
-    sheet: Sheet, radius: float | None, conductance: float
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Returns a contact's size as `points` counts sizes, and the contact's resistance."""
-    dtype = sheet.size.dtype
-    usual = sheet.size if radius is None else jnp.asarray(radius, dtype)
-    return jnp.log(usual / sheet.size) / SIZE_WIDTH, jnp.asarray(1 / conductance, dtype)
-
-
-def _of_points(
-    sheet: Sheet,
-    places: Float[Array, "P 2"],
-    criterion: str,
-    noise: Noise | Float[Array, "M M"],
-    size: Float[Array, ""],
-    resistance: Float[Array, ""],
-) -> PlaceInformation:
-    """Makes the objective of `points`; `noise` is that of `points`, or N⁻¹."""
-    m = len(sheet.field.electrodes)
+@jax.jit
+def _information(
+    contact: Contact, noise: Noise | Float[Array, "M M"], places: Float[Array, "P 2"]
+) -> Float[Array, "P L 3 3"]:
+    """Computes `points`' F_l at places; `noise` is that of `points`, or N⁻¹."""
+    grounds = jnp.arange(len(contact.sheet.field.electrodes))
 
     def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
-        columns = contact_columns(sheet, place, size, resistance, ground)
+        columns = contact.columns(place, ground)
         if isinstance(noise, Noise):
-            weights = slot_weights(noise, columns[0], jnp.ones(m, bool))
-            seen = weighed(weights, columns)
+            read = jnp.ones(len(grounds), bool)
+            seen = weighed(slot_weights(noise, columns[0], read), columns)
         else:
             seen = matmul(columns, noise)
-        gram = matmul(columns, seen.T)
-        # The current is whatever fits: what it could explain says nothing of the place.
-        return gram[1:, 1:] - gram[1:, :1] * gram[:1, 1:] / gram[0, 0]
+        return without_current(matmul(columns, seen.T))
 
-    every = jax.vmap(one, (None, 0))
-    each = jax.jit(lambda some: jax.lax.map(lambda x: every(x, jnp.arange(m)), some))
-    xy = jnp.broadcast_to(jnp.eye(3, dtype=places.dtype)[:, :2], (len(places), 3, 2))
-    prior = place_prior(sheet.unit)
-    return PlaceInformation(criterion, each(places), prior, sheet.unit, xy)
+    return jax.lax.map(lambda x: jax.vmap(one, (None, 0))(x, grounds), places)
 
 
-def place_prior(unit: Array) -> Float[Array, "3 3"]:
-    """Returns the prior information on place (per unit) and size."""
-    known = jnp.full_like(unit, 1 / _PLACE_KNOWN**2)
-    return jnp.diag(jnp.stack([known, known, jnp.ones_like(known)]))
+@jax.jit
+def _currents(
+    contact: Contact, places: Float[Array, "P 2"], grounds: Int[Array, " L"]
+) -> Float[Array, "P L"]:
+    return jax.vmap(jax.vmap(contact.current, (None, 0)), (0, None))(places, grounds)
+
+
+@jax.jit
+def _voltages(
+    contact: Contact, places: Float[Array, "P 2"], grounds: Int[Array, " L"]
+) -> Float[Array, "P L M"]:
+    one = lambda place, ground: contact.columns(place, ground)[0]  # noqa: E731
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(places, grounds)
 
 
 def exploratory_voltages(
@@ -292,8 +275,5 @@ def exploratory_voltages(
     >>> tx.design.exploratory_voltages(sensor, places).shape
     (4, 2, 16)
     """
-    sheet = sheet_of(sensor)
-    size, resistance = _contact(sheet, radius, conductance)
-    one = lambda x, g: contact_columns(sheet, x, size, resistance, g)[0]  # noqa: E731
-    grounds = exploration(sensor)
-    return jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(places, grounds)
+    contact = Contact.of(sheet_of(sensor), radius, conductance)
+    return _voltages(contact, places, exploration(sensor))

@@ -23,10 +23,13 @@ from tomojax.kernels.sheet import centroids, cosine_waves, ground_path, slot_off
 from tomojax.methods import sheet_of
 from tomojax.sensor import converter_of, resistances, Sensor
 
-# Rigs of scenes: sheets that vary by 1 σ, electrodes off by 1 σ (of their
-# diameter), gains by 1 σ; and
-# the waves of a sheet, at most so many half periods along a side.
-_SHEET, _OFF, GAIN, _WAVES = 0.02, 0.015, 5e-4, 4
+# How rigs of scenes vary, 1 σ.
+_SHEET = 0.02
+_OFF = 0.015  # electrodes' places, of their diameter
+GAIN = 5e-4
+
+# The waves of a sheet: at most so many half periods along a side.
+_WAVES = 4
 
 
 def varied(sensor: Sensor, key: Array) -> Sensor:

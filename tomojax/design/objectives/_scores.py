@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax.design.objectives._contacts import contact_columns, contact_current
-from tomojax.design.objectives._information import AbstractObjective
+from tomojax.design.objectives._contacts import Contact, without_current
+from tomojax.design.objectives._information import AbstractObjective, place_prior
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import Sheet, slot_weights, solve_small, weighed
+from tomojax.kernels.contacts import Noise, slot_weights, solve_small, weighed
 from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods import noise_of
 from tomojax.sensor import converter_of, Sensor
@@ -35,10 +35,7 @@ class SimulatedPlaceError(AbstractObjective):
 
     information: Float[Array, "P L 3 3"]  # of x, y (per unit) and size
     scores: Float[Array, "P L R 3"]
-    prior: Float[Array, "3 3"]
     length: Float[Array, ""]  # the unit, m
-    worst: ClassVar[bool] = False  # pyright: ignore
-    convex: ClassVar[bool] = False
     unit: ClassVar[str] = "m"  # pyright: ignore
 
     @property
@@ -52,45 +49,55 @@ class SimulatedPlaceError(AbstractObjective):
     def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
         told = jnp.einsum("l,plij->pij", weights, self.information, precision="highest")
         pull = jnp.einsum("l,plri->pir", weights, self.scores, precision="highest")
-        off = solve_small(told + self.prior, pull)[:, :2] * self.length
+        known = told + place_prior(self.length)
+        off = solve_small(known, pull)[:, :2] * self.length
         return jnp.sqrt((off**2).sum(1).mean(1))
 
 
 def simulated_place_error(
-    sensor: Sensor,
-    sheet: Sheet,
-    places: Float[Array, "P 2"],
-    size: Array,
-    resistance: Array,
-    prior: Float[Array, "3 3"],
+    sensor: Sensor, contact: Contact, places: Float[Array, "P 2"]
 ) -> SimulatedPlaceError:
     """Makes the objective of discs at `places` on rigs like those of `simulate_scenes`."""
-    m, noise = sensor.electrode_count, noise_of(sensor)
+    m, noise, sheet = sensor.electrode_count, noise_of(sensor), contact.sheet
     inside = disc_shares(sensor, np.asarray(places), float(sheet.size))
     keys = jax.random.split(jax.random.key(0), _RIGS)
     more = [(d.electrodes, d.elements @ inside) for d in differences(sensor, keys)]
     more_ee, more_ek = (jnp.stack(part) for part in zip(*more))  # (R, M, M), (R, M, P)
     gain, hiss = jax.random.split(jax.random.key(1))
     gains = GAIN * jax.random.normal(gain, (_RIGS, m), sensor.dtype)
-    hisses = converter_of(sensor).noise * jax.random.normal(
-        hiss, (m, _RIGS, m), sensor.dtype
-    )
+    hisses = jax.random.normal(hiss, (m, _RIGS, m), sensor.dtype)
+    hisses = converter_of(sensor).noise * hisses
 
-    def one(place: Array, ground: Array, ek: Array) -> tuple[Array, Array]:
-        columns = contact_columns(sheet, place, size, resistance, ground)
-        current = contact_current(sheet, place, size, resistance, ground)
+    rigs = more_ee, more_ek.transpose(2, 0, 1), gains, hisses
+    told, scores = _scores(contact, noise, places, *rigs)
+    return SimulatedPlaceError(told, scores, sheet.unit)
+
+
+@jax.jit
+def _scores(
+    contact: Contact,
+    noise: Noise,
+    places: Float[Array, "P 2"],
+    more_ee: Float[Array, "R M M"],
+    more_ek: Float[Array, "P R M"],
+    gains: Float[Array, "R M"],
+    hisses: Float[Array, "M R M"],
+) -> tuple[Float[Array, "P L 3 3"], Float[Array, "P L R 3"]]:
+    """Computes F_l and h_l at places, by rigs' resistances less the nominal ones."""
+    grounds = jnp.arange(len(hisses))
+
+    def one(place: Array, ek: Array, ground: Array) -> tuple[Array, Array]:
+        columns, current = contact.columns(place, ground), contact.current(place, ground)
         slot = ground[None]
         more = jax.vmap(lambda at, ee: volts_per_ampere(at, ee, slot, 0.0))(ek, more_ee)
         off = current * more[:, 0]
         off = off + gains * columns[0] + hisses[ground]
-        seen = weighed(slot_weights(noise, columns[0], jnp.ones(m, bool)), columns)
+        read = jnp.ones(len(grounds), bool)
+        seen = weighed(slot_weights(noise, columns[0], read), columns)
         return score(columns, seen, off)
 
-    every = jax.vmap(one, (None, 0, None))
-    grounds = jnp.arange(m)
-    each = jax.jit(lambda p, e: jax.lax.map(lambda x: every(x[0], grounds, x[1]), (p, e)))
-    told, scores = each(places, more_ek.transpose(2, 0, 1))
-    return SimulatedPlaceError(told, scores, prior, sheet.unit)
+    every = jax.vmap(one, (None, None, 0))
+    return jax.lax.map(lambda x: every(*x, grounds), (places, more_ek))
 
 
 def score(
@@ -99,6 +106,4 @@ def score(
     """Computes F_l and h_l of a slot's `columns` J (the first is the free current's) and
     errors `off`, V; `seen` is J·N⁻¹."""
     gram, right = matmul(columns, seen.T), matmul(off, seen.T)
-    share = gram[1:, 0] / gram[0, 0]
-    told = gram[1:, 1:] - share[:, None] * gram[0, 1:]
-    return told, right[:, 1:] - right[:, :1] * share
+    return without_current(gram), right[:, 1:] - right[:, :1] * (gram[1:, 0] / gram[0, 0])

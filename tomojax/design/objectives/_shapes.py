@@ -14,8 +14,11 @@ from tomojax.kernels.algebra import matmul
 from tomojax.methods import ImageShape
 from tomojax.sensor import Sensor
 
-# Pixels of a pitch; waves whose coefficients are looked at, the longest.
-_PIXELS, _WAVES = 2.5, 48
+# Pixels of a pitch.
+_PIXELS = 2.5
+
+# Waves whose coefficients are looked at, the longest.
+_WAVES = 48
 
 
 class ShapeInformation(AbstractObjective):
@@ -37,9 +40,7 @@ class ShapeInformation(AbstractObjective):
 
     convex: ClassVar[bool] = True
     information: Float[Array, "P L K K"]
-    worst: ClassVar[bool] = False  # pyright: ignore
     swaps: ClassVar[int | None] = 32
-    unit: ClassVar[str] = "1"  # pyright: ignore
 
     @property
     def slots(self) -> int:
@@ -76,15 +77,12 @@ def shape_objective(sensor: Sensor, shapes: int = 8, seed: int = 0) -> ShapeInfo
     pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
     side = max(8, round(_PIXELS * pitches))
     model = ImageShape.of(sensor, (side, side))
-    return _information(model, jax.random.key(seed), shapes)
-
-
-def _information(model: ImageShape, key: Array, shapes: int) -> ShapeInformation:
-    @jax.jit
-    def of(model: ImageShape, errors: Any, w: Array) -> Array:
-        slopes = model.slopes_at(errors, w)[:, :, :_WAVES]
-        return jax.vmap(lambda s: matmul(s.T, s))(slopes)
-
     errors, count = model.every_slot(), model.field.waves.shape[2]
-    drawn = jax.random.normal(key, (shapes, count), model.cell.dtype)
-    return ShapeInformation(jnp.stack([of(model, errors, w) for w in drawn]))
+    drawn = jax.random.normal(jax.random.key(seed), (shapes, count), model.cell.dtype)
+    return ShapeInformation(jnp.stack([_information(model, errors, w) for w in drawn]))
+
+
+@jax.jit
+def _information(model: ImageShape, errors: Any, w: Array) -> Float[Array, "L K K"]:
+    slopes = model.slopes_at(errors, w)[:, :, :_WAVES]
+    return jax.vmap(lambda s: matmul(s.T, s))(slopes)

@@ -1,33 +1,38 @@
 """Judges wires: order of channels, ground lines, and which way round the array is."""
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Integer
 
 from tomojax._require import require
-from tomojax.bringup._corners import Corners, corners_of
-from tomojax.bringup._fault import Fault
+from tomojax.bringup._corners import Corners, Turn, turn_of
+from tomojax.bringup._fault import Fault, SUREST
 from tomojax.bringup._naming import (
     best_image,
     channel_faults,
     line_faults,
     line_groups,
+    whole_fault,
 )
 from tomojax.bringup._reading import Reading
-from tomojax.bringup._wiring import floating, Lines, lines_of, symmetries
+from tomojax.bringup._wiring import Lines
+from tomojax.bringup.sheet._orders import symmetries
 
 # The part of the slots that must be elsewhere than half of them are, so many pitches away.
-_ELSEWHERE, _APART = 0.1, 1.0
+_ELSEWHERE = 0.1
+_APART = 1.0
 
-# Lines that differ from what was commanded and are no mirror's; that a mirror leaves.
-_WRONG, _LEFT = 0.5, 0.4
+# The part of the lines that differ from what was commanded and are no mirror's.
+_WRONG = 0.5
+
+# The part of the lines that a mirror leaves wrong.
+_LEFT = 0.4
 
 # Slots from which on an order is as sure as anything; how sure it is before.
-_MANY, _FEW_SURE = 200, 0.95
+_MANY = 200
+_FEW_SURE = 0.95
 
 
-def judge_wires(reading: Reading, corners: Any) -> Lines:
+def judge_wires(reading: Reading, corners: Corners | None) -> Lines:
     """Names faults of wires; turns the reading to true places if corners show them.
 
     **Raises:** `ValueError` if all contacts are in one place.
@@ -41,23 +46,21 @@ def judge_wires(reading: Reading, corners: Any) -> Lines:
         "a rub over the sheet: touches in many places",
     )
     lines = _lines(reading)
-    found = Corners(None, "told that no corners were touched")
+    turn = Turn(why="told that no corners were touched")
     if corners is not None:
-        given = reading.slots, reading.every, plane, reading.order.electrode
-        found = corners_of(*given, reading.usable, reading.always, corners)
-    if found.image is None:
-        reading.unjudged["mirrored or turned array"] = found.why
+        turn = turn_of(reading, corners)
+    if turn.image is None:
+        reading.unjudged["mirrored or turned array"] = turn.why
         image, unknown_which = _likeliest(reading, lines)
     else:
-        image, unknown_which = symmetries(plane)[found.image], False
+        image, unknown_which = symmetries(plane)[turn.image], False
     lines = _turned(reading, lines, image)
     _name(reading, lines, unknown_which)
     return lines
 
 
 def _lines(reading: Reading) -> Lines:
-    flat = floating(reading.volts, reading.usable, reading.slots.drive)
-    lines = lines_of(reading.order.fits, reading.asked, flat)
+    lines = reading.lines()
     if reading.always is not None:
         own = lines.asked == reading.order.electrode[reading.always]
         lines.ground[own] = lines.asked[own]
@@ -69,27 +72,21 @@ def _lines(reading: Reading) -> Lines:
     m = reading.plane.count
     never = np.setdiff1d(np.arange(m), lines.asked)
     if len(never):
+        some = ", ".join(map(str, never[:5])) + (", …" if len(never) > 5 else "")
         reading.unjudged["ground lines not commanded"] = (
-            f"{len(never)} of {m} ({_few(never)}) were never commanded: "
-            "record with --pattern all"
+            f"{len(never)} of {m} ({some}) were never commanded: record with --pattern all"
         )
     return lines
 
 
-def _few(numbers: Integer[np.ndarray, " n"]) -> str:
-    """Names the first numbers, and tells that more follow."""
-    return ", ".join(map(str, numbers[:5])) + (", …" if len(numbers) > 5 else "")
-
-
 def _turned(reading: Reading, lines: Lines, image: Integer[np.ndarray, " M"]) -> Lines:
     """Moves contacts to their true places, if the array is mirrored or turned."""
-    ground = np.where(lines.ground >= 0, image[np.maximum(lines.ground, 0)], lines.ground)
     if (image != np.arange(len(image))).any():
         order, fits = reading.order, reading.order.fits
         fits = fits._replace(ground=image[fits.ground])
         reading.order = order._replace(electrode=image[order.electrode], fits=fits)
         reading.again()
-    return lines._replace(ground=ground)
+    return lines.moved(image)
 
 
 def _likeliest(reading: Reading, lines: Lines) -> tuple[np.ndarray, bool]:
@@ -115,32 +112,21 @@ def _likeliest(reading: Reading, lines: Lines) -> tuple[np.ndarray, bool]:
 
 
 def _name(reading: Reading, lines: Lines, unknown_which: bool) -> None:
-    asked, ground, plane = lines.asked, lines.ground, reading.plane
-    electrode, told = reading.order.electrode, ground >= 0
+    plane, electrode, told = reading.plane, reading.order.electrode, lines.ground >= 0
     name, image = best_image(plane, electrode, np.arange(plane.count))
-    same = "identity"
-    if told.any():
-        same, _ = best_image(plane, ground[told], reading.inside(asked[told]))
-    whole = name != "identity" and name == same
+    sure = SUREST if len(reading.number) > _MANY else _FEW_SURE
+    if name != "identity":
+        asked = reading.inside(lines.asked[told])
+        whole = bool(told.any()) and name == best_image(plane, lines.ground[told], asked)[0]
+        if whole:
+            lines = lines.moved(np.argsort(image))
+        reading.faults.append(whole_fault(name, whole, unknown_which, sure))
     # Groups that are exchanged in channels and in lines: wires of electrodes.
-    back = np.argsort(image)
-    ground = np.where(told, back[np.maximum(ground, 0)] if whole else ground, ground)
-    groups = line_groups(asked, ground)
-    sure = 0.999 if len(reading.number) > _MANY else _FEW_SURE
-    channels = channel_faults(plane, electrode, whole, sure, unknown_which, groups)
+    channels = channel_faults(plane, electrode, image, sure, line_groups(lines))
     wires = [f.channels for f in channels if f.kind == "swapped"]
-    reading.faults += channels
-    reading.faults += line_faults(plane, asked, ground, lines.share, wires)
+    reading.faults += channels + line_faults(plane, lines, wires)
     if reading.always is not None:
         e = int(electrode[reading.always])
-        reading.faults.append(
-            Fault(
-                "ground_stuck",
-                (e,),
-                "on",
-                "",
-                0.99,
-                f"electrode {e} is grounded in every slot",
-                f"look at the switch of ground line {e}: it never opens",
-            )
-        )
+        text = f"electrode {e} is grounded in every slot"
+        mend = f"look at the switch of ground line {e}: it never opens"
+        reading.faults.append(Fault("ground_stuck", (e,), "on", "", 0.99, text, mend))
