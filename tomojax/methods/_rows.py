@@ -1,5 +1,6 @@
 """Defines the fields of a row of results: name, shape, type and unit of each."""
 
+from collections.abc import Sequence
 from functools import cache
 from typing import Annotated, Any, get_args, get_type_hints, NamedTuple
 
@@ -99,6 +100,12 @@ class Rows(NamedTuple):
         for mine, theirs in zip(self, rows):
             if mine is not None:
                 mine[index] = theirs
+
+    @staticmethod
+    def joined(parts: "Sequence[Rows]") -> "Rows":
+        """Joins the rows of several parts (NumPy), one part after the other."""
+        whole = (None if a[0] is None else np.concatenate(a) for a in zip(*parts))
+        return Rows(*whole)  # pyright: ignore
 
     def take(self, index: Any) -> "Rows":
         """Selects rows by an index, a slice or a mask."""
