@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from tomojax._require import require
+from tomojax.recordings import formats
+from tomojax.recordings._hdf5 import Hdf5Recording
 from tomojax.recordings._recording import Recording
 
 
@@ -53,17 +55,11 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
 
 def _opened(path: Path, suffix: str, options: dict[str, Any]) -> Recording:
     if suffix == ".tdms":
-        from tomojax.recordings._tdms import TdmsRecording
-
-        return TdmsRecording(path, **options)
+        return formats.TdmsRecording(path, **options)
     own = not options.keys() - {"header"}
     require(own, "options", sorted(options), "header, but for .tdms files")
     header = options.get("header") or {}
     if suffix in (".csv", ".txt", ".tsv", ".npz", ".mcap"):
-        from tomojax.recordings import formats
-
         opens = {".npz": formats.open_npz, ".mcap": formats.open_mcap}
         return opens.get(suffix, formats.open_csv)(path, header)
-    from tomojax.recordings._hdf5 import Hdf5Recording
-
     return Hdf5Recording(path, header)
