@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tomojax._require import require
+from tomojax.exports._columns import events_beside
 from tomojax.exports._source import Progress, Source
 
 
@@ -47,8 +48,7 @@ def ending(kind: str) -> str:
 
 def beside(out: Path, kind: str) -> list[Path]:
     """Lists the files that are written beside `out`."""
-    events = out.with_name(f"{out.stem}.events{out.suffix}")
-    return [events] if kind in ("csv", "parquet") else []
+    return [events_beside(out)] if kind in ("csv", "parquet") else []
 
 
 def check_kind(kind: str) -> Kind:

@@ -13,8 +13,8 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.results.loading import LoadedResults
 
-# Rows that are read at once; the probability at an outline.
-_ROWS, _HALF = 256, 0.5
+_ROWS = 256  # read at once
+_HALF = 0.5  # the probability at an outline
 
 # Outlines of fewer pixels are noise's.
 _LEAST = 1.5
@@ -163,11 +163,10 @@ def write_outlines(results: Path, out: Path) -> int:
 def _rows(results: Path, size: np.ndarray) -> Iterator[tuple[int, float, list[Outline]]]:
     with LoadedResults(results) as file:
         names = ("t", "touch", "image", "contact_count")
-        for start in range(0, file.rows, _ROWS):
-            read = (file.stretch(n, start, start + _ROWS) for n in names)
-            for k, (t, touch, image, count) in enumerate(zip(*read)):
-                if count and np.isfinite(touch).all():
-                    yield start + k, float(t), outlines_of(touch, size, image)
+        rows = (row for block in file.blocks(names, _ROWS) for row in zip(*block.values()))
+        for k, (t, touch, image, count) in enumerate(rows):
+            if count and np.isfinite(touch).all():
+                yield k, float(t), outlines_of(touch, size, image)
 
 
 def _geojson(rows: Any, size: np.ndarray, out: Path) -> int:
