@@ -134,9 +134,8 @@ def _export_dataset(
         dataset = None
         for path in each:
             with Source(path, since, until) as source:
-                if dataset is None:
-                    rate = rate or frames_per_second(source)
-                    dataset = Dataset(part, rate, task)
+                rate = rate or frames_per_second(source)
+                dataset = dataset or Dataset(part, rate, task)
                 dataset.add(source, progress)
         assert dataset is not None
         dataset.finish()

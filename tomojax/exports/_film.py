@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ _TRAIL = 0.3
 
 # Pictures that the scale of the image's colours is taken from.
 _SAMPLED = 200
+
+_Put = Callable[[np.ndarray], Any]  # takes the pixels of the next picture
 
 
 def write(
@@ -61,7 +63,7 @@ def write(
 
 
 @contextmanager
-def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
+def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[_Put]:
     """Sends pictures to ffmpeg, which chooses its codec for MP4."""
     height, width = shape
     command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
@@ -85,7 +87,7 @@ def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
 
 
 @contextmanager
-def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
+def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[_Put]:
     """Writes pictures as a GIF; all pictures have the colours of the first."""
     from PIL import Image
 

@@ -1,7 +1,7 @@
 """Reads recording version 1 from HDF5, or from the variables of a MATLAB v7.3 file."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -201,7 +201,7 @@ def _open(path: Path) -> OpenContainer:
     raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
-def _is_hdf5(raw: Any) -> bool:
+def _is_hdf5(raw: BinaryIO) -> bool:
     """Finds HDF5's signature at the start or behind a user's block (MATLAB's has 512 B)."""
     at = 0
     while len(start := raw.read(8)) == 8:

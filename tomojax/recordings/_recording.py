@@ -96,6 +96,7 @@ class Rig:
             electrode_xy=np.asarray(sensor.electrode_xy, float),
             rails=rails,
             resolution=float(sensor.resolution),
+            notes="",
         )
 
     def __repr__(self) -> str:
@@ -166,10 +167,6 @@ class Recording(ABC):
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
         """Reads scans `start` to `stop`."""
-
-    def start_times(self) -> np.ndarray:
-        """Returns the start times of all scans, s."""
-        return self.t0
 
     def __repr__(self) -> str:
         return named(self, **dict(self._in_short()))

@@ -181,7 +181,8 @@ class RowWriter:
         self._data = open(file.partial, "r+b", buffering=0)
         self._marks = open(done, "r+b", buffering=0)
         self._unmarked: list[int] = []
-        self._marked, self._state = monotonic(), None
+        self._marked = monotonic()
+        self._state: dict[str, Any] | None = None
 
     def write(
         self,
@@ -192,7 +193,7 @@ class RowWriter:
     ) -> None:
         """Writes the rows of a chunk, by names, from row `start` on.
 
-        The log's entries of the chunk are in `state`. With the next mark, `state` is kept.
+        The entries of the chunk in the log are in `state`. The next mark keeps `state`.
         """
         self._put(chunk, {n: np.asarray(value)[None] for n, value in (state or {}).items()})
         self._put(start, values)
