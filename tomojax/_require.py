@@ -25,9 +25,12 @@ def library(name: str, extra: str) -> Any:
         root = name.partition(".")[0]
         if str(error.name).partition(".")[0] != root:
             raise
-        mend = f"pip install 'tomojax[{extra}]' brings it"
-        told = f"{root} is not installed; {mend}"
-        raise ModuleNotFoundError(told, name=root) from None
+        raise ModuleNotFoundError(not_installed(root, extra), name=root) from None
+
+
+def not_installed(name: str, extra: str) -> str:
+    """Says which extra of tomojax brings a missing library."""
+    return f"{name} is not installed; pip install 'tomojax[{extra}]' brings it"
 
 
 def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> None:

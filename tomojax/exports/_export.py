@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from tomojax._require import require
+from tomojax._require import not_installed, require
 from tomojax.exports._columns import events_beside
 from tomojax.exports._source import Progress, Source
 
@@ -56,8 +56,7 @@ def check_kind(kind: str) -> Kind:
     require(kind in KINDS, "kind", repr(kind), ", ".join(KINDS))
     found = KINDS[kind]
     if found.library and find_spec(found.library) is None:
-        mend = f"pip install 'tomojax[{found.extra}]' brings it"
-        raise ValueError(f"{found.library} is not installed; {mend}")
+        raise ValueError(not_installed(found.library, found.extra))
     return found
 
 

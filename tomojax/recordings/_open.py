@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from tomojax._require import require
+from tomojax._require import not_installed, require
 from tomojax.recordings import formats
 from tomojax.recordings._hdf5 import Hdf5Recording
 from tomojax.recordings._recording import Recording
@@ -41,10 +41,8 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         recording = _opened(path, path.suffix.lower(), options)
     except ModuleNotFoundError as error:
         extra = {"nptdms": "tdms", "mcap": "mcap"}.get(str(error.name), "app")
-        raise ValueError(
-            f"{path}: {error.name} is not installed; "
-            f"pip install 'tomojax[{extra}]' brings it"
-        ) from None
+        told = not_installed(str(error.name), extra)
+        raise ValueError(f"{path}: {told}") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise ValueError(f"{path}: {reason}") from None

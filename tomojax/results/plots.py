@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from tomojax._pictures import GREY, lay_sheet, show_image, style, VALUE, VERMILION
 from tomojax.kernels.flags import DOUBT, Flag
-from tomojax.plots import ellipses as ellipses
+from tomojax.plots import ellipses
 from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows

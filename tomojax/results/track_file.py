@@ -164,7 +164,7 @@ def picture(path: Path, out: Path) -> Any:
 
 def _paths(axes: Any, xy: np.ndarray, spread: np.ndarray, names: np.ndarray) -> None:
     """Draws the path of each contact, and ellipses about some of its places."""
-    from tomojax.results.plots import ellipses
+    from tomojax.plots import ellipses
 
     for number in np.unique(names[names > 0])[:_PATHS]:
         row, column = np.nonzero(names == number)
