@@ -73,12 +73,13 @@ class OpenContainer:
         from tomojax.files.reader import KINDS
 
         try:
-            self._served = KINDS[kind](os.path.abspath(self.path))
+            served = KINDS[kind](os.path.abspath(self.path))
         except (OSError, ValueError, ModuleNotFoundError):
             raise
         except Exception as error:
             raise ValueError(" ".join(str(error).split())) from None
-        return self._served.about()
+        self._served = served
+        return served.about()
 
     @property
     def names(self) -> list[str]:

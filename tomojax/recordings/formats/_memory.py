@@ -77,12 +77,12 @@ class MemoryRecording(Recording):
             place = np.arange(whole * s)
             numbers = np.arange(whole)
         else:
-            number = number - number[0]
-            rising = bool((np.diff(number) > 0).all())
+            own = number - number[0]
+            rising = bool((np.diff(own) > 0).all())
             require(rising, "number", "numbers that do not rise", "a slot's, each higher")
-            scan = number // s
+            scan = own // s
             there = np.unique(scan)
-            place = np.searchsorted(there, scan) * s + number % s
+            place = np.searchsorted(there, scan) * s + own % s
             steps = np.diff(there)
             lost = np.flatnonzero(steps > 1)
             self.gaps = np.stack([there[lost] + 1, steps[lost] - 1], 1).astype(int)
