@@ -37,16 +37,17 @@ def library(name: str, extra: str) -> Any:
         root = name.partition(".")[0]
         if str(error.name).partition(".")[0] != root:
             raise
-        raise ModuleNotFoundError(_missing(root, extra), name=root) from None
+        raise ModuleNotFoundError(not_installed(root, extra), name=root) from None
 
 
 def require_library(name: str, extra: str) -> None:
     """**Raises:** `ValueError` unless a library that an extra brings is installed."""
     if find_spec(name) is None:
-        raise ValueError(_missing(name, extra))
+        raise ValueError(not_installed(name, extra))
 
 
-def _missing(name: str, extra: str) -> str:
+def not_installed(name: str, extra: str) -> str:
+    """Says which extra of tomojax brings a missing library."""
     return f"{name} is not installed; pip install 'tomojax[{extra}]' brings it"
 
 

@@ -104,11 +104,10 @@ class EventFinder:
         """Finds the events of a stretch of rows, NaN-padded as in results."""
         bits = np.zeros(len(t), int) if flags is None else flags
         found = []
-        for k in range(len(t)):
-            n = int(count[k])
+        for k, n in enumerate(count.tolist()):
             here = None if force is None else force[k, :n].tolist()
-            told = float(t[k]), xy[k, :n].tolist(), conductance[k, :n].tolist()
-            found += self.row(*told, int(bits[k]), here)[1]
+            places, g = xy[k, :n].tolist(), conductance[k, :n].tolist()
+            found += self.row(float(t[k]), places, g, int(bits[k]), here)[1]
         return found
 
     def row(
@@ -157,14 +156,13 @@ class EventFinder:
         if not contact.number and contact.rows >= self._confirm:
             self._numbered += 1
             contact.number = self._numbered
-            told = {"kind": "touch_down", "contact": contact.number}
-            found.append(contact.first._replace(**told))
+            event = contact.first._replace(kind="touch_down", contact=contact.number)
+            found.append(event)
         return contact.number
 
     def _ended(self, before: float) -> list[Event]:
-        gone = [contact for contact in self._there if contact.last.t < before]
-        if gone:
-            self._there = [one for one in self._there if one.last.t >= before]
+        gone = [one for one in self._there if one.last.t < before]
+        self._there = [one for one in self._there if one.last.t >= before]
         return [
             one.last._replace(kind="lift_off", contact=one.number)
             for one in gone
@@ -248,6 +246,6 @@ def events_of_tracks(
         for k in index:
             r, c = row[k], column[k]
             x, y = xy[r, c].tolist()
-            told = int(numbers[k]), (x, y), float(conductance[r, c])
-            found.append(Event(float(t[r]), kind, *told))
+            g = float(conductance[r, c])
+            found.append(Event(float(t[r]), kind, int(numbers[k]), (x, y), g))
     return sorted(found, key=lambda event: event.t)

@@ -1,33 +1,34 @@
 """Writes CSV: a line for each row, and a second file of events."""
 
 import csv
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TextIO
 
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.exports._columns import event_columns, tables
+from tomojax.exports._columns import columns, event_columns, events_beside, tables
 from tomojax.exports._source import Progress, Source
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
     """Writes both files; a cell without a number is empty."""
     with whole(out) as part, part.open("w", newline="", encoding="utf-8") as file:
-        for number, table in enumerate(tables(source, progress)):
-            _lines(file, table, head=number == 0)
+        _lines(file, tables(source, columns(source), progress))
     with (
-        whole(out.with_name(f"{out.stem}.events{out.suffix}")) as part,
+        whole(events_beside(out)) as part,
         part.open("w", newline="", encoding="utf-8") as file,
     ):
-        _lines(file, event_columns(source.events()), head=True)
+        _lines(file, [event_columns(source.events())])
 
 
-def _lines(file: Any, table: dict[str, np.ndarray], head: bool) -> None:
+def _lines(file: TextIO, tables: Iterable[dict[str, np.ndarray]]) -> None:
     to = csv.writer(file, lineterminator="\n")
-    if head:
-        to.writerow(table)
-    to.writerows(zip(*(_texts(values) for values in table.values())))
+    for number, table in enumerate(tables):
+        if number == 0:
+            to.writerow(table)
+        to.writerows(zip(*map(_texts, table.values())))
 
 
 def _texts(values: np.ndarray) -> list:

@@ -7,7 +7,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from tomojax._require import require
+from tomojax._require import not_installed, require
+from tomojax.exports._columns import events_beside
 from tomojax.exports._source import Progress, Source
 
 
@@ -47,8 +48,7 @@ def ending(kind: str) -> str:
 
 def beside(out: Path, kind: str) -> list[Path]:
     """Lists the files that are written beside `out`."""
-    events = out.with_name(f"{out.stem}.events{out.suffix}")
-    return [events] if kind in ("csv", "parquet") else []
+    return [events_beside(out)] if kind in ("csv", "parquet") else []
 
 
 def check_kind(kind: str) -> Kind:
@@ -56,8 +56,7 @@ def check_kind(kind: str) -> Kind:
     require(kind in KINDS, "kind", repr(kind), ", ".join(KINDS))
     found = KINDS[kind]
     if found.library and find_spec(found.library) is None:
-        mend = f"pip install 'tomojax[{found.extra}]' brings it"
-        raise ValueError(f"{found.library} is not installed; {mend}")
+        raise ValueError(not_installed(found.library, found.extra))
     return found
 
 
@@ -133,9 +132,8 @@ def _export_dataset(
         dataset = None
         for path in each:
             with Source(path, since, until) as source:
-                if dataset is None:
-                    rate = rate or frames_per_second(source)
-                    dataset = Dataset(part, rate, task)
+                rate = rate or frames_per_second(source)
+                dataset = dataset or Dataset(part, rate, task)
                 dataset.add(source, progress)
         assert dataset is not None
         dataset.finish()

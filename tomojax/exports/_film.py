@@ -2,7 +2,7 @@
 
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,14 +16,16 @@ from tomojax.exports._overview import draw_overview, Overview, overview, rings
 from tomojax.exports._source import Progress, Source
 from tomojax.kernels.flags import Flag
 
-# Pictures a second: of films by default, and what a GIF can have at most.
-_RATE, _GIF = 50, 50
+_RATE = 50  # pictures a second by default
+_GIF = 50  # pictures a second that a GIF can have at most
 
 # Seconds of the past that a trail shows; of the film, so that slow ones have theirs.
 _TRAIL = 0.3
 
 # Pictures that the scale of the image's colours is taken from.
 _SAMPLED = 200
+
+_Put = Callable[[np.ndarray], Any]  # takes the pixels of the next picture
 
 
 def write(
@@ -61,7 +63,7 @@ def write(
 
 
 @contextmanager
-def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
+def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[_Put]:
     """Sends pictures to ffmpeg, which chooses its codec for MP4."""
     height, width = shape
     command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgba"]
@@ -85,7 +87,7 @@ def _mp4(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
 
 
 @contextmanager
-def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
+def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[_Put]:
     """Writes pictures as a GIF; all pictures have the colours of the first."""
     from PIL import Image
 
@@ -93,11 +95,11 @@ def _gif(path: Path, rate: int, shape: tuple[int, int]) -> Iterator[Any]:
 
     def put(pixels: np.ndarray) -> None:
         frame = Image.fromarray(pixels[..., :3])
-        palette = frames[0] if frames else None
-        if palette is None:
-            frames.append(frame.quantize(255))
+        if frames:
+            frame = frame.quantize(palette=frames[0], dither=Image.Dither.NONE)
         else:
-            frames.append(frame.quantize(palette=palette, dither=Image.Dither.NONE))
+            frame = frame.quantize(255)
+        frames.append(frame)
 
     yield put
     first, *rest = frames
@@ -132,8 +134,7 @@ class _Picture:
                 vmax=top,
                 cmap=DENSITY,
             )
-            unit = source.unit("image").replace("^2", "²")
-            bar = f"image, {unit}"
+            bar = f"image, {source.unit('image').replace('^2', '²')}"
             figure.colorbar(self._shown, ax=sheet, label=bar, extend="max")
         else:
             sheet.set_facecolor("black")

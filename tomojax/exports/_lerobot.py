@@ -15,7 +15,8 @@ from tomojax._require import require
 from tomojax.exports._source import Progress, Source
 
 # Of the layout.
-_VERSION, _CHUNK = "v3.0", 1000
+_VERSION = "v3.0"
+_CHUNK = 1000  # files of a folder
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _DEFAULTS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -47,7 +48,7 @@ class Dataset:
         self.folder, self.rate, self.task = folder, rate, task
         self.features: dict[str, dict] = {}
         self._episodes: list[dict] = []
-        self._stats: list[dict[str, dict]] = []
+        self._stats: list[dict[str, dict]] = []  # of each episode, by feature
         self._frames = 0
         self._first: Path | None = None
 
@@ -242,7 +243,7 @@ class _Statistics:
         self._some: list[np.ndarray] = []
 
     def add(self, values: np.ndarray) -> None:
-        values = values.reshape(len(values), *(values.shape[1:] or (1,))).astype(float)
+        values = (values if values.ndim > 1 else values[:, None]).astype(float)
         self._count += len(values)
         self._low = np.minimum(self._low, values.min(0))
         self._high = np.maximum(self._high, values.max(0))

@@ -1,6 +1,5 @@
 """Writes MCAP with ROS 2's messages, without ROS: for rosbag2, Foxglove and learners."""
 
-import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,8 +52,8 @@ def write(source: Source, out: Path, progress: Progress) -> None:
 
         def put(topic: str, t: float, message: dict[str, Any]) -> None:
             stamp = _nanoseconds(t)
-            head = {"stamp": dict(zip(("sec", "nanosec"), divmod(stamp, 10**9)))}
-            head |= {"frame_id": _FRAME}
+            seconds, rest = divmod(stamp, 10**9)
+            head = {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": _FRAME}
             told = {"header": head, **message}
             name = f"/tomojax/{topic}"
             writer.write_message(name, schemas[topic], told, max(0, stamp))
@@ -83,10 +82,12 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
         if finder is None and "contact_track" not in block:
             interval = (t[-1] - t[0]) / max(1, len(t) - 1)
             finder = EventFinder.of_rows(source.pitch, interval)
-        each = {name: _listed(block, f"contact_{name}") for name in _NUMBERS}
-        xy, covariance = block["contact_xy"].tolist(), _listed(block, "contact_covariance")
+        shape = block["contact_xy"].shape[:2]
+        each = {n: _listed(block, f"contact_{n}", shape) for n in _NUMBERS}
+        xy = block["contact_xy"].tolist()
+        covariance = _listed(block, "contact_covariance", (*shape, 3))
         flags, count = block["flags"].tolist(), block["contact_count"].tolist()
-        residual = _listed(block, "residual")
+        residual = _listed(block, "residual", shape[:1])
         for k in range(len(t)):
             n = count[k]
             if finder is None:
@@ -99,22 +100,20 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
                     "number": numbers[c],
                     "x": xy[k][c][0],
                     "y": xy[k][c][1],
-                    **{m: v[k][c] if v else math.nan for m, v in each.items()},
-                    "covariance": covariance[k][c] if covariance else [math.nan] * 3,
+                    **{name: values[k][c] for name, values in each.items()},
+                    "covariance": covariance[k][c],
                 }
                 for c in range(n)
             ]
-            state = {
-                "flags": flags[k],
-                "residual": residual[k] if residual else math.nan,
-                "contacts": contacts,
-            }
+            state = {"flags": flags[k], "residual": residual[k], "contacts": contacts}
             image = block["image"][k] if "image" in block else None
             yield t[k], {"state": state, "image": image}
 
 
-def _listed(block: dict[str, np.ndarray], name: str) -> list:
-    return block[name].tolist() if name in block else []
+def _listed(block: dict[str, np.ndarray], name: str, shape: tuple[int, ...]) -> list:
+    """Returns a field as lists, NaN where results have no such field."""
+    values = block[name] if name in block else np.full(shape, np.nan)
+    return values.tolist()
 
 
 def _cloud(contacts: list[dict]) -> dict[str, Any]:

@@ -9,49 +9,41 @@ from tomojax._whole import whole
 from tomojax.exports._columns import event_columns
 from tomojax.exports._source import plain, Progress, Source, WORDS
 from tomojax.kernels.flags import Flag
-from tomojax.results.loading import DIMENSIONS
+from tomojax.results.loading import coordinates, Variable, variables
 
 
 def write(source: Source, out: Path, progress: Progress) -> None:
     """Writes one file: rows along `t`, events along `event`."""
     import h5netcdf
 
-    # NetCDF has no place for two numbers of a contact but a dimension of its own.
-    fields = {name: name for name in source.names if name != "contact_xy"}
+    told = [v for n in source.names for v in variables(n, 1 + len(source.shape(n)))]
+    told.sort(key=lambda variable: variable.field == "contact_xy")  # these stand last
+    sizes = {"t": source.rows, "contact": source.contacts}
+    for variable in told:
+        sizes |= dict(zip(variable.dimensions[1:], source.shape(variable.field)))
     with whole(out) as part, h5netcdf.File(part, "w") as file:
         attributes = plain(source.attributes)
-        electrodes = attributes.pop("electrode_xy", None)
+        attributes.pop("electrode_xy", None)  # are coordinates
         file.attrs.update({n: _fit(v) for n, v in attributes.items()})
         file.attrs["Conventions"] = "CF-1.11"
-        file.dimensions = {"t": source.rows, "contact": source.contacts}
-        made = {name: _make(file, source, name) for name in fields}
-        places = [
-            _variable(file, f"contact_{axis}", ("t", "contact"), "f4", "m") for axis in "xy"
-        ]
-        _grids(file, source)
-        if electrodes is not None and "electrode" in file.dimensions:
-            for axis, values in zip("xy", np.asarray(electrodes).T):
-                _variable(file, f"electrode_{axis}", ("electrode",), "f8", "m")[:] = values
+        file.dimensions = sizes
+        made = [_make(file, source, variable) for variable in told]
+        places = coordinates(sizes, source.size, lambda: source.electrode_xy)
+        for name, (dimension, values) in places.items():
+            _variable(file, name, (dimension,), "f8", "m")[:] = values
         at = 0
         for block in source.blocks(source.names, progress):
             end = at + len(block["t"])
-            for name, variable in made.items():
-                variable[at:end] = block[name]
-            for axis, variable in enumerate(places):
-                variable[at:end] = block["contact_xy"][..., axis]
+            for variable, place in zip(told, made):
+                place[at:end] = block[variable.field][variable.part]
             at = end
         _events(file, source)
 
 
-def _make(file: Any, source: Source, name: str) -> Any:
-    shape = source.shape(name)
-    dimensions = DIMENSIONS.get(name, ("contact",) * len(shape))
-    for dimension, size in zip(dimensions, shape):
-        if dimension not in file.dimensions:
-            file.dimensions[dimension] = size
-    kind = source.kind(name)
-    made = _variable(file, name, ("t", *dimensions), kind, source.unit(name))
-    if name == "flags":
+def _make(file: Any, source: Source, told: Variable) -> Any:
+    kind = source.kind(told.field)
+    made = _variable(file, told.name, told.dimensions, kind, source.unit(told.field))
+    if told.name == "flags":
         made.attrs["flag_masks"] = np.array([f.value for f in Flag], kind)
         made.attrs["flag_meanings"] = " ".join(str(f.name) for f in Flag)
     return made
@@ -63,14 +55,6 @@ def _variable(file: Any, name: str, dimensions: tuple, kind: Any, unit: str) -> 
     if name in WORDS:
         made.attrs["long_name"] = WORDS[name]
     return made
-
-
-def _grids(file: Any, source: Source) -> None:
-    """Writes the centres of pixels."""
-    for name, axes in (("image", ("x", "y")), ("touch", ("fine_x", "fine_y"))):
-        if name in source.names:
-            for axis, values in zip(axes, source.pixels(name)):
-                _variable(file, axis, (axis,), "f8", "m")[:] = values
 
 
 def _events(file: Any, source: Source) -> None:

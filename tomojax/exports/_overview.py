@@ -12,8 +12,8 @@ from tomojax.kernels.flags import DOUBT
 # Columns of a picture: more bins would fall on the same pixel.
 _BINS = 1000
 
-# Corners of a ring that looks round; a contact without a radius has one of this, mm.
-_CORNERS, _RADIUS = 25, 3.0
+_CORNERS = 25  # of a ring that looks round
+_RADIUS = 3.0  # mm, of a contact that tells none
 
 
 class Overview(NamedTuple):

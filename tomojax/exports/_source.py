@@ -63,44 +63,29 @@ class Source:
         self, path: Path, since: float | None = None, until: float | None = None
     ) -> None:
         self.path = path
-        self._file = LoadedResults(path)
+        self._file = file = LoadedResults(path)
         try:
             for name in ("contact_count", "contact_xy", "contact_conductance", "flags"):
-                require(name in self._file.names, name, "none", "this dataset")
-            self.start, self.stop = stretch_of(self._file.read("t"), since, until)
+                require(name in file.names, name, "none", "this dataset")
+            self.start, self.stop = stretch_of(file.read("t"), since, until)
+            self.size, self.electrode_xy = file.size(), file.electrode_xy()
         except ValueError as error:
-            self._file.close()
+            file.close()
             text = str(error).removeprefix(f"{path}: ")
             raise ValueError(f"{path}: {text}") from None
-        self.rows, self.contacts = self.stop - self.start, self._file.contacts
-        self.names = [name for name in WORDS if name in self._file.names]
-        self.attributes = self._file.attributes
-        self.size = self._file.size()
-        self.electrode_xy = self._file.electrode_xy()
+        self.rows, self.contacts = self.stop - self.start, file.contacts
+        self.names = [name for name in WORDS if name in file.names]
+        self.attributes = file.attributes
+        self.unit, self.kind = file.unit, file.dtype  # of a field, by its name
 
     @property
     def pitch(self) -> float:
         """Returns the electrodes' pitch, m, the same as `Sensor.mean_pitch`."""
         return float(np.sqrt(np.prod(self.size) / len(self.electrode_xy)))
 
-    def unit(self, name: str) -> str:
-        """Returns a field's unit; "1" for numbers without a unit."""
-        return str(self._file.unit(name).get("unit", "1"))
-
     def shape(self, name: str) -> tuple[int, ...]:
         """Returns the shape of one row of a field."""
-        return self._file.stretch(name, self.start, self.start + 1).shape[1:]
-
-    def kind(self, name: str) -> np.dtype:
-        """Returns the type of a field's numbers."""
-        return self._file.stretch(name, self.start, self.start + 1).dtype
-
-    def pixels(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the centres of an image's pixels along x and y, m."""
-        x, y = (
-            (np.arange(n) + 0.5) * side / n for n, side in zip(self.shape(name), self.size)
-        )
-        return x, y
+        return self._file.shape(name)[1:]
 
     def times(self) -> np.ndarray:
         """Returns the times of all rows, s."""
@@ -108,24 +93,23 @@ class Source:
 
     def row(self, name: str, k: int) -> Any:
         """Returns a field of the `k`th row."""
-        return self._file.stretch(name, self.start + k, self.start + k + 1)[0]
+        return self._file.row(name, self.start + k)
 
     def blocks(
         self, names: list[str], progress: Progress = lambda done, total: None
     ) -> Iterator[dict[str, np.ndarray]]:
         """Yields fields by name, a stretch of rows at a time."""
         width = sum(int(np.prod(self.shape(name))) for name in names)
-        each = max(1, _BLOCK // max(1, width))
-        for at in range(self.start, self.stop, each):
-            end = min(at + each, self.stop)
-            found = {name: self._file.stretch(name, at, end) for name in names}
-            if "contact_count" in found:
-                most = int(found["contact_count"].max(initial=0))
+        each, done = max(1, _BLOCK // max(1, width)), 0
+        for block in self._file.blocks(names, each, self.start, self.stop):
+            if "contact_count" in block:
+                most = int(block["contact_count"].max(initial=0))
                 fits = most <= self.contacts
                 expected = f"0 to {self.contacts}, as contact_xy has places"
                 require(fits, f"{self.path}: contact_count", most, expected)
-            yield found
-            progress(end - self.start, self.rows)
+            yield block
+            done = min(done + each, self.rows)
+            progress(done, self.rows)
 
     def events(self) -> list[Event]:
         """Lists touch-downs and lift-offs, by the file's tracks if any, and marks."""
@@ -156,15 +140,23 @@ class Source:
         finder = EventFinder.of_rows(self.pitch, interval)
         found: list[Event] = []
         for block in self.blocks(names):
-            found += finder.rows(*block.values())
+            found += finder.rows(
+                t=block["t"],
+                count=block["contact_count"],
+                xy=block["contact_xy"],
+                conductance=block["contact_conductance"],
+                flags=block["flags"],
+                force=block.get("contact_force"),
+            )
         return found + finder.finish()
 
     def _tracked(self) -> list[Event]:
-        names = ["t", "contact_track", "contact_xy", "contact_conductance"]
         first: dict[int, Event] = {}
         last: dict[int, Event] = {}
+        names = ["t", "contact_track", "contact_xy", "contact_conductance"]
         for block in self.blocks(names):
-            for event in events_of_tracks(*block.values()):
+            t, track, xy, conductance = (block[name] for name in names)
+            for event in events_of_tracks(t, track, xy, conductance):
                 if event.kind == "touch_down":
                     first.setdefault(event.contact, event)
                 else:

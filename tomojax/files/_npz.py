@@ -9,12 +9,12 @@ import numpy as np
 
 from tomojax.files._text import _line, _require_file
 
-# Bytes of all arrays together; a place of each slot of a long recording takes 16.
+# Bytes of a file, and of all arrays together; a place of each slot of a long recording
+# takes 16.
 _MOST = 1 << 30
-_FILE = 1 << 30
 
-# Unpacked bytes over packed ones; up to the slack whatever the ratio (arrays of zeros).
-_RATIO, _SLACK = 200, 1 << 24
+_RATIO = 200  # unpacked bytes over packed ones
+_SLACK = 1 << 24  # bytes that any file may have, whatever the ratio (arrays of zeros)
 
 
 def read_npz(
@@ -38,7 +38,7 @@ def read_npz(
     ValueError: places.npz: no table: no array 'idle'
     """
     path = Path(path)
-    _require_file(path, what, _FILE)
+    _require_file(path, what, _MOST)
     needed = list(needed)
     try:
         with zipfile.ZipFile(path) as pack:

@@ -12,16 +12,19 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from operator import index
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex
+from typing import Any, Literal, SupportsIndex, TYPE_CHECKING
 
 import numpy as np
 
-# Bytes of one answer; of a dataset that is read whole, over those of the machine's memory.
-_PIECE, _WHOLE = 1 << 25, 0.25
+if TYPE_CHECKING:
+    from tomojax.files._served import Served
 
-# Bytes of a dataset over those that hold it, up to a few whatever the ratio. Measured
-# numbers and times pack to a third.
-_PACKED, _FEW = 200, 1 << 24
+_PIECE = 1 << 25  # bytes of one answer
+_WHOLE = 0.25  # part of the machine's memory that one dataset may take
+
+# Bytes of a dataset over those that hold it. Measured numbers and times pack to a third.
+_PACKED = 200
+_FEW = 1 << 24  # bytes that any dataset may have, whatever the ratio
 
 # A reader that does not answer ends itself; nobody waits longer, s.
 _WAIT = 120.0
@@ -47,17 +50,16 @@ class OpenContainer:
     [1 2 3] (3,)
     """
 
-    def __init__(self, path: Path, kind: str, options: dict[str, Any]):
+    def __init__(self, path: Path, kind: str):
         self.path = path
         self._lock = threading.Lock()
-        self._served: Any = None
-        asked = {"kind": kind, "path": os.path.abspath(path), "options": options}
-        self._connection = _readers.connect(asked)
-        about = self._about(asked)
+        self._served: Served | None = None
+        self._connection = _readers.connect({"kind": kind, "path": os.path.abspath(path)})
+        about = self._about(kind)
         self.growing: bool = about["growing"]
         self._attributes, self._members = about["attributes"], about["members"]
 
-    def _about(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def _about(self, kind: str) -> dict[str, Any]:
         if self._connection is not None:
             with self._lock:
                 told = self._received()
@@ -68,17 +70,16 @@ class OpenContainer:
                 raise ModuleNotFoundError(told["error"], name=told["missing"])
             # `OSError` is HDF5's; others are of what this package has looked at itself.
             raise (OSError if told["kind"] == "OSError" else ValueError)(told["error"])
-        from tomojax.files import _served, _served_mcap, _served_tdms
+        from tomojax.files.reader import KINDS
 
-        kinds = {"hdf5": _served.Hdf5, "tdms": _served_tdms.Tdms}
-        kinds |= {"mcap": _served_mcap.Mcap}
         try:
-            self._served = kinds[asked["kind"]](asked["path"], asked["options"])
+            served = KINDS[kind](os.path.abspath(self.path))
         except (OSError, ValueError, ModuleNotFoundError):
             raise
         except Exception as error:
             raise ValueError(" ".join(str(error).split())) from None
-        return self._served.about()
+        self._served = served
+        return served.about()
 
     @property
     def names(self) -> list[str]:
@@ -87,13 +88,11 @@ class OpenContainer:
     @property
     def attributes(self) -> dict[str, Any]:
         """Returns the attributes that can be read."""
-        told = self._attributes.items()
-        return {name: decode(one) for name, one in told if "refused" not in one}
+        return _readable(self._attributes)
 
     def attributes_of(self, name: str) -> dict[str, Any]:
         """Returns the attributes of a member that can be read."""
-        told = self._member(name).get("attributes", {}).items()
-        return {key: decode(one) for key, one in told if "refused" not in one}
+        return _readable(self._member(name).get("attributes", {}))
 
     def refused(self, name: str) -> str | None:
         """Tells why an attribute or member of that name is unreadable; None if readable."""
@@ -247,7 +246,11 @@ def open_container(
     ...     opened.read("v"), opened.refused("other")
     (array([1, 2, 3]), 'a link that leads elsewhere')
     """
-    return OpenContainer(Path(path), kind, {})
+    return OpenContainer(Path(path), kind)
+
+
+def _readable(attributes: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    return {n: decode(told) for n, told in attributes.items() if "refused" not in told}
 
 
 def decode(told: dict[str, Any]) -> Any:

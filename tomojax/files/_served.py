@@ -9,6 +9,9 @@ storage is followed. Sizes are compared with the file's bytes before any are rea
 
 import math
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +24,15 @@ from tomojax.files._superblock import Growing, growing
 # bring with them. Others would be loaded from a folder of plugins.
 _FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 
-# A chunk's bytes once it is unpacked; names in a file; bytes of an attribute.
-_CHUNK, _NAMES, _ATTRIBUTE = 1 << 27, 4096, 1 << 24
+_CHUNK = 1 << 27  # bytes of a chunk once it is unpacked
+_NAMES = 4096  # in a file
+_ATTRIBUTE = 1 << 24  # bytes
+_VALUES = 1 << 20  # of an attribute
+_TEXT = 1 << 16  # bytes of one text
 
-# Bytes of a dataset over those that are stored: deflate packs 1032 into one at best. Up to
-# the slack whatever the ratio.
-_RATIO, _SLACK = 1100, 1 << 24
+# Bytes of a dataset over those that are stored: deflate packs 1032 into one at best.
+_RATIO = 1100
+_SLACK = 1 << 24  # bytes that any dataset may have, whatever the ratio
 
 # A file that is being written may be torn as it is opened: again, s.
 _AGAIN = (0.02, 0.1, 0.3)
@@ -36,14 +42,40 @@ class Refused(Exception):
     """A fault of a file: the contents found in place of those expected."""
 
 
-class Hdf5:
+class Served(ABC):
+    """A file of one kind: attributes and members are known before a row is read."""
+
+    attributes: dict[str, dict[str, Any]]
+    members: dict[str, dict[str, Any]]
+    growing = False
+
+    @abstractmethod
+    def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
+        """Reads a stretch of a member along its first or its last axis."""
+
+    def about(self) -> dict[str, Any]:
+        """Returns all that is known before a row is read."""
+        names = ("attributes", "members", "growing")
+        return {name: getattr(self, name) for name in names}
+
+
+def told_by(read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Returns what `read` tells of a member or an attribute, or why nothing is told."""
+    try:
+        return read()
+    except Refused as error:
+        return {"refused": str(error)}
+    except Exception as error:  # h5py's are of any class
+        return {"refused": f"what is damaged ({_line(error)})"}
+
+
+class Hdf5(Served):
     """A file's attributes and datasets."""
 
-    def __init__(self, path: str, options: dict[str, Any]):
+    def __init__(self, path: str):
         self.size = Path(path).stat().st_size
         with open(path, "rb") as raw:
             self.growing = growing(raw.read(12))
-        self.mended: list[str] = []
         self._datasets: dict[str, Any] = {}
         for wait in (*_AGAIN, None) if self.growing else (None,):
             try:
@@ -66,35 +98,26 @@ class Hdf5:
         if len(names) > _NAMES:
             raise Refused(f"{len(names)} names in it")
         self.attributes = _attributes(self._file)
-        self.members = {name: self._member(name) for name in names}
-
-    def about(self) -> dict[str, Any]:
-        """Returns all that is known before a row is read."""
-        told = self.attributes, self.members, self.growing
-        return dict(zip(("attributes", "members", "growing"), told))
+        self.members = {name: told_by(partial(self._member, name)) for name in names}
 
     def _member(self, name: str) -> dict[str, Any]:
-        try:
-            link = self._file.get(name, getlink=True)
-            if type(link) is not h5py.HardLink:
-                raise Refused("a link that leads elsewhere")
-            found = h5py.h5o.open(self._file.id, name.encode("utf-8", "surrogateescape"))
-            if not isinstance(found, h5py.h5d.DatasetID):
-                raise Refused("a group, or another thing without numbers")
-            stored = _stored(found, self.size, self.growing)
-            _require_own(found, self.size, stored)
-            dataset = h5py.Dataset(found)
-            told = _numbers(dataset)
-            rows = self._rows(dataset)
-            told["attributes"] = _attributes(dataset)
-            self._datasets[name] = dataset
-            told["place"] = found.get_offset()
-            told["stored"] = stored
-            return told | {"whole_rows": rows}
-        except Refused as error:
-            return {"refused": str(error)}
-        except Exception as error:  # h5py's are of any class
-            return {"refused": f"what is damaged ({_line(error)})"}
+        link = self._file.get(name, getlink=True)
+        if type(link) is not h5py.HardLink:
+            raise Refused("a link that leads elsewhere")
+        found = h5py.h5o.open(self._file.id, name.encode("utf-8", "surrogateescape"))
+        if not isinstance(found, h5py.h5d.DatasetID):
+            raise Refused("a group, or another thing without numbers")
+        stored = _stored(found, self.size, self.growing)
+        _require_own(found, self.size, stored)
+        dataset = h5py.Dataset(found)
+        told = _numbers(dataset) | {
+            "whole_rows": self._rows(dataset),
+            "attributes": _attributes(dataset),
+            "place": found.get_offset(),
+            "stored": stored,
+        }
+        self._datasets[name] = dataset
+        return told
 
     def _rows(self, dataset: Any) -> int | None:
         """Counts rows along the first axis whose chunks lie in a file, perhaps cut off."""
@@ -117,7 +140,6 @@ class Hdf5:
         return whole
 
     def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
-        """Reads a stretch along the first or the last axis."""
         dataset = self._datasets[name]
         if not dataset.ndim:
             return np.asarray(dataset[()])
@@ -163,9 +185,8 @@ def _require_own(found: Any, size: int, stored: int) -> None:
 
 def _numbers(dataset: Any) -> dict[str, Any]:
     kind = dataset.dtype
-    if kind.kind not in "biufS" or kind.itemsize > 8 and kind.kind != "S":
-        raise Refused(f"type {kind}")
-    if kind.itemsize == 0 or kind.itemsize > 1 << 16:
+    most = _TEXT if kind.kind == "S" else 8
+    if kind.kind not in "biufS" or not 0 < kind.itemsize <= most:
         raise Refused(f"type {kind}")
     if dataset.shape is None:
         raise Refused("no data")
@@ -173,20 +194,15 @@ def _numbers(dataset: Any) -> dict[str, Any]:
 
 
 def _attributes(item: Any) -> dict[str, Any]:
-    found = {}
-    for name in item.attrs:
-        try:
-            number = h5py.h5a.open(item.id, name.encode("utf-8", "surrogateescape"))
-            if number.get_storage_size() > _ATTRIBUTE:
-                raise Refused("too many values")
-            if math.prod(number.shape or ()) > 1 << 20:
-                raise Refused("too many values")
-            found[name] = encode(item.attrs[name])
-        except Refused as error:
-            found[name] = {"refused": str(error)}
-        except Exception as error:
-            found[name] = {"refused": f"what is damaged ({_line(error)})"}
-    return found
+    return {name: told_by(partial(_attribute, item, name)) for name in item.attrs}
+
+
+def _attribute(item: Any, name: str) -> dict[str, Any]:
+    number = h5py.h5a.open(item.id, name.encode("utf-8", "surrogateescape"))
+    values = math.prod(number.shape or ())
+    if number.get_storage_size() > _ATTRIBUTE or values > _VALUES:
+        raise Refused("too many values")
+    return encode(item.attrs[name])
 
 
 def encode(value: Any) -> dict[str, Any]:

@@ -7,11 +7,13 @@ that they are read as a table.
 
 import json
 import struct
-from typing import Any
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from tomojax.files._served import encode, Refused
+from tomojax.files._served import encode, Refused, Served
 
 SLOT = """std_msgs/Header header
 float64 device_time
@@ -22,70 +24,66 @@ float32[] volts"""
 _SCHEMA = "tomojax_msgs/msg/Slot"
 
 
-class Mcap:
+class Mcap(Served):
     """A file's slots in the form of `Hdf5`'s datasets; metadata "tomojax" as attributes."""
 
-    def __init__(self, path: str, options: dict[str, Any]):
-        from mcap.reader import make_reader, NonSeekingReader
+    def __init__(self, path: str):
+        from mcap.reader import make_reader
 
-        self._columns: dict[str, np.ndarray] = {}
-        self.attributes: dict[str, Any] = {}
-        data: list[bytes] = []
+        self.attributes = {}
+        self._slots: list[bytes] = []
+        self._encoding = ""
         with open(path, "rb") as file:
             # Messages come in order of time. Checksums tell of damage.
             try:
-                told = self._read(make_reader(file, validate_crcs=True), data)
+                reader = make_reader(file, validate_crcs=True)
+                self._collect(reader.iter_messages())
+                self._describe(reader.iter_metadata())
             except Exception:
-                # Cut off, or damaged: what comes before that is read, as a stream.
-                data.clear()
-                for take in (self._describe, self._read):
-                    file.seek(0)
-                    reader = NonSeekingReader(file, validate_crcs=True)
-                    told = take(reader, data, False)
-                self.attributes["cut"] = encode(True)
-        if not data:
+                self._read_stream(file)
+        if not self._slots:
             raise Refused(f"no message {_SCHEMA}")
-        if told != "ros2msg cdr":
-            raise Refused(f"{_SCHEMA} as {told}, expected ros2msg cdr")
-        self._columns = _table(data)
+        if self._encoding != "ros2msg cdr":
+            raise Refused(f"{_SCHEMA} as {self._encoding}, expected ros2msg cdr")
+        self._columns = _table(self._slots)
         self.members = {
             name: {"shape": list(a.shape), "dtype": a.dtype.str, "stored": a.nbytes}
             for name, a in self._columns.items()
         }
 
-    def _read(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
-        """Collects the slots; returns the slots' encoding."""
-        told = ""
-        try:
-            for schema, channel, message in reader.iter_messages(log_time_order=whole):
-                if schema is not None and schema.name == _SCHEMA:
-                    told = told or f"{schema.encoding} {channel.message_encoding}"
-                    data.append(message.data)
-            if whole:
-                self._describe(reader, data)
-        except Exception:
-            if whole or not data:
-                raise
-        return told
+    def _read_stream(self, file: BinaryIO) -> None:
+        """Reads what comes before the place where a file is cut off or damaged."""
+        from mcap.reader import NonSeekingReader
 
-    def _describe(self, reader: Any, data: list[bytes], whole: bool = True) -> str:
+        self._slots.clear()
+        self._encoding = ""
+        file.seek(0)
+        with suppress(Exception):
+            self._describe(NonSeekingReader(file, validate_crcs=True).iter_metadata())
+        file.seek(0)
+        reader = NonSeekingReader(file, validate_crcs=True)
+        try:
+            self._collect(reader.iter_messages(log_time_order=False))
+        except Exception:
+            if not self._slots:
+                raise
+        self.attributes["cut"] = encode(True)
+
+    def _collect(self, messages: Iterable[Any]) -> None:
+        """Collects the slots, and their encoding."""
+        for schema, channel, message in messages:
+            if schema is not None and schema.name == _SCHEMA:
+                told = f"{schema.encoding} {channel.message_encoding}"
+                self._encoding = self._encoding or told
+                self._slots.append(message.data)
+
+    def _describe(self, records: Iterable[Any]) -> None:
         """Reads the file's description of the rig."""
-        try:
-            for metadata in reader.iter_metadata():
-                if metadata.name == "tomojax":
-                    self.attributes = _attributes(metadata.metadata)
-        except Exception:
-            if whole:
-                raise
-        return ""
-
-    def about(self) -> dict[str, Any]:
-        """Returns all that is known before a row is read."""
-        told = {"attributes": self.attributes, "members": self.members}
-        return told | {"growing": False}
+        for metadata in records:
+            if metadata.name == "tomojax":
+                self.attributes = _attributes(metadata.metadata)
 
     def read(self, name: str, start: int, stop: int, axis: int) -> np.ndarray:
-        """Reads a stretch of a column."""
         return self._columns[name][start:stop]
 
 

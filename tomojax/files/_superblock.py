@@ -10,8 +10,14 @@ import io
 import os
 from pathlib import Path
 
-_SIGNATURE, _SIZE, _SWMR = b"\x89HDF\r\n\x1a\n", 48, 0x05
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_SIZE = 48  # bytes of the superblock
+_SWMR = 0x05  # bits of a file that a writer has open
 _MASK = 0xFFFFFFFF
+
+# By so many bits the hash turns its words, round for round: of all the data, and at last.
+_TURNS = (4, 6, 8, 16, 19, 4)
+_LAST_TURNS = (14, 11, 25, 16, 4, 14, 24)
 
 
 def lookup3(data: bytes) -> int:
@@ -21,34 +27,21 @@ def lookup3(data: bytes) -> int:
     def turned(x: int, by: int) -> int:
         return ((x << by) | (x >> (32 - by))) & _MASK
 
-    while len(data) > 12:
-        words = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8))
-        a, b, c = ((x + w) & _MASK for x, w in zip((a, b, c), words))
-        a = ((a - c) & _MASK) ^ turned(c, 4)
-        c = (c + b) & _MASK
-        b = ((b - a) & _MASK) ^ turned(a, 6)
-        a = (a + c) & _MASK
-        c = ((c - b) & _MASK) ^ turned(b, 8)
-        b = (b + a) & _MASK
-        a = ((a - c) & _MASK) ^ turned(c, 16)
-        c = (c + b) & _MASK
-        b = ((b - a) & _MASK) ^ turned(a, 19)
-        a = (a + c) & _MASK
-        c = ((c - b) & _MASK) ^ turned(b, 4)
-        b = (b + a) & _MASK
-        data = data[12:]
     if not data:
         return c
-    data = data.ljust(12, b"\0")
-    words = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8))
-    a, b, c = ((x + w) & _MASK for x, w in zip((a, b, c), words))
-    c = ((c ^ b) - turned(b, 14)) & _MASK
-    a = ((a ^ c) - turned(c, 11)) & _MASK
-    b = ((b ^ a) - turned(a, 25)) & _MASK
-    c = ((c ^ b) - turned(b, 16)) & _MASK
-    a = ((a ^ c) - turned(c, 4)) & _MASK
-    b = ((b ^ a) - turned(a, 14)) & _MASK
-    return ((c ^ b) - turned(b, 24)) & _MASK
+    for at in range(0, len(data), 12):
+        part = data[at : at + 12].ljust(12, b"\0")
+        words = (int.from_bytes(part[k : k + 4], "little") for k in (0, 4, 8))
+        a, b, c = ((x + w) & _MASK for x, w in zip((a, b, c), words))
+        if at + 12 >= len(data):
+            break
+        for by in _TURNS:
+            a = ((a - c) & _MASK) ^ turned(c, by)
+            a, b, c = b, (c + b) & _MASK, a
+    for by in _LAST_TURNS:
+        c = ((c ^ b) - turned(b, by)) & _MASK
+        a, b, c = b, c, a
+    return b
 
 
 def growing(start: bytes) -> bool:

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-# Largest file that is read, bytes: no calibration or order of wires comes near it, a table
-# of places has 40 bytes a slot.
-_SMALL, _TABLE = 1 << 24, 1 << 30
+_SMALL = 1 << 24  # bytes; no calibration or order of wires comes near it
+_TABLE = 1 << 30  # bytes; a table of places has 40 a slot
 
 
 def read_json(path: Path | str, what: str) -> Any:

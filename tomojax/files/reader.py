@@ -16,14 +16,18 @@ import numpy as np
 
 from tomojax.files import _served, _served_mcap, _served_tdms
 
-# Memory of a fork, bytes. Seconds for one request, of its work, and with what it waits.
-# A file on a disk far away may take long to come, a damaged one loops without a pause.
-_MEMORY, _WORK, _WAIT = 1 << 30, 5.0, 30.0
+_MEMORY = 1 << 30  # bytes of a fork
+
+# Seconds for one request. A file on a disk far away may take long to come, a damaged one
+# loops without a pause.
+_WORK = 5.0
+_WAIT = 30.0  # beside the work
 
 # Of MCAP all messages are read at once: as much more time for each so many bytes.
-_EACH, _LONGEST = 1 << 24, 10
+_EACH = 1 << 24
+_LONGEST = 10  # times the usual
 
-_KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.Tdms}
+KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.Tdms}
 
 
 def main() -> None:
@@ -58,7 +62,7 @@ def serve(connection: Connection, asked: dict[str, Any]) -> None:
     whole = asked["kind"] == "mcap"
     _limit_time(1 + whole * min(_LONGEST, os.path.getsize(asked["path"]) // _EACH))
     try:
-        opened = _KINDS[asked["kind"]](asked["path"], asked["options"])
+        opened = KINDS[asked["kind"]](asked["path"])
         _open_nothing_else()
         answer: dict[str, Any] = {"about": opened.about()}
     except Exception as error:

@@ -7,6 +7,7 @@ JAX, so that `tomojax info` starts at once.
 from tomojax.recordings._chunks import (
     Chunk as Chunk,
     CHUNK_SLOTS as CHUNK_SLOTS,
+    Progress as Progress,
     Rate as Rate,
     read_chunk as read_chunk,
 )

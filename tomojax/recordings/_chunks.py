@@ -1,14 +1,18 @@
 """Cuts a recording into chunks; reads each chunk's frames with their faults."""
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Integer
 
 from tomojax.kernels.flags import Flag
 from tomojax.recordings._faults import find_faults, HALO
 from tomojax.recordings._recording import Recording
 
 Rate = Literal["slot", "scan"]
+
+Progress = Callable[[int, int], None]  # is told how much is done, and how much there is
 
 # Slots of a chunk: an int16 code, a float32 voltage and their masks take 1 kB a slot.
 CHUNK_SLOTS = 1 << 16
@@ -33,11 +37,11 @@ class Chunk(NamedTuple):
     ((3, 2, 16), (3, 2, 16), (3,))
     """
 
-    t: np.ndarray  # (n,) s
-    voltages: np.ndarray  # (n, S, M); S is 1 with a row per slot
-    grounds: np.ndarray  # (n, S)
-    good: np.ndarray  # (n, S, M)
-    flags: np.ndarray  # (n,)
+    t: Float[np.ndarray, " n"]  # s
+    voltages: Float[np.ndarray, "n S M"]  # V; S is 1 with a row per slot
+    grounds: Integer[np.ndarray, "n S"]
+    good: Bool[np.ndarray, "n S M"]
+    flags: Integer[np.ndarray, " n"]
 
 
 def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan") -> Chunk:
@@ -61,22 +65,18 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
     first, last = max(0, start - halo), min(recording.scans, stop + halo)
     scans = recording.read(first, last)
     rig = recording.rig
-    faults = find_faults(
+    good, bits = find_faults(
         scans.voltages,
         scans.grounds,
         rig.drive_voltage,
         rig.rails,
         resolution=rig.resolution,
     )
-    keep = slice(start - first, stop - first)
-    v, grounds, good, bits = (
-        a[keep] for a in (scans.voltages, scans.grounds, faults.good, faults.flags)
-    )
-    bits = bits.copy()
-    bits[_after_gaps(recording, scans.t0, first)[keep], 0] |= np.uint32(Flag.GAP)
+    bits[_after_gaps(recording, scans.t0, first), 0] |= np.uint32(Flag.GAP)
     if len(recording.retimed):
-        bits[recording.retimed[start:stop]] |= np.uint32(Flag.CLOCK_MENDED)
-    t0 = scans.t0[keep]
+        bits[recording.retimed[first:last]] |= np.uint32(Flag.CLOCK_MENDED)
+    keep = slice(start - first, stop - first)
+    (v, grounds, t0), good, bits = scans.part(keep.start, keep.stop), good[keep], bits[keep]
     if rate == "scan":
         return Chunk(t0, v, grounds, good, np.bitwise_or.reduce(bits, 1))
     t = t0[:, None] + np.arange(recording.slots) / rig.f_switch

@@ -15,8 +15,9 @@ RATES = (0.5, 100.0)
 # More steps than this part that do not rise: the clock is coarse, or stands.
 _FEW = 0.02
 
-# Scans whose median is one time where the clock is coarse; and seconds that they last.
-_LEAST, _LONG = 32, 1.0
+# Where the clock is coarse, the median of some scans is one time.
+_LEAST = 32  # scans
+_LONG = 1.0  # seconds that they last
 
 # Jumps that are compared with each other: a clock that jumps more often has no such pairs.
 _JUMPS = 1000
@@ -40,6 +41,11 @@ def mended_times(
         times, why = _remade(times, numbers * interval, interval)
         said.append(why)
     return times, times != t0, tuple(said)
+
+
+def usual_step(t0: Float[np.ndarray, " n"], nominal: float) -> float:
+    """Returns the usual step of times, s: a rig may rest between scans."""
+    return nominal if len(t0) < 2 else float(np.median(np.diff(t0)))
 
 
 def _sound(t0: np.ndarray, interval: float) -> bool:

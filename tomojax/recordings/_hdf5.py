@@ -1,38 +1,30 @@
 """Reads recording version 1 from HDF5, or from the variables of a MATLAB v7.3 file."""
 
-from collections.abc import Callable
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from tomojax._require import require
 from tomojax.files import open_container, OpenContainer
-from tomojax.recordings._clock import mended_gaps, mended_times
+from tomojax.recordings._described import MOST_SLOTS, number, rails_of, size_of
 from tomojax.recordings._recording import (
-    check,
+    PAPER,
     Recording,
     Rig,
     Scans,
     SCHEMA,
+    settle,
     VERSION,
 )
 
-_NUMBERS = (
-    "f_switch",
-    "scale",
-    "offset",
-    "drive_voltage",
-    "ground_resistance",
-    "sheet_resistance",
-    "electrode_diameter",
-)
+_FIELDS = {*PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version"}
 
 _MEND = "copy it again from where it was recorded"
 
-# What no rig has.
-_MOST_ELECTRODES, _MOST_SLOTS = 4096, 1 << 16
+_MOST_ELECTRODES = 4096  # no rig has as many
+
+_LONGEST = 1 << 16  # values of a variable that stands for an attribute
 
 
 class Hdf5Recording(Recording):
@@ -45,11 +37,11 @@ class Hdf5Recording(Recording):
     """
 
     def __init__(self, path: Path, header: dict[str, Any] | None = None):
-        self.path, self._header = path, header or {}
+        self.path = path
         self._file = _open(path)
         self._growing = self._file.growing
         try:
-            self._load()
+            self._load(header or {})
         except OSError as error:
             self._file.close()
             reason = str(error).strip("'\"")
@@ -58,108 +50,79 @@ class Hdf5Recording(Recording):
             self._file.close()
             raise
 
-    def _load(self) -> None:
-        named = [n for n in self._file.names if self._file.refused(n) is None]
-        matlab = any("MATLAB_class" in self._file.attributes_of(n) for n in named)
-        field = _variables(self._file) if matlab else _attributes(self._file)
-        field = self._told(field)
-        _check_schema(field)
+    def _load(self, header: dict[str, Any]) -> None:
+        file = self._file
+        named = [n for n in file.names if file.refused(n) is None]
+        self._matlab = any("MATLAB_class" in file.attributes_of(n) for n in named)
+        told = _Fields(file, header, self._matlab)
+        _check_schema(told)
+        self._load_shape()
+        self._shape("electrode_xy", 2, "f")
+        xy = file.read_whole("electrode_xy")
+        if "gaps" in file.names:
+            self._shape("gaps", 2, "iuf")
+            gaps = file.read_whole("gaps")
+            require(np.isfinite(gaps).all(), "gaps", "NaN or infinite", "whole numbers")
+            if gaps.size:
+                self.gaps = (gaps.T if self._matlab else gaps).astype(int)
+        scale, offset = (number(name, told[name]) for name in ("scale", "offset"))
+        self.codes_to_volts = scale, offset
+        require(scale != 0, "scale", 0, "V per code")
+        units = _text(told["units"])
+        require(units == "V", "units", repr(units), "'V': scale·code + offset in volts")
+        rails = rails_of(self.code_type, scale, offset)
+        finite = bool(np.isfinite(rails).all())
+        require(finite, "scale", scale, "V per code, and readings that are numbers")
+        self.rig = Rig(
+            size=size_of(told["size"]),
+            electrode_xy=xy.T if self._matlab else xy,
+            rails=rails,
+            resolution=abs(scale),
+            notes=_text(told.get("notes", "")),
+            **{name: number(name, told[name]) for name in PAPER},
+        )
+        self._load_times()
+        self._load_marks()
+        settle(self)
+
+    def _load_shape(self) -> None:
+        """Reads how many scans, slots and electrodes the arrays have."""
         v, ground = self._shape("v", 3, "iu"), self._shape("ground", 2, "iu")
-        t0 = self._shape("t0", 2 if matlab else 1, "fiu")
-        self._axes = -1 if matlab else 0
-        require(not matlab or 1 in t0, "t0", f"shape {t0}", "one row or column")
-        scans, self.slots, self.electrodes = v[::-1] if matlab else v
-        counts = self.electrodes <= _MOST_ELECTRODES and self.slots <= _MOST_SLOTS
-        most = f"up to {_MOST_SLOTS} slots of {_MOST_ELECTRODES} electrodes"
+        t0 = self._shape("t0", 2 if self._matlab else 1, "fiu")
+        fits = not self._matlab or 1 in t0
+        require(fits, "t0", f"shape {t0}", "one row or column")
+        if self._matlab:
+            v, ground = v[::-1], ground[::-1]
+        scans, self.slots, self.electrodes = v
+        counts = self.electrodes <= _MOST_ELECTRODES and self.slots <= MOST_SLOTS
+        most = f"up to {MOST_SLOTS} slots of {_MOST_ELECTRODES} electrodes"
         require(counts, "v", f"{self.slots} of {self.electrodes}", most)
-        lengths = {
-            "v": scans,
-            "ground": ground[self._axes],
-            "t0": max(t0) if matlab else t0[0],
-        }
+        lengths = {"v": scans, "ground": ground[0], "t0": max(t0)}
         self.scans = min(lengths.values()) if self._growing else scans
         for name, length in lengths.items():
             fits = length == self.scans or self._growing
             require(fits, name, f"{length} scans", f"{scans}, as v has")
-        slots = ground[::-1][1] if matlab else ground[1]
-        require(slots == self.slots, "ground", f"{slots} slots", f"{self.slots}, as v has")
-        kind = self._file.dtype("v")
-        require(kind.itemsize <= 4, "v", kind, "integer codes")
-        self._shape("electrode_xy", 2, "f")
-        xy = self._file.read_whole("electrode_xy")
-        gaps = _NO_GAPS
-        if "gaps" in self._file.names:
-            self._shape("gaps", 2, "iuf")
-            gaps = self._file.read_whole("gaps")
-        require(np.isfinite(gaps).all(), "gaps", "NaN or infinite", "whole numbers")
-        self.gaps = (gaps.T if matlab and gaps.size else gaps).astype(int)
-        if not gaps.size:
-            self.gaps = _NO_GAPS
-        self._scale, self._offset = _number(field, "scale"), _number(field, "offset")
-        require(self._scale != 0, "scale", 0, "V per code")
-        units = _text(field, "units")
-        require(units == "V", "units", repr(units), "'V': scale·code + offset in volts")
-        codes = np.iinfo(kind)
-        rails = sorted(
-            self._scale * float(c) + self._offset for c in (codes.min, codes.max)
-        )
-        finite = bool(np.isfinite(rails).all())
-        require(finite, "scale", self._scale, "V per code, and readings that are numbers")
-        numbers = {n: _number(field, n) for n in _NUMBERS if n not in ("scale", "offset")}
-        self.rig = Rig(
-            size=(_number(field, "size", 2, 0), _number(field, "size", 2, 1)),
-            electrode_xy=xy.T if matlab else xy,
-            rails=(rails[0], rails[1]),
-            resolution=abs(self._scale),
-            notes=_text(field, "notes") if field("notes", "") != "" else "",
-            **numbers,
-        )
-        self._load_times()
-        self._load_marks()
-        self.gaps, said = mended_gaps(self.gaps, self.scans)
-        self.mended += said
-        check(self)
-        self._believe()
-
-    def _told(self, field: Callable) -> Callable:
-        """Returns a reader of fields: the given header's first, then the file's."""
-        known = {*_NUMBERS, "size", "notes", "units", "schema", "schema_version"}
-        unknown = sorted(self._header.keys() - known)
-        require(not unknown, "header", unknown, f"some of {sorted(known)}")
-
-        def told(name: str, *default: Any) -> Any:
-            return self._header[name] if name in self._header else field(name, *default)
-
-        return told
-
-    def _believe(self) -> None:
-        """Keeps a clock's credible times; makes other times from the scans' numbers."""
-        rows = self.rows_after_gaps()
-        lost = np.zeros(self.scans + 1, np.int64)
-        np.add.at(lost, np.minimum(rows, self.scans), self.gaps[:, 1])
-        numbers = np.arange(self.scans) + np.cumsum(lost)[: self.scans]
-        usual = self.slots / self.rig.f_switch
-        self._t0, self.retimed, said = mended_times(self._t0, numbers, usual)
-        self.mended += said
+        fits = ground[1] == self.slots
+        require(fits, "ground", f"{ground[1]} slots", f"{self.slots}, as v has")
+        require(self.code_type.itemsize <= 4, "v", self.code_type, "integer codes")
 
     def _load_times(self) -> None:
         """Reads the start of each scan; counts the whole scans."""
-        self._t0 = np.ravel(self._file.read_whole("t0")).astype(float)
+        self.t0 = np.ravel(self._file.read_whole("t0")).astype(float)
         if not self._growing:
             return
         told = self.scans
         some = [self._file.whole_rows(name) for name in ("v", "ground", "t0")]
         self.scans = min([told, *(n for n in some if n is not None)])
-        self._t0 = self._t0[: self.scans]
+        self.t0 = self.t0[: self.scans]
         # Times are written last: a row without one is not whole yet.
-        whole = np.flatnonzero(np.isfinite(self._t0))
+        whole = np.flatnonzero(np.isfinite(self.t0))
         last = int(whole[-1]) + 1 if len(whole) else 0
         if self.scans < told:
-            cut = f"the file is cut off: {last} of {told} scans can be read"
-            self.mended = (*self.mended, cut)
+            self.mended += (f"the file is cut off: {last} of {told} scans can be read",)
             before = np.cumsum(self.gaps[:, 1]) - self.gaps[:, 1]
             self.gaps = self.gaps[self.gaps[:, 0] - before < last]
-        self.scans, self._t0 = last, self._t0[:last]
+        self.scans, self.t0 = last, self.t0[:last]
 
     def _load_marks(self) -> None:
         """Reads moments that somebody marked; damaged marks are left out."""
@@ -171,10 +134,7 @@ class Hdf5Recording(Recording):
             self._shape("marks", 1, "S")
             some = file.read_whole("marks_t"), file.read_whole("marks")
         except (OSError, ValueError) as error:
-            self.mended = (
-                *self.mended,
-                f"the marks cannot be read and are left out ({error})",
-            )
+            self.mended += (f"the marks cannot be read and are left out ({error})",)
             return
         self.marks = tuple(
             (float(t), _printable(bytes(text).decode(errors="replace")))
@@ -183,8 +143,8 @@ class Hdf5Recording(Recording):
         )
 
     def _shape(self, name: str, axes: int, kinds: str) -> tuple[int, ...]:
-        here = sorted(self._file.names)[:20]
-        require(name in here or name in self._file.names, name, f"only {here}", "it")
+        here = sorted(self._file.names)
+        require(name in here, name, f"only {here[:20]}", "it")
         shape, kind = self._file.shape(name), self._file.dtype(name)
         require(len(shape) == axes, name, f"shape {shape}", f"{axes} axes")
         require(kind.kind in kinds, name, f"type {kind}", f"type of kind {kinds}")
@@ -192,26 +152,16 @@ class Hdf5Recording(Recording):
 
     @property
     def code_type(self) -> np.dtype:
+        """Returns the type of the file's codes."""
         return self._file.dtype("v")
-
-    @property
-    def codes_to_volts(self) -> tuple[float, float]:
-        """Returns `scale` and `offset`, V."""
-        return self._scale, self._offset
-
-    def start_times(self) -> np.ndarray:
-        return self._t0
-
-    def times(self, start: int, stop: int) -> np.ndarray:
-        """Returns the start of scans, s."""
-        return self._t0[start:stop]
 
     def read_codes(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
         """Reads codes (n, S, M) and grounds (n, S) unchanged from the file."""
         try:
-            codes = self._file.read("v", start, stop, self._axes)
-            ground = self._file.read("ground", start, stop, self._axes)
-            if self._axes:
+            axis = -1 if self._matlab else 0
+            codes = self._file.read("v", start, stop, axis)
+            ground = self._file.read("ground", start, stop, axis)
+            if self._matlab:
                 codes, ground = np.swapaxes(codes, 0, 2), ground.T
         except OSError as error:
             raise ValueError(
@@ -223,25 +173,13 @@ class Hdf5Recording(Recording):
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         codes, ground = self.read_codes(start, stop)
-        volts = np.multiply(codes, self._scale, dtype=np.float64)
-        volts += self._offset
-        return Scans(volts.astype(np.float32), ground, self._t0[start:stop])
-
-    @cached_property  # asked for with every chunk
-    def interval(self) -> float:  # pyright: ignore (a property of its base)
-        """Returns the usual interval, s: a rig may rest between scans."""
-        if self.scans < 2:
-            return self.slots / self.rig.f_switch
-        return float(np.median(np.diff(self._t0)))
+        scale, offset = self.codes_to_volts
+        volts = np.multiply(codes, scale, dtype=np.float64)
+        volts += offset
+        return Scans(volts.astype(np.float32), ground, self.t0[start:stop])
 
     def close(self) -> None:
         self._file.close()
-
-
-# Of a variable that stands for an attribute, values.
-_LONGEST = 1 << 16
-
-_NO_GAPS = np.zeros((0, 2), int)
 
 
 def _printable(text: str) -> str:
@@ -263,7 +201,7 @@ def _open(path: Path) -> OpenContainer:
     raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
-def _is_hdf5(raw: Any) -> bool:
+def _is_hdf5(raw: BinaryIO) -> bool:
     """Finds HDF5's signature at the start or behind a user's block (MATLAB's has 512 B)."""
     at = 0
     while len(start := raw.read(8)) == 8:
@@ -274,61 +212,45 @@ def _is_hdf5(raw: Any) -> bool:
     return False
 
 
-def _attributes(file: OpenContainer) -> Callable:
-    told = file.attributes
+class _Fields(dict[str, Any]):
+    """Fields of a recording by name; says why a field that is asked for is missing."""
 
-    def field(name: str, *default: Any) -> Any:
-        if name not in told:
-            why = file.refused(name) or "no such attribute"
-            require(default, name, why, "it, as in recording version 1")
-            return default[0]
-        return told[name]
+    def __init__(self, file: OpenContainer, header: dict[str, Any], matlab: bool):
+        unknown = sorted(header.keys() - _FIELDS)
+        require(not unknown, "header", unknown, f"some of {sorted(_FIELDS)}")
+        own = file.attributes
+        if matlab:
+            names = (_FIELDS & {*file.names}) - header.keys()
+            own = {name: _variable(file, name) for name in sorted(names)}
+        super().__init__(own | header)
+        self._none = "no such variable" if matlab else "no such attribute"
+        self._refused = file.refused
 
-    return field
+    def __missing__(self, name: str) -> Any:
+        why = self._refused(name) or self._none
+        raise ValueError(f"{name}: got {why}, expected it, as in recording version 1")
 
 
-def _variables(file: OpenContainer) -> Callable:
-    def field(name: str, *default: Any) -> Any:
-        if name not in file.names:
-            require(default, name, "no such variable", "it, as in recording version 1")
-            return default[0]
-        shape = file.shape(name)
-        require(np.prod(shape) <= _LONGEST, name, f"shape {shape}", "a number or a text")
-        value = file.read(name)
-        if file.attributes_of(name).get("MATLAB_class") == b"char":
-            text = np.ravel(value)
-            fine = text.dtype.kind == "u" and not (text > 0x10FFFF).any()
-            require(fine, name, f"type {text.dtype}", "a text's codes")
-            return "".join(map(chr, text))
+def _variable(file: OpenContainer, name: str) -> Any:
+    """Reads a variable of MATLAB that stands for an attribute."""
+    shape = file.shape(name)
+    require(np.prod(shape) <= _LONGEST, name, f"shape {shape}", "a number or a text")
+    value = file.read(name)
+    if file.attributes_of(name).get("MATLAB_class") != b"char":
         return value
-
-    return field
-
-
-def _number(field: Callable, name: str, count: int = 1, index: int = 0) -> float:
-    """Reads one of a field's `count` numbers."""
-    value = field(name)
-    try:
-        number = np.asarray(value, float).ravel()
-    except (TypeError, ValueError):
-        number = np.zeros(0)
-    fine = number.size == count and np.isfinite(number).all()
-    require(fine, name, repr(value), "one number" if count == 1 else f"{count} numbers")
-    return float(number[index])
+    text = np.ravel(value)
+    fine = text.dtype.kind == "u" and not (text > 0x10FFFF).any()
+    require(fine, name, f"type {text.dtype}", "a text's codes")
+    return "".join(map(chr, text))
 
 
-def _text(field: Callable, name: str) -> str:
-    value = field(name)
+def _text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def _check_schema(field: Callable) -> None:
-    schema = _text(field, "schema")
+def _check_schema(told: dict[str, Any]) -> None:
+    schema = _text(told["schema"])
     require(schema == SCHEMA, "schema", repr(schema), f"{SCHEMA!r}")
-    version = _number(field, "schema_version")
-    require(
-        version == VERSION,
-        "schema_version",
-        f"{version:g}",
-        f"{VERSION}; a newer tomojax may read it",
-    )
+    version = number("schema_version", told["schema_version"])
+    expected = f"{VERSION}; a newer tomojax may read it"
+    require(version == VERSION, "schema_version", f"{version:g}", expected)

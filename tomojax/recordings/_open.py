@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from tomojax._require import require
+from tomojax._require import not_installed, require
+from tomojax.recordings import formats
+from tomojax.recordings._hdf5 import Hdf5Recording
 from tomojax.recordings._recording import Recording
 
 
@@ -39,10 +41,8 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         recording = _opened(path, path.suffix.lower(), options)
     except ModuleNotFoundError as error:
         extra = {"nptdms": "tdms", "mcap": "mcap"}.get(str(error.name), "app")
-        raise ValueError(
-            f"{path}: {error.name} is not installed; "
-            f"pip install 'tomojax[{extra}]' brings it"
-        ) from None
+        told = not_installed(str(error.name), extra)
+        raise ValueError(f"{path}: {told}") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise ValueError(f"{path}: {reason}") from None
@@ -53,17 +53,11 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
 
 def _opened(path: Path, suffix: str, options: dict[str, Any]) -> Recording:
     if suffix == ".tdms":
-        from tomojax.recordings._tdms import TdmsRecording
-
-        return TdmsRecording(path, **options)
+        return formats.TdmsRecording(path, **options)
     own = not options.keys() - {"header"}
     require(own, "options", sorted(options), "header, but for .tdms files")
     header = options.get("header") or {}
     if suffix in (".csv", ".txt", ".tsv", ".npz", ".mcap"):
-        from tomojax.recordings import formats
-
         opens = {".npz": formats.open_npz, ".mcap": formats.open_mcap}
         return opens.get(suffix, formats.open_csv)(path, header)
-    from tomojax.recordings._hdf5 import Hdf5Recording
-
     return Hdf5Recording(path, header)

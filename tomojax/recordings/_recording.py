@@ -11,11 +11,13 @@ from jaxtyping import Float, Integer
 
 from tomojax._require import check_electrodes, require
 from tomojax._shown import html_table, named, shown
+from tomojax.recordings._clock import mended_gaps, mended_times, usual_step
 
 if TYPE_CHECKING:
     import tomojax.sensor
 
-SCHEMA, VERSION = "tomojax-recording", 1
+SCHEMA = "tomojax-recording"
+VERSION = 1
 
 # What no rig has: these catch millimetres for metres, millivolts for volts.
 _NUMBERS = (1e-9, 1e12)
@@ -25,9 +27,6 @@ _FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
 # A disc of the paper is a quarter of a pitch, and its sheet has 1024 cells of that size. A
 # sheet of 64 electrodes of a 32nd of a pitch has so many; `source` takes 2.5 GB for it.
 _MOST_CELLS = 1 << 16
-
-# Scans that are read at once for their times, where those are not kept.
-_SOME = 1 << 12
 
 # The paper's rig, for forms that do not say.
 PAPER = {
@@ -45,6 +44,10 @@ class Scans(NamedTuple):
     voltages: Float[np.ndarray, "n S M"]  # V, float32
     grounds: Integer[np.ndarray, "n S"]
     t0: Float[np.ndarray, " n"]  # of each scan's first slot, s
+
+    def part(self, start: int, stop: int) -> "Scans":
+        """Returns scans `start` to `stop`."""
+        return Scans(*(a[start:stop] for a in self))
 
 
 @dataclass(frozen=True)
@@ -81,21 +84,19 @@ class Rig:
         rails: tuple[float, float] = (-np.inf, np.inf),
     ) -> "Rig":
         """Makes the rig of a homogeneous sensor, for voltages in memory."""
-        numbers = {
-            n: float(getattr(sensor, n))
-            for n in PAPER
-            if n != "f_switch" and getattr(sensor, n).ndim == 0
-        }
-        for name in PAPER:
-            known = name in numbers or name == "f_switch"
-            require(known, name, "a value per element or electrode", "one value")
+        numbers = {"f_switch": f_switch}
+        for name in [name for name in PAPER if name not in numbers]:
+            value = getattr(sensor, name)
+            require(value.ndim == 0, name, "a value per element or electrode", "one value")
+            numbers[name] = float(value)
+        width, height = (float(side) for side in sensor.size)
         return cls(
-            f_switch,
-            size=tuple(float(s) for s in sensor.size),  # pyright: ignore
+            **numbers,
+            size=(width, height),
             electrode_xy=np.asarray(sensor.electrode_xy, float),
             rails=rails,
             resolution=float(sensor.resolution),
-            **numbers,  # pyright: ignore
+            notes="",
         )
 
     def __repr__(self) -> str:
@@ -155,7 +156,9 @@ class Recording(ABC):
     scans: int
     slots: int
     electrodes: int
-    gaps: np.ndarray
+    t0: Float[np.ndarray, " scans"]  # of each scan's first slot, s
+    interval: float  # from the start of a scan to the start of the next, s
+    gaps: Integer[np.ndarray, "n 2"] = np.zeros((0, 2), int)
     mended: tuple[str, ...] = ()  # what the reader put right, in sentences
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
     stretch: tuple[int, int] | None = None  # of a longer one: its first scan, and the end
@@ -164,11 +167,6 @@ class Recording(ABC):
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
         """Reads scans `start` to `stop`."""
-
-    def start_times(self) -> np.ndarray:
-        """Returns the start times of all scans, s."""
-        each = range(0, self.scans, _SOME)
-        return np.concatenate([self.read(k, k + _SOME).t0 for k in each])
 
     def __repr__(self) -> str:
         return named(self, **dict(self._in_short()))
@@ -195,11 +193,6 @@ class Recording(ABC):
     def __exit__(self, *_: Any) -> None:
         self.close()
 
-    @property
-    def interval(self) -> float:
-        """Returns the time from the start of a scan to the start of the next, s."""
-        return self.slots / self.rig.f_switch
-
     def digest(self) -> str:
         """Computes the SHA-256 of the file."""
         with self.path.open("rb") as file:
@@ -209,6 +202,13 @@ class Recording(ABC):
         """Returns rows just before which scans were lost."""
         lost_before = np.concatenate([[0], np.cumsum(self.gaps[:, 1])[:-1]])
         return (self.gaps[:, 0] - lost_before).astype(int)
+
+    def lost_before(self) -> Integer[np.ndarray, " k"]:
+        """Counts the scans lost just before each scan, and those lost behind the last."""
+        lost = np.zeros(self.scans + 1, np.int64)
+        rows = np.minimum(self.rows_after_gaps(), self.scans)
+        np.add.at(lost, rows, self.gaps[:, 1])
+        return lost
 
 
 class ArrayRecording(Recording):
@@ -237,16 +237,14 @@ class ArrayRecording(Recording):
         fits = g.shape in (v.shape[:2], v.shape[1:2])
         require(fits, "grounds", f"shape {g.shape}", f"{v.shape[:2]} or {v.shape[1:2]}")
         g = np.broadcast_to(g, v.shape[:2])
-        times = np.arange(len(v)) * self.slots / rig.f_switch if t0 is None else t0
-        self._scans = Scans(v.astype(np.float32), g.astype(int), np.asarray(times, float))
-        self.gaps = np.zeros((0, 2), int)
         check(self)
+        self.interval = self.slots / rig.f_switch
+        times = np.arange(len(v)) * self.slots / rig.f_switch if t0 is None else t0
+        self.t0 = np.asarray(times, float)
+        self._scans = Scans(v.astype(np.float32), g.astype(int), self.t0)
 
     def read(self, start: int, stop: int) -> Scans:
-        return Scans(*(a[start:stop] for a in self._scans))
-
-    def start_times(self) -> np.ndarray:
-        return self._scans.t0
+        return self._scans.part(start, stop)
 
     def digest(self) -> str:
         """Computes the SHA-256 of the arrays."""
@@ -259,15 +257,9 @@ class ArrayRecording(Recording):
 def check(recording: Recording) -> None:
     """Checks the rules for every form. **Raises:** `ValueError` naming the field."""
     rig, m = recording.rig, recording.electrodes
-    for name in PAPER:
-        value = getattr(rig, name)
-        size = abs(value) if name == "drive_voltage" else value
-        low, high = _NUMBERS
-        fine = low < size < high or (name == "ground_resistance" and size == 0)
-        require(fine, name, repr(value), "one number above 0, in SI units")
+    check_numbers(rig)
     size = np.asarray(rig.size)
-    plausible = size.shape == (2,) and np.isfinite(size).all() and (size > 0).all()
-    plausible = plausible and size.max() <= _LARGEST_SHEET
+    plausible = size.shape == (2,) and ((size > 0) & (size <= _LARGEST_SHEET)).all()
     require(plausible, "size", size.tolist(), f"(2,) m, no more than {_LARGEST_SHEET:g} m")
     shape = np.shape(rig.electrode_xy)
     require(
@@ -275,15 +267,44 @@ def check(recording: Recording) -> None:
     )
     low, high = rig.rails
     full = max(abs(low), abs(high)) / abs(rig.drive_voltage)
-    sensible = low < high and (not np.isfinite(full) or _FULL_SCALES[0] < full)
-    sensible = sensible and (not np.isfinite(full) or full < _FULL_SCALES[1])
+    fits = not np.isfinite(full) or _FULL_SCALES[0] < full < _FULL_SCALES[1]
     expected = f"volts per code: a range that fits {rig.drive_voltage:g} V of drive"
-    require(sensible, "scale", f"readings from {low:g} to {high:g}", expected)
+    require(low < high and fits, "scale", f"readings from {low:g} to {high:g}", expected)
     require(recording.scans > 0, "v", "no scans", "at least one")
     require(recording.slots > 0, "v", "no slots in a scan", "at least one")
     check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
     _cells(rig)
     _check_gaps(recording)
+
+
+def check_numbers(rig: Rig) -> None:
+    """Checks the rig's numbers. **Raises:** `ValueError` naming the field."""
+    for name in PAPER:
+        value = getattr(rig, name)
+        size = abs(value) if name == "drive_voltage" else value
+        low, high = _NUMBERS
+        fine = low < size < high or (name == "ground_resistance" and size == 0)
+        require(fine, name, repr(value), "one number above 0, in SI units")
+
+
+def settle(
+    recording: Recording, numbers: Integer[np.ndarray, " scans"] | None = None
+) -> None:
+    """Checks what a file holds, and puts its gaps and its clock right.
+
+    `numbers` of the scans count lost scans; by default they follow from the gaps.
+    **Raises:** `ValueError` naming the field.
+    """
+    recording.gaps, said = mended_gaps(recording.gaps, recording.scans)
+    recording.mended += said
+    check(recording)
+    if numbers is None:
+        lost = np.cumsum(recording.lost_before())[: recording.scans]
+        numbers = np.arange(recording.scans) + lost
+    usual = recording.slots / recording.rig.f_switch
+    recording.t0, recording.retimed, said = mended_times(recording.t0, numbers, usual)
+    recording.mended += said
+    recording.interval = usual_step(recording.t0, usual)
 
 
 def _cells(rig: Rig) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Repairs a recording that only a person can put right."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax._whole import whole
-from tomojax.recordings._chunks import CHUNK_SLOTS
+from tomojax.recordings._chunks import CHUNK_SLOTS, Progress
 from tomojax.recordings._hdf5 import Hdf5Recording
 from tomojax.recordings._recording import SCHEMA, VERSION
 
@@ -21,7 +21,7 @@ def repair_recording(
     channels: Sequence[int] | None = None,
     grounds: Sequence[int] | None = None,
     join: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> Path:
     """Writes a recording, put right, as a new file; the old file stays unchanged.
 
@@ -88,7 +88,7 @@ def repair_recording(
             none = np.iinfo(ground.dtype).max
             v[rows] = codes.reshape(*asked.shape, m)[..., back]
             ground[rows] = np.where((switched < 0) | (switched > none), none, switched)
-            t0[rows] = recording.times(low, high)[some - low]
+            t0[rows] = recording.t0[some]
             progress(rows.stop, total)
     return Path(out)
 
@@ -117,7 +117,7 @@ def _describe(file: h5py.File, recording: Hdf5Recording, join: int) -> None:
 
 def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> None:
     """Keeps the marks of the kept scans; keeps all marks where all scans are kept."""
-    t = recording.times(first, last)
+    t = recording.t0[first:last]
     low = -np.inf if first == 0 else t[0]
     high = np.inf if last == recording.scans else t[-1] + recording.interval
     kept = [(moment, text) for moment, text in recording.marks if low <= moment < high]
@@ -130,9 +130,7 @@ def _starts(
     recording: Hdf5Recording, first: int, last: int, join: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the row of each new scan's first part, and the gaps by the new numbers."""
-    gone = np.zeros(recording.scans + 1, np.int64)
-    after = np.minimum(recording.rows_after_gaps(), recording.scans)
-    np.add.at(gone, after, recording.gaps[:, 1])
+    gone = recording.lost_before()
     gone[first] = 0  # what was lost before the first kept scan
     rows = np.arange(first, last)
     # Lost parts have numbers too: a rig goes on in its pattern while they are lost.

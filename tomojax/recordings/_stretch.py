@@ -14,9 +14,9 @@ class Stretch(Recording):
         self.path, self.rig = whole.path, whole.rig
         self.slots, self.electrodes = whole.slots, whole.electrodes
         self.scans, self.stretch = stop - start, (start, stop)
-        self.mended = whole.mended
-        self.marks = whole.marks
-        self.retimed = whole.retimed[start:stop]
+        self.mended, self.marks = whole.mended, whole.marks
+        self.interval = whole.interval
+        self.t0, self.retimed = whole.t0[start:stop], whole.retimed[start:stop]
         rows = whole.rows_after_gaps()
         lost = whole.gaps[:, 1]
         # Scans lost before the first one are none of the stretch's.
@@ -27,13 +27,6 @@ class Stretch(Recording):
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         return self._whole.read(self._start + start, self._start + stop)
-
-    def start_times(self) -> np.ndarray:
-        return self._whole.start_times()[self._start : self._start + self.scans]
-
-    @property
-    def interval(self) -> float:
-        return self._whole.interval
 
     def digest(self) -> str:
         """Computes the SHA-256 of the whole file."""
@@ -62,7 +55,7 @@ def between(recording: Recording, since: float | None, until: float | None) -> R
     if since is None and until is None:
         return recording
     try:
-        start, stop = stretch_of(recording.start_times(), since, until)
+        start, stop = stretch_of(recording.t0, since, until)
     except ValueError as error:
         raise ValueError(f"{recording.path}: {error}") from None
     return Stretch(recording, start, stop)

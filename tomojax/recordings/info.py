@@ -1,26 +1,28 @@
 """Describes a recording, for `tomojax info`."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from tomojax.kernels.flags import Flag
-from tomojax.recordings._chunks import CHUNK_SLOTS, read_chunk
+from tomojax.recordings._chunks import CHUNK_SLOTS, Progress, read_chunk
 from tomojax.recordings._recording import Recording
+
+_CHANNELS = 20  # that are not used, and told
+_STRETCHES = 5  # of a fault, that are told
 
 
 def summary(recording: Recording) -> dict:
     """Describes the recording's shape and rig, with units in the keys."""
     rig = recording.rig
     grounds = recording.read(0, 1).grounds[0]
-    last = recording.read(recording.scans - 1, recording.scans).t0[0]
+    seconds = float(recording.t0[-1] - recording.t0[0] + recording.interval)
     return {
         "scans": recording.scans,
         "slots": recording.slots,
         "electrodes": recording.electrodes,
         "f_switch_Hz": rig.f_switch,
-        "duration_s": float(last - recording.read(0, 1).t0[0] + recording.interval),
+        "duration_s": seconds,
         "first_pattern": grounds.tolist(),
         "scans_lost": int(recording.gaps[:, 1].sum()),
         "drive_V": rig.drive_voltage,
@@ -36,13 +38,13 @@ def summary(recording: Recording) -> dict:
 
 
 def faults(
-    recording: Recording, progress: Callable[[int, int], None] = lambda done, total: None
+    recording: Recording, progress: Progress = lambda done, total: None
 ) -> list[dict]:
     """Lists each kind of fault: the number of scans, their places, and the channels."""
     size = max(1, CHUNK_SLOTS // 4 // recording.slots)
     starts = range(0, recording.scans, size)
     flags = np.zeros(recording.scans, np.uint32)
-    silent = np.zeros((recording.electrodes,), int)
+    silent = np.zeros(recording.electrodes, int)
     for k, start in enumerate(starts):
         stop = min(start + size, recording.scans)
         chunk = read_chunk(recording, start, stop)
@@ -55,25 +57,18 @@ def faults(
     for flag in Flag:
         where = np.flatnonzero(flags & flag.value)
         if where.size:
-            rows.append(
-                {"fault": flag.name, "scans": int(where.size), "where": _runs(where)}
-            )
-    bad = np.flatnonzero(silent)
-    for channel in bad[:20]:
-        rows.append(
-            {
-                "fault": f"channel {channel} not used",
-                "scans": int(silent[channel]),
-                "where": [],
-            }
-        )
+            found = {"fault": flag.name, "scans": int(where.size), "where": _runs(where)}
+            rows.append(found)
+    for channel in np.flatnonzero(silent)[:_CHANNELS]:
+        told = f"channel {channel} not used"
+        rows.append({"fault": told, "scans": int(silent[channel]), "where": []})
     return rows
 
 
-def _runs(where: np.ndarray, most: int = 5) -> list[list[int]]:
+def _runs(where: np.ndarray) -> list[list[int]]:
     """Returns [first, last] of the first stretches of neighbours."""
     parts = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1)
-    return [[int(p[0]), int(p[-1])] for p in parts[:most]]
+    return [[int(p[0]), int(p[-1])] for p in parts[:_STRETCHES]]
 
 
 def text(path: Path, found: dict, rows: list[dict]) -> str:

@@ -1,5 +1,4 @@
 # What the room offers, imported when it is first used.
-from ._chosen import Chosen as Chosen
 from ._file import partial_path as partial_path
 from ._outlines import (
     check_outlines as check_outlines,
@@ -8,6 +7,7 @@ from ._outlines import (
     write_outlines as write_outlines,
 )
 from ._settings import default_method as default_method, Settings as Settings
+from ._solving import Chosen as Chosen
 from ._stream import reconstruct_recording as reconstruct_recording
 from ._track import (
     Touch as Touch,

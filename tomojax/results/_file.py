@@ -12,11 +12,13 @@ on disk. The finished file gets its own name at the end.
 
 import contextlib
 import json
+import math
 import os
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from typing import Any
+from time import monotonic
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -25,39 +27,19 @@ from tomojax._require import require
 from tomojax._whole import held, reason
 from tomojax.files import open_container, read_npz
 from tomojax.kernels.flags import Flag
-from tomojax.methods import empty_rows, fields_of_rows, Rows, Rung
+from tomojax.methods import Rung
 from tomojax.results.loading import places, SCHEMA, VERSION
 
-
-def fields(
-    sizes: dict[str, int],
-    image_unit: str,
-    covariance: bool,
-    rung: bool = False,
-    force: bool = False,
-) -> dict:
-    """Lists fields by name: (shape of a row, type, unit); the last three arguments add any.
-
-    `sizes`: C contacts; with images also nx, ny and M electrodes.
-    """
-    each: dict[str, tuple] = {"t": ((), "<f8", "s")}
-    told = {"contact_covariance": covariance, "rung": rung}
-    for name, values in empty_rows(0, sizes)._asdict().items():
-        if values is not None and told.get(name, True):
-            field = fields_of_rows()[name]
-            each[name] = (values.shape[1:], field.kind, field.unit or image_unit)
-        if force and name == "contact_conductance":
-            each["contact_force"] = ((sizes["C"],), "<f4", "N")
-    return each
+# Seconds after which what is written is marked.
+_MARK_SECONDS = 2.0
 
 
-def adapted_fields(electrodes: int) -> dict:
-    """Lists the fields that `--adapt` logs for each chunk: shape of a row, type, unit."""
-    return {
-        "adapted_t": ((), "<f8", "s"),
-        "adapted_zero": ((electrodes,), "<f8", "V"),
-        "adapted_gain": ((electrodes,), "<f8", "1"),
-    }
+class Dataset(NamedTuple):
+    """A dataset that a file is laid out with."""
+
+    shape: tuple[int, ...]
+    kind: str  # NumPy's type
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -73,42 +55,31 @@ class ResultsFile:
 
     @property
     def _done(self) -> Path:
-        return _marks(self.partial)
+        return partial_path(self.out, ".done")
 
-    def create(
-        self,
-        rows: int,
-        layout: dict,
-        attributes: dict[str, Any],
-        by_chunk: dict | None = None,
-    ) -> None:
-        """Lays the file out; `by_chunk` is like `layout`, with a row for each chunk.
-
-        **Raises:** `ValueError` where the disk is too small.
-        """
-        building = self.partial.with_name(self.partial.name + ".new")
+    def create(self, datasets: dict[str, Dataset], attributes: dict[str, Any]) -> None:
+        """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
+        building = partial_path(self.out, ".new")
         try:
             with h5py.File(building, "w") as file:
-                for name, (shape, kind, unit) in layout.items():
-                    _contiguous(file, name, (rows, *shape), kind)
-                    file[name].attrs["unit"] = unit
-                for name, (shape, kind, unit) in (by_chunk or {}).items():
-                    _contiguous(file, name, (self.chunks, *shape), kind)
-                    file[name].attrs["unit"] = unit
-                file["flags"].attrs["bits"] = json.dumps({f.name: f.value for f in Flag})
-                levels = {f.name: f.level.name for f in Flag}
-                file["flags"].attrs["levels"] = json.dumps(levels)
-                meanings = {f.name: f.explanation for f in Flag}
-                file["flags"].attrs["meanings"] = json.dumps(meanings, ensure_ascii=False)
-                if "rung" in layout:
+                for name, dataset in datasets.items():
+                    _contiguous(file, name, dataset.shape, dataset.kind)
+                    file[name].attrs["unit"] = dataset.unit
+                about = {
+                    "bits": {f.name: f.value for f in Flag},
+                    "levels": {f.name: f.level.name for f in Flag},
+                    "meanings": {f.name: f.explanation for f in Flag},
+                }
+                for name, told in about.items():
+                    file["flags"].attrs[name] = json.dumps(told, ensure_ascii=False)
+                if "rung" in datasets:
                     names = {rung.name.lower(): rung.value for rung in Rung}
                     file["rung"].attrs["models"] = json.dumps(names)
                 file.attrs.update(
                     {"schema": SCHEMA, "schema_version": VERSION, **attributes}
                 )
-            if hasattr(
-                os, "posix_fallocate"
-            ):  # all of it now, rather than too little later
+            # All of it now, rather than too little later.
+            if hasattr(os, "posix_fallocate"):
                 with building.open("r+b") as raw:
                     os.posix_fallocate(raw.fileno(), 0, os.path.getsize(building))
             self._done.write_bytes(bytes(self.chunks))
@@ -117,7 +88,8 @@ class ResultsFile:
             building.unlink(missing_ok=True)
             self._done.unlink(missing_ok=True)
             size = sum(
-                rows * np.dtype(k).itemsize * int(np.prod(s)) for s, k, _ in layout.values()
+                np.dtype(one.kind).itemsize * math.prod(one.shape)
+                for one in datasets.values()
             )
             raise ValueError(
                 f"{self.out}: {reason(error)}; {size / 1e9:.3g} GB are needed there"
@@ -139,11 +111,11 @@ class ResultsFile:
 
     @property
     def _state(self) -> Path:
-        return self.partial.with_name(self.partial.name + ".state")
+        return partial_path(self.out, ".state")
 
     def keep(self, **arrays: Any) -> None:
         """Puts arrays beside the rows, replacing earlier arrays: at once or not at all."""
-        new = self._state.with_name(self._state.name + ".new")
+        new = partial_path(self.out, ".state.new")
         try:
             with open(new, "wb") as file:
                 np.savez(file, **arrays)
@@ -154,28 +126,38 @@ class ResultsFile:
             new.unlink(missing_ok=True)
             raise
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """Reads the arrays that `keep` put there last, if any."""
+    def kept(self, now: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Reads the arrays that `keep` put there last, if any; `now` are a run's first.
+
+        **Raises:** `ValueError` for the state of another kind of run.
+        """
         if not self._state.exists():
             return {}
         try:
-            return read_npz(self._state, "no state of a run", (), None)
+            kept = read_npz(self._state, "no state of a run", (), None)
         except ValueError as error:
             raise ValueError(f"{error}; begin anew with --overwrite") from None
+        where, again = f"{self._state}", "; begin anew with --overwrite"
+        for name, own in now.items():
+            found = kept.get(name)
+            told = "none" if found is None else f"{found.dtype} {found.shape}"
+            expected = f"{own.dtype} {own.shape}"
+            require(told == expected, f"{where}: {name}", told, f"{expected}{again}")
+        chunk, done = kept.get("chunk", np.array(np.nan)), self.done()
+        # Chunks are marked before what is remembered after them is kept.
+        fits = chunk.shape == () and chunk.dtype.kind in "iu"
+        fits = fits and 1 <= chunk <= self.chunks and done[: int(chunk)].all()
+        require(fits, f"{where}: chunk", chunk, f"1 to {done.sum()}, as are done{again}")
+        return kept
 
     def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
         """Keeps other runs from this file; `shared` admits runs that share the work."""
-        return held(self._lock, shared)
-
-    @property
-    def _lock(self) -> Path:
-        return self.partial.with_name(self.partial.name + ".lock")
+        return held(partial_path(self.out, ".lock"), shared)
 
     def discard(self) -> None:
         """Removes the files that an earlier run left."""
-        names = (".new", ".done", "", ".state", ".state.new")
-        for name in names:
-            self.partial.with_name(self.partial.name + name).unlink(missing_ok=True)
+        for ending in (".new", ".done", "", ".state", ".state.new"):
+            partial_path(self.out, ending).unlink(missing_ok=True)
 
     def finish(self) -> None:
         """Renames OUT.partial to OUT."""
@@ -186,29 +168,39 @@ class ResultsFile:
 
     def writer(self) -> "RowWriter":
         """Returns a writer into OUT.partial."""
-        return RowWriter(self.partial, self._done)
+        return RowWriter(self, self._done)
 
 
 class RowWriter:
     """A writer of rows to their places; marks chunks once their rows are on disk."""
 
-    def __init__(self, partial: Path, done: Path):
-        self._place = places(partial)
+    def __init__(self, file: ResultsFile, done: Path):
+        self._file = file
+        self._place = places(file.partial)
         # Without buffers; bytes as they are, where Windows' `os.open` changes line ends.
-        self._data = open(partial, "r+b", buffering=0)
+        self._data = open(file.partial, "r+b", buffering=0)
         self._marks = open(done, "r+b", buffering=0)
         self._unmarked: list[int] = []
+        self._marked = monotonic()
+        self._state: dict[str, Any] | None = None
 
     def write(
-        self, chunk: int, start: int, t: np.ndarray, rows: Rows, **more: np.ndarray
+        self,
+        chunk: int,
+        start: int,
+        values: dict[str, np.ndarray | None],
+        state: dict[str, Any] | None,
     ) -> None:
-        """Writes rows of a chunk, from row `start` on."""
-        self._put(start, {"t": t, **rows._asdict(), **more})
-        self._unmarked.append(chunk)
+        """Writes the rows of a chunk, by names, from row `start` on.
 
-    def log(self, chunk: int, values: dict[str, Any]) -> None:
-        """Writes a chunk's entries in the log, before the chunk's rows."""
-        self._put(chunk, {name: np.asarray(value)[None] for name, value in values.items()})
+        The entries of the chunk in the log are in `state`. The next mark keeps `state`.
+        """
+        self._put(chunk, {n: np.asarray(value)[None] for n, value in (state or {}).items()})
+        self._put(start, values)
+        self._unmarked.append(chunk)
+        self._state = state
+        if monotonic() - self._marked > _MARK_SECONDS:
+            self.mark()
 
     def _put(self, start: int, values: dict[str, np.ndarray | None]) -> None:
         for name, some in values.items():
@@ -221,12 +213,15 @@ class RowWriter:
             _write_all(self._data, some, offset + start * row)
 
     def mark(self) -> None:
-        """Marks all chunks written so far as done."""
+        """Marks all chunks written so far as done; keeps the last one's state."""
         os.fsync(self._data.fileno())
         for chunk in self._unmarked:
             _write_some(self._marks, b"\x01", chunk)
         os.fsync(self._marks.fileno())
         self._unmarked.clear()
+        self._marked = monotonic()
+        if self._state is not None:
+            self._file.keep(**self._state)
 
     def close(self) -> None:
         self._data.close()
@@ -242,30 +237,25 @@ def is_results(path: Path) -> bool:
         return False
 
 
-def partial_path(out: Path) -> Path:
-    """Returns the path of a results file in the making."""
-    return out.with_name(out.name + ".partial")
+def partial_path(out: Path, ending: str = "") -> Path:
+    """Returns the path of a results file in the making, or of a file beside it."""
+    return out.with_name(f"{out.name}.partial{ending}")
 
 
 def nothing_left(out: Path) -> bool:
     """Tells whether every row is written, whether the file has its name or not."""
-    partial = partial_path(out)
-    if not partial.exists():
+    if not partial_path(out).exists():
         return out.exists()
-    marks = _marks(partial)
+    marks = partial_path(out, ".done")
     return not marks.exists() or all(marks.read_bytes())
 
 
 def chunks_done(out: Path) -> int | None:
     """Counts the chunks done so far; None for a file that is not in the making."""
     try:
-        return sum(_marks(partial_path(out)).read_bytes())
+        return sum(partial_path(out, ".done").read_bytes())
     except FileNotFoundError:
         return None
-
-
-def _marks(partial: Path) -> Path:
-    return partial.with_name(partial.name + ".done")
 
 
 def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:

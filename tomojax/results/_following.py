@@ -9,21 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from tomojax._require import require
 from tomojax.kernels.flags import Flag
 from tomojax.methods import Rows
 from tomojax.recordings import Chunk, read_chunk, Recording
-from tomojax.results._file import ResultsFile
 from tomojax.results._settings import Settings
+from tomojax.results._solving import AbstractSolver
 from tomojax.sensor import Calibration
 from tomojax.step import make_step, Packed
 
 
-class Following:
+class Following(AbstractSolver):
     """A step on a recording's chunks, in order from `start`."""
 
     # As of `AbstractMethod`, for the file's layout.
-    image_unit, tells_covariance, tells_rung = "1", True, False
+    image_unit = "1"
+    tells_covariance = True
+    tells_rung = False
 
     def __init__(
         self, recording: Recording, settings: Settings, calibration: Calibration, size: int
@@ -36,7 +37,7 @@ class Following:
             calibration=calibration,
         )
         self._recording, self._size = recording, size
-        self.start, self.state = 0, self._step.state
+        self.state = self._step.state
         self._last: np.ndarray | None = None  # time of the slot before, s
 
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
@@ -46,18 +47,15 @@ class Following:
         return 1.0
 
     def remembered(self) -> dict[str, np.ndarray]:
-        """Returns the present state, for `resume`."""
         numbers, whole = (np.asarray(a) for a in self.state)
         return {"numbers": numbers, "whole": whole}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
-        """Goes on from the state after a chunk; an empty state means the beginning."""
         if kept:
             self.start = int(kept["chunk"])
             self.state = Packed(kept["numbers"], kept["whole"])  # pyright: ignore
 
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any]]:
-        """Returns the rows of the next chunk's slots, and the state after them."""
         good, grounds = frames.good[:, 0], frames.grounds[:, 0].astype(np.int32)
         volts = np.where(good, frames.voltages[:, 0], np.nan)
         lost = self._lost(chunk, frames)
@@ -82,31 +80,3 @@ class Following:
         apart = np.diff(frames.t, prepend=before) * recording.rig.f_switch
         gone = np.clip(np.round(apart) - 1, 1, 1 << 30).astype(np.int32)
         return np.where(frames.flags & np.uint32(Flag.GAP), gone, 0).astype(np.int32)
-
-
-def require_alone(share: tuple[int, int]) -> None:
-    """Refuses several processes: a slot needs earlier slots. **Raises:** `ValueError`."""
-    alone = "one process: follow goes from slot to slot"
-    require(share[1] == 1, "--processes", share[1], alone)
-
-
-def checked(file: ResultsFile, now: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Reads the state that `file` kept; compares the state with a run's first, `now`.
-
-    **Raises:** `ValueError` for a state of another kind of run.
-    """
-    kept = file.kept()
-    if not kept:
-        return kept
-    where, again = f"{file.partial}.state", "; begin anew with --overwrite"
-    for name, own in now.items():
-        found = kept.get(name)
-        told = "none" if found is None else f"{found.dtype} {found.shape}"
-        fits = found is not None and (found.dtype, found.shape) == (own.dtype, own.shape)
-        require(fits, f"{where}: {name}", told, f"{own.dtype} {own.shape}{again}")
-    chunk, done = kept.get("chunk", np.array(np.nan)), file.done()
-    # Chunks are marked before what is remembered after them is kept.
-    whole = chunk.shape == () and chunk.dtype.kind in "iu"
-    fits = whole and 1 <= chunk <= file.chunks and done[: int(chunk)].all()
-    require(fits, f"{where}: chunk", chunk, f"1 to {done.sum()}, as are done{again}")
-    return kept

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 from scipy import ndimage
 
 from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.results.loading import LoadedResults
 
-# Rows that are read at once; the probability at an outline.
-_ROWS, _HALF = 256, 0.5
+_ROWS = 256  # read at once
+_HALF = 0.5  # the probability at an outline
 
 # Outlines of fewer pixels are noise's.
 _LEAST = 1.5
@@ -45,6 +45,10 @@ class Outline(NamedTuple):
     axes: tuple[float, float]  # half axes of the ellipse with the same moments, m
     angle: float  # of the longer one from x, rad in [0, π)
     conductance: float  # S; NaN without an image of it
+
+
+# Of each row its number, its time in s, and its outlines.
+_Found = Iterator[tuple[int, float, list[Outline]]]
 
 
 def outlines_of(
@@ -106,7 +110,7 @@ def outlines_of(
     return sorted(found, key=lambda one: -one.area)
 
 
-def _moments(rings: tuple) -> tuple[float, np.ndarray, np.ndarray]:
+def _moments(rings: tuple[np.ndarray, ...]) -> tuple[float, np.ndarray, np.ndarray]:
     """Computes area, centroid and central second moments per area; holes run backwards."""
     area, first, second = 0.0, np.zeros(2), np.zeros((2, 2))
     for ring in rings:
@@ -123,7 +127,12 @@ def _moments(rings: tuple) -> tuple[float, np.ndarray, np.ndarray]:
     return area, centroid, sign * second / area - np.outer(centroid, centroid)
 
 
-def _within(outer, label, image, cell) -> float:
+def _within(
+    outer: Float[np.ndarray, "n 2"],
+    label: Integer[np.ndarray, "nx ny"],
+    image: Float[np.ndarray, "nx ny"] | None,
+    cell: Float[np.ndarray, "2"],
+) -> float:
     """Computes the conductance of an outline's region, S."""
     if image is None:
         return float("nan")
@@ -160,17 +169,16 @@ def write_outlines(results: Path, out: Path) -> int:
         return write(_rows(results, size), size, part)
 
 
-def _rows(results: Path, size: np.ndarray) -> Iterator[tuple[int, float, list[Outline]]]:
+def _rows(results: Path, size: np.ndarray) -> _Found:
     with LoadedResults(results) as file:
         names = ("t", "touch", "image", "contact_count")
-        for start in range(0, file.rows, _ROWS):
-            read = (file.stretch(n, start, start + _ROWS) for n in names)
-            for k, (t, touch, image, count) in enumerate(zip(*read)):
-                if count and np.isfinite(touch).all():
-                    yield start + k, float(t), outlines_of(touch, size, image)
+        rows = (row for block in file.blocks(names, _ROWS) for row in zip(*block.values()))
+        for k, (t, touch, image, count) in enumerate(rows):
+            if count and np.isfinite(touch).all():
+                yield k, float(t), outlines_of(touch, size, image)
 
 
-def _geojson(rows: Any, size: np.ndarray, out: Path) -> int:
+def _geojson(rows: _Found, size: np.ndarray, out: Path) -> int:
     done = 0
     with out.open("w") as file:
         file.write('{"type": "FeatureCollection", "features": [')
@@ -197,7 +205,7 @@ def _geojson(rows: Any, size: np.ndarray, out: Path) -> int:
     return done
 
 
-def _svg(rows: Any, size: np.ndarray, out: Path) -> int:
+def _svg(rows: _Found, size: np.ndarray, out: Path) -> int:
     done, (width, height) = 0, 1e3 * size
     with out.open("w") as file:
         file.write(

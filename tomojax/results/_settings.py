@@ -18,23 +18,23 @@ from tomojax.sensor import Calibration
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
 
-# What is lost at most when a run is stopped, s of work; and of `follow` what a slot costs.
-_SECONDS, _FOLLOW = 5.0, 2e-4
+_SECONDS = 5.0  # of work that are lost at most when a run is stopped
+_FOLLOW = 2e-4  # seconds that a slot costs `follow`
 
-# A film's contacts move by this part of a pitch at most, at the speed of a fast hand (m/s):
-# half of what a candidate is off. More rows than the last save little: its first is
-# searched.
-_MOVED, _SPEED, _LONGEST = 0.2, 1.0, 16
+_MOVED = 0.2  # pitches that a film's contacts move at most: half of a candidate's error
+_SPEED = 1.0  # of a fast hand, m/s
+_LONGEST = 16  # rows of a film; more save little, as a film's first row is searched
 
 # Films' programs take seconds to compile, which as many rows are worth.
 _WORTH = 20_000
-
 
 # Frames that λ is chosen from.
 _LAMBDA_FRAMES = 8
 
 # Settings that are files.
 _FILES = "calibration", "policy"
+
+_CHOSEN: Any = None  # stands for a value that follows from the other settings
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Settings:
     (24, None)
     """
 
-    method: str = None  # pyright: ignore
-    rate: Rate = None  # pyright: ignore
-    images: bool = None  # pyright: ignore
+    method: str = _CHOSEN
+    rate: Rate = _CHOSEN
+    images: bool = _CHOSEN
     lam: float | None = None
     grid: int | None = None
     contacts: int = 4
@@ -75,18 +75,25 @@ class Settings:
     adapt: bool = False
 
     def __post_init__(self):
-        if self.method is None:
-            object.__setattr__(self, "method", default_method(self.rate))
         follows = self.method == "follow"
-        if self.rate is None:
-            object.__setattr__(self, "rate", "slot" if follows else "scan")
-        if self.images is None:
-            object.__setattr__(self, "images", not follows)
+        chosen = {
+            "method": default_method(self.rate),
+            "rate": "slot" if follows else "scan",
+            "images": not follows,
+        }
+        for name, value in chosen.items():
+            if getattr(self, name) is _CHOSEN:
+                object.__setattr__(self, name, value)  # nobody sets them later
 
     @property
     def pixels(self) -> int:
         """Returns the pixels along a side of the image."""
         return self.grid or (24 if self.rate == "slot" else 32)
+
+    @property
+    def in_order(self) -> bool:
+        """Tells whether each chunk needs the chunk before it."""
+        return self.adapt or self.method == "follow"
 
     def check(self) -> None:
         """Checks the settings. **Raises:** `ValueError` naming the setting."""
@@ -193,9 +200,11 @@ def choose_lambda(
         least = own if given is None else given
         touched = (height > least) & (height >= height.max() / 2)
         if touched.any():
-            volts = calibration.voltages(chunk.voltages)
-            some = (a[touched] for a in (volts, chunk.grounds, chunk.good))
-            return method.choose_lambda(frames_of(*some, most=_LAMBDA_FRAMES))
+            volts = calibration.voltages(chunk.voltages[touched])
+            grounds, good = chunk.grounds[touched], chunk.good[touched]
+            return method.choose_lambda(
+                frames_of(volts, grounds, good, most=_LAMBDA_FRAMES)
+            )
     return method.choose_lambda([])
 
 
@@ -232,11 +241,10 @@ def require_same(config: dict, attributes: dict, path: Path) -> None:
         )
 
 
-def _shortened(was: Any, now: Any) -> tuple[Any, Any]:
+def _shortened(was: Any, now: Any) -> list[Any]:
     """Keeps the differences of two tables, and the beginnings of digests."""
+    both = was, now
     if isinstance(was, dict) and isinstance(now, dict):
         names = [name for name in now if was.get(name) != now[name]] or list(now)
-        return tuple(  # pyright: ignore
-            ", ".join(f"{name} {table.get(name)}" for name in names) for table in (was, now)
-        )
-    return tuple(v[:12] if isinstance(v, str) and len(v) == 64 else v for v in (was, now))  # pyright: ignore
+        return [", ".join(f"{n} {table.get(n)}" for n in names) for table in both]
+    return [v[:12] if isinstance(v, str) and len(v) == 64 else v for v in both]

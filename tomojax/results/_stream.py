@@ -7,8 +7,8 @@ or another process, writes the chunks left undone with the same bytes. `follow` 
 
 import errno
 import json
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -20,9 +20,18 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.calibration import force
-from tomojax.methods import Batch, method as make_method, Rows
-from tomojax.recordings import Chunk, read_chunk, Recording
-from tomojax.results._chosen import Chosen
+from tomojax.methods import (
+    Batch,
+    empty_rows,
+    fields_of_rows,
+    method as make_method,
+    Points,
+    Rows,
+)
+from tomojax.recordings import Chunk, Progress, read_chunk, Recording
+from tomojax.results._adapting import Adapting
+from tomojax.results._file import check_output, Dataset, ResultsFile, RowWriter
+from tomojax.results._following import Following
 from tomojax.results._settings import (
     calibration_of,
     choose_lambda,
@@ -32,10 +41,10 @@ from tomojax.results._settings import (
     require_same,
     Settings,
 )
+from tomojax.results._solving import AbstractSolver, Chosen, EachAlone
 from tomojax.results.loading import attributes as attributes_of
 
-# Seconds after which what is written is marked.
-_MARK_SECONDS = 2.0
+_PATIENCE = 600.0  # s, in which the first process lays the file out
 
 # What a disk says that is full, may hold no larger file, or fails.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
@@ -49,7 +58,7 @@ def reconstruct_recording(
     resume: bool = False,
     overwrite: bool = False,
     share: tuple[int, int] = (0, 1),
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> Path:
     """Writes images and contacts of every scan (or slot) of a recording to a results file.
 
@@ -74,28 +83,23 @@ def reconstruct_recording(
     ...     print(results["contact_xy"].shape, results["image"].shape)
     (1, 2, 2) (1, 16, 16)
     """
-    from tomojax.results import _adapting, _file, _following
-
     settings, out = settings or Settings(), Path(out)
     settings.check()
-    if settings.method == "follow":
-        _following.require_alone(share)
-    if settings.adapt:
-        _adapting.require_alone(share)
+    _check_share(settings, share)
     goes_on = resume or share[0] > 0
-    _file.check_output(out, goes_on, overwrite)
+    check_output(out, goes_on, overwrite)
     size = chunk_scans(recording, settings)
-    file = _file.ResultsFile(out, -(-recording.scans // size))
+    file = ResultsFile(out, -(-recording.scans // size))
     config = configuration(recording, settings, size)
     with file.locked(shared=share[1] > 1):
-        _file.check_output(out, goes_on, overwrite)  # as another run has left it
+        check_output(out, goes_on, overwrite)  # as another run has left it
         if goes_on and out.exists() and not file.partial.exists():
             require_same(config, attributes_of(out), out)
             if share == (0, 1):
                 file.discard()  # the marks of a run that was killed as it ended
             return out
         try:
-            _reconstruct(recording, settings, file, config, share, overwrite, progress)
+            _Run(recording, settings, file, config).make(share, overwrite, progress)
         except OSError as error:
             if error.errno not in _DISK:
                 raise
@@ -105,102 +109,81 @@ def reconstruct_recording(
     return out
 
 
-def _reconstruct(
-    recording: Recording,
-    settings: Settings,
-    file: Any,
-    config: dict,
-    share: tuple[int, int],
-    overwrite: bool,
-    progress: Callable[[int, int], None],
-) -> None:
-    """Makes the file, or goes on with OUT.partial."""
-    from tomojax.results import _adapting, _following
+def _check_share(settings: Settings, share: tuple[int, int]) -> None:
+    """Refuses several processes where each chunk needs the chunk before it."""
+    alone, name = share[1] == 1, "--processes"
+    mend = "one process: follow goes from slot to slot"
+    require(alone or settings.method != "follow", name, share[1], mend)
+    mend = "one process: --adapt follows a recording in order"
+    require(alone or not settings.adapt, name, share[1], mend)
 
-    alone, follows = share == (0, 1), settings.method == "follow"
-    calibration = calibration_of(recording, settings)
-    if follows:
-        size = config["chunk"]
-        model: Any = _following.Following(recording, settings, calibration, size)
-    else:
-        sensor = recording.rig.sensor()
-        model = make_method(sensor, settings.method, settings.pixels, calibration)
-    given = settings.policy
-    chosen = None
-    if given:
-        chosen = Chosen(given, recording, settings.contacts, settings.method)
-    if share[0] > 0:
-        _wait_for(file.partial)
-    begun = file.partial.exists() and not (overwrite and share[0] == 0)
-    if not begun:
-        if follows:
-            lam = model.scale()
-        elif settings.lam is None and chosen is not None and chosen.median:
-            lam = chosen.median * model.scale()
+
+class _Run:
+    """The work of one process on a results file; `config` decides the rows."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: Settings,
+        file: ResultsFile,
+        config: dict[str, Any],
+    ):
+        self._recording, self._settings = recording, settings
+        self._file, self._config, self._size = file, config, config["chunk"]
+        self._rows_of_a_scan = recording.slots if settings.rate == "slot" else 1
+        self._calibration = calibration_of(recording, settings)
+        if settings.method == "follow":
+            self._model = Following(recording, settings, self._calibration, self._size)
         else:
-            lam = choose_lambda(recording, model, settings, calibration)
-        file.discard()
-        _create(file, recording, settings, calibration, model, lam, config)
-    try:
-        attributes = attributes_of(file.partial)
-        require_same(config, attributes, file.partial)
-        if follows:
-            solve: Any = model
-        else:
-            batch = Batch(
-                model,
-                float(attributes["lam"]),
-                settings.contacts,
-                settings.images,
-                settings.threshold,
-                film=film_rows(recording, settings),
-            )
-            solve = partial(_solved, settings, calibration, chosen, batch)
-        if settings.adapt:
-            solve = _adapting.Adapting(recording, calibration, model, solve)
-        if follows or settings.adapt:
-            solve.resume(_following.checked(file, solve.remembered()))
-        with closing(file.writer()) as writer:
-            work = partial(_work, recording, settings, calibration, solve, file, writer)
-            if follows or settings.adapt:
-                work(np.arange(solve.start, file.chunks), progress)
-            else:
-                _share_out(file, share, work, progress)
-    except ValueError:
-        if alone and not begun and not file.done().any():
-            file.discard()  # bad input: the next run does not stumble over it
-        raise
-    # Process 0 gives the file its name: the others may still be about to write.
-    if share[0] == 0 and file.done().all():
-        file.finish()
+            sensor, grid = recording.rig.sensor(), settings.pixels
+            self._model = make_method(sensor, settings.method, grid, self._calibration)
+        self._chosen = None
+        if settings.policy:
+            contacts, method = settings.contacts, settings.method
+            self._chosen = Chosen(settings.policy, recording, contacts, method)
 
+    def make(self, share: tuple[int, int], overwrite: bool, progress: Progress) -> None:
+        """Makes the file, or goes on with OUT.partial."""
+        file = self._file
+        if share[0] > 0:
+            _wait_for(file.partial)
+        begun = file.partial.exists() and not (overwrite and share[0] == 0)
+        if not begun:
+            lam = self._lam()
+            file.discard()
+            self._create(lam)
+        try:
+            attributes = attributes_of(file.partial)
+            require_same(self._config, attributes, file.partial)
+            solver = self._solver(float(attributes["lam"]))
+            solver.resume(file.kept(solver.remembered()))
+            with closing(file.writer()) as writer:
+                work = partial(self._work, solver, writer, progress)
+                if self._settings.in_order:
+                    work(range(solver.start, file.chunks))
+                else:
+                    self._share_out(share, work)
+        except ValueError:
+            if share == (0, 1) and not begun and not file.done().any():
+                file.discard()  # bad input: the next run does not stumble over it
+            raise
+        # Process 0 gives the file its name: the others may still be about to write.
+        if share[0] == 0 and file.done().all():
+            file.finish()
 
-def _share_out(file: Any, share: tuple[int, int], work: Any, progress: Any) -> None:
-    left = np.flatnonzero(~file.done())
-    mine = left % share[1] == share[0]
-    work(left[mine], progress)
-    if share != (0, 1):
-        # What another process has not done comes last, from its end: done twice it is
-        # the same bytes, and nobody need wait for a process that was killed.
-        left = np.flatnonzero(~file.done())
-        work(left[::-1], progress)
+    def _lam(self) -> float:
+        """Returns λ: the settings', the table's, or the method's choice."""
+        settings, model, chosen = self._settings, self._model, self._chosen
+        if isinstance(model, Following):
+            return model.scale()
+        if settings.lam is None and chosen is not None and chosen.median:
+            return chosen.median * model.scale()
+        return choose_lambda(self._recording, model, settings, self._calibration)
 
-
-def _create(file, recording, settings, calibration, model, lam, config) -> None:
-    from tomojax.results import _file
-
-    rows = recording.scans * (recording.slots if settings.rate == "slot" else 1)
-    layout = _file.fields(
-        model.sizes(settings.contacts, settings.images),
-        model.image_unit,
-        model.tells_covariance,
-        model.tells_rung,
-        calibration.pressure is not None,
-    )
-    file.create(
-        rows,
-        layout,
-        {
+    def _create(self, lam: float) -> None:
+        recording, settings, model = self._recording, self._settings, self._model
+        marks = {"marks": json.dumps(recording.marks)} if recording.marks else {}
+        attributes = {
             "method": settings.method,
             "rate": settings.rate,
             "lam": lam,
@@ -210,106 +193,121 @@ def _create(file, recording, settings, calibration, model, lam, config) -> None:
             "electrode_xy": recording.rig.electrode_xy,
             "drive_voltage": recording.rig.drive_voltage,
             "sheet_resistance": recording.rig.sheet_resistance,
-            "calibration": json.dumps(asdict(calibration)),
+            "calibration": json.dumps(asdict(self._calibration)),
             "recording": recording.path.name,
-            "recording_sha256": config["recording_sha256"],
-            "versions": json.dumps(config["versions"]),
-            **({"marks": json.dumps(recording.marks)} if recording.marks else {}),
-            "configuration": json.dumps(config, sort_keys=True),
-        },
-        _file.adapted_fields(recording.electrodes) if settings.adapt else None,
-    )
+            "recording_sha256": self._config["recording_sha256"],
+            "versions": json.dumps(self._config["versions"]),
+            **marks,
+            "configuration": json.dumps(self._config, sort_keys=True),
+        }
+        self._file.create(self._datasets(), attributes)
+
+    def _datasets(self) -> dict[str, Dataset]:
+        """Lists the file's datasets: of rows, and what `--adapt` logs for each chunk."""
+        settings, model = self._settings, self._model
+        count = self._recording.scans * self._rows_of_a_scan
+        empty = empty_rows(0, model.sizes(settings.contacts, settings.images))
+        told = {"contact_covariance": model.tells_covariance, "rung": model.tells_rung}
+        found = {"t": Dataset((count,), "<f8", "s")}
+        for name, values in empty._asdict().items():
+            if values is not None and told.get(name, True):
+                field, shape = fields_of_rows()[name], (count, *values.shape[1:])
+                found[name] = Dataset(shape, field.kind, field.unit or model.image_unit)
+            if name == "contact_conductance" and self._calibration.pressure is not None:
+                found["contact_force"] = Dataset((count, settings.contacts), "<f4", "N")
+        if settings.adapt:
+            chunks, m = self._file.chunks, self._recording.electrodes
+            found["adapted_t"] = Dataset((chunks,), "<f8", "s")
+            found["adapted_zero"] = Dataset((chunks, m), "<f8", "V")
+            found["adapted_gain"] = Dataset((chunks, m), "<f8", "1")
+        return found
+
+    def _solver(self, lam: float) -> AbstractSolver:
+        recording, settings, model = self._recording, self._settings, self._model
+        if isinstance(model, Following):
+            solver, points = model, None
+        else:
+            batch = Batch(
+                model,
+                lam,
+                settings.contacts,
+                settings.images,
+                settings.threshold,
+                film=film_rows(recording, settings),
+            )
+            own = settings.lam is None
+            solver = EachAlone(batch, self._calibration, self._chosen, own)
+            points = model if isinstance(model, Points) else getattr(model, "points", None)
+        if not settings.adapt:
+            return solver
+        return Adapting(recording, self._calibration, points, solver)
+
+    def _share_out(
+        self, share: tuple[int, int], work: Callable[[Iterable[int]], None]
+    ) -> None:
+        left = np.flatnonzero(~self._file.done())
+        mine = left % share[1] == share[0]
+        work(left[mine].tolist())
+        if share != (0, 1):
+            # What another process has not done comes last, from its end: done twice it is
+            # the same bytes, and nobody need wait for a process that was killed.
+            left = np.flatnonzero(~self._file.done())
+            work(left[::-1].tolist())
+
+    def _work(
+        self,
+        solver: AbstractSolver,
+        writer: RowWriter,
+        progress: Progress,
+        todo: Iterable[int],
+    ) -> None:
+        """Does chunks `todo`: reads a chunk and writes a chunk while computing a third."""
+        file, done = self._file, int(self._file.done().sum())
+        progress(done, file.chunks)
+        writing: Future | None = None
+        with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as behind:
+            try:
+                for chunk, frames in _read_ahead(reader, self._read, list(todo)):
+                    # What is marked may be done again where the state is of earlier.
+                    if file.finished(chunk) and not self._settings.in_order:
+                        continue
+                    rows, state = solver(chunk, frames)
+                    values = {"t": frames.t, **rows._asdict(), **self._forces(rows)}
+                    start = chunk * self._size * self._rows_of_a_scan
+                    if writing:
+                        writing.result()
+                    writing = behind.submit(writer.write, chunk, start, values, state)
+                    done = min(done + 1, file.chunks)
+                    progress(done, file.chunks)
+            finally:  # also when interrupted: what is computed is kept
+                if writing:
+                    writing.result()
+                writer.mark()
+
+    def _read(self, chunk: int) -> Chunk:
+        start = chunk * self._size
+        stop = min(start + self._size, self._recording.scans)
+        return read_chunk(self._recording, start, stop, self._settings.rate)
+
+    def _forces(self, rows: Rows) -> dict[str, np.ndarray]:
+        if self._calibration.pressure is None:
+            return {}
+        g, radius = rows.contact_conductance, rows.contact_radius
+        return {"contact_force": force(self._calibration, g, radius)}
 
 
-def _wait_for(path: Path, seconds: float = 600.0) -> None:
+def _wait_for(path: Path) -> None:
     """Waits until the first process has laid the file out."""
-    end = monotonic() + seconds
+    end = monotonic() + _PATIENCE
     while not path.exists():
-        require(
-            monotonic() < end, f"{path}", f"nothing in {seconds:g} s", "process 0's file"
-        )
+        told = f"nothing in {_PATIENCE:g} s"
+        require(monotonic() < end, f"{path}", told, "process 0's file")
         sleep(0.1)
 
 
-def _work(recording, settings, calibration, solve, file, writer, todo, progress) -> None:
-    """Does chunks `todo`: reads a chunk and writes a chunk while computing a third.
-
-    `solve` gives a chunk's rows, and a state to keep once the rows are marked.
-    """
-    size = chunk_scans(recording, settings)
-    per_scan = recording.slots if settings.rate == "slot" else 1
-
-    def read(chunk: int) -> Chunk:
-        start = chunk * size
-        return read_chunk(
-            recording, start, min(start + size, recording.scans), settings.rate
-        )
-
-    marked, kept = monotonic(), None
-
-    def mark() -> None:
-        writer.mark()
-        if kept is not None:
-            file.keep(**kept)
-
-    def write(chunk: int, t: np.ndarray, rows: Rows, state: Any) -> None:
-        nonlocal marked, kept
-        more = {}
-        if calibration.pressure is not None:
-            g, radius = rows.contact_conductance, rows.contact_radius
-            more["contact_force"] = force(calibration, g, radius)
-        if settings.adapt:
-            writer.log(chunk, state)
-        writer.write(chunk, chunk * size * per_scan, t, rows, **more)
-        kept = state
-        if monotonic() - marked > _MARK_SECONDS:
-            mark()
-            marked = monotonic()
-
-    done = int(file.done().sum())
-    progress(done, file.chunks)
-    writing: Future | None = None
-    with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as behind:
-        try:
-            for chunk, frames in _read_ahead(reader, read, [int(c) for c in todo]):
-                # What is marked may be done again where the state is of earlier.
-                in_order = settings.adapt or settings.method == "follow"
-                if file.finished(chunk) and not in_order:
-                    continue
-                rows, state = solve(chunk, frames)
-                if writing:
-                    writing.result()
-                writing = behind.submit(write, chunk, frames.t, rows, state)
-                done = min(done + 1, file.chunks)
-                progress(done, file.chunks)
-        finally:  # also when interrupted: what is computed is kept
-            if writing:
-                writing.result()
-            mark()
-
-
-def _solved(
-    settings, calibration, chosen, batch: Batch, chunk: int, frames: Chunk
-) -> tuple[Rows, None]:
-    """Computes a chunk's rows; a table, if given, chooses the slots."""
-    _, voltages, grounds, good, flags = frames
-    volts = calibration.voltages(voltages)
-    if chosen is None:
-        return batch(volts, grounds, good, flags), None
-    parts, lams = chosen(frames, volts)
-    rows = batch.empty(len(volts))
-    for part in parts:
-        some = part.of(volts), part.of(grounds), part.of(good), flags[part.frames]
-        each = (
-            lams[part.frames] * batch.method.scale()
-            if lams is not None and settings.lam is None
-            else None
-        )
-        rows.put(part.frames, batch(*some, each))
-    return rows, None
-
-
-def _read_ahead(reader, read, todo) -> Iterator[tuple[int, Any]]:
+def _read_ahead(
+    reader: Executor, read: Callable[[int], Chunk], todo: list[int]
+) -> Iterator[tuple[int, Chunk]]:
     """Yields each chunk of `todo` with its data; reads the next chunk meanwhile."""
     coming = [(c, reader.submit(read, c)) for c in todo[:2]]
     for following in [*todo[2:], None, None][: len(todo)]:

@@ -13,15 +13,17 @@ from tomojax._shown import tuple_shown
 from tomojax.kernels.algebra import filter_levels, Levels, smooth_levels
 from tomojax.methods import Rows
 
-# A contact is the one of the row before that is no farther: pitches, or standard deviations
-# of a feeble one's place.
-_REACH, _SIGMAS = 0.75, 5.0
+# A contact is the one of the row before that is no farther.
+_REACH = 0.75  # pitches
+_SIGMAS = 5.0  # standard deviations of a feeble one's place
 
-# Standard deviations: of voltages by the model's error, as a part of them (which tells how
-# well V0 − u and so a conductance is known); of a current by the converter's noise, of
-# what the drive lets flow through a square of the sheet; of ln g where the place is off by
-# so many pitches; and of a place that comes without, pitches.
-_MODEL, _NOISE, _ASTRAY, _UNTOLD = 0.02, 4.5e-5, 0.5, 0.15
+# Standard deviation of voltages by the model's error, as a part of them. It tells how well
+# V0 − u, and so a conductance, is known.
+_MODEL = 0.02
+# Of a current by the converter's noise, of what the drive lets flow through a square.
+_NOISE = 4.5e-5
+_ASTRAY = 0.5  # pitches that a place is off where ln g is by 1
+_UNTOLD = 0.15  # pitches, of a place that comes without a standard deviation
 
 # Drifts that are tried for `drift=None`: standard deviations per row, of a place in pitches
 # and of ln g.
@@ -112,7 +114,8 @@ def track(
     rows = rows._replace(contact_covariance=covariance)
     paths = _follow(rows, hold, least, _REACH * pitch)
     if not paths.number.any():
-        return _arranged(rows, paths, None, None)
+        none = np.zeros((*paths.number.shape, 2, 2))
+        return _arranged(rows, paths, none[..., 0], none, none[..., 0], none)
     there = paths.source >= 0
     begins = np.diff(paths.number, axis=0, prepend=0) != 0
     pick = lambda values: _picked(values, paths.source)  # noqa: E731
@@ -129,9 +132,9 @@ def track(
     for k, (z, r) in enumerate((place, (height, spread))):
         each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
         z, origin = _centred(z)
-        given = [jnp.asarray(a) for a in (z, r.astype(np.float32), there, begins)]
-        found = _likeliest(given[0], given[1], given[2], given[3], each, smooth)
-        followed.append((np.asarray(found.mean) + origin, np.asarray(found.covariance)))
+        z, noise = jnp.asarray(z), jnp.asarray(r, jnp.float32)
+        found = _likeliest(z, noise, jnp.asarray(there), jnp.asarray(begins), each, smooth)
+        followed += [np.asarray(found.mean) + origin, np.asarray(found.covariance)]
     return _arranged(rows, paths, *followed)
 
 
@@ -233,16 +236,18 @@ def _likeliest(
     return paths(z, noise, there, begins, drift * unit)
 
 
-def _arranged(rows: Rows, paths: _Paths, place, height) -> Tracks:
+def _arranged(
+    rows: Rows,
+    paths: _Paths,
+    xy: Float[np.ndarray, "n C 2"],
+    covariance: Float[np.ndarray, "n C 2 2"],
+    height: Float[np.ndarray, "n C k"],  # ln g comes first
+    error: Float[np.ndarray, "n C k k"],  # its variance
+) -> Tracks:
     """Makes tracks with the strongest contact first, as in rows."""
-    number, nan = paths.number, np.nan
+    number = paths.number
     present = number > 0
     n, most = number.shape
-    if place is None:
-        empty = np.full((n, most), nan, np.float32)
-        xy, spread = (np.full((n, most, k), nan, np.float32) for k in (2, 3))
-        zero = np.zeros(n, np.uint8)
-        return Tracks(zero, number.astype(np.uint32), xy, spread, empty, empty, empty)
     current = _picked(rows.contact_current, paths.source)
     strength = np.where(present, np.abs(current), -1)
     order = np.argsort(-strength, 1, kind="stable")
@@ -252,18 +257,16 @@ def _arranged(rows: Rows, paths: _Paths, place, height) -> Tracks:
         extra = (1,) * (values.ndim - 2)
         values = np.take_along_axis(values, order.reshape(n, most, *extra), 1)
         mask = here.reshape(n, most, *extra)
-        return np.where(mask, values, nan).astype(np.float32)
+        return np.where(mask, values, np.nan).astype(np.float32)
 
-    (xy, covariance), (log, error) = place, height
-    flat = np.stack([covariance[..., i, j] for i, j in ((0, 0), (1, 1), (0, 1))], -1)
     return Tracks(
-        present.sum(1).astype(np.uint8),
-        np.take_along_axis(number, order, 1).astype(np.uint32),
-        sorted_(xy),
-        sorted_(flat),
-        sorted_(np.exp(log[..., 0])),
-        sorted_(np.sqrt(error[..., 0, 0])),
-        sorted_(current),
+        contact_count=present.sum(1).astype(np.uint8),
+        contact_track=np.take_along_axis(number, order, 1).astype(np.uint32),
+        contact_xy=sorted_(xy),
+        contact_covariance=sorted_(covariance[..., [0, 1, 0], [0, 1, 1]]),
+        contact_conductance=sorted_(np.exp(height[..., 0])),
+        contact_conductance_error=sorted_(np.sqrt(error[..., 0, 0])),
+        contact_current=sorted_(current),
     )
 
 
@@ -320,15 +323,14 @@ def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:
         if not len(part):
             continue
         r, c = row[part], column[part]
-        middle = np.median(tracks.contact_xy[r, c], 0)
-        found.append(
-            Touch(
-                int(names[part[0]]),
-                float(t[r[0]]),
-                float(t[r[-1]]),
-                len(part),
-                (float(middle[0]), float(middle[1])),
-                float(np.nanmax(tracks.contact_conductance[r, c])),
-            )
+        x, y = np.median(tracks.contact_xy[r, c], 0).tolist()
+        touch = Touch(
+            track=int(names[part[0]]),
+            start=float(t[r[0]]),
+            end=float(t[r[-1]]),
+            rows=len(part),
+            xy=(x, y),
+            conductance=float(np.nanmax(tracks.contact_conductance[r, c])),
         )
+        found.append(touch)
     return found

@@ -84,8 +84,7 @@ def leave(share: tuple[int, int], out: Path) -> None:
 
 
 def _left(out: Path, process: int) -> Path:
-    partial = partial_path(out)
-    return partial.with_name(f"{partial.name}.left{process}")
+    return partial_path(out, f".left{process}")
 
 
 def _answers(host: str, port: int, out: Path | None) -> bool:

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 
 from tomojax._pictures import GREY, lay_sheet, show_image, style, VALUE, VERMILION
 from tomojax.kernels.flags import DOUBT, Flag
-from tomojax.plots import ellipses as ellipses
+from tomojax.plots import ellipses
 from tomojax.results.loading import LoadedResults
 
 _POINTS = 20_000  # more than a picture shows
 
-# Area of the dot of the largest current, and of the smallest dot, square points.
-_DOTS = 40.0, 2.0
+_LARGEST = 40.0  # square points; the area of the dot of the largest current
+_SMALLEST = 2.0  # square points; of the smallest dot
 
 
 def timeline(path: Path) -> Figure:
@@ -39,23 +39,20 @@ def timeline(path: Path) -> Figure:
     heights = [1, 1, 1, 1, min(1.0, 0.15 + 0.12 * len(flags))]
     panels = left.subplots(5, 1, sharex=True, height_ratios=heights)
     _over_time(panels, rows)
-    each = shown.get("residual_by_electrode")
-    maps = [
-        "places",
-        *(["image"] if shown else []),
-        *(["each"] if each is not None else []),
-    ]
-    right = dict(zip(maps, right.subplots(len(maps), 1, squeeze=False).ravel()))
+    maps = [n for n in ("image", "residual_by_electrode") if n in shown]
+    sheets = right.subplots(1 + len(maps), 1, squeeze=False).ravel()
+    right = dict(zip(("places", *maps), sheets))
     # A bar is as tall as its map: one map alone does not fill its column.
-    tall = 0.5 if len(maps) == 1 else 0.9
+    tall = 0.9 if maps else 0.5
     _on_sheet(right["places"], rows, size, electrodes, tall)
     if "image" in right:
         label = f"image, {shown['unit'].replace('^2', '²')}"
         show_image(right["image"], shown["image"], size, label)
         title = f"Image at {shown['t']:.3f} s, the largest current"
         right["image"].set_title(title, fontsize=11)
-    if "each" in right:
-        _on_electrodes(right["each"], each, size, electrodes)
+    if "residual_by_electrode" in right:
+        each = shown["residual_by_electrode"]
+        _on_electrodes(right["residual_by_electrode"], each, size, electrodes)
     return figure
 
 
@@ -63,7 +60,8 @@ def _thinned(file: LoadedResults) -> dict[str, np.ndarray]:
     """Returns so many rows as a picture shows."""
     step = max(1, -(-file.rows // _POINTS))
     names = ["t", "contact_xy", "contact_current", "flags", "residual"]
-    names += [name for name in ("contact_covariance",) if name in file.names]
+    if "contact_covariance" in file.names:
+        names.append("contact_covariance")
     return {name: file.thinned(name, step) for name in names}
 
 
@@ -73,8 +71,8 @@ def _largest(file: LoadedResults) -> dict[str, Any]:
     sound = np.where(file.read("flags") & int(DOUBT), 0, current)
     k = int((sound if sound.any() else current).argmax())
     names = ("t", "image", "residual_by_electrode")
-    told = {n: file.stretch(n, k, k + 1)[0] for n in names if n in file.names}
-    return told | {"unit": str(file.unit("image").get("unit", ""))}
+    told = {name: file.row(name, k) for name in names if name in file.names}
+    return told | {"unit": file.unit("image")}
 
 
 def _over_time(panels: Any, rows: dict[str, np.ndarray]) -> None:
@@ -126,10 +124,9 @@ def _on_sheet(
     axes.plot(*(1e3 * xy[doubt].T), "x", color=GREY, ms=3, mew=0.5, zorder=1)
     sound = there & ~doubt
     time = np.broadcast_to(rows["t"][:, None], sound.shape)[sound]
-    largest, smallest = _DOTS
-    area = largest * current[sound] / max(float(current.max(initial=0)), 1e-30)
+    area = _LARGEST * current[sound] / max(float(current.max(initial=0)), 1e-30)
     dots = axes.scatter(
-        *(1e3 * xy[sound].T), c=time, s=np.maximum(area, smallest), cmap=VALUE, lw=0,
+        *(1e3 * xy[sound].T), c=time, s=np.maximum(area, _SMALLEST), cmap=VALUE, lw=0,
         zorder=2,
     )  # fmt: skip
     axes.figure.colorbar(dots, ax=axes, label="time, s", shrink=tall)

@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Integer
 
 from tomojax._require import require
 from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
 from tomojax.results.loading import LoadedResults
 
 _ROWS = 1 << 20  # read at once
+_STRETCHES = 12  # with contact, that are told
 
 # Why there is no `contact_force`; a live session says the same.
 NO_FORCE = (
@@ -23,23 +25,21 @@ def summary(path: Path) -> dict:
         for name in ("contact_count", "flags", "residual", "contact_xy", "contact_current"):
             require(name in file.names, f"{path}: {name}", "none", "this dataset")
         n, t = file.rows, file.read("t")
-        counts, bits = np.zeros(256, int), np.zeros(32, int)
+        counts, by_flag = np.zeros(256, int), dict.fromkeys(Flag, 0)
         stretches, previous, residual = [], 0, []
         doubted = silent = 0
-        for start in range(0, n, _ROWS):
-            part = slice(start, min(start + _ROWS, n))
-            count, flags, left = (
-                file.stretch(name, part.start, part.stop)
-                for name in ("contact_count", "flags", "residual")
-            )
+        names, start = ("contact_count", "flags", "residual"), 0
+        for block in file.blocks(names, _ROWS):
+            count, flags, left = block.values()
             counts += np.bincount(count, minlength=256)[:256]
-            bits += [int((flags >> b & 1).sum()) for b in range(32)]
+            for flag in Flag:
+                by_flag[flag] += int((flags & flag.value > 0).sum())
             none = flags & int(NO_ANSWER) > 0
             silent += int(none.sum())
             doubted += int(((flags & int(DOUBT) > 0) & ~none).sum())
             residual.append(np.nanmedian(left[count > 0]) if count.any() else 0)
-            _collect(stretches, count, file, t, part, previous)
-            previous = int(count[-1])
+            _collect(stretches, count, file, t, start, previous)
+            previous, start = int(count[-1]), start + len(count)
         seconds = float(t[-1] - t[0])
         return {
             "rows": stretches,
@@ -51,27 +51,31 @@ def summary(path: Path) -> dict:
             "rows_by_contacts": {str(k): int(c) for k, c in enumerate(counts) if c},
             "rows_doubted": doubted,
             "rows_without_answer": silent,
-            "rows_by_flag": {
-                f.name: int(bits[f.value.bit_length() - 1])
-                for f in Flag
-                if bits[f.value.bit_length() - 1]
-            },
+            "rows_by_flag": {f.name: rows for f, rows in by_flag.items() if rows},
             "residual_median_V": float(np.median(residual)),
             "images": "image" in file.names,
             "forces": "contact_force" in file.names,
         }
 
 
-def _collect(stretches: list, count, file, t, part: slice, previous: int, most=12) -> None:
-    """Collects the first stretches with contact: times, and the median of the strongest."""
-    if len(stretches) >= most:
-        return
+def _collect(
+    stretches: list[dict],
+    count: Integer[np.ndarray, " n"],
+    file: LoadedResults,
+    t: Float[np.ndarray, " rows"],
+    first: int,
+    previous: int,
+) -> None:
+    """Collects the first stretches with contact: times, and the median of the strongest.
+
+    `count` is of the rows from `first` on, and `previous` of the row before.
+    """
     touched = np.concatenate([[previous > 0], count > 0])
     starts = np.flatnonzero(touched[1:] & ~touched[:-1])
-    for start in starts[: most - len(stretches)]:
+    for start in starts[: _STRETCHES - len(stretches)]:
         ends = np.flatnonzero(~touched[1 + start :])
         stop = start + (ends[0] if ends.size else len(count) - start)
-        rows = slice(part.start + start, part.start + stop)
+        rows = slice(first + start, first + stop)
         xy, current = (
             file.stretch(name, rows.start, rows.stop)[:, 0]
             for name in ("contact_xy", "contact_current")

@@ -87,7 +87,7 @@ def _write(
                 values = file.read(name)
                 by_row = name == "t" or name in fields_of_rows()
                 new[name] = values[part] if by_row else values
-                new[name].attrs.update(file.unit(name))
+                new[name].attrs.update(file.attributes_of(name))
         for name, values in found._asdict().items():
             new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
 
@@ -124,12 +124,11 @@ def picture(path: Path, out: Path) -> Any:
 
     with LoadedResults(path) as raw:
         t, before = raw.read("t"), raw.read("contact_xy")
-        raw_g = raw.read("contact_conductance")
-    with h5py.File(out) as file:  # which this process has written
-        xy, g = file["contact_xy"][()], file["contact_conductance"][()]
-        later = file["t"][()]
-        spread, names = file["contact_covariance"][()], file["contact_track"][()]
-        size, electrodes = file.attrs["size"], file.attrs["electrode_xy"]
+        before_g = raw.read("contact_conductance")
+    with LoadedResults(out) as file:
+        later, xy, g = (file.read(n) for n in ("t", "contact_xy", "contact_conductance"))
+        spread, names = file.read("contact_covariance"), file.read("contact_track")
+        size, electrodes = file.size(), file.electrode_xy()
     figure = Figure(figsize=(14, 8), layout="constrained")
     figure.suptitle(f"Contacts of {path.name}, followed over time")
     grid = figure.add_gridspec(3, 3)
@@ -138,7 +137,7 @@ def picture(path: Path, out: Path) -> Any:
     colours = [style(k)["color"] for k in range(g.shape[1])]
     for axes, old, new, label in zip(
         left,
-        (1e3 * before[..., 0], 1e3 * before[..., 1], 1e6 * raw_g),
+        (1e3 * before[..., 0], 1e3 * before[..., 1], 1e6 * before_g),
         (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
         ("x, mm", "y, mm", "conductance, µS"),
     ):
@@ -165,7 +164,7 @@ def picture(path: Path, out: Path) -> Any:
 
 def _paths(axes: Any, xy: np.ndarray, spread: np.ndarray, names: np.ndarray) -> None:
     """Draws the path of each contact, and ellipses about some of its places."""
-    from tomojax.results.plots import ellipses
+    from tomojax.plots import ellipses
 
     for number in np.unique(names[names > 0])[:_PATHS]:
         row, column = np.nonzero(names == number)

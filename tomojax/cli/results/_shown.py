@@ -78,7 +78,7 @@ class ShownResults:
         shape, label = None, ""
         if "image" in file.names:
             shape = file.stretch("image", 0, 1).shape[1:]
-            label = f"image, {file.unit('image').get('unit', '')}"
+            label = f"image, {file.unit('image')}"
         forces = self._line.name == "contact_force"
         made = document(
             file.size(), xy, shape, label, self._line.span,

@@ -8,15 +8,18 @@ from typing import Any, TextIO
 import numpy as np
 
 from tomojax._require import require
-from tomojax.recordings.formats._described import sidecar
+from tomojax.recordings._described import sidecar
 from tomojax.recordings.formats._memory import MemoryRecording
 
 # Largest file, bytes: an hour at 10 kHz is better kept in HDF5.
 _MOST = 1 << 29
 
 # Names of columns that are no voltages, and what they are.
-_OTHERS = {"t": "t", "t_s": "t", "time": "t", "time_s": "t"}
-_OTHERS |= {"ground": "ground", "number": "number"}
+_OTHERS = {
+    **dict.fromkeys(("t", "t_s", "time", "time_s"), "t"),
+    "ground": "ground",
+    "number": "number",
+}
 
 
 def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from tomojax._require import require
 from tomojax.files import open_container
-from tomojax.recordings.formats._described import KEYS, sidecar
+from tomojax.recordings._described import KEYS, sidecar
 from tomojax.recordings.formats._memory import MemoryRecording
 
 
@@ -28,9 +29,7 @@ def open_mcap(path: Path, told: dict[str, Any]) -> MemoryRecording:
         )
     told = {**own, **sidecar(path), **told}
     told.pop("scale", None)  # what is told are volts
-    fine = bool((number < 2**62).all())
-    if not fine:
-        raise ValueError("number: got 2^62 or more, expected numbers of slots")
+    require((number < 2**62).all(), "number", "2^62 or more", "numbers of slots")
     made = MemoryRecording(path, told, volts, ground, time, number.astype("i8"))
     if cut:
         said = f"the file is cut off or damaged: its first {len(volts)} slots are read"

@@ -7,14 +7,11 @@ import numpy as np
 from jaxtyping import Float, Integer, Shaped
 
 from tomojax._require import require
-from tomojax.recordings._clock import mended_gaps, mended_times
-from tomojax.recordings._recording import check, Recording, Scans
-from tomojax.recordings.formats._described import check_keys, rig_of, scaled
+from tomojax.recordings._described import check_keys, rig_of, scaled, slots_of
+from tomojax.recordings._recording import Recording, Scans, settle
 
 # Longest scan whose grounds are looked for in a file that does not say.
 _LONGEST = 4096
-
-_MOST_SLOTS = 1 << 16
 
 
 class MemoryRecording(Recording):
@@ -55,17 +52,24 @@ class MemoryRecording(Recording):
         f_switch = None if "f_switch" in told else _rate(t)
         self.rig, said = rig_of(told, self.electrodes, codes, f_switch)
         self.mended += said
-        self._cut(volts, ground, t, number)
+        numbers = self._cut(volts, ground, t, number)
         if gaps is not None and gaps.size:
-            self.gaps = np.asarray(gaps, float).reshape(-1, 2).astype(int)
-        self.gaps, said = mended_gaps(self.gaps, self.scans)
-        self.mended += said
-        check(self)
+            self.gaps = np.reshape(gaps, (-1, 2)).astype(int)
+        settle(self, numbers)
+        self._scans = self._scans._replace(t0=self.t0)
 
-    def _cut(self, volts, ground, t, number) -> None:
-        """Cuts slots into scans; a missing slot has no voltages and no ground."""
+    def _cut(
+        self,
+        volts: Float[np.ndarray, "n M"],
+        ground: Integer[np.ndarray, " n"],
+        t: Float[np.ndarray, " n"] | None,
+        number: Integer[np.ndarray, " n"] | None,
+    ) -> Integer[np.ndarray, " scans"]:
+        """Cuts slots into scans, and returns the scans' numbers.
+
+        A missing slot has no voltages and no ground.
+        """
         s, n = self.slots, len(volts)
-        self.gaps = np.zeros((0, 2), int)
         if number is None:
             whole, rest = divmod(n, s)
             if rest:
@@ -73,12 +77,12 @@ class MemoryRecording(Recording):
             place = np.arange(whole * s)
             numbers = np.arange(whole)
         else:
-            number = number - number[0]
-            rising = bool((np.diff(number) > 0).all())
+            own = number - number[0]
+            rising = bool((np.diff(own) > 0).all())
             require(rising, "number", "numbers that do not rise", "a slot's, each higher")
-            scan = number // s
+            scan = own // s
             there = np.unique(scan)
-            place = np.searchsorted(there, scan) * s + number % s
+            place = np.searchsorted(there, scan) * s + own % s
             steps = np.diff(there)
             lost = np.flatnonzero(steps > 1)
             self.gaps = np.stack([there[lost] + 1, steps[lost] - 1], 1).astype(int)
@@ -89,7 +93,6 @@ class MemoryRecording(Recording):
         v[place], g = volts[kept], np.full(whole * s, -1)
         g[place] = ground[kept]
         self.scans = whole
-        usual = s / self.rig.f_switch
         times = numbers * s / self.rig.f_switch
         if t is not None:
             slot = np.full(whole * s, np.nan)
@@ -97,21 +100,12 @@ class MemoryRecording(Recording):
             # A scan whose first slot is lost begins as its others tell.
             each = slot.reshape(whole, s)
             times = each[np.arange(whole), np.isfinite(each).argmax(1)]
-        times, self.retimed, said = mended_times(times, numbers, usual)
-        self.mended += said
+        self.t0 = times
         self._scans = Scans(v.reshape(whole, s, -1), g.reshape(whole, s), times)
+        return numbers
 
     def read(self, start: int, stop: int) -> Scans:
-        return Scans(*(a[start:stop] for a in self._scans))
-
-    def start_times(self) -> np.ndarray:
-        return self._scans.t0
-
-    @property
-    def interval(self) -> float:
-        if self.scans < 2:
-            return self.slots / self.rig.f_switch
-        return float(np.median(np.diff(self._scans.t0)))
+        return self._scans.part(start, stop)
 
 
 def _rate(t: np.ndarray | None) -> float | None:
@@ -127,14 +121,7 @@ def _slots(
 ) -> tuple[int, tuple[str, ...]]:
     """Returns the slots of a scan, as described, or by the period of the grounds."""
     if "slots" in told:
-        value = told["slots"]
-        try:
-            slots = float(np.asarray(value, float).reshape(()))
-        except (TypeError, ValueError):
-            slots = 0.0
-        whole = 1 <= slots <= _MOST_SLOTS and slots == int(slots)
-        require(whole, "slots", repr(value), f"a whole number up to {_MOST_SLOTS}")
-        return int(slots), ()
+        return slots_of(told["slots"]), ()
     n = len(ground)
     if number is None or number[-1] - number[0] == n - 1:
         for period in range(1, min(_LONGEST, n // 2) + 1):

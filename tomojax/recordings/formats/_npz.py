@@ -7,7 +7,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import read_npz
-from tomojax.recordings.formats._described import KEYS, sidecar
+from tomojax.recordings._described import KEYS, sidecar
 from tomojax.recordings.formats._memory import MemoryRecording
 
 _NEEDED = ("v", "ground")

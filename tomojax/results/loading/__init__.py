@@ -4,17 +4,18 @@ The folder opens and checks. The folder writes nothing and knows only the rows o
 """
 
 from tomojax.results.loading._labels import (
-    DIMENSIONS as DIMENSIONS,
+    coordinates as coordinates,
     flag_names as flag_names,
     IMAGES as IMAGES,
     label as label,
     parts_of as parts_of,
+    Variable as Variable,
+    variables as variables,
 )
 from tomojax.results.loading._load import (
-    attributes as attributes,
     LoadedResults as LoadedResults,
     open_results as open_results,
-    places as places,
     SCHEMA as SCHEMA,
     VERSION as VERSION,
 )
+from tomojax.results.loading._making import attributes as attributes, places as places

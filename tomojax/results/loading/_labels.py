@@ -1,14 +1,18 @@
 """How fields of results are called in tables: columns, dimensions, names of flags."""
 
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
 import numpy as np
+from jaxtyping import Float
 
 from tomojax.kernels.flags import Flag
 
 # Fields that a flat table has no columns for.
 IMAGES = ("image", "residual_by_electrode", "touch", "image_deviation")
 
-# Dimensions of a field's row: of each contact, of images, of electrodes.
-DIMENSIONS = {
+# Dimensions of a field's row where they are not of each contact alone.
+_DIMENSIONS = {
     "image": ("x", "y"),
     "touch": ("fine_x", "fine_y"),
     "image_deviation": ("fine_x", "fine_y"),
@@ -34,6 +38,45 @@ def label(*parts: str, unit: str) -> str:
 def parts_of(name: str) -> tuple[str, ...]:
     """Returns what the numbers of a contact's field are called."""
     return _PARTS.get(name, (name.removeprefix("contact_"),))
+
+
+class Variable(NamedTuple):
+    """A variable of NetCDF or xarray, and its part of a field."""
+
+    name: str
+    field: str
+    part: tuple[Any, ...]  # an index of the field
+    dimensions: tuple[str, ...]
+
+
+def variables(field: str, axes: int) -> list[Variable]:
+    """Returns the variables of a field with so many axes, rows among them.
+
+    NetCDF has no place for two numbers of a contact but a dimension of its own.
+    """
+    if field == "contact_xy":
+        each = enumerate(("contact_x", "contact_y"))
+        return [Variable(n, field, (..., k), ("t", "contact")) for k, n in each]
+    dimensions = _DIMENSIONS.get(field, ("contact",) * (axes - 1))
+    return [Variable(field, field, (), ("t", *dimensions))]
+
+
+def coordinates(
+    sizes: Mapping[str, int],
+    size: Float[np.ndarray, "2"],
+    electrode_xy: Callable[[], Float[np.ndarray, "M 2"]],
+) -> dict[str, tuple[str, np.ndarray]]:
+    """Returns the places of pixels and electrodes along the dimensions in `sizes`, m."""
+    found = {}
+    for axes in (("x", "y"), ("fine_x", "fine_y")):
+        for axis, side in zip(axes, size):
+            if axis in sizes:
+                count = sizes[axis]
+                found[axis] = axis, (np.arange(count) + 0.5) * side / count
+    if "electrode" in sizes:
+        for axis, places in zip("xy", electrode_xy().T):
+            found[f"electrode_{axis}"] = "electrode", places
+    return found
 
 
 def flag_names(flags: np.ndarray) -> np.ndarray:

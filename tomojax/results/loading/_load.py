@@ -1,24 +1,34 @@
 """Loads a results file from outside, and judges its contents before any use."""
 
-import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tomojax._require import require
+from tomojax._require import library, require
 from tomojax._shown import html_table, named
 from tomojax.files import open_container
-from tomojax.methods import fields_of_rows
-from tomojax.results.loading._frames import to_pandas, to_xarray
+from tomojax.methods import DOUBT, fields_of_rows
+from tomojax.results.loading._labels import (
+    coordinates,
+    flag_names,
+    IMAGES,
+    label,
+    parts_of,
+    variables,
+)
 
-SCHEMA, VERSION = "tomojax-results", 1
+SCHEMA = "tomojax-results"
+VERSION = 1
 
 _ROWS = 1 << 14  # read at once, where few of them are kept
 
-# A covariance is no one's where xy² exceeds xx·yy by more than float32's rounding; a
-# variance below 0 by as little, m².
-_ROUNDING, _LEAST = 1e-3, 1e-15
+# A covariance is no one's where xy² exceeds xx·yy by more than float32's rounding.
+_ROUNDING = 1e-3
+_LEAST = 1e-15  # m²; a variance may be below 0 by as little
+
+_EXTRA = "tables"  # brings pandas and xarray
 
 
 class LoadedResults:
@@ -129,20 +139,64 @@ class LoadedResults:
         """Returns a dataset's shape."""
         return self._file.shape(name)
 
+    def dtype(self, name: str) -> np.dtype:
+        """Returns the type of a dataset's numbers."""
+        return self._file.dtype(name)
+
     def to_pandas(self) -> Any:
         """Returns a DataFrame: a line for each contact of each row, units in the names.
 
-        A row without contacts has a line of its own, with `contact` 0. Images have no
-        column. pandas is an extra, `tomojax[tables]`.
+        `contact` counts from 1; a row without contacts has a line of its own, with
+        `contact` 0. `doubt` says which to leave out. Images have no column. pandas is an
+        extra, `tomojax[tables]`.
         """
-        return to_pandas(self)
+        pandas = library("pandas", _EXTRA)
+        count = self.read("contact_count").astype(int)
+        most = max(1, self.contacts)
+        row, at = np.nonzero(np.arange(most) < np.maximum(count, 1)[:, None])
+        table = {"row": row, "t_s": self.read("t")[row]}
+        table["contact"] = np.where(count[row] > 0, at + 1, 0)
+        whole = {}
+        for name in self._by_row():
+            if name in IMAGES or name == "t":
+                continue
+            values, unit = self.read(name), self.unit(name)
+            if values.ndim == 1:
+                whole[label(name, unit=unit)] = values[row]
+                continue
+            columns = values[row, at].reshape(len(row), -1)
+            for k, part in enumerate(parts_of(name)):
+                table[label(part, unit=unit)] = columns[:, k]
+        if "flags" in whole:
+            whole["flag_names"] = flag_names(whole["flags"])
+            whole["doubt"] = (whole["flags"] & int(DOUBT)) > 0
+        return pandas.DataFrame(table | whole)
 
     def to_xarray(self) -> Any:
         """Returns a Dataset with the variables, dimensions and units of a NetCDF export.
 
         All is read into memory, images too. xarray is an extra, `tomojax[tables]`.
         """
-        return to_xarray(self)
+        xarray = library("xarray", _EXTRA)
+        found: dict[str, Any] = {}
+        for name in self._by_row():
+            values, about = self.read(name), {"units": self.unit(name)}
+            for one in variables(name, values.ndim):
+                found[one.name] = (one.dimensions, values[one.part], about)
+        told = {n: value for n, value in self.attributes.items() if n != "electrode_xy"}
+        made = xarray.Dataset(found, attrs=told)
+        places = coordinates(made.sizes, self.size(), self.electrode_xy)
+        metres = {"units": "m"}
+        return made.assign_coords(
+            {name: (dimension, at, metres) for name, (dimension, at) in places.items()}
+        )
+
+    def _by_row(self) -> list[str]:
+        """Returns datasets with an entry for each row, the usual ones first."""
+        usual, names = ("t", *fields_of_rows()), self.names
+        known = [name for name in usual if name in names]
+        known += [name for name in names if name not in usual]
+        return [name for name in known if self.shape(name)[:1] == (self.rows,)]
 
     def stretch(
         self, name: str, start: int | np.integer, stop: int | np.integer
@@ -154,15 +208,29 @@ class LoadedResults:
             told = f"{name}: rows {start} to {stop} cannot be read ({error})"
             raise ValueError(f"{self.path}: {told}") from None
 
+    def row(self, name: str, k: int | np.integer) -> Any:
+        """Reads the `k`th row of a dataset."""
+        return self.stretch(name, k, int(k) + 1)[0]
+
+    def blocks(
+        self, names: Sequence[str], each: int, start: int = 0, stop: int | None = None
+    ) -> Iterator[dict[str, np.ndarray]]:
+        """Yields datasets by name, `each` rows at a time."""
+        stop = self.rows if stop is None else stop
+        for at in range(start, stop, each):
+            end = min(at + each, stop)
+            yield {name: self.stretch(name, at, end) for name in names}
+
     def thinned(self, name: str, step: int) -> np.ndarray:
         """Reads every `step`-th row of a dataset."""
-        each = step * max(1, _ROWS // step)
-        starts = range(0, self.rows, each)
-        return np.concatenate(
-            [self.stretch(name, at, min(at + each, self.rows))[::step] for at in starts]
-        )
+        blocks = self.blocks([name], step * max(1, _ROWS // step))
+        return np.concatenate([block[name][::step] for block in blocks])
 
-    def unit(self, name: str) -> dict[str, Any]:
+    def unit(self, name: str) -> str:
+        """Returns a dataset's unit; "1" for numbers without a unit."""
+        return str(self.attributes_of(name).get("unit", "1"))
+
+    def attributes_of(self, name: str) -> dict[str, Any]:
         """Returns the attributes of a dataset."""
         return self._file.attributes_of(name)
 
@@ -170,7 +238,7 @@ class LoadedResults:
         return named(self, **dict(self._told()), datasets=", ".join(self.names))
 
     def _repr_html_(self) -> str:
-        each = [(n, f"{self.shape(n)} {self.unit(n).get('unit', '')}") for n in self.names]
+        each = [(n, f"{self.shape(n)} {self.unit(n)}") for n in self.names]
         return html_table([*self._told(), *each], title="Results")
 
     def _told(self) -> list[tuple[str, str]]:
@@ -230,36 +298,3 @@ def _check_values(name: str, values: np.ndarray, contacts: int) -> None:
             | (xy**2 > (1 + _ROUNDING) * xx * yy + _LEAST**2)
         )
         require(not (wrong & known).any(), name, "negative ones", "variances above 0")
-
-
-def attributes(path: Path) -> dict[str, Any]:
-    """Reads the attributes of a results file, or of a file in the making."""
-    with LoadedResults(path) as opened:
-        found = opened.attributes
-    try:
-        told = json.loads(found["configuration"])
-        assert isinstance(told, dict)
-    except (KeyError, TypeError, ValueError, AssertionError, RecursionError):
-        raise ValueError(f"{path}: configuration: got none, expected a run's") from None
-    return found
-
-
-def places(path: Path) -> dict[str, tuple[int, np.dtype, tuple[int, ...]]]:
-    """Finds each dataset in a file in the making: offset, type, shape of a row.
-
-    **Raises:** `ValueError` where a dataset is not in one piece, or overlaps another.
-    """
-    try:
-        with open_container(path) as file:
-            names = file.names
-            found = {n: (file.place(n), file.dtype(n), file.shape(n)) for n in names}
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path}: not a results file: {error}") from None
-    end = 0
-    for place, kind, shape in sorted(found.values(), key=lambda one: one[0] or 0):
-        apart = place is not None and place >= end
-        require(
-            apart, f"{path}: datasets", "not laid out by tomojax", "one after the other"
-        )
-        end = (place or 0) + kind.itemsize * int(np.prod(shape))
-    return {n: (p or 0, kind, shape[1:]) for n, (p, kind, shape) in found.items()}

@@ -1,15 +1,17 @@
-"""Chooses the slots of a recording that a design by place asks for, with the design's λ."""
+"""Solves a chunk of a recording; a design by place may choose the slots, and λ."""
 
+from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from tomojax._require import require
-from tomojax.methods import Batch, method as make_method
+from tomojax.methods import Batch, method as make_method, Rows
 from tomojax.paper import exploration
 from tomojax.recordings import Chunk, Recording
+from tomojax.sensor import Calibration
 from tomojax.step import load_policy
 
 # Methods whose λ/σ₁² a table has.
@@ -88,3 +90,55 @@ class Chosen:
             slots = np.nonzero(used[frames])[1].reshape(-1, count)
             parts.append(Slots(frames, slots))
         return parts, lams
+
+
+class AbstractSolver(ABC):
+    """Finds the rows of chunks. A solver that needs chunks in order has a memory.
+
+    `start` is the first chunk that is left to do.
+    """
+
+    start: int = 0
+
+    @abstractmethod
+    def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any] | None]:
+        """Returns the rows of a chunk, and what is kept after them, if anything."""
+
+    @abstractmethod
+    def remembered(self) -> dict[str, np.ndarray]:
+        """Returns the present state, for `resume`."""
+
+    @abstractmethod
+    def resume(self, kept: dict[str, np.ndarray]) -> None:
+        """Goes on from the state after a chunk; an empty state means the beginning."""
+
+
+class EachAlone(AbstractSolver):
+    """Applies a method to each chunk alone; λ is the table's where `own_lam` is true."""
+
+    def __init__(
+        self, batch: Batch, calibration: Calibration, chosen: Chosen | None, own_lam: bool
+    ):
+        self._batch, self._calibration = batch, calibration
+        self._chosen, self._own_lam = chosen, own_lam
+
+    def remembered(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def resume(self, kept: dict[str, np.ndarray]) -> None:
+        pass
+
+    def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, None]:
+        _, voltages, grounds, good, flags = frames
+        volts, batch = self._calibration.voltages(voltages), self._batch
+        if self._chosen is None:
+            return batch(volts, grounds, good, flags), None
+        parts, lams = self._chosen(frames, volts)
+        rows = batch.empty(len(volts))
+        for part in parts:
+            lam = None
+            if lams is not None and self._own_lam:
+                lam = lams[part.frames] * batch.method.scale()
+            v, asked, used = part.of(volts), part.of(grounds), part.of(good)
+            rows.put(part.frames, batch(v, asked, used, flags[part.frames], lam))
+        return rows, None

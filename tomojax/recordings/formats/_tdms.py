@@ -7,9 +7,8 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import open_container
-from tomojax.recordings._recording import check, PAPER, Recording, Rig, Scans
-
-_MOST_SLOTS = 1 << 16
+from tomojax.recordings._described import number, rig_of, slots_of
+from tomojax.recordings._recording import check, PAPER, Recording, Scans
 
 
 class TdmsRecording(Recording):
@@ -63,32 +62,20 @@ class TdmsRecording(Recording):
         properties: dict[str, Any] = self._file.attributes
         value = properties.get("slots_per_scan") if slots is None else slots
         require(value is not None, "slots", None, "the slots of a scan: slots=10")
-        slots_of = _number("slots", value)
-        whole = 1 <= slots_of <= _MOST_SLOTS and slots_of == int(slots_of)
-        require(whole, "slots", value, f"a whole number up to {_MOST_SLOTS}")
-        self.slots = int(slots_of)
+        self.slots = slots_of(value)
         self.scans, rest = divmod(lengths.pop(), self.slots)
         if rest:
             self.mended = (f"the last {rest} slots make no whole scan and are left out",)
-        self.gaps = np.zeros((0, 2), int)
-        rail = abs(_number("rail", rail))
-        numbers = {n: _number(n, properties.get(n, d)) for n, d in PAPER.items()}
-        taken = ", ".join(f"{n} {d:g}" for n, d in PAPER.items() if n not in properties)
-        if taken:
-            said = f"the file does not say, the paper's is taken: {taken}"
-            self.mended = (*self.mended, said)
-        index = np.indices((8, 8)).reshape(2, -1).T
-        paper = self.electrodes == len(index)
+        paper = self.electrodes == 64
         require(paper, "channels", f"{self.electrodes} electrodes", "the paper's 64")
-        self.rig = Rig(
-            size=(0.16, 0.16),
-            electrode_xy=0.01 + 0.02 * index,
-            # A step inside, as rounding of the codes may leave it.
-            rails=(-rail * (1 - 1e-4), rail * (1 - 1e-4)),
-            notes=str(properties.get("notes", "")),
-            **numbers,
-        )
+        rail = abs(number("rail", rail))
+        told = {n: properties[n] for n in (*PAPER, "notes") if n in properties}
+        told |= {"rows": 8, "columns": 8, "pitch": 0.02, "rails": (-rail, rail)}
+        self.rig, said = rig_of(told, self.electrodes)
+        self.mended += said
         check(self)
+        self.interval = self.slots / self.rig.f_switch
+        self.t0 = np.arange(self.scans) * self.slots / self.rig.f_switch
 
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
@@ -106,21 +93,11 @@ class TdmsRecording(Recording):
         fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
         ground = np.where(fine, ground, -1)  # no electrode's number: told as a fault
         shape = (stop - start, self.slots)
-        t0 = self.start_times()[start:stop]
-        return Scans(volts.reshape(*shape, -1), ground.reshape(shape).astype(int), t0)
-
-    def start_times(self) -> np.ndarray:
-        return np.arange(self.scans) * self.slots / self.rig.f_switch
+        ground = ground.reshape(shape).astype(int)
+        return Scans(volts.reshape(*shape, -1), ground, self.t0[start:stop])
 
     def _named(self, channels: str) -> str:
         return channels.replace("{}", str(len(self._channels)))
 
     def close(self) -> None:
         self._file.close()
-
-
-def _number(name: str, value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: got {value!r}, expected a number") from None

@@ -1,4 +1,4 @@
-"""Makes a rig from a description given beside files that do not describe the rig."""
+"""Reads descriptions of a rig: numbers by the names of recording version 1."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import read_toml
-from tomojax.recordings._recording import PAPER, Rig
+from tomojax.recordings._recording import check_numbers, PAPER, Rig
 
 # Keys of a sidecar, of options, or of arrays beside the voltages.
 KEYS = {
@@ -30,6 +30,8 @@ KEYS = {
     "schema_version",
 }
 
+MOST_SLOTS = 1 << 16  # of a scan; no rig has as many
+
 _ROUNDED = 1e-4  # of a rail, as rounding of codes may leave it
 
 
@@ -46,7 +48,10 @@ def check_keys(told: dict[str, Any], name: str) -> None:
 
 
 def rig_of(
-    told: dict[str, Any], electrodes: int, codes: np.dtype | None, f_switch: float | None
+    told: dict[str, Any],
+    electrodes: int,
+    codes: np.dtype | None = None,
+    f_switch: float | None = None,
 ) -> tuple[Rig, tuple[str, ...]]:
     """Makes the rig; returns the rig, and the assumptions as sentences.
 
@@ -71,29 +76,29 @@ def rig_of(
     if not np.isfinite(rails).all():
         sentences += ("rails are not told: what saturates below the drive is not seen",)
     rig = Rig(
-        **{name: number(told, name) for name in PAPER},
+        **{name: number(name, told[name]) for name in PAPER},
         size=size,
         electrode_xy=xy,
         rails=rails,
         resolution=resolution,
         notes=str(told.get("notes", "")),
     )
+    check_numbers(rig)
     return rig, sentences
 
 
-def number(told: dict[str, Any], name: str) -> float:
+def number(name: str, value: Any) -> float:
     """Reads one number of the description, which may be text."""
     try:
-        found = float(np.asarray(told[name], float).reshape(()))
+        found = float(np.asarray(value, float).reshape(()))
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: got {told[name]!r}, expected one number") from None
-    require(np.isfinite(found), name, found, "a number")
+        found = np.nan
+    require(np.isfinite(found), name, repr(value), "one number")
     return found
 
 
-def numbers(told: dict[str, Any], name: str) -> np.ndarray:
+def numbers(name: str, value: Any) -> np.ndarray:
     """Reads an array of the description; a text has commas."""
-    value = told[name]
     try:
         found = np.asarray(value.split(",") if isinstance(value, str) else value, float)
     except (TypeError, ValueError):
@@ -102,12 +107,27 @@ def numbers(told: dict[str, Any], name: str) -> np.ndarray:
     return found
 
 
+def slots_of(value: Any) -> int:
+    """Reads the number of slots of a scan, which may be text."""
+    slots = number("slots", value)
+    whole = 1 <= slots <= MOST_SLOTS and slots == int(slots)
+    require(whole, "slots", repr(value), f"a whole number up to {MOST_SLOTS}")
+    return int(slots)
+
+
+def size_of(value: Any) -> tuple[float, float]:
+    """Reads the size of the sheet, m."""
+    size = numbers("size", value).ravel()
+    require(size.shape == (2,), "size", size.tolist(), "two lengths, m")
+    return float(size[0]), float(size[1])
+
+
 def _places(
     told: dict[str, Any], electrodes: int, said: list[str]
 ) -> tuple[tuple[float, float], np.ndarray]:
     """Returns the sheet's size and the electrodes' places, m."""
     if "electrode_xy" in told:
-        xy = numbers(told, "electrode_xy").reshape(-1, 2)
+        xy = numbers("electrode_xy", told["electrode_xy"]).reshape(-1, 2)
         require("size" in told, "size", "none", "the sheet's, m")
     else:
         if not {"rows", "columns"} & told.keys() and electrodes == 64:
@@ -115,31 +135,29 @@ def _places(
             said.append("8 × 8 electrodes at 20 mm")
         for name in ("rows", "columns", "pitch"):
             require(name in told, name, "none", "it, or electrode_xy and size")
-        rows, columns = (round(number(told, n)) for n in ("rows", "columns"))
+        rows, columns = (round(number(n, told[n])) for n in ("rows", "columns"))
         fits = rows * columns == electrodes
         require(fits, "rows", f"{rows} × {columns}", f"{electrodes} voltages in a slot")
-        pitch = number(told, "pitch")
+        pitch = number("pitch", told["pitch"])
         index = np.indices((rows, columns)).reshape(2, -1).T
         xy = pitch * (index + 0.5)
         told.setdefault("size", [rows * pitch, columns * pitch])
-    size = numbers(told, "size")
-    require(size.shape == (2,), "size", size.tolist(), "two lengths, m")
-    return (float(size[0]), float(size[1])), xy
+    return size_of(told["size"]), xy
 
 
-def _range(told: dict, codes: np.dtype | None) -> tuple[tuple[float, float], float]:
+def _range(
+    told: dict[str, Any], codes: np.dtype | None
+) -> tuple[tuple[float, float], float]:
     """Returns the lowest and highest readable voltage, and the voltage of one code, V."""
-    resolution = number(told, "resolution") if "resolution" in told else 0.0
     if "scale" in told:
         resolution = abs(scaled(told)[0])
+    else:
+        resolution = number("resolution", told.get("resolution", 0.0))
     if "rails" not in told:
         if codes is None:
             return (-np.inf, np.inf), resolution
-        limits = np.iinfo(codes)
-        scale, offset = scaled(told)
-        low, high = sorted(scale * float(c) + offset for c in (limits.min, limits.max))
-        return (low, high), resolution
-    rails = np.sort(numbers(told, "rails"))
+        return rails_of(codes, *scaled(told)), resolution
+    rails = np.sort(numbers("rails", told["rails"]))
     require(rails.shape == (2,), "rails", rails.tolist(), "two voltages")
     near = _ROUNDED * (rails[1] - rails[0]) / 2
     return (float(rails[0] + near), float(rails[1] - near)), resolution
@@ -147,5 +165,11 @@ def _range(told: dict, codes: np.dtype | None) -> tuple[tuple[float, float], flo
 
 def scaled(told: dict[str, Any]) -> tuple[float, float]:
     """Returns V per code, and V at code 0."""
-    offset = number(told, "offset") if "offset" in told else 0.0
-    return number(told, "scale"), offset
+    return number("scale", told["scale"]), number("offset", told.get("offset", 0.0))
+
+
+def rails_of(codes: np.dtype, scale: float, offset: float) -> tuple[float, float]:
+    """Returns the lowest and highest voltage that codes of a type can tell."""
+    limits = np.iinfo(codes)
+    low, high = sorted(scale * float(c) + offset for c in (limits.min, limits.max))
+    return low, high
