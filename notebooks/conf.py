@@ -1,5 +1,6 @@
 """The site, from pages, notebooks and docstrings: `sphinx-build -W notebooks site`."""
 
+import os
 import sys
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -25,7 +26,9 @@ root_doc = "index"
 source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb"}
 
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
-nb_execution_mode = "force"
+# `.ci/run` names a folder that holds the outputs of the same notebooks and packages.
+nb_execution_mode = "cache" if "TOMOJAX_NOTEBOOKS" in os.environ else "force"
+nb_execution_cache_path = os.environ.get("TOMOJAX_NOTEBOOKS", "")
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
 nb_merge_streams = True
