@@ -1,7 +1,8 @@
 """Compiled functions whose programs are kept between processes.
 
-JAX's own cache keeps compiled programs, under a key from tracing and lowering. Both take
-three seconds for each program of `points`. This file keeps lowered programs too.
+JAX's own cache keeps compiled programs, under a key from tracing and lowering. This file
+keeps lowered programs too. A `reconstruct --method points` of the demo's first 0.1 s takes
+8 s of a processor's time with both, 22 s with JAX's cache alone, and 46 s with none.
 """
 
 import functools
