@@ -53,9 +53,8 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 )
 @click.option(
     "--method",
-    help="Reconstruct by auto, points, shape, source, positive, conductance, linear or "
-    "follow. The method follow carries contacts on from slot to slot. [default: "
-    "auto; source with --rate slot]",
+    help="Reconstruct by auto, points, shape, source, linear or follow. The method follow "
+    "carries contacts on from slot to slot. [default: auto; source with --rate slot]",
 )
 @click.option(
     "--images/--no-images",
