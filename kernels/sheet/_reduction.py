@@ -100,45 +100,6 @@ def voltage_drop(
     return drive_voltage * drop / g.denominator[:, None]
 
 
-def _answers(
-    contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
-) -> tuple[Float[Array, "L M"], Float[Array, "L M"], Float[Array, "sites fields"]]:
-    """Computes t_il, the factor of c in ψ_i^l, and the fields [X c] of the sites.
-
-    The adjoint derivative is ∂V_i^l/∂g_k = ψ_i^l(k)·(V0 − u_k^l), V/S. Here ψ_i^l is the
-    potential of a unit current into electrode i, with the ground l and the object at 0 V.
-    Its value at k is X_ki − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l. The factors are
-    t_il = (p·Q_il + f_i·f_l)/d_l and d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T.
-    """
-    g = _ground(contact, grounds, ground_resistance)
-    f, over = contact.shortfall, 1 / g.denominator[:, None]
-    share = (contact.conductance * g.q + f * g.f[:, None]) * over
-    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
-    return share, lift, jnp.concatenate([contact.field, contact.gap[:, None]], 1)
-
-
-def voltage_change(
-    contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-    drive_voltage: Float[Array, ""],
-) -> Callable[[Float[Array, " sites"]], Float[Array, "L M"]]:
-    """Makes dg ↦ Σ_k ∂V_i^l/∂g_k·dg_k, V, without the L·M·sites numbers of ∂V/∂g.
-
-    The slopes are products of L + M fields. So one product of matrices, with L·(M +
-    1)·sites terms, gives the change.
-    """
-    share, lift, fields = _answers(contact, grounds, ground_resistance)
-    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-
-    def change(dg: Float[Array, " sites"]) -> Float[Array, "L M"]:
-        at = matmul(drop * dg, fields)
-        own = jnp.take_along_axis(at, grounds[:, None], 1)
-        return at[:, :-1] - share * own + lift * at[:, -1:]
-
-    return change
-
-
 def voltage_slopes(
     contact: ContactReduction,
     grounds: Int[Array, " L"],
@@ -147,10 +108,18 @@ def voltage_slopes(
 ) -> Callable[[Float[Array, "some P"], Int[Array, " some"]], Float[Array, "L M P"]]:
     """Makes a map from ∂g/∂(P parameters) at some sites to ∂V_i^l/∂(parameters), V.
 
-    The map takes ∂g and the sites' numbers. One product of matrices does `voltage_change`
-    for all parameters.
+    The map takes ∂g and the sites' numbers. The adjoint derivative is ∂V_i^l/∂g_k =
+    ψ_i^l(k)·(V0 − u_k^l), V/S. Here ψ_i^l is the potential of a unit current into electrode
+    i, with the ground l and the object at 0 V. Its value at k is X_ki − t_il·X_kl +
+    c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l. The factors are t_il = (p·Q_il + f_i·f_l)/d_l and
+    d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T. The slopes are products of L + M fields: one
+    product of matrices serves all parameters.
     """
-    share, lift, fields = _answers(contact, grounds, ground_resistance)
+    g = _ground(contact, grounds, ground_resistance)
+    f, over = contact.shortfall, 1 / g.denominator[:, None]
+    share = (contact.conductance * g.q + f * g.f[:, None]) * over
+    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
+    fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
 
     def slopes(dg: Array, sites: Array) -> Array:
