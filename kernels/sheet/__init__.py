@@ -34,7 +34,6 @@ from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
     ground_voltages as ground_voltages,
     shared_ground_voltages as shared_ground_voltages,
-    voltage_change as voltage_change,
     voltage_drop as voltage_drop,
     voltage_slopes as voltage_slopes,
 )

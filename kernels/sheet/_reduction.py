@@ -117,28 +117,6 @@ def _answers(
     return share, lift, jnp.concatenate([contact.field, contact.gap[:, None]], 1)
 
 
-def voltage_change(
-    contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-    drive_voltage: Float[Array, ""],
-) -> Callable[[Float[Array, " sites"]], Float[Array, "L M"]]:
-    """Makes dg ↦ Σ_k ∂V_i^l/∂g_k·dg_k, V, without the L·M·sites numbers of ∂V/∂g.
-
-    The slopes are products of L + M fields. So one product of matrices, with L·(M +
-    1)·sites terms, gives the change.
-    """
-    share, lift, fields = _answers(contact, grounds, ground_resistance)
-    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
-
-    def change(dg: Float[Array, " sites"]) -> Float[Array, "L M"]:
-        at = matmul(drop * dg, fields)
-        own = jnp.take_along_axis(at, grounds[:, None], 1)
-        return at[:, :-1] - share * own + lift * at[:, -1:]
-
-    return change
-
-
 def voltage_slopes(
     contact: ContactReduction,
     grounds: Int[Array, " L"],
@@ -147,8 +125,8 @@ def voltage_slopes(
 ) -> Callable[[Float[Array, "some P"], Int[Array, " some"]], Float[Array, "L M P"]]:
     """Makes a map from ∂g/∂(P parameters) at some sites to ∂V_i^l/∂(parameters), V.
 
-    The map takes ∂g and the sites' numbers. One product of matrices does `voltage_change`
-    for all parameters.
+    The map takes ∂g and the sites' numbers. Slopes are products of L + M fields: one
+    product of matrices does for all parameters, without the L·M·sites numbers of ∂V/∂g.
     """
     share, lift, fields = _answers(contact, grounds, ground_resistance)
     drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)

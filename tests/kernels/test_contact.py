@@ -22,7 +22,6 @@ from tomojax.kernels.sheet import (
     shared_slot_map,
     site_conductance,
     slot_map,
-    voltage_change,
     voltage_drop,
     voltage_slopes,
 )
@@ -270,12 +269,3 @@ def test_few_strong_sites_of_many(sensor, weakest, rng) -> None:
     for of, off in ((ground_voltages, weak**2), (voltage_drop, weak)):
         atol = 4.5 * max(float(off), 1e-9)
         np.testing.assert_allclose(of(got, *drive), of(want, *drive), atol=atol, rtol=0)
-
-
-def test_change_of_voltages_is_that_of_the_sensitivity(sensor, rng) -> None:
-    contact = mesh_reduction(sensor, patchy(rng))
-    drive = jnp.array([0, 5]), sensor.ground_resistance, sensor.drive_voltage
-    dg = jnp.asarray(1e-6 * rng.standard_normal(NODES + ELECTRODES))
-    want = sensitivity(contact, *drive) @ dg
-    got = voltage_change(contact, *drive)(dg)
-    np.testing.assert_allclose(got, want, atol=1e-12 * np.abs(want).max(), rtol=1e-9)
