@@ -27,14 +27,17 @@ _SPEED = 0.3
 
 
 class Known(NamedTuple):
-    """Frames with one contact each: its rough place, and how well that is known."""
+    """Frames with one contact each: its rough place, and how well that is known.
 
-    voltages: Float[np.ndarray, "n S M"]
-    grounds: Integer[np.ndarray, "n S"]
-    places: Float[np.ndarray, "n 2"]  # m
-    spread: Float[np.ndarray, " n"]  # 1 σ of them, m
-    times: Float[np.ndarray, "n S"]  # of slots, s
-    weight: Float[np.ndarray, " n"]  # of what a frame tells, beside its neighbours
+    The arrays are NumPy's on the host, and JAX's in compiled calls.
+    """
+
+    voltages: Float[Any, "n S M"]
+    grounds: Integer[Any, "n S"]
+    places: Float[Any, "n 2"]  # m
+    spread: Float[Any, " n"]  # 1 σ of them, m
+    times: Float[Any, "n S"]  # of slots, s
+    weight: Float[Any, " n"]  # of what a frame tells, beside its neighbours
 
     def on_device(self, dtype: Any) -> "Known":
         """Makes JAX's arrays, of which a compiled call takes each frame by itself."""
@@ -102,7 +105,7 @@ def sums_of(
         found = _frames(points, slopes, prepared, some)
         parts.append(Sums(*(np.asarray(a, float) for a in found)))
         each.append(parts[-1].each[there])
-    total = Sums(*(sum(a) for a in zip(*parts)))
+    total = Sums(*(np.sum(a, 0) for a in zip(*parts)))
     return total._replace(
         each=np.concatenate(each), shared=total.shared / known.weight.sum()
     )

@@ -46,7 +46,7 @@ class Frames(NamedTuple):
     def usable(self) -> "Frames":
         """Keeps frames without faults; a channel that is seldom good is NaN in all."""
         often = self.good.sum((0, 1)) > _GOOD * self.good[..., 0].size
-        kept = self.take(self.good[:, :, often].all((1, 2)))
+        kept = self.take(np.asarray(self.good[:, :, often].all((1, 2))))
         return kept._replace(voltages=np.where(often, kept.voltages, np.nan))
 
     def spread(self, most: int) -> "Frames":

@@ -161,7 +161,6 @@ class Linear(AbstractMethod):
         fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
         rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
         rows = rows.reshape(-1, rows.shape[-1])
-        operator, _ = tikhonov_operator(rows, lam)
         current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
         return PreparedLinear(
             operator=jnp.asarray(tikhonov_operator(rows, lam).T, dtype),

@@ -178,7 +178,7 @@ class Source(AbstractMethod):
         highest = [np.abs(frame.voltages).max() for frame in frames]
         enough = max(highest, default=0.0) / 2
         slots = [
-            (v.astype(float), ground, good)
+            (v.astype(float), int(ground), good)
             for frame in frames
             for v, ground, good in zip(*frame)
             if good.any() and np.abs(v).max() >= enough

@@ -43,9 +43,9 @@ class Plane:
 
     def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Computes G of two places (…, 2), at 1 Ω per square."""
-        one, other = (turned(self.size, at, np) for at in (one, other))
+        first, second = (turned(self.size, at, np) for at in (one, other))
         sides = float(self.size.min()), float(self.size.max())
-        return Series(one, other, sides, np, terms=_TERMS).potential(self._least)
+        return Series(first, second, sides, np, terms=_TERMS).potential(self._least)
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""

@@ -91,7 +91,7 @@ def _one(
     # A channel's own errors are the same in all slots; the sheet's are in each place.
     own = (jnp.abs(fit) * scene.errors.own * used).sum(0) / power
     smooth = (prepared.smooth**2).sum(0)
-    variance = prepared.noise**2 / power + own**2 + smooth
+    variance = jnp.asarray(prepared.noise) ** 2 / power + own**2 + jnp.asarray(smooth)
     # Free are the voltages but for a current in each slot, and the disc.
     free = jnp.maximum(used.sum() - used.max(1).sum() - DISC, 1)
     chi = (found.rest**2).sum() / free

@@ -97,7 +97,7 @@ def _scores(
         return score(columns, seen, off)
 
     every = jax.vmap(one, (None, None, 0))
-    return jax.lax.map(lambda x: every(*x, grounds), (places, more_ek))
+    return jax.lax.map(lambda x: every(x[0], x[1], grounds), (places, more_ek))
 
 
 def score(
