@@ -154,8 +154,12 @@ def _with_options(function: Callable) -> Callable:
 
 @functools.cache
 def options() -> dict[str, Any]:
-    """Returns the compiler's options; none on a GPU or where XLA does not know them."""
-    if jax.default_backend() != "cpu":
+    """Returns the compiler's options; none on a GPU or where XLA does not know them.
+
+    A user who has set XLA's level of optimisation has decided.
+    """
+    decided = "xla_backend_optimization_level" in os.environ.get("XLA_FLAGS", "")
+    if decided or jax.default_backend() != "cpu":
         return {}
     try:
         jax.jit(lambda x: x, compiler_options=_QUICK).lower(np.zeros(1)).compile()

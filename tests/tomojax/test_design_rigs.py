@@ -130,7 +130,7 @@ def test_images_on_rigs(sensor, images):
     """Figures are of places and widths; alone they are the same; slopes are right."""
     w = jnp.asarray(np.random.default_rng(3).uniform(0.2, 1, 16))
     value, slope_at = jax.jit(images.value), jax.jit(jax.grad(images.value))
-    figures = np.asarray(jax.jit(images)(w))
+    figures = np.asarray(jax.jit(lambda w: images(w))(w))
     assert images.lam > 0
     assert figures.shape == (4,) and (figures > 0.002).all() and (figures < 0.05).all()
     one = jax.jit(lambda k: images.alone(k).value(w))

@@ -58,9 +58,7 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
         _drop_oldest(folder.parent, kind, limit)
         _drop_when_cut_short(folder)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-        if kind == "compiled":
-            # See `tomojax._programs`. Tests change constants, which it cannot see.
-            os.environ["TOMOJAX_PROGRAMS"] = str(folder)
+        os.environ["TOMOJAX_PROGRAMS"] = str(folder)  # see `tomojax._programs`
         # By default JAX leaves out what compiles in under a second: nearly all programs.
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         # XLA prints two false alarms for each program that it loads: jax#36294, and
