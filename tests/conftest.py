@@ -49,8 +49,8 @@ SHARED = Path(__file__).parents[2] / "shared" / "data"
 # largest may take.
 _MOST_BYTES = 9 << 28
 
-# Mappings that it may hold. Linux allows a process 65 530 and kills it then; a file of tests
-# adds 13 000 at most.
+# Mappings that it may hold. Linux allows a process 65 530 and kills it then; a file of
+# tests adds 13 000 at most.
 _MOST_MAPPINGS = 45_000
 
 

@@ -11,8 +11,10 @@ import os
 import pickle
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 import tomojax as tx
 from bench.stability import Bench, FLAGGED, right, SWEEPS, Trial, trial_row
@@ -57,6 +59,18 @@ def row(method: str, name: str, value: float, seed: int = SEED) -> dict:
 
 def stated(method: str) -> list[str]:
     return [name for name in SWEEPS if method in STATED.get(name, {})]
+
+
+# Sweeps in the short run: noise, one that needs a scene each, and one that breaks channels.
+_SHORT = "white", "from_edge", "dead"
+
+
+def swept(method: str) -> list[Any]:
+    """A method's sweeps; most are long."""
+    return [
+        name if name in _SHORT else pytest.param(name, marks=pytest.mark.long)
+        for name in stated(method)
+    ]
 
 
 def check(method: str, name: str) -> None:

@@ -143,6 +143,7 @@ def test_live_into_a_file_of_rerun(command, scene, tmp_path):
     assert all(name in told for name in (b"contacts_mm", b"image", b"latency_us"))
 
 
+@pytest.mark.long
 def test_live_draws_shapes(command, held):
     """At the end, if it has not begun before."""
     with VirtualRig(held, rate=RATE, link="udp") as rig:

@@ -33,6 +33,7 @@ def field(paper_sensor):
 PLACES = [(0.0621, 0.1043), (0.07, 0.09), (0.012, 0.011), (0.08, 0.0743)]
 
 
+@pytest.mark.long
 def test_table_is_the_mean_over_a_disc(paper_sensor, field):
     """Beside the closed form at 4000 places spread over the disc."""
     diameter, xy = paper_sensor.electrode_diameter, paper_sensor.electrode_xy

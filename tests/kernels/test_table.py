@@ -74,6 +74,7 @@ def test_long_strip_has_the_resistance_of_a_wire() -> None:
         np.testing.assert_allclose(drop, rho * 0.1 / width, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_mesh_converges_in_second_order_to_the_series() -> None:
     """Resistances between electrodes and far elements, smooth in the mesh: slope ≥ 1.8."""
     divisions = np.array([24, 32, 48, 64, 96])

@@ -20,6 +20,7 @@ from tomojax.kernels.sheet import centroids
 from tomojax.methods import Frame
 
 
+@pytest.mark.long
 def test_gradients_are_finite_and_right():
     for row in gradient_rows(100, 100, seed=5):
         assert row["finite"] == row["count"] == 100
@@ -72,6 +73,7 @@ def test_whatever_contact_resistance_is_told(kind):
     assert all(away[rho] < 5 for rho in away if rho >= 1) and away[0.0] > 8
 
 
+@pytest.mark.long
 def test_optimisers_from_bad_starts():
     """Both ended elsewhere, or as NaN, from the first and the last of these once."""
     rows = start_rows((1e-14, 1e-5, 1e7), seed=3)

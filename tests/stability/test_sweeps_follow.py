@@ -1,16 +1,17 @@
 """`follow`: its stated limits, and what it says beyond them."""
 
 import pytest
-from sweeps import check, scenes, stated
+from sweeps import check, scenes, stated, swept
 
 from bench.stability import SWEEPS, takes_part
 
 
-@pytest.mark.parametrize("name", stated("follow"))
+@pytest.mark.parametrize("name", swept("follow"))
 def test_follow(name):
     check("follow", name)
 
 
+@pytest.mark.long
 def test_every_sweep_is_stated():
     """A sweep that `follow` has no part in is one that takes_part leaves out."""
     for name in SWEEPS.keys() - stated("follow"):

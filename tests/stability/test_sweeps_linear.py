@@ -1,12 +1,12 @@
 """`linear`: its stated limits, and what it says beyond them."""
 
 import pytest
-from sweeps import check, stated
+from sweeps import check, stated, swept
 
 from bench.stability import SWEEPS
 
 
-@pytest.mark.parametrize("name", stated("linear"))
+@pytest.mark.parametrize("name", swept("linear"))
 def test_linear(name):
     check("linear", name)
 

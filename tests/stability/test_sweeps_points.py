@@ -1,12 +1,12 @@
 """`points`: its stated limits, and what it says beyond them."""
 
 import pytest
-from sweeps import check, stated
+from sweeps import check, stated, swept
 
 from bench.stability import SWEEPS
 
 
-@pytest.mark.parametrize("name", stated("points"))
+@pytest.mark.parametrize("name", swept("points"))
 def test_points(name):
     check("points", name)
 

@@ -6,6 +6,7 @@ from sweeps import check
 from bench.stability import CONTACTS, SLOW_TESTS
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SLOW_TESTS)
 def test_auto(name):
     check("auto", name)

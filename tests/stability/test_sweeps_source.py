@@ -1,12 +1,12 @@
 """`source`: its stated limits, and what it says beyond them."""
 
 import pytest
-from sweeps import check, stated
+from sweeps import check, stated, swept
 
 from bench.stability import SWEEPS
 
 
-@pytest.mark.parametrize("name", stated("source"))
+@pytest.mark.parametrize("name", swept("source"))
 def test_source(name):
     check("source", name)
 

@@ -67,6 +67,7 @@ def fits(known, volts, grounds):
     return batch(known.voltages(volts), grounds)
 
 
+@pytest.mark.long
 def test_what_is_left_is_at_most_half(presses, calibration):
     """At other places than it is made of; residuals of many grounds, places of two."""
     volts, places = presses
@@ -92,6 +93,7 @@ def blind(found):
     return found.calibration
 
 
+@pytest.mark.long
 def test_what_frames_do_not_tell_moves_freely(frames, found):
     """A move that is listed leaves the residuals as they are; others raise them."""
     assert tx.calibration.summary(sensor(), found)["not_told"] == ["all gains together"]
@@ -117,6 +119,7 @@ def test_what_frames_do_not_tell_moves_freely(frames, found):
     assert left["each gain"] > 3 * left["none"]
 
 
+@pytest.mark.long
 def test_places_need_not_be_known(rig, presses, blind, calibration):
     """Places of ten other contacts: nearer than nominal, as near as with places."""
     volts, places = presses
@@ -129,6 +132,7 @@ def test_places_need_not_be_known(rig, presses, blind, calibration):
     assert error["blind"] < 1.3 * error["placed"]
 
 
+@pytest.mark.long
 def test_electrodes_are_found(rig, blind):
     """Beside the middles of the squares that an electrode covers."""
     true = np.array([rig.cells[rig.node == e].mean(0) for e in range(64)])

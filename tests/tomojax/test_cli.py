@@ -17,6 +17,7 @@ import tomojax as tx
 from tomojax.cli import app
 
 
+@pytest.mark.long
 def test_demo_finds_both_fingers(tmp_path) -> None:
     result = CliRunner().invoke(app.app, ["demo", "--out", str(tmp_path / "pictures")])
     assert result.exit_code == 0, result.output
@@ -29,6 +30,7 @@ def test_demo_finds_both_fingers(tmp_path) -> None:
     assert told and float(told[1]) >= 98 and float(told[2]) < 0.5
 
 
+@pytest.mark.long
 def test_demo_of_a_shape_shares_its_area(tmp_path) -> None:
     result = CliRunner().invoke(app.app, ["demo", "palm", "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output

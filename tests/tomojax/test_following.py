@@ -77,7 +77,7 @@ def test_as_the_step_says_slot_by_slot(path, whole):
     assert np.nanmax(np.hypot(*(near - place).T)) < 2e-3
 
 
-@pytest.mark.parametrize("chunk", [7, 64])
+@pytest.mark.parametrize("chunk", [7, pytest.param(64, marks=pytest.mark.long)])
 def test_chunks_do_not_show(path, whole, tmp_path, chunk):
     same(rows(path, tmp_path / "o.h5", chunk=chunk), whole)
 
@@ -91,7 +91,7 @@ def test_chunks_of_one_scan(path, whole, tmp_path):
     same(rows(few, tmp_path / "o.h5", chunk=1), once)
 
 
-@pytest.mark.parametrize("last", [1, 9])
+@pytest.mark.parametrize("last", [1, pytest.param(9, marks=pytest.mark.long)])
 def test_interrupted_and_resumed(path, whole, tmp_path, last):
     """Also where what the step remembers is of before what is marked as done."""
     out = tmp_path / "o.h5"

@@ -52,6 +52,7 @@ def test_a_network_of_another_sensor_is_like_the_exact_model():
     np.testing.assert_allclose(volts, expected, atol=0.03 * expected.max())
 
 
+@pytest.mark.long
 def test_scenes_come_back(kept):
     sensor, trials = load_trials(kept, "float32")
     again = make_trials(sensor, 2, 3)
@@ -63,6 +64,7 @@ def test_scenes_come_back(kept):
     np.testing.assert_allclose(trials.image.sum((1, 2)), total)
 
 
+@pytest.mark.long
 def test_one_job(kept):
     sensor, trials = load_trials(kept, "float32")
     job = Job("source", ("corner", "around"), batches=(4,), pixels=16)

@@ -42,6 +42,7 @@ def test_is_eq_3(problem) -> None:
     assert r.flags == 0 and r.lam == 50.0
 
 
+@pytest.mark.long
 def test_default_lambda_on_exact_voltages(problem) -> None:
     """Not J's own voltages: the image is then nearly as good as any λ makes it, and where
     no ground is under the contact its place is right to a third of a pitch."""

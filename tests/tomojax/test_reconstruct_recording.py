@@ -201,6 +201,7 @@ def test_ctrl_c_ends_with_a_line_and_130(long_path, tmp_path):
     assert partial_path(out).exists() and not out.exists()
 
 
+@pytest.mark.long
 def test_two_processes_and_one_killed(long_path, uninterrupted, tmp_path):
     """On loopback: one is killed half way and started again; the same file as alone."""
     with socket.socket() as free:
