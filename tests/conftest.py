@@ -90,20 +90,31 @@ def small_sensor() -> tx.Sensor:
     return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))
 
 
-@pytest.fixture(autouse=True, scope="module")
+@pytest.fixture(autouse=True)
 def _little_memory():
     """Drops programs and what they hold, where a worker has grown large."""
     yield
-    here = Path("/proc/self")
-    if not (here / "statm").exists():
-        return
-    held = int((here / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    if held > _MOST_BYTES or (here / "maps").read_bytes().count(b"\n") > _MOST_MAPPINGS:
-        forget()
-        jax.clear_caches()
-        gc.collect()
-        with suppress(OSError, AttributeError):  # another libc keeps what it has
-            ctypes.CDLL(None).malloc_trim(0)
+    statm = Path("/proc/self/statm")
+    if statm.exists():
+        held = int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        if held > _MOST_BYTES:
+            _drop_programs()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_mappings():
+    yield
+    maps = Path("/proc/self/maps")  # takes 20 ms to read: not after each test
+    if maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPPINGS:
+        _drop_programs()
+
+
+def _drop_programs() -> None:
+    forget()
+    jax.clear_caches()
+    gc.collect()
+    with suppress(OSError, AttributeError):  # another libc keeps what it has
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 # Where types and shapes are the subject: checks at each call take a sixth of the time.

@@ -88,6 +88,7 @@ def test_a_fault_is_named_and_nothing_else(made, name):
     assert 0.5 <= fault.certainty <= 0.999 and fault.mend and fault.text
 
 
+@pytest.mark.long
 def test_amounts_are_right(made):
     def value(**given):
         return tx.bringup.check(faulty.recorded(made, 4, **given)).faults[0].value

@@ -104,7 +104,9 @@ def test_a_step_says_the_same(sensor, made):
     assert not int(out.flags) & int(wrong)
 
 
-@pytest.mark.parametrize("shape", [(1, 2), (1, 3), (2, 2)])
+@pytest.mark.parametrize(
+    "shape", [(1, 2), *(pytest.param(s, marks=pytest.mark.long) for s in ((1, 3), (2, 2)))]
+)
 def test_places_of_two_to_four_electrodes_are_doubted(shape):
     """A place is as many numbers as they read: whatever they read is one."""
     few = tx.Sensor.grid(*shape, divisions=(4 * shape[0], 4 * shape[1]))

@@ -129,7 +129,9 @@ def test_what_is_wrong_is_flagged_and_goes_on(step, scenes):
     assert step.traces == 1
 
 
-@pytest.mark.parametrize("method", ["source", "linear"])
+@pytest.mark.parametrize(
+    "method", ["source", pytest.param("linear", marks=pytest.mark.long)]
+)
 def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
     step = tx.make_step(sensor, method, ("all", "around"))
     model = tx.method(sensor, method)
@@ -151,7 +153,9 @@ def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
     assert step.traces == 1
 
 
-@pytest.mark.parametrize("method", ["follow", "source", "linear"])
+@pytest.mark.parametrize(
+    "method", ["follow", "source", pytest.param("linear", marks=pytest.mark.long)]
+)
 def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, lone, method):
     step = lone
     if method != "follow":
@@ -197,7 +201,7 @@ def test_one_contact_more_than_may_be_is_doubted_in_every_slot(lone, scenes):
     assert not any(int(out.flags) for out in outs)
 
 
-@pytest.mark.parametrize("contacts", [2, 3])
+@pytest.mark.parametrize("contacts", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_two_contacts_without_noise_are_not_doubted(sensor, step, contacts):
     """Nor while both contacts that may be are there: no doubt is older than the second.
 
