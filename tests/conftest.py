@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+import signal
 from contextlib import suppress
 from pathlib import Path
 
@@ -44,6 +45,11 @@ gc.freeze()
 gc.set_threshold(100_000, 50, 50)
 
 SHARED = Path(__file__).parents[2] / "shared" / "data"
+
+# A shell has what it runs in the background ignore Ctrl-C, and so would the commands that
+# tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Bytes that a worker may hold before it drops its programs: three quarters of what the
 # largest may take.

@@ -141,7 +141,7 @@ def test_what_is_installed_has_a_name() -> None:
         (f"{each.name}:{said.line}", extra)
         for each in texts()
         for said in each.plain
-        for brackets in re.findall(r"(?:tomojax|\.)\[([\w,]+)\]", said.text)
+        for brackets in re.findall(r"(?:tomojax|'\.)\[([\w,]+)\]", said.text)
         for extra in brackets.split(",")
     ]
     told += [

@@ -129,7 +129,8 @@ def test_errors_on_rigs(sensor):
 def test_images_on_rigs(sensor, images):
     """Figures are of places and widths; alone they are the same; slopes are right."""
     w = jnp.asarray(np.random.default_rng(3).uniform(0.2, 1, 16))
-    value, slope_at = jax.jit(images.value), jax.jit(jax.grad(images.value))
+    value = jax.jit(lambda w: images.value(w))
+    slope_at = jax.jit(jax.grad(lambda w: images.value(w)))
     figures = np.asarray(jax.jit(lambda w: images(w))(w))
     assert images.lam > 0
     assert figures.shape == (4,) and (figures > 0.002).all() and (figures < 0.05).all()

@@ -174,7 +174,7 @@ def calibrated(
             break
     assert first is not None and sums is not None
 
-    def part(square: np.ndarray) -> float:
+    def part(square: np.ndarray | np.floating) -> float:
         return float(np.clip(np.sqrt(square), _LEAST, 1))
 
     return Calibrated(

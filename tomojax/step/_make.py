@@ -13,8 +13,6 @@ from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
 from tomojax.step._policies import AbstractPolicy, policy as make_policy, policy_names
 from tomojax.step._step import Step
 
-STEP_METHODS = ("follow", *METHODS)
-
 
 def make_step(
     sensor: Sensor,
@@ -74,8 +72,8 @@ def make_step(
     own = tables or {}
 
     def made(name: str) -> AbstractStepMethod:
-        known = name in STEP_METHODS
-        require(known, "method", repr(name), one_of(name, STEP_METHODS))
+        names = "follow", *METHODS  # some may be a user's own
+        require(name in names, "method", repr(name), one_of(name, names))
         if name == "follow":
             points = make_method(sensor, "points", grid, calibration)
             assert isinstance(points, Points)
