@@ -35,6 +35,8 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Where in Python an operation stands is written into each program: a tenth of the tracing.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 import tomojax as tx
 from tomojax._programs import forget

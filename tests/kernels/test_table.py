@@ -94,7 +94,7 @@ def test_mesh_converges_in_second_order_to_the_series() -> None:
     assert order >= 1.8, (order, errors)
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.7e-3])
+@pytest.mark.parametrize("shift", [pytest.param(0.0, marks=pytest.mark.long), 0.7e-3])
 def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
     """A 5 mm disc at the default mesh against one four times finer, and the series."""
     base = tx.Sensor.grid()

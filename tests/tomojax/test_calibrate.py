@@ -141,6 +141,7 @@ def test_electrodes_are_found(rig, blind):
     assert np.sqrt((left**2).mean()) < 0.7 * np.sqrt(((true - nominal) ** 2).mean())
 
 
+@pytest.mark.long
 def test_gains_and_zeros_are_the_rigs(rig, calibration):
     left = np.std(np.asarray(calibration.gain) - rig.gain)
     assert left < 0.4 * np.std(rig.gain)
@@ -149,6 +150,7 @@ def test_gains_and_zeros_are_the_rigs(rig, calibration):
     assert 0.1 <= calibration.error < 0.9
 
 
+@pytest.mark.long
 def test_the_sheet_is_found(rig, calibration):
     """As waves: beside the network's own, from its conductances along x."""
     assert np.abs(calibration.sheet).max() > 0.005
@@ -158,8 +160,17 @@ def test_the_sheet_is_found(rig, calibration):
     assert np.corrcoef(factor, true)[0, 1] > 0.8
 
 
-def test_file(calibration, tmp_path):
-    path = tmp_path / "c.json"
+@pytest.fixture
+def told() -> tx.Calibration:
+    """Some of 64 channels, whatever rig it is of."""
+    rng = np.random.default_rng(5)
+    gain, offset = 1 + 1e-3 * rng.normal(size=64), 1e-4 * rng.normal(size=64)
+    told = {"gain": tuple(gain.tolist()), "offset": tuple(offset.tolist())}
+    return tx.Calibration(**told, sheet=(0.01,) * 27)
+
+
+def test_file(told, tmp_path):
+    path, calibration = tmp_path / "c.json", told
     calibration.save(path)
     assert tx.Calibration.load(path) == calibration
     path.write_text(path.read_text().replace("gain", "gains"))
@@ -178,10 +189,10 @@ def test_file(calibration, tmp_path):
         replace(calibration, electrodes=((0.0, np.inf),) * 64)
 
 
-def test_a_calibration_of_another_sensor_is_refused(calibration):
+def test_a_calibration_of_another_sensor_is_refused(told):
     small = tx.Sensor.grid(4, 4, divisions=(16, 16))
     with pytest.raises(ValueError, match="^offset: got .64,. values, expected 16 of them"):
-        tx.method(small, "points", 16, calibration)
+        tx.method(small, "points", 16, told)
 
 
 def test_files_of_before_are_read(tmp_path):
@@ -303,6 +314,7 @@ def test_recordings_that_calibrate_nothing():
         tx.calibrate_recording(rec)
 
 
+@pytest.mark.long
 def test_one_touch_calibrates_nothing():
     """Nor does a recording of another thing."""
     touch = tx.voltages(sensor(), tx.Disc([0.07, 0.05], 0.006, 0.1), [0, 63])
@@ -317,6 +329,7 @@ def test_one_touch_calibrates_nothing():
         tx.calibrate_recording(tx.recordings.ArrayRecording(rig, noise, CORNERS))
 
 
+@pytest.mark.long
 def test_derivatives_by_voltages_are_those_of_the_held_problem():
     """The implicit function theorem's, beside differences of the problem solved anew."""
     rng = np.random.default_rng(0)

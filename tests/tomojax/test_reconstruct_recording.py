@@ -220,6 +220,7 @@ def test_two_processes_and_one_killed(long_path, uninterrupted, tmp_path):
     assert sorted(tmp_path.iterdir()) == [out]
 
 
+@pytest.mark.long
 def test_two_devices_give_what_one_gives(tmp_path):
     """`jax.sharding` along the scan axis, on two devices that the CPU pretends to be."""
     script = """
