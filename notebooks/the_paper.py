@@ -104,7 +104,7 @@ if data.is_dir():
         volts = file["v"][:] * file.attrs["scale"] + file.attrs["offset"]
     listed = json.loads((data / "truth.json").read_text())["static_all"]["scenes"]
     scenes = {s["name"]: s for s in listed}
-    figure_7(volts, scenes, study.lam)
+    figure_7(volts, scenes, float(study.lams[-1]))
     figure_7(volts, scenes, "cautious")
 else:
     print("the recordings are not on this machine: Figs. 7 and 8 are left out")
@@ -140,7 +140,7 @@ def bounce(name):
         ground, t0 = file["ground"][:].astype(int), file["t0"][:]
         rate = file.attrs["f_switch"]
     truth = np.load(data / f"{name}.truth.npz")["total_conductance"]
-    sums, flags = images(jnp.asarray(volts), jnp.asarray(ground), study.lam)
+    sums, flags = images(jnp.asarray(volts), jnp.asarray(ground), float(study.lams[-1]))
     assert not np.asarray(flags).any()
     middle = t0 - t0[0] + volts.shape[1] / 2 / rate
     return middle, np.asarray(sums), truth, rate
