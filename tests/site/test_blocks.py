@@ -7,6 +7,7 @@ tomojax is not run: `.ci/run` begins with README's line.
 
 import os
 import re
+import socket
 import subprocess
 import sys
 import tomllib
@@ -99,6 +100,10 @@ def run_blocks(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
             run_python(block, module)
         else:
             run_bash(block, monkeypatch)
+    # What a block that is left out here would have closed.
+    for thing in vars(module).values():
+        if isinstance(thing, socket.socket):
+            thing.close()
 
 
 @pytest.mark.parametrize("name", RUN)
