@@ -9,8 +9,8 @@ from pathlib import Path
 
 # Before JAX starts its CPU backend. xdist's workers share the cores, and threads that wait
 # for each other in OpenBLAS spin on them. LLVM optimises nothing: of a test's time, most is
-# compiling, and programs that run once gain nothing from it. Pages, notebooks and the demo
-# run in .ci/run as a user's do.
+# compiling, and programs that run once gain nothing from it. Notebooks and the demo run
+# in .ci/run as a user's do.
 _QUICK = (
     "--xla_cpu_multi_thread_eigen=false",
     "--xla_cpu_use_fusion_emitters=false",
@@ -35,7 +35,7 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-# Where in Python an operation stands is written into each program: a tenth of the tracing.
+# Programs need not hold where in Python each operation stands.
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
 import tomojax as tx
