@@ -26,7 +26,14 @@ SHARES = {
     "results": ("tomojax/exports", "tomojax/results", "tomojax/step"),
 }
 # A minute each; tests of the room hold what they show.
-LONG = {"calibrated_recording"}
+LONG = {
+    "calibrate_recording",
+    "calibrated_recording",
+    "ElectrodeDesign",
+    "HeldCalibration",
+    "ImageShape",
+    "ShapeInformation",
+}
 _DOCUMENTED = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 

@@ -134,6 +134,7 @@ def test_record_then_info_and_reconstruct(command, scene, tmp_path):
     assert told.returncode == 0, told.stderr
 
 
+@pytest.mark.long
 def test_live_into_a_file_of_rerun(command, scene, tmp_path):
     with VirtualRig(scene, rate=RATE, link="udp") as rig:
         words = "live", rig.where, "--view", "rerun", "--rrd", "c.rrd", "--seconds", 4

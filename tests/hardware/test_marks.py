@@ -26,7 +26,7 @@ def recorded(tmp_path_factory):
     sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
     told = attributes(tx.recordings.Rig.of(sensor, float(RATE)), 5 / 32768, 0.0)
     path = folder / "push.h5"
-    for number in range(2000):
+    for number in range(1000):
         got = Got(number % M, 0, number, number / RATE, 0.0)
         codes = ((number * 7 + 13 * np.arange(M)) % 20_000).astype("i2")
         ring.put(got, codes, NOTHING)

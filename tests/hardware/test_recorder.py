@@ -134,6 +134,7 @@ def test_files_roll(ring, told, tmp_path):
     np.testing.assert_array_equal(np.concatenate(parts), np.arange(last))
 
 
+@pytest.mark.long
 def test_killed_ten_times(ring, told, tmp_path):
     """Every file opens, no half row, nothing lost while another starts."""
     path = tmp_path / "killed.h5"

@@ -84,7 +84,12 @@ def jit_cases(rng):
 
 
 @pytest.mark.parametrize(
-    "name", ["conductance", "contact resistance", "sheet", "shunt", "places"]
+    "name",
+    ["conductance", "sheet"]
+    + [
+        pytest.param(name, marks=pytest.mark.long)
+        for name in ("contact resistance", "shunt", "places")
+    ],
 )
 def test_forward_and_reverse_match_differences(name, rng) -> None:
     f, x, direction, step = jit_cases(rng)[name]

@@ -17,6 +17,7 @@ from tomojax.kernels.sheet import (
 )
 
 
+@pytest.mark.long
 def test_slot_voltages_of_a_point_contact(rng) -> None:
     shape, size = (24, 20), jnp.array([0.12, 0.10])
     nodes = np.asarray(mesh_nodes(shape, size))

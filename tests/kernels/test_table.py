@@ -94,7 +94,8 @@ def test_mesh_converges_in_second_order_to_the_series() -> None:
     assert order >= 1.8, (order, errors)
 
 
-@pytest.mark.parametrize("shift", [pytest.param(0.0, marks=pytest.mark.long), 0.7e-3])
+@pytest.mark.long
+@pytest.mark.parametrize("shift", [0.0, 0.7e-3])
 def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
     """A 5 mm disc at the default mesh against one four times finer, and the series."""
     base = tx.Sensor.grid()
@@ -109,7 +110,7 @@ def test_own_resistance_hardly_depends_on_the_mesh(shift) -> None:
     np.testing.assert_allclose(own[64], own[256], rtol=1e-2)
 
 
-@pytest.mark.parametrize("shunt", [None, 1.0])
+@pytest.mark.parametrize("shunt", [None, pytest.param(1.0, marks=pytest.mark.long)])
 def test_routes_agree_away_from_electrodes(paper_sensor, shunt) -> None:
     sensor = dataclasses.replace(paper_sensor, electrode_shunt=shunt)
     fem, series = (tx.sensor.resistances(sensor, r) for r in ("fem", "series"))
@@ -146,6 +147,7 @@ def test_floating_discs_lower_the_effective_resistance() -> None:
     )
 
 
+@pytest.mark.long
 def test_float32_table_at_a_fine_mesh() -> None:
     """Errors of float32 grow with the mesh; at 160 × 160 they stay below 1e-4."""
     fine = [

@@ -12,7 +12,7 @@ from tomojax.calibration import Adapter
 from tomojax.cli.app import app
 
 GROUNDS = np.array([0, 15, 3, 12, 5, 10])
-NOISE, HOURS = 3e-4, 4
+NOISE, HOURS = 3e-4, 3
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ class Day:
 
 
 def settings(**more):
-    given = dict(method="points", images=False, contacts=2, films=False, tare=False)
+    given = dict(method="points", images=False, contacts=1, films=False, tare=False)
     return tx.results.Settings(**(given | dict(chunk=120) | more))
 
 
@@ -73,7 +73,7 @@ def results(sensor, day, path, **more):
     with h5py.File(path) as file:
         found = {name: file[name][...] for name in file}
     found["bytes"] = path.read_bytes()
-    xy = found["contact_xy"].reshape(-1, 4, 2, 2)[:, 3, 0]
+    xy = found["contact_xy"].reshape(-1, 4, 1, 2)[:, 3, 0]
     found["hours"] = np.hypot(*(xy - day.places).T).reshape(-1, 60)
     found["mm"] = 1e3 * np.median(found["hours"], 1)
     return found
@@ -81,23 +81,22 @@ def results(sensor, day, path, **more):
 
 @pytest.fixture(scope="module")
 def day(touches):
-    return Day(touches, held=(2,))
+    return Day(touches, held=(1,))
 
 
 @pytest.fixture(scope="module")
 def found(sensor, touches, day, tmp_path_factory):
     folder = tmp_path_factory.mktemp("day")
-    still = results(sensor, Day(touches, held=(2,), drift=0.0), folder / "still.h5")
+    still = results(sensor, Day(touches, held=(1,), drift=0.0), folder / "still.h5")
     runs = {a: results(sensor, day, folder / f"{a}.h5", adapt=a) for a in (False, True)}
     return runs | {"start": still}
 
 
 def test_drift_is_followed(found, day):
     start, without, adapted = (found[a]["mm"] for a in ("start", False, True))
-    moving = [1, 3]
-    assert (without[moving] > 3 * start[moving]).all()
+    assert without[-1] > 3 * start[-1]
     # A median of 60 places moves by two in a hundred with the rounding of their fits.
-    assert (adapted[moving] < 1.25 * start[moving]).all()
+    assert adapted[-1] < 1.25 * start[-1]
     gain = np.log(found[True]["adapted_gain"][-1] / day.gain[-1])
     assert gain.std() < 1e-3 and np.log(day.gain[-1]).std() > 0.03
     zero = found[True]["adapted_zero"][-1] - day.zero[-1]
@@ -108,16 +107,17 @@ def test_a_contact_held_for_an_hour_stays(found, day):
     """And where it is: no farther than what the gains' own drift makes of it."""
     held = found[True]["contact_count"].reshape(-1, 4)[day.held]
     assert (held == 1).all()
-    assert found[True]["mm"][2] < found[False]["mm"][2]
-    assert 1e3 * found[True]["hours"][2].max() < 1.5  # gains that drift by 1 %
+    assert found[True]["mm"][1] < found[False]["mm"][1]
+    assert 1e3 * found[True]["hours"][1].max() < 1.5  # gains that drift by 1 %
 
 
 def test_results_log_what_was_used(found):
     log = found[True]
-    assert log["adapted_gain"].shape == log["adapted_zero"].shape == (8, 16)
+    assert log["adapted_gain"].shape == log["adapted_zero"].shape == (6, 16)
     assert (np.diff(log["adapted_t"]) > 0).all() and "adapted_t" not in found[False]
 
 
+@pytest.mark.long
 def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
     recording, other = day.recording(sensor), tmp_path / "b.h5"
     given = settings(adapt=True)
@@ -253,7 +253,7 @@ def test_command_with_adapt(sensor, touches, tmp_path):
     rec = tmp_path / "rec.h5"
     saved(sensor, Day(touches, hours=1), rec)
     words = ["reconstruct", str(rec), "--adapt", "--method", "points", "--no-images"]
-    done = CliRunner().invoke(app, [*words, "--contacts", "2"])
+    done = CliRunner().invoke(app, [*words, "--contacts", "1"])
     assert done.exit_code == 0, done.output
     with h5py.File(tmp_path / "rec.results.h5") as file:
         assert np.std(file["adapted_gain"][-1]) > 5e-3

@@ -39,6 +39,7 @@ def run(method, scenes, names, **options):
     return batch(volts, np.tile(TEN, (len(names), 1)), flags=None)
 
 
+@pytest.mark.long
 def test_auto_takes_the_smallest_that_explains(scenes):
     """One disc at most: two and more are for larger models."""
     method = tx.method(tx.Sensor.grid(dtype=np.float32), "auto", 32)

@@ -170,6 +170,7 @@ def invoke(*arguments):
     return CliRunner().invoke(app.app, [*map(str, arguments)], standalone_mode=False)
 
 
+@pytest.mark.long
 def test_a_rig_is_recorded_first(tmp_path, capfd):
     """The corners are told in words by default."""
     seconds = ("--quiet", 0.3, "--rub", 0.5, "--touch", 0.2)

@@ -38,6 +38,7 @@ def table(sensor, tmp_path_factory):
     return path
 
 
+@pytest.mark.long
 def test_slots_and_lambda_of_each_scan(recording, table):
     chosen = Chosen(table, recording, 2, "linear")
     chunk = read_chunk(recording, 0, 14)
@@ -111,6 +112,7 @@ def test_a_file_with_wrong_lambdas(sensor, table, tmp_path):
         tx.step.load_policy(tmp_path / "bad.npz", sensor)
 
 
+@pytest.mark.long
 def test_designs_for_images_have_a_lambda(sensor):
     found = tx.design.design_policy(sensor, 3, "linear", shape=(3, 3), grid=16)
     assert found.policy.lam is not None

@@ -153,6 +153,7 @@ def test_noise_that_is_stated(sensor):
     assert (shifted(w) > plain(w)).all()
 
 
+@pytest.mark.long
 def test_single_precision(sensor, objectives):
     places = np.asarray(tx.design.design_places(sensor, count=12))
     words = {"divisions": (16, 16), "electrode_diameter": 0.005}

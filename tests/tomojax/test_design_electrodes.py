@@ -34,6 +34,7 @@ def test_slopes_in_electrodes_places(sensor, rng, start):
         np.testing.assert_allclose(slope[e, k], wanted, 1e-5, 1e-7 * abs(slope).max())
 
 
+@pytest.mark.long
 def test_spread_is_backus_and_gilberts(sensor):
     """Less regularised an image is sharper, though not below what electrodes can tell."""
     places = jnp.asarray([[0.05, 0.06], [0.08, 0.03]])
@@ -48,6 +49,7 @@ def test_spread_is_backus_and_gilberts(sensor):
     assert (each[2] > 0.004).all()
 
 
+@pytest.mark.long
 def test_the_worst_gets_better(sensor):
     found = tx.design.design_electrodes(sensor, grid=10, starts=1)
     assert found.spread.max() < 0.97 * found.spread_before.max()

@@ -41,6 +41,7 @@ def test_scenes_of_soft_contacts_are_a_mesh_s(sensor, count):
     assert np.abs(got - wanted).max() < 0.025 * np.abs(wanted).max()
 
 
+@pytest.mark.long
 def test_scenes_of_metal_are_a_network_s():
     """A contact at V0 is no larger than it is: on a mesh it was, by an element."""
     sensor = tx.Sensor.grid(divisions=(32, 32))

@@ -49,18 +49,27 @@ def assert_same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> Non
     np.testing.assert_allclose(one["contact_xy"], other["contact_xy"], atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["points", "auto"])
-@pytest.mark.parametrize("films", [True, False])
-def test_no_row_depends_on_chunks(recording, tmp_path, method, films) -> None:
+@pytest.mark.parametrize(
+    "method, films, sizes",
+    [
+        ("points", True, (7, 1000)),
+        *(
+            pytest.param(method, films, (1, 7, 64, 1000), marks=pytest.mark.long)
+            for method in ("points", "auto")
+            for films in (True, False)
+        ),
+    ],
+)
+def test_no_row_depends_on_chunks(recording, tmp_path, method, films, sizes) -> None:
     found = [
         rows(recording, tmp_path / f"{size}.h5", method=method, films=films, chunk=size)
-        for size in (1, 7, 64, 1000)
+        for size in sizes
     ]
     for other in found[:-1]:
         assert_same(found[-1], other)
 
 
-@pytest.mark.parametrize("rate", ["scan", "slot"])
+@pytest.mark.parametrize("rate", [pytest.param("scan", marks=pytest.mark.long), "slot"])
 def test_a_film_finds_what_a_search_finds(recording, tmp_path, rate) -> None:
     searched, film = (
         rows(recording, tmp_path / f"{films}.h5", method="points", films=films, rate=rate)

@@ -9,7 +9,7 @@ import tomojax as tx
 from tomojax import cli, Flag
 from tomojax.results import partial_path, Settings
 
-SCANS, SLOTS = 1100, 2
+SCANS, SLOTS = 220, 2
 FIELDS = ("contact_count", "flags", "contact_xy", "contact_current", "residual")
 
 
@@ -17,14 +17,14 @@ FIELDS = ("contact_count", "flags", "contact_xy", "contact_current", "residual")
 def path(tmp_path_factory):
     """A contact in the middle third; lost scans, an unknown ground, channels gone."""
     codes, _ = recordings.touched(scans=SCANS)
-    codes[500, 1, 9] = 32767
+    codes[100, 1, 9] = 32767
     grounds = np.broadcast_to(np.array([0, 63], np.uint8), (SCANS, SLOTS)).copy()
-    grounds[600, 0] = 200
-    codes[650:680, :, 7] = codes[650, 0, 7]
+    grounds[120, 0] = 200
+    codes[130:160, :, 7] = codes[130, 0, 7]
     t0 = np.arange(SCANS) * SLOTS / 10e3
-    t0[450:] += 12 * SLOTS / 10e3
+    t0[90:] += 12 * SLOTS / 10e3
     file = tmp_path_factory.mktemp("follow") / "rec.h5"
-    return recordings.write(file, codes, grounds, t0=t0, gaps=np.array([[450, 12]]))
+    return recordings.write(file, codes, grounds, t0=t0, gaps=np.array([[90, 12]]))
 
 
 def rows(path, out, *, resume=False, progress=None, **settings):
@@ -39,7 +39,7 @@ def rows(path, out, *, resume=False, progress=None, **settings):
 
 @pytest.fixture(scope="module")
 def whole(path):
-    return rows(path, path.with_name("whole.h5"), chunk=1000)
+    return rows(path, path.with_name("whole.h5"), chunk=200)
 
 
 def same(one, other) -> None:
@@ -56,7 +56,7 @@ def test_as_the_step_says_slot_by_slot(path, whole):
     volts = np.where(chunk.good[:, 0], chunk.voltages[:, 0], np.nan)
     state, told = step.state, []
     for k, ground in enumerate(scans.grounds.ravel()):
-        lost = 12 * SLOTS if k == 450 * SLOTS else 0
+        lost = 12 * SLOTS if k == 90 * SLOTS else 0
         state, out = step(state, volts[k], int(ground), lost)
         told.append(out)
     count = np.array([int(out.contacts.count) for out in told])
@@ -67,17 +67,17 @@ def test_as_the_step_says_slot_by_slot(path, whole):
     np.testing.assert_allclose(whole["contact_covariance"], spread, rtol=1e-3)
     own = np.array([int(out.flags) for out in told]) & ~Flag.BAD_VOLTAGES.value
     np.testing.assert_array_equal(whole["flags"], own | chunk.flags)
-    assert whole["flags"][450 * SLOTS] & Flag.GAP
-    assert whole["flags"][500 * SLOTS + 1] & Flag.SATURATED
+    assert whole["flags"][90 * SLOTS] & Flag.GAP
+    assert whole["flags"][100 * SLOTS + 1] & Flag.SATURATED
     unknown = Flag.UNKNOWN_GROUND | Flag.NO_DATA
-    assert whole["flags"][600 * SLOTS] & unknown == unknown
-    assert (whole["flags"][660 * SLOTS : 670 * SLOTS] & Flag.STUCK_CHANNEL).all()
+    assert whole["flags"][120 * SLOTS] & unknown == unknown
+    assert (whole["flags"][140 * SLOTS : 150 * SLOTS] & Flag.STUCK_CHANNEL).all()
     _, place = recordings.touched()
-    near = whole["contact_xy"][400 * SLOTS : 700 * SLOTS, 0]
+    near = whole["contact_xy"][80 * SLOTS : 140 * SLOTS, 0]
     assert np.nanmax(np.hypot(*(near - place).T)) < 2e-3
 
 
-@pytest.mark.parametrize("chunk", [7, pytest.param(64, marks=pytest.mark.long)])
+@pytest.mark.parametrize("chunk", [7, pytest.param(16, marks=pytest.mark.long)])
 def test_chunks_do_not_show(path, whole, tmp_path, chunk):
     same(rows(path, tmp_path / "o.h5", chunk=chunk), whole)
 
@@ -101,11 +101,11 @@ def test_interrupted_and_resumed(path, whole, tmp_path, last):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rows(path, out, chunk=64, progress=stop)
+        rows(path, out, chunk=16, progress=stop)
     if last == 1:
         partial = partial_path(out)
         partial.with_name(partial.name + ".state").unlink(missing_ok=True)
-    same(rows(path, out, chunk=64, resume=True), whole)
+    same(rows(path, out, chunk=16, resume=True), whole)
     assert sorted(tmp_path.iterdir()) == [out]
 
 
@@ -118,7 +118,7 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rows(path, out, chunk=400, progress=stop)
+        rows(path, out, chunk=80, progress=stop)
     partial = partial_path(out)
     state = partial.with_name(partial.name + ".state")
     content = state.read_bytes()
@@ -136,9 +136,9 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
             np.savez(file, **wrong)
         said = f"o.h5.partial.state: {name}: got .*; begin anew with --overwrite$"
         with pytest.raises(ValueError, match=said):
-            rows(path, out, chunk=400, resume=True)
+            rows(path, out, chunk=80, resume=True)
     state.write_bytes(content)
-    same(rows(path, out, chunk=400, resume=True), whole)
+    same(rows(path, out, chunk=80, resume=True), whole)
 
 
 @pytest.mark.parametrize(

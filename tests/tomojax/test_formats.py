@@ -59,7 +59,7 @@ def rows_of(path, folder) -> dict[str, np.ndarray]:
     import h5py
 
     out = folder / "out.h5"
-    settings = tx.results.Settings(method="points", images=False, contacts=2)
+    settings = tx.results.Settings(method="source", images=False, contacts=2)
     with tx.open_recording(path) as recording:
         tx.reconstruct_recording(recording, out, settings, overwrite=True)
     with h5py.File(out) as file:
@@ -210,7 +210,7 @@ def test_another_rig_beside_is_not_gone_on_with(tmp_path) -> None:
     rows_of(path, tmp_path)
     beside = path.with_suffix(".toml")
     beside.write_text(beside.read_text().replace("10e3\n", "5e3\n", 1))
-    settings = tx.results.Settings(method="points", images=False, contacts=2)
+    settings = tx.results.Settings(method="source", images=False, contacts=2)
     with tx.open_recording(path) as recording:
         with pytest.raises(ValueError, match="rig"):
             tx.reconstruct_recording(recording, tmp_path / "out.h5", settings, resume=True)
@@ -227,7 +227,7 @@ def test_a_stretch_is_a_recording(tmp_path) -> None:
         assert part.read(0, 99).t0.tolist() == recording.read(3, 7).t0.tolist()
         with pytest.raises(ValueError, match="holds 0 to 0.0036"):
             tx.recordings.between(recording, 1.0, None)
-        settings = tx.results.Settings(method="points", images=False)
+        settings = tx.results.Settings(method="source", images=False)
         tx.reconstruct_recording(part, tmp_path / "out.h5", settings)
         other = tx.recordings.between(recording, 0.0018, 0.003)
         with pytest.raises(ValueError, match="stretch"):

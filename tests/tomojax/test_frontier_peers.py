@@ -121,6 +121,7 @@ def test_the_range_of_lambda_has_the_best_inside(best, at_end):
     assert not end and lam <= 0.1
 
 
+@pytest.mark.long
 def test_rows_of_peers(small, monkeypatch):
     monkeypatch.setattr("bench.frontier._measure._SECONDS", 0.0)
     trials = make_trials(small, 2, 3)

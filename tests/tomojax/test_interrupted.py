@@ -120,6 +120,7 @@ def test_a_batch_hears_ctrl_c_between_its_parts(touched) -> None:
             batch(np.asarray(some.voltages, np.float64), some.grounds)
 
 
+@pytest.mark.long
 def test_killed_and_stopped_at_random_moments(shared_data, tmp_path) -> None:
     """An excerpt of tests/fuzz/interrupts.py, which has 200 of all commands."""
     script = Path(__file__).parents[1] / "fuzz" / "interrupts.py"

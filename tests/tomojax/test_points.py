@@ -99,6 +99,7 @@ def test_conductance(scenes, rows):
     assert np.median(np.abs(errors)) < 0.06 and np.abs(errors).max() < 0.2
 
 
+@pytest.mark.long
 def test_float32_beside_float64(scenes, method):
     wide = tx.method(tx.Sensor.grid(), "points", 32)
     names = list(scenes)[:13]  # single contacts and pairs
@@ -111,6 +112,7 @@ def test_float32_beside_float64(scenes, method):
     np.testing.assert_allclose(one.contact_xy[:, :2], other.contact_xy, atol=5e-5)
 
 
+@pytest.mark.long
 def test_one_frame_compiled_whole(scenes, method):
     """`estimate` under `jit`, as a step function has it: what `Batch` says in parts."""
     names = ["one_0", "two_0"]

@@ -31,23 +31,29 @@ def rows_of(tmp_path_factory):
     return run
 
 
+# The default takes a minute for the 2000 scans.
+either = pytest.mark.parametrize(
+    "method", ["source", pytest.param("auto", marks=pytest.mark.long)]
+)
+
+
 def drag_truth(folder):
     return np.load(folder / "drag_around.truth.npz")["xy"].reshape(2000, 10, 2).mean(1)
 
 
 def test_tdms_and_hdf5_give_identical_rows(shared_data, rows_of):
-    one, other = (
-        rows_of(shared_data / f"bounce_spanner_copline.{kind}") for kind in ("h5", "tdms")
-    )
+    paths = [shared_data / f"bounce_spanner_copline.{kind}" for kind in ("h5", "tdms")]
+    one, other = (rows_of(path, method="source") for path in paths)
     for name, values in one.items():
         assert values.tobytes() == other[name].tobytes(), name
 
 
-def test_every_fault_where_it_is(shared_data, rows_of):
+@either
+def test_every_fault_where_it_is(shared_data, rows_of, method):
     """README's list of faults, in rows: those after the gap are 37 lower."""
     # That a contact is not all that an image shows is no fault of the recording.
     contact = np.uint32(Flag.CONTACTS_UNEXPLAINED)
-    flags = rows_of(shared_data / "faults.h5")["flags"] & ~contact
+    flags = rows_of(shared_data / "faults.h5", method=method)["flags"] & ~contact
     want = np.full(1963, Flag.SATURATED.value)  # channel 17 throughout
     want[400:450] |= Flag.DEAD_CHANNEL
     want[700:705] |= Flag.NO_DATA
@@ -55,15 +61,19 @@ def test_every_fault_where_it_is(shared_data, rows_of):
     want[1200] |= Flag.GAP
     want[1463:1483] |= Flag.STUCK_SCAN | Flag.NO_DATA
     np.testing.assert_array_equal(flags, want)
-    clean = rows_of(shared_data / "drag_around.h5")["flags"]
+    clean = rows_of(shared_data / "drag_around.h5", method=method)["flags"]
     assert not (clean & ~contact).any()
     assert (clean > 0).mean() < 0.5, (clean > 0).mean()
 
 
-def test_bad_channels_do_not_move_the_contact(shared_data, rows_of):
+@either
+def test_bad_channels_do_not_move_the_contact(shared_data, rows_of, method):
     truth = drag_truth(shared_data)
-    clean = rows_of(shared_data / "drag_around.h5")["contact_xy"][:, 0] - truth
-    faulty = rows_of(shared_data / "faults.h5")["contact_xy"][:, 0]
+    clean, faulty = (
+        rows_of(shared_data / f"{name}.h5", method=method)["contact_xy"][:, 0]
+        for name in ("drag_around", "faults")
+    )
+    clean = clean - truth
     faulty = faulty - np.delete(truth, LOST, 0)
     clean, faulty = (np.hypot(*d.T) for d in (clean, faulty))
     assert np.median(clean) < 2e-3 and np.percentile(clean, 90) < 4e-3
@@ -74,6 +84,7 @@ def test_bad_channels_do_not_move_the_contact(shared_data, rows_of):
         assert np.median(faulty[part][present[part]]) < 1.5 * np.median(same)
 
 
+@pytest.mark.long
 def test_static_scenes(shared_data, rows_of):
     """Single contacts: one, in place, with their current; three are three."""
     rows = rows_of(shared_data / "static_all.h5")
@@ -115,12 +126,13 @@ def test_points_count_every_scene(shared_data):
             assert not rows.flags[k] & Flag.HIGH_RESIDUAL, scene["name"]
 
 
+@either
 @pytest.mark.parametrize("pattern", ["all", "copline", "corners"])
 @pytest.mark.parametrize("thing", ["spanner", "orange"])
-def test_contact_and_none_in_a_bounce(shared_data, rows_of, thing, pattern):
+def test_contact_and_none_in_a_bounce(shared_data, rows_of, thing, pattern, method):
     """As the truth has it, but for scans in which it begins, ends or is feeble."""
     path = shared_data / f"bounce_{thing}_{pattern}.h5"
-    count = rows_of(path)["contact_count"]
+    count = rows_of(path, method=method)["contact_count"]
     truth = np.load(path.with_name(path.stem + ".truth.npz"))["total_conductance"]
     slots = len(truth) // len(count)
     truth = truth[: slots * len(count)].reshape(len(count), slots)

@@ -51,7 +51,11 @@ def found(name, v, length=1.0, ohm=1.0, volt=1.0):
     return batch(v * volt, np.tile(CORNERS, (len(v), 1)))
 
 
-@pytest.mark.parametrize("name", ["source", "linear", "points", "auto"])
+@pytest.mark.parametrize(
+    "name",
+    ["source", "linear"]
+    + [pytest.param(name, marks=pytest.mark.long) for name in ("points", "auto")],
+)
 def test_methods_scale(volts, name):
     """The same places to 1e-4 of a pitch, the same counts and flags."""
     want = found(name, volts)
@@ -68,6 +72,7 @@ def test_methods_scale(volts, name):
         np.testing.assert_allclose(variance, want.contact_covariance, rtol=1e-2)
 
 
+@pytest.mark.long
 def test_a_step_scales(volts):
     """A step's places, counts and flags; its drift is one of time, not of slots."""
 

@@ -135,6 +135,7 @@ def test_a_lone_contact(rows):
     )
 
 
+@pytest.mark.long
 def test_both_precisions(volts, rows):
     wide = tx.method(tx.Sensor.grid(), "shape", 32)
     v = volts["H"][TEN]
@@ -159,6 +160,7 @@ def test_a_film_goes_on_from_its_frames(method, volts):
         assert both.sum() > 0.8 * (anew.touch[k] > 0.5).sum()
 
 
+@pytest.mark.long
 def test_the_image_is_differentiable_by_voltages(volts):
     """By finite differences of whole fits, each with its level: of the sum of an image."""
     method = tx.method(tx.Sensor.grid(), "shape", 16)
@@ -176,6 +178,7 @@ def test_the_image_is_differentiable_by_voltages(volts):
     assert 0 < raised < 3 * further and further < 5
 
 
+@pytest.mark.long
 def test_auto_takes_it_where_smaller_models_do_not_explain(volts):
     method = tx.method(tx.Sensor.grid(dtype=np.float32), "auto", 32)
     lam = method.choose_lambda([])

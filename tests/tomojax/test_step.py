@@ -154,7 +154,9 @@ def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
 
 
 @pytest.mark.parametrize(
-    "method", ["follow", "source", pytest.param("linear", marks=pytest.mark.long)]
+    "method",
+    ["follow"]
+    + [pytest.param(name, marks=pytest.mark.long) for name in ("source", "linear")],
 )
 def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, lone, method):
     step = lone
@@ -180,6 +182,7 @@ def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, lone, metho
     assert int(out.contacts.count) == 1 and step.traces == 1
 
 
+@pytest.mark.long
 def test_readings_are_corrected(sensor, scenes, lone):
     rng = np.random.default_rng(4)
     zero, gain = rng.normal(0, 5e-3, 64), rng.normal(1, 0.02, 64)
@@ -243,6 +246,7 @@ def test_replay_is_the_same_and_a_state_can_be_saved(step, scenes):
     np.testing.assert_array_equal(state.whole, end.whole)
 
 
+@pytest.mark.long
 def test_float32_beside_float64(step, scenes):
     wide = tx.make_step(tx.Sensor.grid(divisions=(32, 32)), "follow", "all")
     # As many slots as in the replay above, which is compiled.
@@ -334,6 +338,7 @@ def test_unrolled_elimination(rng):
     np.testing.assert_allclose(got, np.linalg.solve(a, b), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 def test_tangents_are_the_field_and_its_slopes(step, sensor):
     from tomojax.kernels.contacts import radius_of, tangents
 

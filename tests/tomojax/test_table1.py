@@ -23,6 +23,7 @@ def table1(*arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run([*command, *arguments], capture_output=True, text=True)
 
 
+@pytest.mark.long
 def test_predicts_the_paper(tmp_path) -> None:
     # One test of all that one run gives: the run takes most of a minute.
     out, pictures = tmp_path / "new" / "t.json", tmp_path / "pictures"

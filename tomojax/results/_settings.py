@@ -114,7 +114,8 @@ class Settings:
         apart = self.policy is None or self.rate == "scan"
         require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam
-        check_limits(lam, self.contacts, self.threshold or 0.0)
+        most = 8 if self.method == "follow" else 16
+        check_limits(lam, self.contacts, self.threshold or 0.0, most)
 
 
 def default_method(rate: str | None) -> str:

@@ -162,17 +162,12 @@ def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
     """Refines the places of the search by Gauss and Newton's steps."""
     w0 = _drop_sink(weight, sink, always)
     step = plane.pitch / 4
-    h = 0.02 * plane.pitch
     least, most = 0.05 * plane.pitch, plane.size - 0.05 * plane.pitch
     for _ in range(_STEPS):
         w = w0 * (plane.distance(xy) > UNDER)
         columns = _columns(plane, xy, sink, always)
         x = _solved(columns, volts, w)
-        by = [
-            (plane.from_electrodes(xy + d) - plane.from_electrodes(xy - d)) / (2 * h)
-            for d in h * np.eye(2)
-        ]
-        slopes = [x[:, :1] * d for d in by]
+        slopes = x[:, :1] * plane.slope(xy[:, None], plane.xy)
         x = _solved([*columns, *slopes], volts, w)
         move = np.clip(x[:, -2:], -step, step)
         xy = np.clip(xy + np.nan_to_num(move), least, most)
@@ -189,6 +184,6 @@ def _told(plane, volts, counted, xy, sink, always, weight=None) -> Fits:
     seen = np.where(weight > 0, volts, np.nan)
     masked[np.isnan(masked).all(1), 0] = np.inf
     left = np.nanmedian(masked, 1)
-    span = np.nanquantile(seen, 0.95, 1) - np.nanquantile(seen, 0.05, 1)
+    span = np.subtract(*np.nanquantile(seen, [0.95, 0.05], 1))
     second = x[:, 2] if always is not None else np.zeros(len(xy))
     return Fits(xy, sink, x[:, 0], x[:, 1], modelled, far, left, span, second)

@@ -41,11 +41,19 @@ class Plane:
         self.least_shunt = float((1 - covered) / (1 + covered))
         self._least = _POINT * self.diameter
 
-    def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Computes G of two places (…, 2), at 1 Ω per square."""
+    def _series(self, one: np.ndarray, other: np.ndarray) -> Series:
         first, second = (turned(self.size, at, np) for at in (one, other))
         sides = float(self.size.min()), float(self.size.max())
-        return Series(first, second, sides, np, terms=_TERMS).potential(self._least)
+        return Series(first, second, sides, np, terms=_TERMS)
+
+    def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Computes G of two places (…, 2), at 1 Ω per square."""
+        return self._series(one, other).potential(self._least)
+
+    def slope(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        """Computes ∂G/∂x of `green` as the first place moves, (2, …), 1/m."""
+        by = self._series(one, other).slope(self._least)
+        return np.stack(by[::-1] if self.size[0] > self.size[1] else by)
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""
@@ -80,11 +88,4 @@ class Plane:
 
     def slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
         """Computes ∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
-        h = 0.01 * self.pitch
-        return np.stack(
-            [
-                self.green(places[:, None], self.xy + by)
-                - self.green(places[:, None], self.xy - by)
-                for by in h * np.eye(2)
-            ]
-        ) / (2 * h)
+        return self.slope(self.xy, places[:, None])
