@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import references
 from pyeit.eit.fem import EITForward
 from pyeit.eit.protocol import PyEITProtocol
