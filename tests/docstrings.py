@@ -27,6 +27,11 @@ SHARES = {
 }
 # A minute each; tests of the room hold what they show.
 LONG = {
+    "compare_patterns",
+    "design_electrodes",
+    "PlaceDesigns",
+    "shape_objective",
+    "tune",
     "calibrate_recording",
     "calibrated_recording",
     "ElectrodeDesign",

@@ -61,8 +61,8 @@ def stated(method: str) -> list[str]:
     return [name for name in SWEEPS if method in STATED.get(name, {})]
 
 
-# Sweeps in the short run: noise, and one that breaks channels.
-_SHORT = "white", "dead"
+# The sweep in the short run: one that breaks channels.
+_SHORT = ("dead",)
 
 
 def swept(method: str) -> list[Any]:

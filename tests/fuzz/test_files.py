@@ -4,12 +4,20 @@ import files
 import pytest
 
 # Each damaged file of these starts a process that reads it.
-_LONG = "swmr", "matlab", "tdms", "calibration", "recording_npz", "recording_mcap"
+_LONG = (
+    "results",
+    "swmr",
+    "matlab",
+    "tdms",
+    "calibration",
+    "recording_npz",
+    "recording_mcap",
+)
 
 
 @pytest.mark.parametrize(
     "kind",
-    ["recording", "results", "places_npz", "recording_csv", "sidecar"]
+    ["recording", "places_npz", "recording_csv", "sidecar"]
     + [pytest.param(kind, marks=pytest.mark.long) for kind in _LONG],
 )
 def test_damaged_files_end_in_a_line(tmp_path, kind):

@@ -168,6 +168,7 @@ def test_the_latest_slots_of_an_image():
     assert len(latest(rows[:1])) == 1
 
 
+@pytest.mark.long
 def test_live_with_a_config_and_a_recording(command, held, tmp_path):
     (tmp_path / "rig.toml").write_text(
         'method = "follow"\ncontacts = 1\nseconds = 4.0\nfile-seconds = 60.0\n'

@@ -284,6 +284,7 @@ def test_lab_streaming_layer(ring, told) -> None:
         ended(process)
 
 
+@pytest.mark.long
 def test_foxglove(ring, told) -> None:
     pytest.importorskip("foxglove")
     client = pytest.importorskip("websockets.sync.client")

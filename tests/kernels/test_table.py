@@ -20,7 +20,10 @@ def relative(got, want) -> float:
 
 @pytest.mark.parametrize("dtype, tolerance", [(np.float64, 1e-12), (np.float32, 1e-4)])
 @pytest.mark.parametrize("uneven, shunt", [(False, None), (True, None), (True, 1.0)])
-@pytest.mark.parametrize("divisions", [(40, 40), (24, 36), (17, 16)])
+@pytest.mark.parametrize(
+    "divisions",
+    [(24, 36), *(pytest.param(n, marks=pytest.mark.long) for n in ((40, 40), (17, 16)))],
+)
 def test_fem_table_is_skfem(divisions, uneven, shunt, dtype, tolerance, rng) -> None:
     k = 2 * divisions[0] * divisions[1]
     sheet = 1e4 * np.exp(0.5 * rng.standard_normal(k)) if uneven else 1e4

@@ -24,7 +24,10 @@ MACOS = (
 
 @pytest.mark.parametrize(
     "modules, attributes",
-    [(("fcntl", "resource", "termios"), WINDOWS), ((), MACOS)],
+    [
+        (("fcntl", "resource", "termios"), WINDOWS),
+        pytest.param((), MACOS, marks=pytest.mark.long),
+    ],
     ids=["windows", "macos"],
 )
 def test_a_system_that_has_less(modules, attributes, tmp_path):

@@ -105,6 +105,7 @@ def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
         run(sensor, tmp_path, True, seed=1)
 
 
+@pytest.mark.long
 def test_the_command_from_end_to_end(tmp_path, monkeypatch, capsys):
     """One sweep of one method on two scenes of a small rig, told by its recording."""
     near = np.array([[0.01, 0.01], [0.05, 0.01], [0.03, 0.03], [0.01, 0.05], [0.05, 0.05]])

@@ -178,6 +178,7 @@ def test_a_light_touch_that_is_held_is_no_zero(sensor, touches, highest):
     assert not adapter.offset.any()
 
 
+@pytest.mark.long
 def test_what_is_followed_is_bounded(sensor, touches):
     """A gain that jumps by half is followed at 5 % an hour at most, and to 30 % at most."""
     places, volts = touches
@@ -226,6 +227,7 @@ def saved(sensor, day, path):
         file["t0"], file["gaps"] = day.t.ravel(), np.zeros((0, 2), int)
 
 
+@pytest.mark.long
 def test_info_tells_whether_a_calibration_fits(sensor, touches, tmp_path):
     known = tmp_path / "rig.json"
     tx.Calibration(offset=(0.0,) * 16, made="2026-01-02").save(known)

@@ -57,6 +57,7 @@ def test_lambda_of_another_method_is_its_own(recording, table):
     assert Chosen(table, recording, 2, "points").lam is None
 
 
+@pytest.mark.long
 def test_results_are_those_of_these_slots(recording, table, tmp_path):
     settings = tx.results.Settings(method="linear", grid=16, tare=False, policy=str(table))
     out = tx.reconstruct_recording(recording, tmp_path / "o.h5", settings)

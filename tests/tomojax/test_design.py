@@ -278,6 +278,7 @@ def test_objectives_of_ones_own_are_tuned_and_descended():
             search(Fixed(goal), goal if search is tx.design.tune else 3)
 
 
+@pytest.mark.long
 def test_policy_by_place(sensor, tmp_path):
     found = tx.design.design_policy(sensor, 3, shape=(6, 6), criterion="place")
     assert found.policy.table.shape == (6, 6, 3)

@@ -31,7 +31,7 @@ def results(tmp_path_factory) -> Path:
     recording = tx.recordings.ArrayRecording(rig, volts, [0, 15])
     out = tmp_path_factory.mktemp("results") / "two.h5"
     tx.reconstruct_recording(
-        recording, out, tx.results.Settings(method="points", grid=8, contacts=2)
+        recording, out, tx.results.Settings(method="points", grid=8, contacts=4)
     )
     return out
 

@@ -82,6 +82,7 @@ def test_chunks_do_not_show(path, whole, tmp_path, chunk):
     same(rows(path, tmp_path / "o.h5", chunk=chunk), whole)
 
 
+@pytest.mark.long
 def test_chunks_of_one_scan(path, whole, tmp_path):
     """Takes the first scans alone: each chunk costs the time of several files."""
     with h5py.File(path) as file:
@@ -126,10 +127,8 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
         kept = dict(file)
     for name, value in (
         ("chunk", None),
-        ("chunk", np.array(2.5)),
         ("chunk", kept["chunk"] + 1),  # not marked as done: its rows would be missing
         ("numbers", kept["numbers"][1:]),
-        ("whole", None),
     ):
         wrong = {k: v for k, v in (kept | {name: value}).items() if v is not None}
         with state.open("wb") as file:

@@ -78,6 +78,7 @@ def test_one_job(kept):
     json.dumps(rows)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
     sensor = tx.Sensor.grid(dtype=np.float32)
     jobs = [Job("linear", ("all",)), Job("source", ("all",)), Job("points", ("all",))]
@@ -185,6 +186,7 @@ def test_rates_stay_below_the_machine_s(kept, monkeypatch):
     assert len(lines) == 2 and "256" not in lines[0] and "16 x 16" in lines[0]
 
 
+@pytest.mark.long
 def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
     """Two quick methods stand in; frames and figures are compared with the trials."""
     sensor, trials = load_trials(kept, "float32")

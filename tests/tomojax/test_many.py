@@ -35,7 +35,7 @@ def folder(tmp_path_factory) -> Path:
 
 def test_each_gets_results_and_all_a_table(folder, tmp_path) -> None:
     out = tmp_path / "out"
-    words = ("reconstruct", folder, "-o", out, "--method", "points", "--no-images")
+    words = ("reconstruct", folder, "-o", out, "--method", "source", "--no-images")
     code, said = run(*words, "--json", tmp_path / "all.json")
     assert code == 2 and "4 of 5 done" in said and said.count("tomojax: ") == 1
     with (out / "table.csv").open() as file:
@@ -59,7 +59,7 @@ def test_results_of_one_name_are_kept_apart(folder, tmp_path) -> None:
     other = tmp_path / "r0.csv"
     write_csv(other, touched(scans=12)[0], [0, 63])
     out = tmp_path / "out"
-    words = ("--method", "points", "--no-images", "-o", out)
+    words = ("--method", "source", "--no-images", "-o", out)
     code, said = run("reconstruct", folder / "r0.h5", other, *words)
     assert code == 0, said
     assert {p.name for p in out.glob("*.h5")} == {"r0.results.h5", "r0.csv.results.h5"}
@@ -79,7 +79,7 @@ def test_mistakes_are_named(folder, tmp_path, words, says) -> None:
 def test_a_stretch_in_every_command(folder, tmp_path) -> None:
     rec, out = folder / "r0.h5", tmp_path / "part.h5"
     stretch = ("--from", "0.0004", "--to", "0.0014")
-    words = ("--method", "points", "--no-images", "-o", out)
+    words = ("--method", "source", "--no-images", "-o", out)
     code, said = run("reconstruct", rec, *words, *stretch)
     assert code == 0, said
     with h5py.File(out) as file:

@@ -115,7 +115,10 @@ def circle(count: int) -> tx.Sensor:
     return tx.Sensor([0.1, 0.1], xy, divisions=(40, 40))
 
 
-@pytest.mark.parametrize("make", [lambda: circle(9), lambda: tx.Sensor.grid(4, 5)])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: circle(9), pytest.param(lambda: tx.Sensor.grid(4, 5), marks=pytest.mark.long)],
+)
 def test_any_array(make) -> None:
     sensor = make()
     volts = explored(sensor, tx.Disc([0.06, 0.05], 0.004, 1.0))

@@ -128,6 +128,7 @@ def test_one_frame_compiled_whole(scenes, method):
         np.testing.assert_allclose(residual, rows.residual[k], rtol=0.01)
 
 
+@pytest.mark.long
 def test_gradients_through_a_whole_estimate(scenes):
     """In reverse, through the voltages, against differences: Gauss and Newton's part."""
     method = tx.method(tx.Sensor.grid(), "points", 8)
@@ -145,6 +146,7 @@ def test_gradients_through_a_whole_estimate(scenes):
     np.testing.assert_allclose(slope, difference, atol=0.05 * float(abs(difference).max()))
 
 
+@pytest.mark.long
 def test_stated_deviations(rig, method):
     """Feeble contacts, where noise is all that there is, and strong ones, which say so."""
     rng = np.random.default_rng(5)

@@ -177,6 +177,7 @@ def uninterrupted(long_path):
     return out
 
 
+@pytest.mark.long
 def test_killed_and_resumed(long_path, uninterrupted, tmp_path, rng):
     """SIGKILL at random moments; tests/benchmarks/recordings.py does it ten times."""
     out, options = tmp_path / "o.h5", []

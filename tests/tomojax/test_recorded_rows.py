@@ -106,6 +106,7 @@ def test_static_scenes(shared_data, rows_of):
                 np.testing.assert_allclose(current, np.mean(scene["current"]), rtol=0.15)
 
 
+@pytest.mark.long
 def test_points_count_every_scene(shared_data):
     """Discs, bars, a rim and a short: as many as there are, from all 64 slots."""
     truth = json.loads((shared_data / "truth.json").read_text())["static_all"]["scenes"]

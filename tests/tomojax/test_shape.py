@@ -104,6 +104,7 @@ def test_deviations_and_probabilities(rows):
     assert (truth[sure] == (rows.touch[k] > 0.5)[sure]).mean() > 0.97
 
 
+@pytest.mark.long
 def test_hard_cases_are_defined_and_flagged(method, volts, rows):
     """The whole sheet, one slot, dead channels, noise alone."""
     k = list(MADE).index("sheet")

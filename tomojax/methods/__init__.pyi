@@ -17,7 +17,7 @@ from ._contract import (
 )
 from ._errors import noise_of as noise_of
 from ._linear import Linear as Linear
-from ._names import method as method, METHODS as METHODS
+from ._names import check_grid as check_grid, method as method, METHODS as METHODS
 from ._pixels import pixel_divisions as pixel_divisions
 from ._rows import (
     DOUBT as DOUBT,

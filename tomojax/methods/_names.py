@@ -63,11 +63,16 @@ def method(
     if grid is None:
         pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
         grid = min(512, max(32, int(np.ceil(_PIXELS * pitches * (1 - 1e-5)))))
-    whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
-    require(whole, "grid", repr(grid), "a whole number from 8 to 512")
+    check_grid(grid)
     shape = (int(grid), int(grid))
     found = METHODS[name]
     if calibration is None:
         return found.of(sensor, shape)
     fine = pixel_divisions(sensor, shape, found.cells_per_diameter)
     return found.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+
+
+def check_grid(grid: int) -> None:
+    """Checks the pixels along a side. **Raises:** `ValueError` for another number."""
+    whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
+    require(whole, "grid", repr(grid), "a whole number from 8 to 512")

@@ -11,7 +11,7 @@ import numpy as np
 from tomojax._environment import environment
 from tomojax._require import require
 from tomojax.calibration import tare
-from tomojax.methods import AbstractMethod, check_limits, frames_of, METHODS
+from tomojax.methods import AbstractMethod, check_grid, check_limits, frames_of, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
 from tomojax.sensor import Calibration
 
@@ -114,6 +114,7 @@ class Settings:
         apart = self.policy is None or self.rate == "scan"
         require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam
+        check_grid(self.pixels)
         most = 8 if self.method == "follow" else 16
         check_limits(lam, self.contacts, self.threshold or 0.0, most)
 
