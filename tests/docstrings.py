@@ -27,6 +27,8 @@ SHARES = {
 }
 # A minute each; tests of the room hold what they show.
 LONG = {
+    "descend_sets",
+    "image_spread",
     "compare_patterns",
     "design_electrodes",
     "PlaceDesigns",

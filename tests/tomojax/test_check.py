@@ -102,6 +102,7 @@ def test_amounts_are_right(made):
     assert hum["amplitude_V"] == pytest.approx(0.01, rel=0.1)
 
 
+@pytest.mark.long
 def test_faults_of_the_sheet_are_placed(sensor):
     size = np.asarray(sensor.size, float)
 

@@ -56,6 +56,7 @@ def test_scenes_of_metal_are_a_network_s():
         assert np.sqrt(((volts - exact) ** 2).mean()) < 0.03 * np.abs(exact).max()
 
 
+@pytest.mark.long
 def test_metal_on_the_grounded_electrode():
     """No current is left for the sheet, as in a network."""
     rig = Rig(np.random.default_rng(0), 0, 0, 0, 0)
@@ -98,6 +99,7 @@ def test_bad_scenes(sensor, words, message):
         )
 
 
+@pytest.mark.long
 def test_a_move_of_the_contact_is_its_score(sensor):
     """What the voltages of a contact a little further on pull by is that move."""
     points = Points.of(sensor, (8, 8))

@@ -112,6 +112,7 @@ def test_a_run_goes_on_where_it_was(kept, tmp_path, monkeypatch):
         run_study(other, tmp_path, True)
 
 
+@pytest.mark.long
 def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
     sensor, tried = tx.Sensor.grid(dtype=np.float32), []
     monkeypatch.setattr("bench.frontier._study.jobs", lambda *_: [Job("linear", ("all",))])
@@ -134,6 +135,7 @@ def test_what_failed_is_tried_again(kept, tmp_path, monkeypatch):
     assert len(rows) == 1 and len(tried) == 2
 
 
+@pytest.mark.long
 def test_a_job_that_fails_says_so(kept):
     bad = Job("linear", ("no_such_pattern",))
     (said,) = measured(kept, bad)

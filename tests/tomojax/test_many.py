@@ -79,7 +79,7 @@ def test_mistakes_are_named(folder, tmp_path, words, says) -> None:
 def test_a_stretch_in_every_command(folder, tmp_path) -> None:
     rec, out = folder / "r0.h5", tmp_path / "part.h5"
     stretch = ("--from", "0.0004", "--to", "0.0014")
-    words = ("--method", "source", "--no-images", "-o", out)
+    words = ("--method", "points", "--no-images", "-o", out)
     code, said = run("reconstruct", rec, *words, *stretch)
     assert code == 0, said
     with h5py.File(out) as file:
