@@ -149,10 +149,8 @@ def test_batched_choice_does_not_hang(rng) -> None:
     np.testing.assert_allclose(batched[1], score(frames[1]), rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["white", *(pytest.param(k, marks=pytest.mark.long) for k in ("gain", "common"))],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["white", "gain", "common"])
 def test_default_under_three_kinds_of_noise(rng, kind) -> None:
     """Image error over the best λ's, median of 8 scenes: the default's is below 1.5.
 

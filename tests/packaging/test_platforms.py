@@ -22,12 +22,10 @@ MACOS = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "modules, attributes",
-    [
-        (("fcntl", "resource", "termios"), WINDOWS),
-        pytest.param((), MACOS, marks=pytest.mark.long),
-    ],
+    [(("fcntl", "resource", "termios"), WINDOWS), ((), MACOS)],
     ids=["windows", "macos"],
 )
 def test_a_system_that_has_less(modules, attributes, tmp_path):

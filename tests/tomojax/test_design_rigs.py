@@ -129,6 +129,7 @@ def test_errors_on_rigs(sensor):
     assert np.isfinite(np.asarray(slope)).all()
 
 
+@pytest.mark.long
 def test_images_on_rigs(sensor, images):
     """Figures are of places and widths; alone they are the same; slopes are right."""
     w = jnp.asarray(np.random.default_rng(3).uniform(0.2, 1, 16))

@@ -10,6 +10,7 @@ import pytest
 import tomojax as tx
 
 SCANS, GROUNDS = 70, [0, 15]
+SETTINGS = dict(contacts=3, grid=16, images=False)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def recording() -> tx.recordings.ArrayRecording:
 
 
 def rows(recording, path: Path, **given) -> dict[str, np.ndarray]:
-    settings = tx.results.Settings(contacts=3, grid=16, images=False, **given)
+    settings = tx.results.Settings(**(SETTINGS | given))
     tx.reconstruct_recording(recording, path, settings)
     with h5py.File(path) as file:
         return {
@@ -82,9 +83,9 @@ def test_a_film_finds_what_a_search_finds(recording, tmp_path, rate) -> None:
 
 
 def test_resumed_rows_are_the_same(recording, tmp_path) -> None:
-    given = dict(method="points", films=True, chunk=16)
+    given = dict(method="points", films=True, chunk=16, contacts=1)
     whole = rows(recording, tmp_path / "whole.h5", **given)
-    settings = tx.results.Settings(contacts=3, grid=16, images=False, **given)
+    settings = tx.results.Settings(**(SETTINGS | given))
 
     def interrupt(done: int, total: int) -> None:
         if done == 2:
@@ -101,7 +102,7 @@ def test_resumed_rows_are_the_same(recording, tmp_path) -> None:
 def test_chunks_are_whole_films(recording, tmp_path) -> None:
     def chunk(number: int, **given) -> int:
         path = tmp_path / f"{number}.h5"
-        rows(recording, path, chunk=100, **given)
+        rows(recording, path, chunk=100, contacts=1, **given)
         with h5py.File(path) as file:
             return json.loads(file.attrs["configuration"])["chunk"]
 

@@ -169,6 +169,7 @@ def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
     assert "tomojax[app,peers]" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_rates_stay_below_the_machine_s(kept, monkeypatch):
     sensor, trials = load_trials(kept, "float32")
     monkeypatch.setattr("bench.frontier._rates.machine", lambda dtype: (1e15, 1e18))
