@@ -25,21 +25,21 @@ SHARES = {
     "design": ("tomojax/design",),
     "results": ("tomojax/exports", "tomojax/results", "tomojax/step"),
 }
-# A minute each; tests of the room hold what they show.
+# Five seconds to half a minute each.
 LONG = {
-    "descend_sets",
-    "image_spread",
-    "compare_patterns",
-    "design_electrodes",
-    "PlaceDesigns",
-    "shape_objective",
-    "tune",
     "calibrate_recording",
     "calibrated_recording",
+    "compare_patterns",
+    "descend_sets",
+    "design_electrodes",
     "ElectrodeDesign",
     "HeldCalibration",
+    "image_spread",
     "ImageShape",
+    "PlaceDesigns",
+    "shape_objective",
     "ShapeInformation",
+    "tune",
 }
 _DOCUMENTED = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -22,7 +22,7 @@ from tomojax.kernels.sheet import (
 from tomojax.sensor import sheet_on_mesh
 
 # One mesh shape per electrode count: a new one compiles anew, a new value does not.
-GRIDS = {(2, 3): (20, 28), (3, 3): (28, 28)}
+GRIDS = {(2, 3): (20, 28), (3, 2): (28, 20)}
 
 
 @st.composite

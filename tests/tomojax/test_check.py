@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import tomojax as tx
+from tomojax.bringup.sheet import Plane
 from tomojax.cli import app
 from tomojax.hardware import OrderedSource, ReplaySource
 
@@ -122,6 +123,29 @@ def test_faults_of_the_sheet_are_placed(sensor):
     place = found.faults[0].value
     assert place["x_mm"] == pytest.approx(3, abs=0.4)
     assert place["y_mm"] == pytest.approx(1, abs=0.4)
+
+
+@pytest.mark.parametrize("rows, columns", [(3, 5), (5, 3)])
+def test_slopes_of_the_plane(rows, columns):
+    """Beside differences; more places than are computed at once."""
+    rig = tx.recordings.Rig.of(faulty.grid(rows, columns))
+    plane, h = Plane(rig), 1e-6
+    places = np.random.default_rng(0).uniform(0.1, 0.9, (300, 2)) * plane.size
+    off = np.hypot(*(places[:, None] - plane.xy).transpose(2, 0, 1)) > 1e-3
+
+    def moved(by, at):
+        return plane.green(places[:, None] + by, plane.xy + at)
+
+    steps = h * np.eye(2)
+    for found, ways in (
+        (plane.place_slopes(places), [(d, 0) for d in steps]),
+        (plane.slopes(places), [(0, d) for d in steps]),
+    ):
+        ahead = np.stack([moved(by, at) for by, at in ways])
+        behind = np.stack([moved(-by, -at) for by, at in ways])
+        want = (ahead - behind) / (2 * h)
+        scale = np.abs(want[:, off]).max()
+        np.testing.assert_allclose(found[:, off], want[:, off], atol=1e-6 * scale)
 
 
 def test_two_faults_are_two(made):

@@ -170,6 +170,7 @@ def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_pa
         (["--rate", "row"], "rate"),
         (["--lam", "much"], "lam"),
         (["--lam", "-1"], "lam"),
+        (["--grid", "0"], "grid"),
         (["--grid", "3"], "grid"),
         (["--contacts", "0"], "contacts"),
         (["--threshold", "-1"], "threshold"),

@@ -127,8 +127,10 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
         kept = dict(file)
     for name, value in (
         ("chunk", None),
+        ("chunk", np.array(2.5)),
         ("chunk", kept["chunk"] + 1),  # not marked as done: its rows would be missing
         ("numbers", kept["numbers"][1:]),
+        ("whole", None),
     ):
         wrong = {k: v for k, v in (kept | {name: value}).items() if v is not None}
         with state.open("wb") as file:

@@ -242,10 +242,10 @@ class Batch:
         return jax.device_put(block, NamedSharding(mesh, PartitionSpec("scan")))
 
 
-def check_limits(lam: float, contacts: int, threshold: float, most: int = 16) -> None:
+def check_limits(lam: float, contacts: int, threshold: float) -> None:
     """Checks a `Batch`'s numbers. **Raises:** `ValueError` for numbers out of range."""
-    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= most
-    require(whole, "contacts", repr(contacts), f"a whole number from 1 to {most}")
+    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 16
+    require(whole, "contacts", repr(contacts), "a whole number from 1 to 16")
     require(np.isfinite(lam) and lam > 0, "lam", lam, "a number above 0")
     fine = np.isfinite(threshold) and threshold >= 0
     require(fine, "threshold", threshold, "volts, 0 or more")

@@ -14,6 +14,7 @@ from tomojax.calibration import tare
 from tomojax.methods import AbstractMethod, check_grid, check_limits, frames_of, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
 from tomojax.sensor import Calibration
+from tomojax.step import check_followed
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
@@ -88,7 +89,7 @@ class Settings:
     @property
     def pixels(self) -> int:
         """Returns the pixels along a side of the image."""
-        return self.grid or (24 if self.rate == "slot" else 32)
+        return (24 if self.rate == "slot" else 32) if self.grid is None else self.grid
 
     @property
     def in_order(self) -> bool:
@@ -103,6 +104,7 @@ class Settings:
             slots = "'slot': follow goes from slot to slot"
             require(self.rate == "slot", "rate", repr(self.rate), slots)
             require(not self.images, "images", self.images, "none with follow")
+            check_followed(self.contacts)
             for name in ("lam", "threshold", "policy"):
                 given = getattr(self, name)
                 require(given is None, name, given, "none with follow")
@@ -115,8 +117,7 @@ class Settings:
         require(apart, "policy", "a row per slot", "rate 'scan'")
         lam = 1.0 if self.lam is None else self.lam
         check_grid(self.pixels)
-        most = 8 if self.method == "follow" else 16
-        check_limits(lam, self.contacts, self.threshold or 0.0, most)
+        check_limits(lam, self.contacts, self.threshold or 0.0)
 
 
 def default_method(rate: str | None) -> str:

@@ -4,7 +4,7 @@ The folder holds policies and their tables too. The folder knows nothing of file
 nor of the rig that a slot comes from.
 """
 
-from tomojax.step._make import make_step as make_step
+from tomojax.step._make import check_followed as check_followed, make_step as make_step
 from tomojax.step._packing import Packed as Packed
 from tomojax.step._policies import (
     ADAPTIVE as ADAPTIVE,

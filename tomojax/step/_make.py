@@ -59,8 +59,7 @@ def make_step(
     >>> tx.make_step(sensor, "source", ["all", [0, 3, 15]], contacts=1, grid=8).policies
     ('all', '0,3,15')
     """
-    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
-    require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")
+    check_followed(contacts)
     m = sensor.electrode_count
     used = np.ones(m, bool) if good is None else np.asarray(good, bool)
     require(used.shape == (m,), "good", f"shape {used.shape}", f"shape ({m},)")
@@ -97,3 +96,9 @@ def make_step(
     require(limit > 0, "highest", limit, "volts above 0")
     known = Calibration() if calibration is None else calibration
     return Step(sensor, main, quick, policies, used, limit, known)
+
+
+def check_followed(contacts: int) -> None:
+    """Checks how many contacts a step follows. **Raises:** `ValueError` but for 1 to 8."""
+    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
+    require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")

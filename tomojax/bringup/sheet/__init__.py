@@ -2,3 +2,7 @@
 
 These files know physics and the residuals of contacts. They know no fault.
 """
+
+from tomojax.bringup.sheet._plane import Plane as Plane
+
+__all__ = ["Plane"]

@@ -167,7 +167,7 @@ def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
         w = w0 * (plane.distance(xy) > UNDER)
         columns = _columns(plane, xy, sink, always)
         x = _solved(columns, volts, w)
-        slopes = x[:, :1] * plane.slope(xy[:, None], plane.xy)
+        slopes = x[:, :1] * plane.place_slopes(xy)
         x = _solved([*columns, *slopes], volts, w)
         move = np.clip(x[:, -2:], -step, step)
         xy = np.clip(xy + np.nan_to_num(move), least, most)

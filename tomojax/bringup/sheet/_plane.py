@@ -5,6 +5,7 @@ source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C. The contac
 ground's resistances change I and C alone.
 """
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -57,8 +58,7 @@ class Plane:
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""
-        parts = np.array_split(places, max(1, -(-len(places) // _TOGETHER)))
-        return np.concatenate([self.green(some[:, None], self.xy) for some in parts])
+        return _in_parts(lambda some: self.green(some, self.xy), places)
 
     @cached_property
     def places(self) -> Float[np.ndarray, "K 2"]:
@@ -86,6 +86,18 @@ class Plane:
         """Computes distances from places to the electrodes, in pitches."""
         return np.hypot(*(places[:, None] - self.xy).transpose(2, 0, 1)) / self.pitch
 
+    def place_slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
+        """Computes ∂G/∂x of `from_electrodes` as a place moves, 1/m."""
+        return _in_parts(lambda some: self.slope(some, self.xy), places)
+
     def slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
         """Computes ∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
-        return self.slope(self.xy, places[:, None])
+        return _in_parts(lambda some: self.slope(self.xy, some), places)
+
+
+def _in_parts(
+    compute: Callable[[np.ndarray], np.ndarray], places: Float[np.ndarray, "n 2"]
+) -> np.ndarray:
+    """Joins (…, n, M) of places (n, 1, 2), of which `compute` gets some at a time."""
+    parts = np.array_split(places[:, None], max(1, -(-len(places) // _TOGETHER)))
+    return np.concatenate([compute(some) for some in parts], -2)
