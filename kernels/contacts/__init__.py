@@ -27,6 +27,7 @@ from tomojax.kernels.contacts._equations import (
     normal_of as normal_of,
 )
 from tomojax.kernels.contacts._field import (
+    Among as Among,
     Field as Field,
     field_at as field_at,
     rows_at as rows_at,

@@ -21,7 +21,7 @@ from tomojax.kernels.contacts._equations import (
     Explained,
     made_by,
 )
-from tomojax.kernels.contacts._field import thin_rows_at
+from tomojax.kernels.contacts._field import home_of, thin_rows_at
 from tomojax.kernels.contacts._points import (
     drops,
     Fitted,
@@ -82,7 +82,7 @@ def curve(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, "8"]) -> 
     shape = _shape_of(sheet, parameters, is_ring)
     place, radius, reach = _stretch(sheet, parameters)
     fitted = (
-        place[None],
+        home_of(sheet.field, place)[None],
         jnp.where(is_ring, 0, reach)[None],
         jnp.where(is_ring, jnp.abs(reach[:1]), 0),
         jnp.where(is_ring, NARROW * sheet.size, radius)[None],

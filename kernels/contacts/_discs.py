@@ -18,7 +18,7 @@ from tomojax.kernels.contacts._equations import (
     Explained,
     made_by,
 )
-from tomojax.kernels.contacts._field import rows_at
+from tomojax.kernels.contacts._field import home_of, rows_at
 from tomojax.kernels.contacts._points import (
     DISC,
     drops,
@@ -88,7 +88,8 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     moved = jnp.einsum("sck,sckm->scm", shift, moved, precision="highest")
     volts = made_by(current, columns[:, :count] + moved)
     none = jnp.zeros_like(place)
-    fitted = Fitted(place, none, none[:, 0], radius, current, drop, volts)
+    at = jax.vmap(home_of, (None, 0))(sheet.field, place)
+    fitted = Fitted(at, none, none[:, 0], radius, current, drop, volts)
     return Explained(rest, column, tangent, prior, by_parameter, fitted)
 
 

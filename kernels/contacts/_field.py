@@ -15,6 +15,13 @@ _NEAREST = 4
 _CATMULL_ROM = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
 
 
+class Among(NamedTuple):
+    """What a sheet's shape adds to the potential between two places, on a grid of both."""
+
+    values: Float[Array, "n n n n"]  # Ω, beside a rectangle that holds the box
+    margin: Float[Array, "2"]  # of the rectangle beyond the box, m
+
+
 class Field(NamedTuple):
     """R_e(x, a): the potential at electrode e per ampere fed into a disc of radius a at x.
 
@@ -25,7 +32,44 @@ class Field(NamedTuple):
     values: Float[Array, "nx ny A M"]  # Ω
     radii: Float[Array, " A"]  # m
     electrodes: Float[Array, "M M"]  # R_ee', Ω
-    size: Float[Array, "2"]  # of the sheet, m
+    size: Float[Array, "2"]  # of the sheet, or of the box that holds it, m
+    home: Float[Array, "nx ny 2"] | None = None  # the places that points stand for, m
+    among: Among | None = None  # of a sheet that is no flat rectangle
+
+
+def home_of(field: Field, place: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Returns the place on the sheet that a place in the box stands for, m."""
+    if field.home is None:
+        return place
+    cells = jnp.asarray(field.home.shape[:2], place.dtype) - 1
+    return _linear(field.home, place / field.size * cells)
+
+
+def margin_of(field: Field) -> Float[Array, "2"] | float:
+    """Returns how far the rectangle of the closed form goes beyond the box, m."""
+    return 0.0 if field.among is None else field.among.margin
+
+
+def among_at(
+    field: Field, one: Float[Array, "2"], other: Float[Array, "2"]
+) -> Float[Array, ""]:
+    """Interpolates what the sheet's shape adds to the potential between two places, Ω."""
+    assert field.among is not None
+    values = field.among.values
+    scale = (len(values) - 1) / field.size
+    return _linear(_linear(values, one * scale), other * scale)
+
+
+def _linear(values: Float[Array, "nx ny *n"], at: Float[Array, "2"]) -> Float[Array, "*n"]:
+    """Interpolates linearly between four points."""
+    last = jnp.asarray(values.shape[:2], at.dtype) - 1
+    low = jnp.clip(jnp.floor(at), 0, last - 1)
+    part, (i, j) = at - low, low.astype(int)
+    near = jax.lax.dynamic_slice(
+        values, (i, j, *[0] * (values.ndim - 2)), (2, 2, *values.shape[2:])
+    )
+    x, y = jnp.stack([1 - part, part], 1)
+    return jnp.einsum("i,j,ij...->...", x, y, near, precision="highest")
 
 
 def field_at(

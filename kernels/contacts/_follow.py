@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts._field import home_of
 from tomojax.kernels.contacts._one_slot import (
     in_slot,
     Noise,
@@ -105,6 +106,7 @@ def follow(
     # Off the very edge, where a contact's own potential is infinite.
     edge = 0.1 * sheet.unit
     place = jnp.clip(place, edge, sheet.field.size - edge)
+    place = jax.vmap(home_of, (None, 0))(sheet.field, place)
     # What the move makes of the fit, to first order.
     shift = (moved[..., None] * columns[:, 1:]).sum(1)
     rest = voltages - matmul(current, columns[:, 0] + shift)

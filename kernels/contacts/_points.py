@@ -6,11 +6,12 @@ variable projection). All slots of a frame share places and sizes.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts._field import Field
+from tomojax.kernels.contacts._field import among_at, Field, margin_of
 from tomojax.kernels.sheet import ground_path, rectangle_green, rectangle_slope
 
 # ln of the width of what is known of a contact's size beforehand.
@@ -88,18 +89,29 @@ def longness(long: Float[Array, "*C 2"]) -> Float[Array, "*C 2"]:
 def green_of(sheet: Sheet, place: Float[Array, "C 2"], radius: Array):
     """Returns the function x ↦ ρ·G(x, place), V for each ampere that a disc feeds in."""
     # Evenly fed discs, whose own mean is that of a rim at a·e^(−1/4).
-    rim = radius * float(np.exp(-0.25))
-    rho, size = sheet.sheet_resistance, sheet.field.size
-    return lambda x: rho * rectangle_green(x, place, rim, size)
+    rim, field = radius * float(np.exp(-0.25)), sheet.field
+    rho, size, margin = sheet.sheet_resistance, field.size, margin_of(field)
+
+    def green(x: Float[Array, "2"]) -> Float[Array, " C"]:
+        even = rho * rectangle_green(x + margin, place + margin, rim, size + 2 * margin)
+        if field.among is None:
+            return even
+        return even + jax.vmap(among_at, (None, 0, None))(field, place, x)
+
+    return green
 
 
 def slope_of(
     sheet: Sheet, place: Float[Array, "C 2"], radius: Float[Array, " C"]
 ) -> Float[Array, "C C 2"]:
     """Computes ∇ at each place of the potential of one ampere into each disc, Ω/m."""
-    rim = radius * float(np.exp(-0.25))
-    slope = rectangle_slope(place[:, None], place, rim, sheet.field.size)
-    return sheet.sheet_resistance * slope
+    rim, margin = radius * float(np.exp(-0.25)), margin_of(sheet.field)
+    size, at = sheet.field.size + 2 * margin, place + margin
+    slope = sheet.sheet_resistance * rectangle_slope(at[:, None], at, rim, size)
+    if sheet.field.among is None:
+        return slope
+    of_other = jax.vmap(jax.grad(among_at, 1), (None, None, 0))
+    return slope + jax.vmap(of_other, (None, 0, None))(sheet.field, place, place)
 
 
 def drops(

@@ -4,8 +4,10 @@ This room turns a sheet into resistances and resistances into voltages. The room
 nothing of images, of noise or of how contacts are found.
 """
 
+from tomojax.kernels.sheet._electrodes import feed_parts as feed_parts
 from tomojax.kernels.sheet._fem import (
     fem_contact as fem_contact,
+    fem_fields as fem_fields,
     fem_resistances as fem_resistances,
     fem_shared_resistances as fem_shared_resistances,
     fem_sheet as fem_sheet,
@@ -17,6 +19,7 @@ from tomojax.kernels.sheet._mesh import (
     cell_sides as cell_sides,
     centroids as centroids,
     element_area as element_area,
+    node_image as node_image,
     nodes as nodes,
     subpoints as subpoints,
     triangles as triangles,
@@ -38,6 +41,12 @@ from tomojax.kernels.sheet._reduction import (
     voltage_slopes as voltage_slopes,
 )
 from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
+from tomojax.kernels.sheet._skin import (
+    coverage as coverage,
+    element_areas as element_areas,
+    Skin as Skin,
+    stretch as stretch,
+)
 from tomojax.kernels.sheet._slots import (
     contact_jacobian as contact_jacobian,
     ground_path as ground_path,

@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import cell_sides, centroids, node_areas, nodes, Shape
+from tomojax.kernels.sheet._skin import distances, moves, node_parts, Skin
 
 # The own resistance of a Gaussian of width s is that of a disc of radius a when
 # ln s + ½(2 ln 2 − γ) = ln a, Euler's γ: the mean of −ln|x − x'| over two draws.
@@ -65,22 +66,32 @@ def feed_width(
     return jnp.maximum(jnp.exp(log_width), _NARROWEST * cell_sides(shape, size).max())
 
 
-def _square_distances(
-    points: Float[Array, "points 2"], places: Float[Array, "M 2"]
-) -> Float[Array, "points M"]:
-    return ((points[:, None] - places[None]) ** 2).sum(-1)
-
-
 def feed_weights(
     places: Float[Array, "M 2"],
     width: Float[Array, ""],
     shape: Shape,
     size: Float[Array, "2"],
+    skin: Skin | None = None,
 ) -> Float[Array, "nodes M"]:
     """Computes shares of each electrode's current that enter a node; columns sum to 1."""
-    square = _square_distances(nodes(shape, size), places)
-    weights = jnp.exp(-square / (2 * width**2)) * node_areas(shape, size)[:, None]
+    square = distances(skin, places, nodes(shape, size))
+    areas = node_areas(shape, size) if skin is None else node_parts(skin, shape, size)
+    weights = jnp.exp(-square / (2 * width**2)) * areas[:, None]
     return weights / weights.sum(0)
+
+
+def feed_parts(
+    places: Float[Array, "M 2"],
+    radius: Float[Array, ""],
+    shape: Shape,
+    size: Float[Array, "2"],
+    skin: Skin,
+) -> Float[Array, " M"]:
+    """Computes the part of each electrode that is on the sheet: 1/2 at a straight edge."""
+    width = feed_width(radius, shape, size)
+    near = jnp.exp(-distances(skin, places, nodes(shape, size)) / (2 * width**2))
+    inside = jnp.matmul(node_parts(skin, shape, size), near, precision="highest")
+    return inside / (2 * np.pi * width**2)
 
 
 def metal_shares(
@@ -88,6 +99,7 @@ def metal_shares(
     width: Float[Array, ""],
     shape: Shape,
     size: Float[Array, "2"],
+    skin: Skin | None = None,
 ) -> Float[Array, "nodes M"]:
     """Computes the share of a contact at each node that is on metal: 1 within 2 s.
 
@@ -95,7 +107,7 @@ def metal_shares(
     1.5 s. A seventh of the feed is still between 1.5 s and 2 s; a contact there was seen to
     drive voltages out of bounds.
     """
-    square = _square_distances(nodes(shape, size), places)
+    square = distances(skin, places, nodes(shape, size))
     # Linear in the square of the distance: smooth where node and electrode coincide.
     reach, cell = 2 * width, cell_sides(shape, size).max()
     inside = jnp.clip(0.5 + (reach**2 - square) / (2 * reach * cell), 0, 1)
@@ -107,9 +119,15 @@ def dipole_weights(
     width: Float[Array, ""],
     shape: Shape,
     size: Float[Array, "2"],
+    skin: Skin | None = None,
 ) -> Float[Array, "nodes D"]:
     """Computes slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m."""
-    moved = lambda by: feed_weights(places + by, width, shape, size)  # noqa: E731
+    steps = moves(skin, places, cell_sides(shape, size))
+
+    def moved(by: Float[Array, "2"]) -> Float[Array, "nodes M"]:
+        at = places + jnp.matmul(steps, by, precision="highest")
+        return feed_weights(at, width, shape, size, skin)
+
     slopes = jax.jacfwd(moved)(jnp.zeros_like(size))
     return jnp.concatenate([slopes[..., 0], slopes[..., 1]], 1)
 
@@ -121,15 +139,17 @@ def series_resistances(
     shape: Shape,
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
+    skin: Skin | None = None,
 ) -> tuple[Float[Array, " M"], Float[Array, " D"]]:
     """Computes the resistances that feeds (Ω) and dipoles (Ω/m²) lack to a disc's own.
 
     Feed: `_own_excess`/(2πσ_e), zero where the mesh resolves the disc. Dipole, answering
     with the part `shunt` of a disc's: 1/(2πσ_e a²·shunt) − [1 + (dx² + dy²)/(32 s²) +
-    0.0048 (h/s)⁴]/(8πσ_e s²). Here σ_e is the sheet's conductance under the feed.
+    0.0048 (h/s)⁴]/(8πσ_e s²). Here σ_e is the sheet's conductance under the feed, of what
+    is on the sheet: half of it at an edge.
     """
     width = feed_width(radius, shape, size)
-    square = _square_distances(centroids(shape, size), places)
+    square = distances(skin, places, centroids(shape, size))
     near = jnp.exp(-square / (2 * width**2))
     under = jnp.matmul(sheet, near, precision="highest") / near.sum(0)
     excess = jnp.maximum(_own_excess(width, radius, shape, size), 0)

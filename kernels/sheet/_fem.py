@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.lax.linalg import triangular_solve
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import factor, inverse_band, matmul, solve
 from tomojax.kernels.sheet import _stiffness
@@ -22,14 +22,22 @@ from tomojax.kernels.sheet._electrodes import (
 )
 from tomojax.kernels.sheet._mesh import Shape, triangles
 from tomojax.kernels.sheet._reduction import ContactReduction, touch_electrodes
+from tomojax.kernels.sheet._skin import (
+    coverage,
+    OUTSIDE,
+    pinned_node,
+    Skin,
+    stiffness_on,
+)
+from tomojax.kernels.sheet._stiffness import reference_stiffness
 from tomojax.kernels.sheet._table import centred, Resistances
 
 
 class FemSheet(NamedTuple):
     """A sheet on its mesh: all that the factorisation needs."""
 
-    sheet: Float[Array, " K"]  # conductance, S per square
-    size: Float[Array, "2"]  # m
+    local: Float[Array, "K 3 3"]  # stiffness of each element, S
+    pinned: Int[Array, ""]  # the node at 0 V
     feeds: Float[Array, "nodes M"]  # shares of each electrode's current per node
     series: Float[Array, " M"]  # Ω, see `series_resistances`
     dipoles: Float[Array, "nodes D"]  # 1/m, D = 2M, or 0 for electrodes without extent
@@ -44,46 +52,55 @@ def fem_sheet(
     shape: Shape,
     size: Float[Array, "2"],
     shunt: Float[Array, ""] | None = None,
+    skin: Skin | None = None,
 ) -> FemSheet:
     """Puts electrodes on the mesh of a sheet of conductance `sheet` (S per square).
 
     `shunt`: dipole of a floating electrode, as a part of an equipotential disc's. None
-    leaves out the dipoles, and so two thirds of the right-hand sides.
+    leaves out the dipoles, and so two thirds of the right-hand sides. `skin`: outline and
+    surface of a sheet that is no flat rectangle.
     """
     width = feed_width(radius, shape, size)
-    series, dipole_series = series_resistances(sheet, places, radius, shape, size, shunt)
-    feeds = feed_weights(places, width, shape, size)
+    if skin is None:
+        local = reference_stiffness(shape, size)
+    else:
+        sheet = sheet * jnp.maximum(coverage(skin, shape), OUTSIDE)
+        local = stiffness_on(skin, shape, size)
+    given = places, width, shape, size, skin
+    series = series_resistances(sheet, places, radius, shape, size, shunt, skin)
+    feeds = feed_weights(*given)
     return FemSheet(
-        sheet,
-        size,
+        sheet[:, None, None] * local,
+        pinned_node(skin, shape),
         feeds,
-        series,
-        feeds[:, :0] if shunt is None else dipole_weights(places, width, shape, size),
-        dipole_series,
-        metal_shares(places, width, shape, size),
+        series[0],
+        feeds[:, :0] if shunt is None else dipole_weights(*given),
+        series[1],
+        metal_shares(*given),
     )
 
 
 def _pinned_solver(fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape):
-    """Returns the factor, and rhs ↦ A⁻¹·rhs with the last node at 0 V and its own rule.
+    """Returns the factor, and rhs ↦ A⁻¹·rhs with the pinned node at 0 V and its own rule.
 
     The rule follows from A x = b: dx = A⁻¹(db − dA x). The derivative runs through the
     operator and one more solve with the same factor, never through the factorisation.
     """
-    matrix = _stiffness.assemble(fem.sheet, contact, shape, fem.size)
+    matrix = _stiffness.assemble(fem.local, contact, shape, fem.pinned)
     from_pin = _from_pin(fem, contact, shape)
-    pin = matrix.diagonal[-1, -1, -1]
-    row_sums = (contact + from_pin).at[-1].set(pin)
+    pin = _stiffness.mean_conductance(fem.local)
+    row_sums = (contact + from_pin).at[fem.pinned].set(pin)
     chol = factor(matrix, row_sums)
 
     def operator(x: Array) -> Array:
-        currents = _stiffness.apply(fem.sheet, contact, shape, fem.size, x.at[-1].set(0))
-        return currents.at[-1].set(pin * x[-1])
+        still = x.at[fem.pinned].set(0)
+        currents = _stiffness.apply(fem.local, contact, shape, still)
+        return currents.at[fem.pinned].set(pin * x[fem.pinned])
 
     def pinned_solve(rhs: Float[Array, "nodes m"]) -> Float[Array, "nodes m"]:
         return jax.lax.custom_linear_solve(
             operator,
-            rhs.at[-1].set(0),
+            rhs.at[fem.pinned].set(0),
             solve=lambda _, b: solve(jax.lax.stop_gradient(chol), b),
             symmetric=True,
         )
@@ -95,8 +112,8 @@ def _from_pin(
     fem: FemSheet, contact: Float[Array, " nodes"], shape: Shape
 ) -> Float[Array, " nodes"]:
     """Computes currents (A) into the other nodes with the pinned node at 1 V."""
-    at_pin = jnp.zeros_like(fem.feeds[:, :1]).at[-1].set(1)
-    return -_stiffness.apply(fem.sheet, contact, shape, fem.size, at_pin)[:, 0]
+    at_pin = jnp.zeros_like(fem.feeds[:, :1]).at[fem.pinned].set(1)
+    return -_stiffness.apply(fem.local, contact, shape, at_pin)[:, 0]
 
 
 class _Ports(NamedTuple):
@@ -137,18 +154,39 @@ def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
     fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles], 1))
     ports = _ports(fem, fields)
     at_elements = _stiffness.at_elements(fields, shape).T
-    m = fem.feeds.shape[1]
-    shunt, element_shunt = (ports.answer(f) for f in (ports.feed_dipole.T, at_elements[m:]))
-    ek = at_elements[:m] - matmul(shunt.T, element_shunt)
-    kk = _own_resistance(chol, shape) - (element_shunt**2).sum(0)
+    ek, element_shunt = _answered(fem, ports, at_elements)
+    kk = _own_resistance(chol, fem.pinned, shape) - (element_shunt**2).sum(0)
     return centred(Resistances(ports.q, ek, kk))
 
 
-def _own_resistance(chol, shape: Shape) -> Float[Array, " K"]:
+def fem_fields(
+    fem: FemSheet, shape: Shape
+) -> tuple[Float[Array, "M M"], Float[Array, "M nodes"]]:
+    """Computes R_ee' and R_e at the nodes, Ω, centred."""
+    _, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
+    fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles], 1))
+    ports = _ports(fem, fields)
+    at_nodes, _ = _answered(fem, ports, fields.T)
+    none = jnp.zeros_like(at_nodes[0])
+    ee, en, _ = centred(Resistances(ports.q, at_nodes, none))
+    return ee, en
+
+
+def _answered(
+    fem: FemSheet, ports: _Ports, fields: Float[Array, "ports n"]
+) -> tuple[Float[Array, "M n"], Float[Array, "D n"]]:
+    """Computes fields of electrodes with the dipoles' answer, and that answer."""
+    m = fem.feeds.shape[1]
+    shunt, there = (ports.answer(f) for f in (ports.feed_dipole.T, fields[m:]))
+    return fields[:m] - matmul(shunt.T, there), there
+
+
+def _own_resistance(chol, pinned: Array, shape: Shape) -> Float[Array, " K"]:
     """Computes R_kk = b_kᵀ R b_k from the inverse's band; the pinned node counts zero."""
     band = inverse_band(chol)
-    diagonal = band.diagonal.at[-1, -1, -1].set(0)
-    b = diagonal.shape[-1]
+    b = band.diagonal.shape[-1]
+    at = pinned // b, pinned % b, pinned % b
+    diagonal = band.diagonal.at[at].set(0)
     vertices = triangles(shape)
     own = jnp.zeros(len(vertices), diagonal.dtype)
     for one, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
@@ -225,7 +263,7 @@ def fem_contact(
     fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles, ends], 1))
     own = m + fem.dipoles.shape[1]
     ports = _ports(fem, fields[:, :own])
-    lift, shortfall = fields[:, own], fields[:, own + 1].at[-1].set(1)
+    lift, shortfall = fields[:, own], fields[:, own + 1].at[fem.pinned].set(1)
     # Dipoles carry no net current, so that the lift's field is minus the shortfall's.
     answered = ports.answer(matmul(fem.dipoles.T, shortfall[:, None]))
     shunt = ports.answer(ports.feed_dipole.T)

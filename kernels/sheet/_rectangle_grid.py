@@ -33,12 +33,20 @@ def rectangle_grid_fields(
     radius: float,
     size: Float[np.ndarray, "2"],
     shunt: float | None = None,
-) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
-    """Computes potentials of electrodes at each other and at (x, y), at 1 Ω per square."""
+    beside: Float[np.ndarray, "P 2"] = np.empty((0, 2)),
+) -> tuple[
+    Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"], Float[np.ndarray, "M P"]
+]:
+    """Computes potentials of electrodes at each other, at (x, y) and at places `beside`.
+
+    The sheet has 1 Ω per square.
+    """
     turned = bool(size[0] > size[1])
     if turned:  # the shorter side along x, as in `_rectangle`
-        ee, ep = rectangle_grid_fields(places[:, ::-1], y, x, radius, size[::-1], shunt)
-        return ee, ep.transpose(0, 2, 1)
+        ee, ep, more = rectangle_grid_fields(
+            places[:, ::-1], y, x, radius, size[::-1], shunt, beside[:, ::-1]
+        )
+        return ee, ep.transpose(0, 2, 1), more
     sheet = float(size[0]), float(size[1]), radius
 
     def fields(x: _Points, y: _Points) -> _Points:
@@ -62,16 +70,22 @@ def rectangle_grid_fields(
         ee = ee - answer.T @ answer
         # What the dipoles take from the field at a point is linear in their field there.
         answer = solve_triangular(chol, answer, lower=True, trans=1)
-    ep = np.empty((len(places), len(x), len(y)))
+
+    def rows(x: _Points, y: _Points) -> _Points:
+        there = fields(x, y)
+        if shunt is None:
+            return there[:, 0]
+        dipoles = there[:, 1:].reshape(count, -1)
+        return there[:, 0] - (answer.T @ dipoles).reshape(there[:, 0].shape)
+
     lines = max(1, _BLOCK // (count * len(y)))
-    for start in range(0, len(x), lines):
-        some = slice(start, start + lines)
-        there = fields(x[some, None], y[None])
-        ep[:, some] = there[:, 0]
-        if shunt is not None:
-            dipoles = there[:, 1:].reshape(count, -1)
-            ep[:, some] -= (answer.T @ dipoles).reshape(ep[:, some].shape)
-    return ee, ep
+    ep = np.empty((len(places), len(x), len(y)))
+    for k in range(0, len(x), lines):
+        ep[:, k : k + lines] = rows(x[k : k + lines, None], y[None])
+    more = np.empty((len(places), len(beside)))
+    for k in range(0, len(beside), _BLOCK // count):
+        more[:, k : k + _BLOCK // count] = rows(*beside[k : k + _BLOCK // count].T)
+    return ee, ep, more
 
 
 def _fields(

@@ -2,23 +2,24 @@
 
 A = Σ_k σ_k·∫∇φ∇φᵀ + diag(g). The sheet's conductance is σ (S per square), and a contact's
 conductance to an object at 0 V is g (S per node). Contacts sit on nodes, not the elements'
-means. So the matrix has no positive entry off its diagonal, which keeps every potential
-between the object's and ground. The last node, a corner of the sheet, is pinned to 0 V. The
-choice of the pinned potential drops out of what is measured.
+means. So the matrix of a flat sheet has no positive entry off its diagonal, which keeps
+every potential between the object's and ground. One node is pinned to 0 V: the last, a
+corner of the sheet, or one inside an outline. The choice of the pinned potential drops out
+of what is measured.
 """
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import BlockTri
 from tomojax.kernels.sheet._mesh import block_shape, cell_sides, Shape, triangles
 
 
-def _reference_stiffness(
+def reference_stiffness(
     shape: Shape, size: Float[Array, "2"]
 ) -> Float[Array, "elements 3 3"]:
-    """Computes the stiffness of each element at 1 S per square.
+    """Computes the stiffness of each element of a flat sheet at 1 S per square.
 
     A right triangle has legs p (to vertex 1) and q (to vertex 2). The hypotenuse carries
     nothing and the legs are conductances q/2p and p/2q. The first vertex is the right angle
@@ -33,49 +34,50 @@ def _reference_stiffness(
 
 
 def assemble(
-    sheet: Float[Array, " elements"],
+    local: Float[Array, "elements 3 3"],
     contact: Float[Array, " nodes"],
     shape: Shape,
-    size: Float[Array, "2"],
+    pinned: Int[Array, ""],
 ) -> BlockTri:
-    """Builds A as a block-tridiagonal matrix, the last node's row and column cleared.
+    """Builds A as a block-tridiagonal matrix, the pinned node's row and column cleared.
 
-    **Arguments:** `sheet` σ, S per square and element; `contact` g, S per node; `shape`
-    cells of the mesh; `size` of the sheet, m.
+    **Arguments:** `local` stiffness of each element, S; `contact` g, S per node; `shape`
+    cells of the mesh; `pinned` node.
     **Returns:** blocks (n, b, b) and (n − 1, b, b). The pinned node keeps a diagonal entry
-    alone, the mean of `sheet`, so that the scale of the matrix stays even.
+    alone, of the size of the others, so that the scale of the matrix stays even.
     """
     n, b = block_shape(shape)
-    local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
-    pinned = n * b - 1
     row, column = (
         np.broadcast_to(v, (len(vertices), 3, 3)).ravel()
         for v in (vertices[:, :, None], vertices[:, None, :])
     )
-    free = (row != pinned) & (column != pinned)
-    entries = local.ravel()
+    entries = jnp.where((row != pinned) & (column != pinned), local.ravel(), 0)
 
     def blocks(keep: np.ndarray, count: int) -> Array:
-        at = np.flatnonzero(keep & free)
+        at = np.flatnonzero(keep)
         zero = jnp.zeros((count, b, b), local.dtype)
         return zero.at[column[at] // b, row[at] % b, column[at] % b].add(entries[at])
 
     lower = blocks(row // b == column // b + 1, n - 1)
     diagonal = blocks(row // b == column // b, n)
-    diagonal = diagonal + contact.reshape(n, b)[:, :, None] * jnp.eye(b, dtype=sheet.dtype)
-    return BlockTri(diagonal.at[-1, -1, -1].set(sheet.mean()), lower)
+    diagonal = diagonal + contact.reshape(n, b)[:, :, None] * jnp.eye(b, dtype=local.dtype)
+    at = pinned // b, pinned % b, pinned % b
+    return BlockTri(diagonal.at[at].set(mean_conductance(local)), lower)
+
+
+def mean_conductance(local: Float[Array, "elements 3 3"]) -> Float[Array, ""]:
+    """Computes a conductance of the size of the elements' own, S."""
+    return jnp.trace(local, axis1=1, axis2=2).mean() / 2
 
 
 def apply(
-    sheet: Float[Array, " elements"],
+    local: Float[Array, "elements 3 3"],
     contact: Float[Array, " nodes"],
     shape: Shape,
-    size: Float[Array, "2"],
     potential: Float[Array, "nodes m"],
 ) -> Float[Array, "nodes m"]:
     """Computes A·u element by element, nothing pinned: the currents (A) that u asks for."""
-    local = sheet[:, None, None] * _reference_stiffness(shape, size)
     vertices = triangles(shape)
     currents = jnp.einsum("kij,kjm->kim", local, potential[vertices], precision="highest")
     return (contact[:, None] * potential).at[vertices].add(currents)

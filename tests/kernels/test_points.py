@@ -194,7 +194,7 @@ def test_the_grid_is_the_same_along_both_sides(paper_sensor):
     )[1]
     size, radius = np.asarray(paper_sensor.size, float), 0.0025
     axis = np.linspace(0, size[0], 33)
-    ee, ep = rectangle_grid_fields(xy, axis, axis, radius, size, 1.0)
+    ee, ep, _ = rectangle_grid_fields(xy, axis, axis, radius, size, 1.0)
     turned = np.argsort(np.lexsort((xy[:, 0], xy[:, 1])))
     np.testing.assert_allclose(ee[turned][:, turned], ee, atol=1e-8)
     np.testing.assert_allclose(ep[turned].transpose(0, 2, 1), ep, atol=1e-8)

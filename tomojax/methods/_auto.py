@@ -93,6 +93,10 @@ class Auto(AbstractMethod):
         return self.points.noise
 
     @property
+    def inside(self) -> Bool[Array, "nx ny"] | None:
+        return self.points.inside
+
+    @property
     def electrode_count(self) -> int:
         return self.points.electrode_count
 

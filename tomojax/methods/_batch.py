@@ -194,14 +194,16 @@ class Batch:
         rows.flags[:] |= np.where(quiet, np.uint32(Flag.NO_CONTACT), looked.flags)
         squares = (used[quiet].astype(float) ** 2).sum((1, 2))
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
+        outside = self.method.inside is not None and ~np.asarray(self.method.inside)
+        nothing = np.where(outside, np.nan, 0.0)
         if rows.image is not None and rows.residual_by_electrode is not None:
-            rows.image[quiet] = 0
+            rows.image[quiet] = nothing
             with np.errstate(invalid="ignore"):  # NaN where no slot is good
                 mean = (used[quiet].astype(float) ** 2).sum(1) / good[quiet].sum(1)
             rows.residual_by_electrode[quiet] = np.sqrt(mean)
         for told in (rows.touch, rows.image_deviation):
             if told is not None:
-                told[quiet] = 0
+                told[quiet] = nothing
         return data & ~quiet
 
     def _prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> Any:

@@ -153,6 +153,8 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
+    # Pixels with some of the sheet: the image is NaN in all others. None: every pixel.
+    inside: eqx.AbstractVar[Bool[Array, "nx ny"] | None]
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -271,15 +273,22 @@ def judged(
         method.residual_limit,
         method.noise,
     )
+
+    def drawn(image: Array | None) -> Array | None:
+        if image is None or not images:
+            return None
+        inside = method.inside
+        return image if inside is None else jnp.where(inside, image, jnp.nan)
+
     return Rows.of(
         contacts,
         residual=residual,
         flags=flags,
         rung=jnp.asarray(estimate.rung, jnp.uint8),
-        image=estimate.image if images else None,
+        image=drawn(estimate.image),
         residual_by_electrode=estimate.by_electrode if images else None,
-        touch=estimate.touch if images else None,
-        image_deviation=estimate.deviation if images else None,
+        touch=drawn(estimate.touch),
+        image_deviation=drawn(estimate.deviation),
     )
 
 

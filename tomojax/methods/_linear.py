@@ -86,20 +86,22 @@ class Linear(AbstractMethod):
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
     polarity: Float[Array, ""]  # of the drive: 1 or −1
+    inside: Bool[Array, "nx ny"] | None = None
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
         """Makes the method for an image of `shape` pixels."""
         pixels = pixels_of(sensor, shape)
         sensor = pixels.sensor
-        route = "fem" if sensor.sheet_resistance.ndim else "series"
-        table, grounds = resistances(sensor, route), jnp.asarray(sensor.all_grounds())
+        table = resistances(sensor, "series" if sensor.even else "fem")
+        grounds = jnp.asarray(sensor.all_grounds())
         z = sensor.ground_resistance
         loop = loop_resistance(table, grounds, z)
         maps = _pixel_jacobian(pixels, table, grounds)
         conductance = pixels.mean(1 / loop)
         noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        return cls.from_maps(maps, conductance, shape, pixels.cell, noise, sign)
+        made = cls.from_maps(maps, conductance, shape, pixels.cell, noise, sign)
+        return replace(made, inside=pixels.inside)
 
     @classmethod
     def from_maps(

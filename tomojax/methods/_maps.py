@@ -11,14 +11,17 @@ from tomojax.sensor import resistances
 
 
 def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
-    """Computes T^l of every ground, volts per ampere into a pixel; float64 on the host."""
+    """Computes T^l of every ground, volts per ampere into a pixel; float64 on the host.
+
+    A pixel off the sheet has 0.
+    """
     sensor = pixels.sensor
-    route = "fem" if sensor.sheet_resistance.ndim else "series"
-    table = resistances(sensor, route)
+    table = resistances(sensor, "series" if sensor.even else "fem")
     ee, ek = table.electrodes, pixels.mean(table.elements)
     ee, ek, z = (np.asarray(a, float) for a in (ee, ek, sensor.ground_resistance))
     offset = slot_offset(ee, np.arange(len(ee)), z)
-    return ek[None] - ek[:, None] + offset[:, :, None]
+    maps = ek[None] - ek[:, None] + offset[:, :, None]
+    return maps if pixels.inside is None else maps * np.asarray(pixels.inside).ravel()
 
 
 def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax._programs import kept
 from tomojax._require import require
 from tomojax.kernels.shapes import PixelSites
-from tomojax.kernels.sheet import fem_shared_resistances, site_conductance
+from tomojax.kernels.sheet import coverage, fem_shared_resistances, site_conductance
 from tomojax.sensor import Sensor, sheet_on_mesh
 
 
@@ -21,12 +21,30 @@ class Pixels(NamedTuple):
     sensor: Sensor
     shape: tuple[int, int]
     cell: Float[Array, "2"]
+    parts: Float[Array, " K"] | None  # of each element that is on the sheet; None: all
 
     def mean(self, values: jax.Array) -> Float[Array, "*before pixels"]:
-        """Computes the mean over each pixel's elements, of values (..., K)."""
+        """Computes the mean over each pixel's elements, of values (..., K).
+
+        Off the sheet it is 0.
+        """
+        if self.parts is None:
+            return self._mean(values)
+        covered = self._mean(self.parts)
+        mean = self._mean(values * self.parts) / jnp.where(covered > 0, covered, 1)
+        return jnp.where(covered > 0, mean, 0)
+
+    def _mean(self, values: jax.Array) -> Float[Array, "*before pixels"]:
         (nx, ny), (mx, my) = self.shape, self.sensor.divisions
         split = values.reshape(*values.shape[:-1], nx, mx // nx, ny, my // ny, 2)
         return split.mean((-4, -2, -1)).reshape(*values.shape[:-1], nx * ny)
+
+    @property
+    def inside(self) -> Bool[Array, "nx ny"] | None:
+        """Tells which pixels have some of the sheet; None: all of them."""
+        if self.parts is None:
+            return None
+        return self._mean(self.parts).reshape(self.shape) > 0
 
 
 def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
@@ -39,7 +57,12 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
     else:
         sensor = replace(sensor, divisions=divisions)
     cell = sensor.size / jnp.asarray(shape, sensor.dtype)
-    return Pixels(sensor, shape, cell)
+    skin = sensor.skin
+    parts = None if sensor.outline is None else _coverage(skin, sensor.divisions)
+    return Pixels(sensor, shape, cell, parts)
+
+
+_coverage = jax.jit(coverage, static_argnums=1)
 
 
 def pixel_divisions(
@@ -60,10 +83,11 @@ def pixel_sites(sensor: Sensor, shape: tuple[int, int]) -> PixelSites:
     A pixel's current is even over its nodes, except nodes on metal.
     """
     fem, (mx, my) = sheet_on_mesh(sensor), (m // n for m, n in zip(sensor.divisions, shape))
+    part = 1.0 if sensor.outline is None else coverage(sensor.skin, sensor.divisions)
 
     def spread(pixel: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
         each = jnp.repeat(jnp.repeat(pixel / (2 * mx * my), mx, 0), my, 1)
-        return site_conductance(fem, jnp.repeat(each.ravel(), 2), sensor.divisions)
+        return site_conductance(fem, jnp.repeat(each.ravel(), 2) * part, sensor.divisions)
 
     (n, m), pixels = fem.feeds.shape, shape[0] * shape[1]
     unit = jnp.eye(pixels, dtype=sensor.dtype).reshape(pixels, *shape)

@@ -97,6 +97,7 @@ class Source(AbstractMethod):
     reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
     polarity: Float[Array, ""]  # of the drive: 1 or −1
+    inside: Bool[Array, "nx ny"] | None = None
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Source":
@@ -109,7 +110,11 @@ class Source(AbstractMethod):
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
         noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        return cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise, sign)
+        made = cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise, sign)
+        if pixels.inside is None:
+            return made
+        smoothed = made.smoothed * pixels.inside.ravel()
+        return replace(made, inside=pixels.inside, smoothed=smoothed)
 
     @classmethod
     def from_maps(

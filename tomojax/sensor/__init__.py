@@ -6,6 +6,11 @@ of how contacts are found.
 
 from tomojax.sensor._calibration import Calibration as Calibration, WAVES as WAVES
 from tomojax.sensor._converter import Converter as Converter
+from tomojax.sensor._edges import (
+    AbstractEdge as AbstractEdge,
+    PolygonEdge as PolygonEdge,
+    RoundEdge as RoundEdge,
+)
 from tomojax.sensor._field import make_field as make_field
 from tomojax.sensor._field_slopes import make_moves as make_moves, make_waves as make_waves
 from tomojax.sensor._forward import (
@@ -43,6 +48,7 @@ from tomojax.sensor._shapes import (
 
 # The rest serves other rooms.
 __all__ = [
+    "AbstractEdge",
     "AbstractOutline",
     "AbstractShape",
     "Bar",
@@ -58,8 +64,10 @@ __all__ = [
     "Moving",
     "nominal_noise",
     "Polygon",
+    "PolygonEdge",
     "resistances",
     "Ring",
+    "RoundEdge",
     "Scene",
     "Sensor",
     "sheet_on_mesh",

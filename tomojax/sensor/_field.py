@@ -11,6 +11,7 @@ from scipy import fft
 from tomojax._require import require
 from tomojax.kernels.contacts import Field
 from tomojax.kernels.sheet import disc_mean, rectangle_grid_fields
+from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
 
@@ -41,19 +42,26 @@ _TOGETHER = 16
 def make_field(sensor: Sensor) -> Field:
     """Computes the potentials of electrodes in closed form, averaged over discs.
 
-    A sheet with a value per element adds the difference of two solutions on a mesh, whose
-    errors cancel. Electrodes even out the potential under them (`electrode_shunt`; 1 where
+    A sheet with a value per element, an outline or a surface adds the difference of two
+    solutions on a mesh, whose errors cancel. Beyond an edge the table is that of the place
+    mirrored at the edge: smooth, as no current crosses it. Electrodes even out the potential under them (`electrode_shunt`; 1 where
     the sensor leaves it open: metal discs). Without this effect places are off by 1 mm and
     more.
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
     sensor, even, cells, every = parts_of(sensor)
-    ee, rows = even_fields(even, cells, np.asarray(sensor.electrode_xy, float))
-    if sensor.sheet_resistance.ndim:
-        more_ee, more = _variation(sensor, even, cells)
-        ee, rows = ee + more_ee, rows + more
-    return averaged_field(sensor, ee, rows, every)
+    if sensor.flat:
+        ee, rows = even_fields(even, cells, np.asarray(sensor.electrode_xy, float))
+        if sensor.sheet_resistance.ndim:
+            more_ee, more = _variation(sensor, even, cells)
+            ee, rows = ee + more_ee, rows + more
+        return averaged_field(sensor, ee, rows, every)
+    cut = cut_of(sensor, even)
+    field = averaged_field(sensor, *cut_fields(sensor, even, cut, cells), every)
+    x, y = (np.linspace(0, float(s), n // every + 1) for s, n in zip(sensor.size, cells))
+    home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
+    return field._replace(home=home, among=among_sites(sensor, cut))
 
 
 def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
@@ -79,7 +87,7 @@ def even_fields(
     size, radius = np.asarray(even.size, float), float(even.electrode_diameter) / 2
     x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
     shunt = float(np.asarray(even.electrode_shunt))
-    ee, rows = rectangle_grid_fields(places, x, y, radius, size, shunt)
+    ee, rows, _ = rectangle_grid_fields(places, x, y, radius, size, shunt)
     rho = float(even.sheet_resistance)
     return rho * ee, rho * rows
 

@@ -38,7 +38,7 @@ def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array
     x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
     values = []
     for unit in np.eye(2):
-        (ee, one), (_, other) = (
+        (ee, one, _), (_, other, _) = (
             rectangle_grid_fields(
                 places + side * step * unit, x, y, _diameter(even) / 2, size
             )

@@ -24,6 +24,7 @@ from tomojax._programs import kept
 from tomojax.kernels.sheet import (
     contact_jacobian,
     element_area,
+    element_areas,
     fem_contact,
     fem_resistances,
     fem_sheet,
@@ -74,6 +75,7 @@ def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
     if route == "series":
         shape = sensor.sheet_resistance.shape
         require(shape == (), "sheet_resistance", f"shape {shape}", "one value for 'series'")
+        require(sensor.flat, "route", repr(route), "'fem' for a sheet that is no rectangle")
     return compiled_resistances(sensor, route)
 
 
@@ -100,8 +102,8 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
     >>> import tomojax as tx
     >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
     >>> sheet = jax.jit(tx.sensor.sheet_on_mesh)(sensor)
-    >>> sheet.sheet.shape, sheet.feeds.shape  # (K,) S and (nodes, M)
-    ((512,), (289, 16))
+    >>> sheet.local.shape, sheet.feeds.shape  # (K, 3, 3) S and (nodes, M)
+    ((512, 3, 3), (289, 16))
     """
     return fem_sheet(
         1 / element_values(sensor, sensor.sheet_resistance),
@@ -110,6 +112,7 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
         sensor.divisions,
         sensor.size,
         sensor.electrode_shunt,
+        sensor.skin,
     )
 
 
@@ -232,8 +235,8 @@ def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " 
 @eqx.filter_jit
 def _contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
     points = subpoints(sensor.divisions, sensor.size, _LEVEL)
-    area = element_area(sensor.divisions, sensor.size)
-    blur = jnp.sqrt(area / points.shape[1])
+    blur = jnp.sqrt(element_area(sensor.divisions, sensor.size) / points.shape[1])
+    area = element_areas(sensor.skin, sensor.divisions, sensor.size)
     cast = lambda a: a.astype(sensor.dtype) if eqx.is_inexact_array(a) else a  # noqa: E731
     density = jax.tree.map(cast, scene).density(points, blur, sensor.size)
     return density.mean(1) * area

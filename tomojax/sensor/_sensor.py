@@ -1,15 +1,18 @@
-"""Describes the sensor: a rectangle of conductive sheet on disc electrodes."""
+"""Describes the sensor: a conductive sheet on disc electrodes."""
 
 import operator
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax._checks import (
+    checked,
     float_array,
     known,
     require,
@@ -21,8 +24,15 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax._require import check_electrodes
 from tomojax._shown import named, shown
+from tomojax.kernels.sheet import element_areas, nodes, Skin
 from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
+from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
+from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
+
+# Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
+_CELLS = 3
+_MOST_CELLS = 200
 
 
 class Sensor(eqx.Module):
@@ -30,7 +40,8 @@ class Sensor(eqx.Module):
 
     **Arguments** (SI):
 
-    - `size`: sides of the sheet along x and y, m.
+    - `size`: sides of the sheet along x and y, m; of a sheet with an `outline` or a
+      `surface`: of the box that holds it.
     - `electrode_xy` (M, 2): centres of the electrodes, m, from a corner of the sheet.
     - `electrode_diameter`: of every electrode, m.
     - `sheet_resistance`: Ω per square; one value, or one per element (K,) in the order
@@ -44,12 +55,16 @@ class Sensor(eqx.Module):
       effect, at a third of the cost.
     - `resolution`: of one code of the converter, V; 0 if finer than the noise.
     - `divisions` (nx, ny): cells of the mesh. Each is two of the K = 2·nx·ny elements.
+    - `outline`: where the sheet ends, an `AbstractEdge` (`Sensor.disc`, `Sensor.polygon`);
+      None: it fills the box.
+    - `surface`: a function from places (…, 2) to places in space (…, 3), m, of a curved
+      sheet (`Sensor.mesh`); None: it is flat.
 
     All but `divisions` may be differentiated. `dataclasses.replace` makes a changed
     sensor.
 
     **Raises:** `ValueError` for electrodes that overlap or leave the sheet, cells wider
-    than an electrode, and values that are not positive or not numbers.
+    than an electrode, a sheet in parts, and values that are not positive or not numbers.
 
     **Example:**
 
@@ -70,6 +85,8 @@ class Sensor(eqx.Module):
     drive_voltage: Float[Array, ""]
     electrode_shunt: Float[Array, ""] | None
     resolution: Float[Array, ""]
+    outline: AbstractEdge | None
+    surface: Callable | None
     divisions: tuple[int, int] = eqx.field(static=True)
 
     def __init__(
@@ -84,6 +101,8 @@ class Sensor(eqx.Module):
         divisions: Numbers = (64, 64),
         dtype: Any = None,
         resolution: Numbers = 0.0,
+        outline: AbstractEdge | None = None,
+        surface: Callable | None = None,
     ):
         xy = float_array("electrode_xy", electrode_xy, dtype)
         self.electrode_xy = xy
@@ -101,6 +120,10 @@ class Sensor(eqx.Module):
         if electrode_shunt is not None:
             self.electrode_shunt = as_places("electrode_shunt", electrode_shunt)
         self.resolution = as_places("resolution", resolution)
+        self.outline, self.surface = (
+            jax.tree.map(lambda a: a.astype(xy.dtype) if eqx.is_inexact_array(a) else a, f)
+            for f in (outline, surface)
+        )
         self.divisions = _whole_divisions(divisions)
 
     def __check_init__(self) -> None:
@@ -127,7 +150,10 @@ class Sensor(eqx.Module):
                 shunt = float(self.electrode_shunt)
                 require(shunt <= 1, "electrode_shunt", shunt, "1 or less")
         if known(self.size, self.electrode_xy, self.electrode_diameter):
-            check_electrodes(self.electrode_xy, self.size, self.electrode_diameter)
+            if self.flat:
+                check_electrodes(self.electrode_xy, self.size, self.electrode_diameter)
+            elif known(*jax.tree.leaves((self.outline, self.surface))):
+                check_skin(self)
             _check_mesh(self)
 
     @classmethod
@@ -159,6 +185,102 @@ class Sensor(eqx.Module):
         size = 2 * rim + step * (count - 1).astype(step.dtype)
         return cls(others.pop("size", size), xy, **others)
 
+    @classmethod
+    def disc(
+        cls, diameter: Numbers, electrodes: Electrodes, **others: Any
+    ) -> "Sensor":
+        """Makes a round sensor: `diameter` m; `electrodes` as `place_electrodes` takes them.
+
+        **Example:**
+
+        >>> import tomojax as tx
+        >>> sensor = tx.Sensor.disc(0.1, {"rim": 16, "grid": 0.03})
+        >>> sensor.electrode_count, bool(sensor.on_sheet([[0.001, 0.001]]).any())
+        (21, False)
+        """
+        across = checked("diameter", diameter, require_positive, ())
+        size = jnp.broadcast_to(across, 2)
+        return cls.cut(size, RoundEdge(size / 2, across / 2), electrodes, **others)
+
+    @classmethod
+    def polygon(
+        cls,
+        points: Numbers,
+        electrodes: Electrodes,
+        holes: list[Numbers] | tuple[Numbers, ...] = (),
+        **others: Any,
+    ) -> "Sensor":
+        """Makes a sensor within a polygon, with holes; vertices from 0 up, m.
+
+        `electrodes` as `place_electrodes` takes them; the box ends at the highest x and y.
+
+        **Example:**
+
+        >>> import tomojax as tx
+        >>> letter = [[0, 0], [0.1, 0], [0.1, 0.05], [0.05, 0.05], [0.05, 0.1], [0, 0.1]]
+        >>> sensor = tx.Sensor.polygon(letter, {"grid": 0.02})
+        >>> sensor.electrode_count, f"{1e4 * sensor.area:.0f} cm²"
+        (16, '75 cm²')
+        """
+        edge = PolygonEdge(points, holes)
+        low = float(np.asarray(edge.start).min()) if known(edge.start) else 0.0
+        require(low >= 0, "points", f"{low:g} m", "x and y of 0 or above")
+        return cls.cut(edge.start.max(0), edge, electrodes, **others)
+
+    @classmethod
+    def cut(
+        cls, size: Numbers, outline: AbstractEdge, electrodes: Electrodes, **others: Any
+    ) -> "Sensor":
+        """Makes a sensor of any `outline` in a box of `size`; a mesh that suits both."""
+        diameter = others.get("electrode_diameter", 0.005)
+        if isinstance(electrodes, dict):
+            electrodes = place_electrodes(outline, size, diameter, **electrodes)
+        if "divisions" not in others:
+            finest = np.asarray(size, float) / float(np.asarray(diameter))
+            cells = np.ceil(_CELLS * finest * (1 - 1e-5)).astype(int)
+            others["divisions"] = tuple(np.clip(cells, 8, _MOST_CELLS).tolist())
+        return cls(size, electrodes, outline=outline, **others)
+
+    @property
+    def flat(self) -> bool:
+        """Tells whether the sheet is a flat rectangle, which has closed forms."""
+        return self.outline is None and self.surface is None
+
+    @property
+    def even(self) -> bool:
+        """Tells whether the sheet is a flat rectangle of one resistance."""
+        return self.flat and self.sheet_resistance.ndim == 0
+
+    @property
+    def skin(self) -> Skin | None:
+        """Returns what the sheet has beside its box; None of a flat rectangle."""
+        if self.flat:
+            return None
+        places = nodes(self.divisions, self.size)
+        level = jnp.full(len(places), -jnp.inf, self.dtype)
+        if self.outline is not None:
+            level = self.outline.distance(places)
+        return Skin(level, self.surface)
+
+    def on_mesh(self, divisions: tuple[int, int], sheet_resistance: Numbers) -> "Sensor":
+        """Returns the sensor on another mesh, with its values of the sheet, Ω per square."""
+        value = float_array("sheet_resistance", sheet_resistance, self.dtype)
+        moved = eqx.tree_at(lambda s: s.sheet_resistance, self, value)
+        return replace(moved, divisions=divisions)
+
+    @property
+    def area(self) -> float:
+        """Returns the sheet's area, m²."""
+        if self.flat:
+            return float(np.prod(np.asarray(self.size)))
+        return float(element_areas(self.skin, self.divisions, self.size).sum())
+
+    def on_sheet(self, points: Numbers) -> Bool[Array, "*n"]:
+        """Tells which points (…, 2), m, are on the sheet."""
+        at = checked("points", points, require_finite, (None, 2), dtype=self.dtype)
+        inside = ((at >= 0) & (at <= self.size)).all(-1)
+        return inside if self.outline is None else inside & (self.outline.distance(at) < 0)
+
     @property
     def electrode_count(self) -> int:
         """Returns the number of electrodes, M."""
@@ -177,7 +299,7 @@ class Sensor(eqx.Module):
     @property
     def mean_pitch(self) -> float:
         """Returns the pitch of a square grid with as many electrodes on the sheet, m."""
-        return float(np.sqrt(np.prod(np.asarray(self.size)) / self.electrode_count))
+        return float(np.sqrt(self.area / self.electrode_count))
 
     def all_grounds(self) -> np.ndarray:
         """Returns each electrode grounded once, in order: the paper's *All*."""
@@ -193,6 +315,7 @@ class Sensor(eqx.Module):
             sheet_resistance=shown(self.sheet_resistance, "Ω/sq"),
             ground_resistance=shown(self.ground_resistance, "Ω"),
             drive_voltage=shown(self.drive_voltage, "V"),
+            **({} if self.outline is None else {"outline": repr(self.outline)}),
             mesh=f"{nx} × {ny}",
             dtype=str(getattr(self.electrode_xy, "dtype", None)),
         )

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import checked, require, require_finite, require_positive
 from tomojax._custom_types import Numbers
+from tomojax.sensor._edges import polygon_distance
 from tomojax.sensor._outline import (
     AbstractOutline,
     checked_angle,
@@ -240,15 +241,4 @@ class Polygon(AbstractOutline):
         self.conductance = checked_conductance(conductance)
 
     def distance(self, points: Points) -> Density:
-        start = self.vertices
-        end = jnp.roll(start, -1, 0)
-        edge, to = end - start, points[..., None, :] - start
-        along = (to * edge).sum(-1) / (edge**2).sum(-1)
-        nearest = norm(to - jnp.clip(along, 0, 1)[..., None] * edge).min(-1)
-        # Even-odd rule: edges that a ray along +x crosses.
-        x, y = points[..., None, 0], points[..., None, 1]
-        spans = (start[:, 1] > y) != (end[:, 1] > y)
-        rise = jnp.where(edge[:, 1] == 0, 1, edge[:, 1])
-        crossing = start[:, 0] + (y - start[:, 1]) / rise * edge[:, 0]
-        inside = (spans & (x < crossing)).sum(-1) % 2 == 1
-        return jnp.where(inside, -nearest, nearest)
+        return polygon_distance(points, self.vertices, jnp.roll(self.vertices, -1, 0))

@@ -110,7 +110,7 @@ def first(scene: Fitting) -> Ladder:
     """Fits one disc, from the best candidates."""
     at, candidates = look_of(scene), scene.method.candidates
     scores = explained(_alone(scene, at), at.own)
-    best = best_places(scores, candidates, _spacing(candidates), _STARTS)
+    best = best_places(scores, candidates, 1.5 * scene.method.spacing, _STARTS)
     found, ended = best_fit(scene, DISCS, starts_at(scene, candidates[best][:, None]))
     found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
@@ -130,11 +130,6 @@ def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
     """Multiplies each candidate's column by the voltages, in the drive's direction."""
     forward = jnp.sign(scene.method.sheet.drive_voltage)
     return forward * along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
-
-
-def _spacing(candidates: Float[Array, "K 2"]) -> Float[Array, ""]:
-    """Returns the distance below which candidates belong to one peak, m."""
-    return 1.5 * (candidates[1, 1] - candidates[0, 1])
 
 
 def seen_at_all(scene: Fitting, found: Found) -> Found:
@@ -250,7 +245,7 @@ def _more_discs(
     beside = jnp.concatenate([discs.place[: size - 1], rival[None]])
     starts = starts_at(scene, beside[None])
     if size == 2:
-        at, spacing = look_of(scene), _spacing(candidates)
+        at, spacing = look_of(scene), 1.5 * scene.method.spacing
         alone = _alone(scene, at)
         places = best_places(explained(alone, at.own), candidates, spacing, _FIRST)
         pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)

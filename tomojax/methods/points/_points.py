@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
@@ -17,6 +17,7 @@ from tomojax.kernels.images import largest_variance, points_as_contacts, points_
 from tomojax.kernels.sheet import cell_centres
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
 from tomojax.methods._errors import Errors, PreparedErrors
+from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames, searched
 from tomojax.methods.points._films import filmed
@@ -61,6 +62,8 @@ class Points(AbstractMethod):
     candidates: Float[Array, "K 2"]
     potentials: Float[Array, "K M"]  # of a usual contact at each
     errors: Errors
+    spacing: Float[Array, ""]  # of the candidates along y, m
+    inside: Bool[Array, "nx ny"] | None = None
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
@@ -70,10 +73,21 @@ class Points(AbstractMethod):
         across = np.ceil(_CANDIDATES * size / sensor.mean_pitch * (1 - 1e-5)).astype(int)
         grid = cell_centres((int(across[0]), int(across[1])))
         candidates = jnp.asarray(grid * size, sensor.dtype)
+        if sensor.outline is not None:
+            candidates = candidates[np.asarray(sensor.on_sheet(candidates))]
         each = jax.vmap(field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
         cell = sensor.size / jnp.asarray(shape, sensor.dtype)
-        return cls(shape, cell, sheet, candidates, potentials, Errors.of(sensor))
+        return cls(
+            shape=shape,
+            cell=cell,
+            sheet=sheet,
+            candidates=candidates,
+            potentials=potentials,
+            errors=Errors.of(sensor),
+            spacing=jnp.asarray(size[1] / across[1], sensor.dtype),
+            inside=None if sensor.outline is None else pixels_of(sensor, shape).inside,
+        )
 
     def calibrated(self, calibration: Calibration) -> "Points":
         ground = jnp.asarray(calibration.ground, self.cell.dtype)

@@ -162,6 +162,10 @@ class AbstractShape(AbstractMethod):
         return self.errors.noise
 
     @property
+    def inside(self) -> Bool[Array, "nx ny"] | None:
+        return self.source.inside
+
+    @property
     def electrode_count(self) -> int:
         return self.source.electrode_count
 

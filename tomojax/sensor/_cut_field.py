@@ -1,0 +1,209 @@
+"""Computes the tables of a sheet that is no flat rectangle, on a mesh.
+
+Near an electrode a mesh is off by the same on a rectangle, whose closed form is known. What
+it lacks there is put back, so that tables are nearly as good as the rectangle's.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from tomojax.kernels.contacts import Among
+from tomojax.kernels.sheet import (
+    feed_parts,
+    fem_fields,
+    fem_shared_resistances,
+    fem_sheet,
+    FemSheet,
+    node_image,
+    rectangle_grid_fields,
+    Skin,
+    stretch,
+)
+from tomojax.sensor._sensor import Sensor
+
+# Cells of the mesh, of a diameter; at most so many along a side.
+_MESH = 4
+_MOST = 200
+
+# A rectangle that holds the box is so much wider on each side, of the pitch: no electrode
+# is on its edge.
+_WIDER = 0.5
+
+# Sites along each side between which potentials are tabulated.
+_SITES = 24
+
+# A chart that stretches lengths by more than this beside an electrode is not like a flat
+# sheet there.
+_ALIKE = 0.02
+
+_Image = Float[np.ndarray, "n nx ny"]
+
+
+class Cut(NamedTuple):
+    """The sheet on its mesh, and a rectangle around it on a mesh of the same cells."""
+
+    mesh: tuple[int, int]
+    skin: Skin
+    sheet: FemSheet
+    wider: tuple[int, int]
+    around: FemSheet
+    margin: Float[np.ndarray, "2"]  # m
+    parts: Float[np.ndarray, " M"]  # of each electrode that is on the sheet
+    alike: Float[np.ndarray, " M"]  # whether the sheet is flat there, 1 or 0
+
+
+def cut_of(sensor: Sensor, even: Sensor) -> Cut:
+    """Puts the sheet on a mesh that is finer than its electrodes."""
+    size, xy = np.asarray(sensor.size, float), sensor.electrode_xy
+    diameter, divisions = float(sensor.electrode_diameter), np.array(sensor.divisions)
+    finer = np.ceil(_MESH * size / diameter / divisions * (1 - 1e-5)).astype(int)
+    finer = np.maximum(1, np.minimum(finer, _MOST // divisions))
+    rho = np.broadcast_to(np.asarray(sensor.sheet_resistance, float), 2 * divisions.prod())
+    rho = rho.reshape(*divisions, 2).repeat(finer[0], 0).repeat(finer[1], 1).ravel()
+    mesh = divisions * finer
+    side = size / mesh
+    # An even number of cells: the triangles are the same.
+    more = 2 * np.ceil(_WIDER * sensor.mean_pitch / side / 2).astype(int)
+    wider, margin = mesh + 2 * more, more * side
+    shape, whole = (tuple(int(n) for n in m) for m in (mesh, wider))
+    fine = sensor.on_mesh(shape, rho)
+    made = jax.jit(fem_sheet, static_argnums=3)
+    given = sensor.electrode_diameter / 2, sensor.electrode_shunt
+    resistance = jnp.asarray(rho, sensor.dtype)
+    sheet = made(1 / resistance, xy, given[0], shape, sensor.size, given[1], fine.skin)
+    box = sensor.size + 2 * jnp.asarray(margin, sensor.dtype)
+    same = jnp.full(2 * wider.prod(), 1 / even.sheet_resistance)
+    moved = xy + jnp.asarray(margin, sensor.dtype)
+    around = made(same, moved, given[0], whole, box, given[1])
+    parts = jax.jit(feed_parts, static_argnums=2)(xy, given[0], shape, sensor.size, fine.skin)
+    alike = np.asarray(stretch(fine.skin, xy, sensor.size / jnp.asarray(mesh))) < _ALIKE
+    return Cut(shape, fine.skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
+
+
+def cut_fields(
+    sensor: Sensor, even: Sensor, cut: Cut, cells: np.ndarray
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"]]:
+    """Computes R_ee' and R_e at the table's points, Ω; beyond an edge, mirrored."""
+    size, xy = np.asarray(sensor.size, float), np.asarray(sensor.electrode_xy, float)
+    x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
+    home = homes(sensor, x, y)
+    away = (home != np.stack(np.meshgrid(x, y, indexing="ij"), -1)).any(-1)
+    margin = cut.margin
+    ee, rows, beside = rectangle_grid_fields(
+        xy + margin,
+        x + margin[0],
+        y + margin[1],
+        float(sensor.electrode_diameter) / 2,
+        size + 2 * margin,
+        float(np.asarray(sensor.electrode_shunt)),
+        home[away] + margin,
+    )
+    rows[:, away] = beside
+    rho = float(even.sheet_resistance)
+    ee, rows = _centred(rho * ee, rho * rows)
+    solved = jax.jit(fem_fields, static_argnums=1)
+    around_ee, around = solved(cut.around, cut.wider)
+    found_ee, found = solved(cut.sheet, cut.mesh)
+    around = _between(node_image(around, cut.wider), size + 2 * margin, home + margin)
+    found = _between(node_image(found, cut.mesh), size, home)
+    # Half a disc at an edge acts as a whole one and its image: as two.
+    share = cut.alike / cut.parts
+    both = np.sqrt(share[:, None] * share)
+    ee = np.asarray(found_ee, float) + both * (ee - np.asarray(around_ee, float))
+    return (ee + ee.T) / 2, found + share[:, None, None] * (rows - around)
+
+
+def among_sites(sensor: Sensor, cut: Cut) -> Among:
+    """Computes what the sheet's shape adds to potentials between sites, Ω.
+
+    That is beside the rectangle around it, whose closed form is known.
+    """
+    size = np.asarray(sensor.size, float)
+    x, y = (np.linspace(0, s, _SITES) for s in size)
+    home = homes(sensor, x, y).reshape(-1, 2)
+
+    def shared(fem: FemSheet, mesh: tuple[int, int], at: np.ndarray, box: np.ndarray):
+        shares = _shares(at, box, mesh)
+        none = np.zeros((len(sensor.electrode_xy), len(at)))
+        loads = jnp.asarray(np.concatenate([shares, none]), sensor.dtype)
+        solve = jax.jit(fem_shared_resistances, static_argnums=2)
+        return np.asarray(solve(fem, loads, mesh)[1], float)
+
+    found = shared(cut.sheet, cut.mesh, home, size)
+    wide = size + 2 * cut.margin
+    found = found - shared(cut.around, cut.wider, home + cut.margin, wide)
+    values = found.reshape(_SITES, _SITES, _SITES, _SITES)
+    dtype = sensor.dtype
+    return Among(*(jnp.asarray(a, dtype) for a in (values, cut.margin)))
+
+
+def homes(
+    sensor: Sensor, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
+) -> Float[np.ndarray, "nx ny 2"]:
+    """Returns the places that points of a grid stand for: beyond an edge, mirrored at it."""
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
+    if sensor.outline is None:
+        return points
+    outline, size = sensor.outline, np.asarray(sensor.size, float)
+    slope = jax.jit(jax.vmap(jax.value_and_grad(outline.distance)))
+
+    def level_at(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        level, way = slope(jnp.asarray(at, sensor.dtype))
+        return np.asarray(level, float), np.asarray(way, float)
+
+    flat = points.reshape(-1, 2)
+    level, way = level_at(flat)
+    out = np.flatnonzero(level > 0)
+    at = flat[out] - 2 * level[out, None] * way[out]
+    # Where that is beyond another edge: to the nearest edge.
+    least = 1e-3 * sensor.mean_pitch
+    for _ in range(3):
+        again, way = level_at(at)
+        off = (again > 0) | (at < 0).any(1) | (at > size).any(1)
+        step = np.maximum(again, 0) + least
+        at = np.clip(np.where(off[:, None], at - step[:, None] * way, at), 0, size)
+    found = flat.copy()
+    found[out] = at
+    return found.reshape(points.shape)
+
+
+def _centred(
+    ee: Float[np.ndarray, "M M"], rows: _Image
+) -> tuple[Float[np.ndarray, "M M"], _Image]:
+    """Shifts both so that the mean potential of the electrodes is zero."""
+    mean, each = ee.mean(), ee.mean(1)
+    rows = rows - each[:, None, None] - rows.mean(0) + mean
+    return ee - each[:, None] - each + mean, rows
+
+
+def _between(
+    image: Float[np.ndarray, "n nx ny"], size: np.ndarray, at: Float[np.ndarray, "*p 2"]
+) -> Float[np.ndarray, "n *p"]:
+    """Interpolates nodes' values linearly."""
+    image = np.asarray(image, float)
+    index = np.moveaxis(at / size * (np.array(image.shape[1:]) - 1), -1, 0)
+    each = [ndimage.map_coordinates(one, index, order=1, mode="nearest") for one in image]
+    return np.stack(each)
+
+
+def _shares(
+    at: Float[np.ndarray, "n 2"], size: np.ndarray, mesh: tuple[int, int]
+) -> Float[np.ndarray, "nodes n"]:
+    """Splits currents among the four nodes around each place."""
+    index = at / size * np.array(mesh)
+    low = np.clip(np.floor(index), 0, np.array(mesh) - 1).astype(int)
+    part = index - low
+    image = np.zeros((len(at), mesh[0] + 1, mesh[1] + 1))
+    each = np.arange(len(at))
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1])
+            image[each, low[:, 0] + i, low[:, 1] + j] += weight
+    flat = image if mesh[0] >= mesh[1] else image.transpose(0, 2, 1)
+    return flat.reshape(len(at), -1).T
+

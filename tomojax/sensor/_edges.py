@@ -1,0 +1,153 @@
+"""Describes a sheet that is no rectangle: its outline in the box, its surface in space."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tomojax._checks import (
+    checked,
+    known,
+    require,
+    require_finite,
+    require_positive,
+)
+from tomojax._custom_types import Numbers
+from tomojax._shown import named, shown
+from tomojax.sensor._outline import checked_center, Density, norm, Points
+
+# Sides of an outline, or nodes of a surface: more are a mistake, and would take minutes.
+_MOST = 20_000
+
+
+class AbstractEdge(eqx.Module):
+    """The outline of a sheet: the distance to its edge, m, negative on the sheet.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> class Half(tx.sensor.AbstractEdge):  # of a box of 80 mm
+    ...     def distance(self, points):
+    ...         return points[..., 0] - 0.04
+    >>> sensor = tx.Sensor(
+    ...     [0.08, 0.08], [[0.01, 0.02], [0.02, 0.06]], outline=Half(), divisions=(16, 16)
+    ... )
+    >>> print(f"{1e4 * sensor.area:.1f} cm²")
+    32.0 cm²
+    """
+
+    @abstractmethod
+    def distance(self, points: Points) -> Density:
+        """Distance to the edge, m, negative on the sheet."""
+
+
+class RoundEdge(AbstractEdge):
+    """A round sheet: `center` (2,) and `radius`, m.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> edge = tx.sensor.RoundEdge([0.05, 0.05], 0.05)
+    >>> print(f"{1e3 * float(edge.distance(edge.center)):.0f} mm")
+    -50 mm
+    """
+
+    center: Float[Array, "2"]
+    radius: Float[Array, ""]
+
+    def __init__(self, center: Numbers, radius: Numbers):
+        self.center = checked_center(center)
+        self.radius = checked("radius", radius, require_positive, ())
+
+    def distance(self, points: Points) -> Density:
+        return norm(points - self.center) - self.radius
+
+    def __repr__(self) -> str:
+        return named(self, radius=shown(self.radius, "mm", 1e3))
+
+
+class PolygonEdge(AbstractEdge):
+    """A sheet within a polygon, with holes: vertices in order, either way round, m.
+
+    **Raises:** `ValueError` for an outline that crosses itself, or of fewer than three
+    vertices.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> square = [[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]]
+    >>> hole = [[0.03, 0.03], [0.05, 0.03], [0.05, 0.05], [0.03, 0.05]]
+    >>> edge = tx.sensor.PolygonEdge(square, holes=[hole])
+    >>> bool(edge.distance(edge.start.mean(0)) > 0)  # in the hole
+    True
+    """
+
+    start: Float[Array, "n 2"]
+    end: Float[Array, "n 2"]
+
+    def __init__(self, points: Numbers, holes: list[Numbers] | tuple[Numbers, ...] = ()):
+        loops = [_loop("points", points)]
+        loops += [_loop(f"holes[{k}]", hole) for k, hole in enumerate(holes)]
+        self.start = jnp.concatenate(loops)
+        self.end = jnp.concatenate([jnp.roll(loop, -1, 0) for loop in loops])
+        if known(self.start):
+            _check_sides(np.asarray(self.start, float), np.asarray(self.end, float))
+
+    def loops(self) -> list[np.ndarray]:
+        """Returns the vertices of the outline, then of each hole, m (host)."""
+        start, end = np.asarray(self.start), np.asarray(self.end)
+        lasts = np.flatnonzero((np.roll(start, -1, 0) != end).any(1))
+        return np.split(start, lasts[:-1] + 1)
+
+    def distance(self, points: Points) -> Density:
+        return polygon_distance(points, self.start, self.end)
+
+    def __repr__(self) -> str:
+        return named(self, sides=shown(len(self.start)))
+
+
+def _loop(name: str, points: Numbers) -> Float[Array, "n 2"]:
+    loop = checked(name, points, require_finite, (None, 2))
+    require(3 <= len(loop) <= _MOST, name, f"{len(loop)} vertices", f"3 to {_MOST}")
+    if known(loop) and bool((loop[0] == loop[-1]).all()):
+        loop = loop[:-1]  # a closed ring, as GeoJSON and others have it
+    return loop
+
+
+def _check_sides(start: np.ndarray, end: np.ndarray) -> None:
+    """**Raises:** `ValueError` for two sides that cross."""
+    sides = len(start)
+
+    def beyond(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+        one, other = b - a, c - a
+        return np.sign(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+
+    for k in range(sides):
+        a, b, c, d = start[k], end[k], start[k + 1 :], end[k + 1 :]
+        crosses = beyond(a, b, c) * beyond(a, b, d) < 0
+        crosses &= beyond(c, d, a) * beyond(c, d, b) < 0
+        if crosses.any():
+            x, y = 1e3 * start[k]
+            raise ValueError(
+                f"points: side {k} from ({x:g}, {y:g}) mm crosses side "
+                f"{k + 1 + int(np.argmax(crosses))}; an outline may not cross itself"
+            )
+
+
+def polygon_distance(points: Points, start: Array, end: Array) -> Density:
+    """Computes the signed distance to sides from `start` to `end`, negative inside.
+
+    Inside is where a ray along +x crosses an odd number of sides.
+    """
+    edge, to = end - start, points[..., None, :] - start
+    along = (to * edge).sum(-1) / (edge**2).sum(-1)
+    nearest = norm(to - jnp.clip(along, 0, 1)[..., None] * edge).min(-1)
+    x, y = points[..., None, 0], points[..., None, 1]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = jnp.where(edge[:, 1] == 0, 1, edge[:, 1])
+    crossing = start[:, 0] + (y - start[:, 1]) / rise * edge[:, 0]
+    inside = (spans & (x < crossing)).sum(-1) % 2 == 1
+    return jnp.where(inside, -nearest, nearest)

@@ -1,0 +1,142 @@
+"""Puts electrodes on a sheet of any outline, and checks that they are on it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from tomojax._checks import float_array
+from tomojax._custom_types import Numbers
+from tomojax._require import require
+from tomojax.kernels.sheet import coverage
+from tomojax.sensor._edges import AbstractEdge
+
+# Places, or what `place_electrodes` takes by name.
+Electrodes = Numbers | dict[str, Any]
+
+# Points of a box along each side that a rim is found among.
+_RIM = 600
+
+
+def place_electrodes(
+    outline: AbstractEdge,
+    size: Numbers,
+    diameter: Numbers,
+    rim: int = 0,
+    inset: float = 0.0,
+    grid: float | None = None,
+    points: Numbers | None = None,
+) -> Float[np.ndarray, "M 2"]:
+    """Lists electrodes' places, m: on the rim, then on a grid, then `points`.
+
+    **Arguments:** `rim`: so many, evenly along the outer edge, `inset` m inside it;
+    `grid`: a square grid of this pitch, m, about the box's middle, where a disc is whole on
+    the sheet and apart from the rim's.
+    **Raises:** `ValueError` where nothing is placed.
+    """
+    box, across = np.asarray(size, float), float(np.asarray(diameter))
+    found = [np.empty((0, 2))]
+    if rim:
+        found.append(_along_rim(outline, box, rim, inset))
+    if grid is not None:
+        require(grid > across, "grid", f"{grid:g} m", f"more than a disc, {across:g} m")
+        lines = [np.arange(-(s // grid) // 2 - 1, s // grid // 2 + 2) * grid for s in box]
+        # Odd or even, whichever has more on the sheet.
+        best = np.empty((0, 2))
+        for shift in (0.0, grid / 2):
+            x, y = (s / 2 + line + shift for s, line in zip(box, lines))
+            places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+            inside = ((places > across / 2) & (places < box - across / 2)).all(1)
+            whole = np.asarray(outline.distance(jnp.asarray(places))) < -across / 2
+            apart = _nearest(places, np.concatenate(found)) > 1.5 * across
+            places = places[inside & whole & apart]
+            best = max(best, places, key=len)
+        found.append(best)
+    if points is not None:
+        found.append(np.asarray(float_array("points", points), float).reshape(-1, 2))
+    places = np.concatenate(found)
+    require(len(places) >= 2, "electrodes", f"{len(places)} on the sheet", "two or more")
+    return places
+
+
+def _nearest(places: np.ndarray, others: np.ndarray) -> np.ndarray:
+    apart = np.sqrt(((places[:, None] - others) ** 2).sum(-1))
+    return apart.min(1, initial=np.inf)
+
+
+def _along_rim(
+    outline: AbstractEdge, box: np.ndarray, count: int, inset: float
+) -> Float[np.ndarray, "n 2"]:
+    """Follows the outline around the centre, and splits its length evenly."""
+    axes = [np.linspace(0, s, _RIM) for s in box]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    level = np.asarray(outline.distance(jnp.asarray(points)))
+    # The outermost crossing of each ray from the middle of what is inside.
+    middle = points[level < 0].mean(0)
+    angles = np.linspace(0, 2 * np.pi, 4 * _RIM, endpoint=False)
+    rays = np.stack([np.cos(angles), np.sin(angles)], -1)
+    steps = np.linspace(0, np.hypot(*box), 4 * _RIM)
+
+    def levels(along: np.ndarray) -> np.ndarray:
+        at = middle + along[..., None] * rays[:, None]
+        off = np.maximum(-at, at - box).max(-1)
+        return np.maximum(np.asarray(outline.distance(jnp.asarray(at))), off)
+
+    inside = levels(np.broadcast_to(steps, (len(rays), len(steps)))) < -inset
+    last = inside.shape[1] - 1 - np.argmax(inside[:, ::-1], 1)
+    low, high = steps[last], steps[np.minimum(last + 1, len(steps) - 1)]
+    for _ in range(30):
+        half = (low + high) / 2
+        within = levels(half[:, None])[:, 0] < -inset
+        low, high = np.where(within, half, low), np.where(within, high, half)
+    edge = middle + low[:, None] * rays
+    closed = np.concatenate([edge, edge[:1]])
+    length = np.append(0, np.cumsum(np.sqrt((np.diff(closed, axis=0) ** 2).sum(1))))
+    at = length[-1] * np.arange(count) / count
+    return np.stack([np.interp(at, length, closed[:, k]) for k in (0, 1)], -1)
+
+
+def check_skin(sensor: Any) -> None:
+    """Refuses electrodes off the sheet or in one another, and a sheet in parts.
+
+    **Raises:** `ValueError`.
+    """
+    xy, diameter = np.asarray(sensor.electrode_xy, float), float(sensor.electrode_diameter)
+    slack = 1e-3 * diameter  # an electrode's middle may be on the edge
+    level = np.maximum(-xy, xy - np.asarray(sensor.size, float)).max(1)
+    if sensor.outline is not None:
+        level = np.maximum(level, np.asarray(sensor.outline.distance(sensor.electrode_xy)))
+    outside = np.flatnonzero(level > slack)
+    require(
+        not outside.size,
+        "electrode_xy",
+        f"electrodes {outside[:5].tolist()} off the sheet, by {level.max():.3g} m",
+        "middles on the sheet or on its edge",
+    )
+    places = xy if sensor.surface is None else np.asarray(sensor.surface(sensor.electrode_xy))
+    apart = np.sqrt(((places[:, None] - places) ** 2).sum(-1)) + np.diag([np.inf] * len(xy))
+    one, other = np.unravel_index(apart.argmin(), apart.shape)
+    require(
+        apart.min() > diameter - slack,
+        "electrode_xy",
+        f"electrodes {one} and {other} {apart.min():.3g} m apart",
+        f"more than their diameter, {diameter:g} m",
+    )
+    if sensor.outline is None:
+        return
+    shape = sensor.divisions
+    part = np.asarray(jax.jit(coverage, static_argnums=1)(sensor.skin, shape))
+    parts, _ = ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
+    cells = np.clip((xy / np.asarray(sensor.size) * shape).astype(int), 0, np.array(shape) - 1)
+    near = ndimage.grey_dilation(parts, 3)
+    which = np.where(parts[tuple(cells.T)] > 0, parts[tuple(cells.T)], near[tuple(cells.T)])
+    apart = np.flatnonzero(which != which[0])
+    require(
+        not apart.size,
+        "outline",
+        f"electrodes {apart[:5].tolist()} on another part than electrode 0",
+        "one connected sheet (a mesh of more `divisions` may join thin necks)",
+    )
