@@ -18,24 +18,43 @@ class Look(NamedTuple):
 
     potential: Float[Array, "K M"]  # Ω; in each slot its `offset` comes to it
     offset: Float[Array, "s M"]
+    blocks: Float[Array, "s M M"] | None  # what each slot makes of it; None: it stays
     frame: WhitenedFrame  # these slots
     own: Float[Array, "s K"]  # |c|² of each column c, whitened
 
 
 def look(
-    potential: Float[Array, "K M"], offset: Float[Array, "s M"], frame: WhitenedFrame
+    potential: Float[Array, "K M"],
+    offset: Float[Array, "s M"],
+    frame: WhitenedFrame,
+    blocks: Float[Array, "s M M"] | None = None,
 ) -> Look:
-    """Weighs each candidate's column c: cᵀC⁻¹c, C the errors' covariance."""
+    """Weighs each candidate's column c: cᵀC⁻¹c, C the errors' covariance.
+
+    `blocks` of a slot's D (see `Slots`) where more than its level depends on the ground.
+    """
     weight, scale = frame.scale**2, frame.scale[:, None]
     # As free as a slot's offset is, its mean says nothing: without it less cancels.
     total = jnp.maximum(weight.sum(1, keepdims=True), jnp.finfo(weight.dtype).tiny)
     offset = offset - (weight * offset).sum(1, keepdims=True) / total
-    square = _products(weight, potential**2) + (weight * offset**2).sum(1, keepdims=True)
-    square = square + 2 * _products(weight * offset, potential)
+    at = Look(potential, offset, blocks, frame, weight)
+    if blocks is None:
+        square = _products(weight, potential**2)
+        square = square + (weight * offset**2).sum(1, keepdims=True)
+        square = square + 2 * _products(weight * offset, potential)
+    else:
+        columns = _columns(at, potential)
+        square = jnp.einsum("sm,ksm->sk", weight, columns**2, precision="highest")
     both = (jnp.stack([frame.common, frame.filter]) * scale).transpose(0, 2, 1, 3)
-    common, found = _columns_times(both, potential, offset)
-    own = jnp.maximum(square - (common * found).sum(0), 0)
-    return Look(potential, offset, frame, own)
+    common, found = along(at, both)
+    return at._replace(own=jnp.maximum(square - (common * found).sum(0), 0))
+
+
+def _columns(at: Look, potential: Float[Array, "n M"]) -> Float[Array, "n s M"]:
+    if at.blocks is None:
+        return potential[:, None] + at.offset
+    turned = jnp.einsum("sim,nm->nsi", at.blocks, potential, precision="highest")
+    return turned + at.offset
 
 
 def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s M"]:
@@ -46,7 +65,10 @@ def weighed_volts(at: Look, volts: Float[Array, "*n s M"]) -> Float[Array, "*n s
 
 def along(at: Look, weighed: Float[Array, "*n s M"]) -> Float[Array, "*n s K"]:
     """Multiplies each candidate's column by weighed volts."""
-    return _columns_times(weighed, at.potential, at.offset)
+    constant = (at.offset * weighed).sum(-1, keepdims=True)
+    if at.blocks is not None:
+        weighed = jnp.einsum("...si,sim->...sm", weighed, at.blocks, precision="highest")
+    return _products(weighed, at.potential) + constant
 
 
 def explained(along: Float[Array, "s K"], own: Float[Array, "s K"]) -> Float[Array, " K"]:
@@ -94,7 +116,7 @@ def best_pairs(
     passed over if both its places are within `apart` of a chosen pair's places. `alone` is
     each candidate `along` the measured voltages.
     """
-    columns = at.potential[first][:, None] + at.offset
+    columns = _columns(at, at.potential[first])
     gram = along(at, weighed_volts(at, columns))  # (n, s, K)
     one, other = alone[:, first].T[..., None], alone[None]
     own_one, own_other = at.own[:, first].T[..., None], at.own[None]
@@ -120,12 +142,6 @@ def best_pairs(
 def _part(along: Array, own: Array) -> Array:
     fits = (along > 0) & (own > 0)
     return jnp.where(fits, along**2 / jnp.where(own > 0, own, 1), 0)
-
-
-def _columns_times(
-    rows: Float[Array, "*n s M"], potential: Float[Array, "K M"], offset: Array
-) -> Float[Array, "*n s K"]:
-    return _products(rows, potential) + (offset * rows).sum(-1, keepdims=True)
 
 
 def _products(rows: Float[Array, "*n s M"], columns: Float[Array, "K M"]) -> Array:

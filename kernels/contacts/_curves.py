@@ -32,7 +32,6 @@ from tomojax.kernels.contacts._points import (
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
-from tomojax.kernels.sheet import volts_per_ampere
 
 # Points of a curve.
 _POINTS = 18
@@ -156,7 +155,7 @@ def _curve(
     among = jax.vmap(green)(at)
     strength = _STRENGTH * jnp.exp(_STRENGTH_WIDTH * parameters[5])
     own = sheet.sheet_resistance / (strength * weights)
-    at_grounds = rows[:, 0, frame.grounds]
+    at_grounds = sheet.slots.level(rows[:, 0], frame.grounds)
     stronger = _STRENGTH_WIDTH * own, own * tapered / weights
     base, *by_own = (a.T for a in _even(among, own, at_grounds, stronger))  # (S, N)
     each = _made(base, rows[:, 0])[:, None]
@@ -179,9 +178,11 @@ def _curve(
         tangent = tangent.at[:, k].add(current[:, :1] * _made(by, rows[:, 0]))
     tangent = whitened_rows(frame, _in_slots(sheet, frame, tangent, jnp.zeros((), dtype)))
     tangent = jnp.pad(tangent, ((0, 0), (0, 0), (0, len(modes))))
-    drop = drops(sheet, frame.grounds, among, at_grounds.T, fed)
+    volts = made_by(current, columns)
+    sunk = sheet.slots.sunk(rows[:, 0], frame.grounds, volts)
+    drop = drops(sheet, frame.grounds, among, at_grounds.T, sunk.T, fed)
     drop = jnp.matmul(drop, weights[:, None], precision="highest")
-    fitted = Fitted(*about, current[:, :1], drop, made_by(current, columns))
+    fitted = Fitted(*about, current[:, :1], drop, volts)
     return Explained(rest, column, tangent, prior, known, fitted)
 
 
@@ -193,12 +194,9 @@ def _in_slots(
     sheet: Sheet, frame: WhitenedFrame, potential: Float[Array, "S K M"], total: Array
 ) -> Float[Array, "S K M"]:
     """Computes volts in each slot; each slot has potentials of its own."""
-
-    def one(potential: Array, ground: Array) -> Float[Array, "K M"]:
-        ee, z = sheet.field.electrodes, sheet.ground_resistance
-        return volts_per_ampere(potential, ee, ground[None], z, total)[:, 0]
-
-    return jax.vmap(one)(potential, frame.grounds)
+    offset = sheet.slots.offset(frame.grounds)[:, None]
+    share = total[..., None] if total.ndim else total
+    return sheet.slots.apart(potential, frame.grounds) + share * offset
 
 
 def _even(

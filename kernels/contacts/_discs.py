@@ -35,7 +35,6 @@ from tomojax.kernels.contacts._points import (
     unpack,
 )
 from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
-from tomojax.kernels.sheet import slot_offset
 
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and
@@ -58,8 +57,9 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     alone = whitened[:, :count]
     each = whitened[:, count:].reshape(len(whitened), count, 7, -1)
     current = currents_of(alone, frame.whitened)
-    at_grounds = rows[:, :, frame.grounds]  # (C, 8, S)
-
+    flowing = made_by(current, columns[:, :count])
+    at_grounds = sheet.slots.sunk(rows, frame.grounds, flowing)  # (C, 8, S)
+    level = sheet.slots.level(rows[:, 0], frame.grounds).T
     steep = slope_of(sheet, place, radius)
     among = jax.vmap(green_of(sheet, place, radius))(place)
     within = _within(sheet, place, radius)
@@ -67,7 +67,8 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     def leaning(moved: Array, slope: Array) -> tuple[Array, Array]:
         # A rim's own potential falls with ln of its radius; outside it does not change.
         near = among - within * (moved / radius - 1)
-        drop = drops(sheet, frame.grounds, near, at_grounds[:, 0].T, current)
+        sunk = at_grounds[:, 0].T
+        drop = drops(sheet, frame.grounds, near, level, sunk, current)
         towards = current.sum(1)[:, None, None] * slope.transpose(2, 0, 1)
         pull = jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
         return _lean(sheet, moved, current, drop, towards - pull), drop
@@ -128,10 +129,9 @@ def _columns(
     """Computes each disc's volts per ampere, then their derivatives; whitened too."""
     count, _, m = rows.shape
     flat = jnp.concatenate([rows[:, 0], rows[:, 1:].reshape(-1, m)])
-    grounds = frame.grounds
-    offset = slot_offset(sheet.field.electrodes, grounds, sheet.ground_resistance)
+    offset = sheet.slots.offset(frame.grounds)
     level = jnp.where(jnp.arange(len(flat))[:, None] < count, offset[:, None], 0)
-    columns = flat - flat[:, grounds].T[:, :, None] + level
+    columns = jnp.moveaxis(sheet.slots.relative(flat, frame.grounds), 1, 0) + level
     return columns, whitened_rows(frame, columns)
 
 

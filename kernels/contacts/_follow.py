@@ -41,7 +41,6 @@ from tomojax.kernels.contacts._search import (
     OFTEN,
     search,
 )
-from tomojax.kernels.sheet import ground_path
 
 # By how much a place (units of the fit, a twentieth of a pitch) and a size move: 1 σ, and
 # as the root of the time. A finger that strokes.
@@ -80,14 +79,14 @@ def follow(
     """
     dtype = voltages.dtype
     # The grounded electrode's own voltage is that of its path, which is hardly known.
-    used = used & (jnp.arange(len(used), dtype=ground.dtype) != ground)
+    used = used & ~sheet.slots.grounded(ground)
     weights = slot_weights(noise, voltages, used)
     # One by one, as in `product`.
     each = range(len(known.size))
     raw = jnp.stack([tangents(sheet, known.place[c], known.size[c]) for c in each])
     there = known.there[:, None, None]
     own = jnp.where(there, in_slot(sheet, raw, ground), 0)
-    lean = _lean(sheet, known, raw, ground)
+    lean = _lean(sheet, known, raw, ground, voltages)
     own = own.at[:, 0].add((lean[..., None] * own[:, 1:3]).sum(1))
     # The search looks for currents in the drive's direction.
     towards = jnp.sign(sheet.drive_voltage) * voltages
@@ -131,8 +130,9 @@ def follow(
         seen=seen.seen,
         left=_left(known, new, weights, rest),
     )
-    at_ground = jax.lax.dynamic_index_in_dim(raw[:, 0], ground, 1, keepdims=False)
-    conductance = _conductance(sheet, now, at_ground, ground, offset)
+    level = sheet.slots.level(raw[:, 0], ground)
+    sunk = sheet.slots.sunk(raw[:, 0], ground, voltages)
+    conductance = _conductance(sheet, now, level, sunk, ground, offset)
     return now._replace(conductance=conductance), jnp.where(used, rest, 0)
 
 
@@ -210,14 +210,14 @@ def _update(
     )
 
 
-def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
+def _lean(sheet: Sheet, known: Followed, raw, ground, volts) -> Float[Array, "C 2"]:
     """Computes how far a contact's current is from its centre, in units: see `_points`."""
     radius = radius_of(sheet, known.size)
     moment = polarisability(sheet, jnp.maximum(known.conductance, 0), radius)
     total = known.current.sum()
     flowing = known.current != 0
     share = jnp.where(flowing, total / jnp.where(flowing, known.current, 1), 0)
-    towards = jax.lax.dynamic_index_in_dim(raw[:, 1:3], ground, 2, keepdims=False)
+    towards = sheet.slots.sunk(raw[:, 1:3], ground, volts)
     shift = moment[:, None] * share[:, None] * towards / sheet.unit**2
     return not_beyond(shift, radius / sheet.unit)
 
@@ -225,18 +225,19 @@ def _lean(sheet: Sheet, known: Followed, raw, ground) -> Float[Array, "C 2"]:
 def _conductance(
     sheet: Sheet,
     now: Followed,
-    at_ground: Float[Array, " C"],
+    level: Float[Array, " C"],
+    sunk: Float[Array, " C"],
     ground: Int[Array, ""],
     offset: Float[Array, ""],
 ) -> Float[Array, " C"]:
     """Computes I/(V0 − u), S: see `_points.drops`; the ground lifts all by `offset`, V."""
     radius = radius_of(sheet, now.size)
-    path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
+    path = sheet.slots.path(ground)
     among = jax.vmap(green_of(sheet, now.place, radius))(now.place)
     current = jnp.where(now.there, now.current, 0)
     total = current.sum()
-    u = matmul(among, current) - (current * at_ground).sum()
-    u = u + total * (path - at_ground) + offset
+    u = matmul(among, current) - (current * level).sum()
+    u = u + total * (path - sunk) + offset
     drive = sheet.drive_voltage
     forward = jnp.sign(drive)
     drop = jnp.maximum(forward * (drive - u), LEAST_DROP * jnp.abs(drive))

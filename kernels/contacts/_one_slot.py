@@ -20,7 +20,6 @@ from tomojax.kernels.contacts._field import (
     radii_about,
 )
 from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
-from tomojax.kernels.sheet import slot_offset
 
 
 class Noise(NamedTuple):
@@ -95,9 +94,8 @@ def in_slot(
     sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
 ) -> Float[Array, "C 4 M"]:
     """Computes volts per ampere under one ground, and how a move changes the volts."""
-    relative = raw - jax.lax.dynamic_index_in_dim(raw, ground, 2)
-    offset = slot_offset(sheet.field.electrodes, ground, sheet.ground_resistance)
-    return relative.at[:, 0].add(offset)
+    relative = sheet.slots.relative(raw, ground)
+    return relative.at[:, 0].add(sheet.slots.offset(ground))
 
 
 def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:

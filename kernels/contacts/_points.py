@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts._field import among_at, Field, margin_of
-from tomojax.kernels.sheet import ground_path, rectangle_green, rectangle_slope
+from tomojax.kernels.sheet import rectangle_green, rectangle_slope, Slots
 
 # ln of the width of what is known of a contact's size beforehand.
 SIZE_WIDTH = 0.5
@@ -48,7 +48,7 @@ class Sheet(NamedTuple):
     field: Field
     thin: Float[Array, "nx ny M"]  # the same for a curve's points, see `thin_of`
     sheet_resistance: Float[Array, ""]
-    ground_resistance: Float[Array, "..."]
+    slots: Slots
     drive_voltage: Float[Array, ""]
     unit: Float[Array, ""]  # of the fit's lengths, m
     size: Float[Array, ""]  # usual radius of a contact, m
@@ -116,21 +116,21 @@ def slope_of(
 
 def drops(
     sheet: Sheet,
-    grounds: Int[Array, " S"],
+    which: Int[Array, " S"],
     among: Float[Array, "C C"],
-    at_ground: Float[Array, "S C"],
+    level: Float[Array, "S C"],
+    sunk: Float[Array, "S C"],
     current: Float[Array, "S C"],
 ) -> Float[Array, "S C"]:
     """Computes V0 − u at each contact, V.
 
     u = Σ_c I_c[G(x, x_c) − R_l(x_c)] − I·R_l(x) + I(R_ll + z), I the slot's total current;
-    `among` is G and `at_ground` is R_l(x_c).
+    `among` is G, and `level` and `sunk` are R_l(x_c), as `Slots` have them.
     """
     total = current.sum(1, keepdims=True)
-    own = ground_path(sheet.field.electrodes, grounds, sheet.ground_resistance)
-    mean = total[:, 0] * own - (current * at_ground).sum(1)
+    mean = total[:, 0] * sheet.slots.path(which) - (current * level).sum(1)
     u = jnp.matmul(current, among.T, precision="highest") + mean[:, None]
-    return sheet.drive_voltage - (u - total * at_ground)
+    return sheet.drive_voltage - (u - total * sunk)
 
 
 def hardly_told(

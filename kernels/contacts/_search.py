@@ -19,7 +19,7 @@ from tomojax.kernels.contacts._one_slot import (
     Weights,
 )
 from tomojax.kernels.contacts._points import Sheet
-from tomojax.kernels.sheet import slot_offset
+from tomojax.kernels.sheet import Grounds, Slots
 
 # What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
 # a size: 1 σ.
@@ -133,9 +133,8 @@ def search(
     )
 
     def look() -> Search:
-        offset = slot_offset(sheet.field.electrodes, ground, sheet.ground_resistance)
         along = weighed_both, beside, normal
-        gains = _gains(candidates, offset, ground, plain, scale, *along)
+        gains = _gains(candidates, sheet.slots, ground, plain, scale, *along)
         return _chosen(sheet, candidates, known, *gains, left, alone)
 
     # What errors alone leave, χ² about the number of channels, has nothing to be found in.
@@ -180,7 +179,7 @@ def _chosen(
 
 def _gains(
     candidates: Candidates,
-    offset: Float[Array, " M"],
+    slots: Slots,
     ground: Int[Array, ""],
     plain: Weights,
     scale: Float[Array, ""],
@@ -190,22 +189,27 @@ def _gains(
 ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
     """Computes how much each candidate explains: of what contacts leave, and of all.
 
-    A candidate's column is R_i − R_l + f_i, so every product with the column is one with R.
+    With one electrode grounded a candidate's column is R_i − R_l + f_i, so every product
+    with the column is one with R.
     """
-    w = plain.each
-    more = jnp.stack([w, w * offset])
-    vectors = jnp.concatenate([weighed_both, beside, plain.common, more])
-    products = product(candidates.potential, vectors.T)  # (K, C + 5)
-    at_ground = jnp.take(candidates.potential, ground, 1)
-    constant = matmul(vectors, offset)
-    along = products - at_ground[:, None] * vectors.sum(1) + constant
+    w, offset = plain.each, slots.offset(ground)
+    vectors = jnp.concatenate([weighed_both, beside, plain.common])
+    if isinstance(slots, Grounds):
+        vectors = jnp.concatenate([vectors, jnp.stack([w, w * offset])])
+        products = product(candidates.potential, vectors.T)  # (K, C + 5)
+        at_ground = jnp.take(candidates.potential, ground, 1)
+        constant = matmul(vectors, offset)
+        along = products - at_ground[:, None] * vectors.sum(1) + constant
+        # Σw(R + f − R_l)², less what the offset takes off.
+        total, cross = products[:, -2], products[:, -1]
+        own = matmul(candidates.square, w) + 2 * (cross - at_ground * total)
+        own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
+    else:
+        columns = slots.relative(candidates.potential, ground) + offset
+        along, own = product(columns, vectors.T), matmul(columns**2, w)
     count = len(beside)
     by_rest, by_all = along[:, 0], along[:, 1]
     shares, common = along[:, 2 : 2 + count], along[:, 2 + count]
-    # Σw(R + f − R_l)², less what the offset takes off.
-    total, cross = products[:, -2], products[:, -1]
-    own = matmul(candidates.square, w) + 2 * (cross - at_ground * total)
-    own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
     own = own - scale * common**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
     inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))

@@ -22,6 +22,7 @@ from tomojax.kernels.sheet import (
     ContactReduction,
     ground_voltages,
     reduce_sites,
+    Slots,
     voltage_slopes,
 )
 
@@ -54,7 +55,7 @@ class Told(NamedTuple):
     frame: WhitenedFrame
     tolerance: Float[Array, ""]  # δ²
     part: Float[Array, ""]  # t
-    ground_resistance: Float[Array, "..."]  # Ω
+    slots: Slots
     drive_voltage: Float[Array, ""]  # V
 
 
@@ -149,8 +150,8 @@ def shape_slopes(
 ) -> Float[Array, "S W K"]:
     """Computes slopes of the whitened residuals by w; `steep`: slopes of touch by f."""
     n = len(level)
-    z, v0 = told.ground_resistance, told.drive_voltage
-    slopes = voltage_slopes(at.contact, told.frame.grounds, z, v0)
+    of_slots = told.slots, told.frame.grounds, told.drive_voltage
+    slopes = voltage_slopes(at.contact, *of_slots)
     electrodes = sites.metal.shape[1]
 
     def of(pixels: Array) -> Array:
@@ -195,8 +196,7 @@ def shape_curvature(
 
 def _rest(told: Told, contact: ContactReduction) -> Float[Array, "S W"]:
     """Computes what a contact leaves of the voltages, whitened."""
-    z, v0 = told.ground_resistance, told.drive_voltage
-    volts = ground_voltages(contact, told.frame.grounds, z, v0)
+    volts = ground_voltages(contact, told.slots, told.frame.grounds, told.drive_voltage)
     return whitened_columns(told.frame, volts - told.voltages)
 
 

@@ -36,7 +36,6 @@ from tomojax.kernels.sheet._rectangle_grid import (
 from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
     ground_voltages as ground_voltages,
-    shared_ground_voltages as shared_ground_voltages,
     voltage_drop as voltage_drop,
     voltage_slopes as voltage_slopes,
 )
@@ -48,13 +47,13 @@ from tomojax.kernels.sheet._skin import (
     stretch as stretch,
 )
 from tomojax.kernels.sheet._slots import (
+    Conditions as Conditions,
+    conditions_of as conditions_of,
     contact_jacobian as contact_jacobian,
-    ground_path as ground_path,
-    loop_resistance as loop_resistance,
-    shared_slot_map as shared_slot_map,
+    Grounds as Grounds,
+    lengthened as lengthened,
     slot_jacobian as slot_jacobian,
-    slot_map as slot_map,
-    slot_offset as slot_offset,
+    Slots as Slots,
     volts_per_ampere as volts_per_ampere,
 )
 from tomojax.kernels.sheet._table import Resistances as Resistances

@@ -67,12 +67,10 @@ def nodes(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "nodes 2"]:
     return jnp.asarray(_node_index(shape) / np.array(shape), size.dtype) * size
 
 
-def node_image(values: Float[Array, "*n nodes"], shape: Shape) -> Float[Array, "*n x y"]:
-    """Arranges nodes' values as an image: i along x, j along y."""
+def node_image(values: np.ndarray, shape: Shape) -> np.ndarray:
+    """Arranges nodes' values as an image (nx + 1, ny + 1)."""
     nx, ny = shape
-    lines = (nx + 1, ny + 1) if nx >= ny else (ny + 1, nx + 1)
-    image = values.reshape(*values.shape[:-1], *lines)
-    return image if nx >= ny else jnp.swapaxes(image, -1, -2)
+    return values.reshape(nx + 1, ny + 1) if nx >= ny else values.reshape(ny + 1, nx + 1).T
 
 
 @lru_cache

@@ -33,14 +33,15 @@ def rectangle_grid_fields(
     radius: float,
     size: Float[np.ndarray, "2"],
     shunt: float | None = None,
-    beside: Float[np.ndarray, "P 2"] = np.empty((0, 2)),
+    beside: Float[np.ndarray, "P 2"] | None = None,
 ) -> tuple[
     Float[np.ndarray, "M M"], Float[np.ndarray, "M nx ny"], Float[np.ndarray, "M P"]
 ]:
     """Computes potentials of electrodes at each other, at (x, y) and at places `beside`.
 
-    The sheet has 1 Ω per square.
+    The sheet has 1 Ω per square. Without places `beside` their part is empty.
     """
+    beside = np.empty((0, 2)) if beside is None else beside
     turned = bool(size[0] > size[1])
     if turned:  # the shorter side along x, as in `_rectangle`
         ee, ep, more = rectangle_grid_fields(

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.sheet._slots import ground_path
+from tomojax.kernels.sheet._slots import Grounds, Slots
 
 
 class ContactReduction(NamedTuple):
@@ -64,25 +64,62 @@ class _Ground(NamedTuple):
     denominator: Float[Array, " L"]  # p(z + Q_ll) + f_l²
 
 
-def _ground(
-    contact: ContactReduction, grounds: Int[Array, " L"], ground_resistance: Array
-) -> _Ground:
-    q, f = contact.resistance[grounds], contact.shortfall[grounds]
-    total = ground_path(contact.resistance, grounds, ground_resistance)
-    return _Ground(q, total, f, contact.lift[grounds], contact.conductance * total + f**2)
+def _ground(contact: ContactReduction, slots: Grounds, which: Array) -> _Ground:
+    q, f = contact.resistance[which], contact.shortfall[which]
+    total = Grounds(contact.resistance, slots.resistance).path(which)
+    return _Ground(q, total, f, contact.lift[which], contact.conductance * total + f**2)
+
+
+class _Shared(NamedTuple):
+    """What conductances γ to ground make of a contact: j = Γv at 1 V of the object.
+
+    (I + QΓ)v = b + f·E, with E = 1 − D = (p − fᵀΓy)/(p + fᵀΓx), (I + QΓ)x = f and
+    (I + QΓ)y = b. An ampere into electrode i, the object at 0 V, makes w_i = (I + QΓ)⁻¹Qe_i
+    and x·(f_i − fᵀΓw_i)/(p + fᵀΓx).
+    """
+
+    volts: Float[Array, "L M"]
+    above: Float[Array, " L"]  # D, computed apart
+    conductance: Float[Array, "L M"]  # γ, S
+    fed: Float[Array, "L M M"]  # (slot, electrode, fed electrode), Ω
+    level: Float[Array, "L M"]  # E for each fed electrode, Ω
+
+
+def _shared(contact: ContactReduction, to_ground: Float[Array, "L M"]) -> _Shared:
+    """Without contact or ground the sheet floats, and 0 V is returned."""
+    q, f, p = contact.resistance, contact.shortfall, contact.conductance
+    unit = jnp.eye(len(q), dtype=q.dtype)
+
+    def one(gamma: Float[Array, " M"]) -> tuple:
+        right = jnp.concatenate([jnp.stack([f, contact.lift], 1), q], 1)
+        solution = jnp.linalg.solve(unit + q * gamma, right)
+        x, y, w = solution[:, 0], solution[:, 1], solution[:, 2:]
+        by_x, by_y, *by_w = matmul(f * gamma, solution)
+        denominator = p + by_x
+        floating = denominator == 0
+        over = jnp.where(floating, 0, 1 / jnp.where(floating, 1, denominator))
+        level = (f - jnp.stack(by_w)) * over
+        volts = jnp.where(floating, 0, x * (p - by_y) * over + y)
+        return volts, (by_x + by_y) * over, w + x[:, None] * level, level
+
+    volts, above, fed, level = jax.vmap(one)(to_ground)
+    return _Shared(volts, above, to_ground, fed, level)
 
 
 def ground_voltages(
     contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
+    slots: Slots,
+    which: Int[Array, " L"],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L M"]:
-    """Computes all M voltages (V) under each ground condition, one electrode grounded.
+    """Computes all M voltages (V) under each ground condition.
 
-    V_i^l = V0·[p(z + Q_ll − Q_il) + f_l(b_i − b_l)] / [p(z + Q_ll) + f_l²].
+    With one electrode grounded V_i^l = V0·[p(z + Q_ll − Q_il) + f_l(b_i − b_l)] /
+    [p(z + Q_ll) + f_l²].
     """
-    g = _ground(contact, grounds, ground_resistance)
+    if not isinstance(slots, Grounds):
+        return drive_voltage * _shared(contact, slots.to_ground[which]).volts
+    g = _ground(contact, slots, which)
     through = contact.conductance * (g.total[:, None] - g.q)
     around = g.f[:, None] * (contact.lift[None, :] - g.b[:, None])
     return drive_voltage * (through + around) / g.denominator[:, None]
@@ -90,68 +127,57 @@ def ground_voltages(
 
 def voltage_drop(
     contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
+    slots: Slots,
+    which: Int[Array, " L"],
     drive_voltage: Float[Array, ""],
 ) -> Float[Array, "L sites"]:
     """Computes V0 − u_k^l (V), which drives the current s_k = g_k(V0 − u_k) into a site."""
-    g = _ground(contact, grounds, ground_resistance)
-    drop = g.f[:, None] * contact.gap + contact.conductance * contact.field.T[grounds]
+    if not isinstance(slots, Grounds):
+        s = _shared(contact, slots.to_ground[which])
+        leaves = matmul(s.conductance * s.volts, contact.field.T)
+        return drive_voltage * (s.above[:, None] * contact.gap + leaves)
+    g = _ground(contact, slots, which)
+    drop = g.f[:, None] * contact.gap + contact.conductance * contact.field.T[which]
     return drive_voltage * drop / g.denominator[:, None]
 
 
 def voltage_slopes(
     contact: ContactReduction,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
+    slots: Slots,
+    which: Int[Array, " L"],
     drive_voltage: Float[Array, ""],
 ) -> Callable[[Float[Array, "some P"], Int[Array, " some"]], Float[Array, "L M P"]]:
     """Makes a map from ∂g/∂(P parameters) at some sites to ∂V_i^l/∂(parameters), V.
 
     The map takes ∂g and the sites' numbers. The adjoint derivative is ∂V_i^l/∂g_k =
     ψ_i^l(k)·(V0 − u_k^l), V/S. Here ψ_i^l is the potential of a unit current into electrode
-    i, with the ground l and the object at 0 V. Its value at k is X_ki − t_il·X_kl +
-    c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l. The factors are t_il = (p·Q_il + f_i·f_l)/d_l and
+    i, with the ground l and the object at 0 V. Its value at k is X_ki − Σ_e γ_e v_e·X_ke +
+    c_k·E, of v and E that the unit current makes. With one electrode grounded this is X_ki
+    − t_il·X_kl + c_k·[f_i(z + Q_ll) − f_l·Q_il]/d_l, with t_il = (p·Q_il + f_i·f_l)/d_l and
     d_l = p(z + Q_ll) + f_l². At g = 0 ψ is T. The slopes are products of L + M fields: one
     product of matrices serves all parameters.
     """
-    g = _ground(contact, grounds, ground_resistance)
-    f, over = contact.shortfall, 1 / g.denominator[:, None]
-    share = (contact.conductance * g.q + f * g.f[:, None]) * over
-    lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
     fields = jnp.concatenate([contact.field, contact.gap[:, None]], 1)
-    drop = voltage_drop(contact, grounds, ground_resistance, drive_voltage)
+    drop = voltage_drop(contact, slots, which, drive_voltage)
+    if isinstance(slots, Grounds):
+        g = _ground(contact, slots, which)
+        f, over = contact.shortfall, 1 / g.denominator[:, None]
+        share = (contact.conductance * g.q + f * g.f[:, None]) * over
+        lift = (f * g.total[:, None] - g.f[:, None] * g.q) * over
+
+        def leaves(at: Float[Array, "L M P"]) -> Float[Array, "L M P"]:
+            return share[:, :, None] * jnp.take_along_axis(at, which[:, None, None], 1)
+    else:
+        s = _shared(contact, slots.to_ground[which])
+        lift, out = s.level, s.conductance[:, :, None] * s.fed
+
+        def leaves(at: Float[Array, "L M P"]) -> Float[Array, "L M P"]:
+            return matmul(jnp.swapaxes(out, 1, 2), at)
 
     def slopes(dg: Array, sites: Array) -> Array:
         pairs = drop[:, None, sites] * fields[sites].T
         at = matmul(pairs.reshape(-1, len(sites)), dg)
         at = at.reshape(*pairs.shape[:2], dg.shape[1])
-        own = jnp.take_along_axis(at, grounds[:, None, None], 1)
-        return at[:, :-1] - share[:, :, None] * own + lift[:, :, None] * at[:, -1:]
+        return at[:, :-1] - leaves(at[:, :-1]) + lift[:, :, None] * at[:, -1:]
 
     return slopes
-
-
-def shared_ground_voltages(
-    contact: ContactReduction,
-    to_ground: Float[Array, "L M"],
-    drive_voltage: Float[Array, ""],
-) -> Float[Array, "L M"]:
-    """Computes voltages (V) with a conductance γ_e (S) to ground at any electrodes.
-
-    j = Γv gives v = x·E + V0·y with (I + QΓ)x = f, (I + QΓ)y = b and E = V0 − D =
-    V0·(p − fᵀΓy)/(p + fᵀΓx). Without contact or ground the sheet floats and 0 V is
-    returned.
-    """
-
-    def one(gamma: Float[Array, " M"]) -> Float[Array, " M"]:
-        q, f, p = contact.resistance, contact.shortfall, contact.conductance
-        system = jnp.eye(len(q), dtype=q.dtype) + q * gamma
-        x, y = jnp.linalg.solve(system, jnp.stack([f, contact.lift], 1)).T
-        numerator = p - jnp.vdot(f * gamma, y, precision="highest")
-        denominator = p + jnp.vdot(f * gamma, x, precision="highest")
-        floating = denominator == 0
-        excess = jnp.where(floating, 0, numerator / jnp.where(floating, 1, denominator))
-        return drive_voltage * (x * excess + y)
-
-    return jax.vmap(one)(to_ground)

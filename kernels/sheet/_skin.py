@@ -66,7 +66,7 @@ def coverage(skin: Skin, shape: Shape) -> Float[Array, " K"]:
 def stiffness_on(
     skin: Skin, shape: Shape, size: Float[Array, "2"]
 ) -> Float[Array, "K 3 3"]:
-    """Computes each whole element's stiffness at 1 S per square: e_i·e_j/4A, e the sides."""
+    """Computes each whole element's stiffness at 1 S per square: e_i·e_j/4A."""
     corners = skin.points(nodes(shape, size))[triangles(shape)]
     sides = jnp.roll(corners, -1, 1) - jnp.roll(corners, 1, 1)  # opposite each vertex
     products = jnp.einsum("kid,kjd->kij", sides, sides, precision="highest")

@@ -1,121 +1,205 @@
-"""Computes volts per ampere of a slot, the slot map T and the Jacobian family J(ρ).
+"""The law of slots: volts per ampere under a ground condition, T, and the family J(ρ).
 
-An ampere enters the sheet where its potentials at the electrodes are R_i, and leaves at the
-grounded electrode l through z. In that slot electrode i is at
-
-    R_i − R_l + (R_ll + z − R_il)
-
-`ground_path`, `slot_offset` and `volts_per_ampere` take arrays of NumPy and of JAX.
+An ampere enters the sheet where its potentials at the electrodes are r. With r̃ = [r; 1] the
+electrodes are then at V = D·r̃, and the current's own place x is at G(x, x) + r̃ᵀS r̃ (Ω). A
+condition is a pair (D, S). `Grounds` has it in closed form where one electrode is grounded.
+`Conditions` has it for any conductances to ground. Both have the same members, and take
+arrays of NumPy and of JAX.
 """
 
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.sheet._table import Resistances
 
 A = TypeVar("A", Array, np.ndarray)
 
-
-def ground_path(
-    electrodes: Float[A, "M M"],
-    grounds: Int[A, "*L"],
-    ground_resistance: Float[A, "..."] | float,
-) -> Float[A, "*L"]:
-    """Computes R_ll + z (Ω), z one value or one for each electrode."""
-    z = ground_resistance
-    each = z[grounds] if np.ndim(z) else z  # pyright: ignore
-    return electrodes[grounds, grounds] + each
+# An electrode that its ground leaves this part of its potential tells of the path to ground
+# alone, which is hardly known.
+_SHORT = 0.01
 
 
-def slot_offset(
-    electrodes: Float[A, "M M"],
-    grounds: Int[A, "*L"],
-    ground_resistance: Float[A, "..."] | float,
-) -> Float[A, "*L M"]:
-    """Computes R_ll + z − R_il (Ω): all but what depends on where the current enters."""
-    own = ground_path(electrodes, grounds, ground_resistance)
-    return own[..., None] - electrodes[grounds]
+class Grounds(NamedTuple):
+    """One grounded electrode l a slot: V_i = r_i − r_l + (R_ll + z − R_il), per ampere.
+
+    `which` of the members is l.
+    """
+
+    electrodes: Any  # R_ee' (M, M), Ω
+    resistance: Any  # z, Ω: one value or one for each electrode
+
+    def path(self, which: Int[A, "*L"]) -> Float[A, "*L"]:
+        """Computes R_ll + z, Ω."""
+        z = self.resistance
+        each = z[which] if np.ndim(z) else z
+        return self.electrodes[which, which] + each
+
+    def offset(self, which: Int[A, "*L"]) -> Float[A, "*L M"]:
+        """Computes R_ll + z − R_il, Ω: all but what depends on where the current enters."""
+        return self.path(which)[..., None] - self.electrodes[which]
+
+    def relative(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "... M"]:
+        """Computes r_i − r_l: what depends on where the current enters."""
+        return rows[(..., *(None,) * which.ndim, slice(None))] - rows[..., which][..., None]
+
+    def apart(self, rows: Float[A, "L *n M"], which: Int[A, " L"]) -> Float[A, "L *n M"]:
+        """Computes `relative` of rows of each slot's own."""
+        at = jnp.take_along_axis(rows, which[(slice(None), *(None,) * (rows.ndim - 1))], -1)
+        return rows - at
+
+    def level(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "..."]:
+        """Computes r_l: the sheet's level is `path` less this, for each ampere."""
+        return rows[..., which]
+
+    def sunk(
+        self, rows: Float[A, "*n M"], which: Int[A, "*L"], volts: Float[A, "*L M"]
+    ) -> Float[A, "..."]:
+        """Computes r_e, averaged over where the current leaves: r_l.
+
+        `volts` are the slots' own.
+        """
+        return rows[..., which]
+
+    def maps(self, elements: Float[A, "M K"], which: Int[A, " L"]) -> Float[A, "L M K"]:
+        """Computes T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω): a slot's V = T^l s.
+
+        s (A per element) is the current that the object feeds into the sheet.
+        """
+        apart = elements[None] - elements[which][:, None]
+        return apart + self.offset(which)[:, :, None]
+
+    def loops(
+        self, table: Resistances, which: Int[A, " L"], maps: Float[A, "L M K"]
+    ) -> Float[A, "L K"]:
+        """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
+        return table.own + self.path(which)[:, None] - 2 * table.elements[which]
+
+    def grounded(self, which: Int[A, "*L"]) -> Bool[A, "*L M"]:
+        """Tells the electrodes whose voltage tells of their path to ground: l."""
+        which = jnp.asarray(which)
+        return jnp.arange(len(self.electrodes), dtype=which.dtype) == which[..., None]
+
+
+class Conditions(NamedTuple):
+    """Conductances γ_e to ground at any electrodes: (D, S) of each of L conditions.
+
+    With Γ = diag γ and x = (I + RΓ)⁻¹1: D = [(I − xγᵀ/γᵀx)(I + RΓ)⁻¹ | x/γᵀx]. The sheet's
+    level per ampere is 1/γᵀx − (Γx)ᵀr/γᵀx, and γ_e V_e leaves at electrode e. `which` of
+    the members is a condition's number.
+    """
+
+    blocks: Any  # D's first block (L, M, M)
+    offsets: Any  # its last column (L, M), Ω
+    to_ground: Any  # γ (L, M), S
+    levels: Any  # Γx/γᵀx (L, M)
+    paths: Any  # 1/γᵀx (L,), Ω
+
+    def path(self, which: Int[A, "*L"]) -> Float[A, "*L"]:
+        return self.paths[which]
+
+    def offset(self, which: Int[A, "*L"]) -> Float[A, "*L M"]:
+        return self.offsets[which]
+
+    def relative(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "... M"]:
+        blocks = self.blocks[which].reshape(-1, *self.blocks.shape[1:])
+        flat = _product("nm,lim->nli", rows.reshape(-1, rows.shape[-1]), blocks)
+        return flat.reshape(*rows.shape[:-1], *which.shape, rows.shape[-1])
+
+    def apart(self, rows: Float[A, "L *n M"], which: Int[A, " L"]) -> Float[A, "L *n M"]:
+        return _product("l...m,lim->l...i", rows, self.blocks[which])
+
+    def level(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "..."]:
+        return _along(rows, self.levels[which])
+
+    def sunk(
+        self, rows: Float[A, "*n M"], which: Int[A, "*L"], volts: Float[A, "*L M"]
+    ) -> Float[A, "..."]:
+        leaves = self.to_ground[which] * volts
+        total = leaves.sum(-1, keepdims=True)
+        return _along(rows, leaves / jnp.where(total == 0, 1, total))
+
+    def maps(self, elements: Float[A, "M K"], which: Int[A, " L"]) -> Float[A, "L M K"]:
+        there = _product("lim,mk->lik", self.blocks[which], elements)
+        return there + self.offsets[which][:, :, None]
+
+    def loops(
+        self, table: Resistances, which: Int[A, " L"], maps: Float[A, "L M K"]
+    ) -> Float[A, "L K"]:
+        leaves = self.to_ground[which][:, :, None] * maps
+        back = _product("mk,lmk->lk", table.elements, leaves)
+        level = self.paths[which][:, None] - self.levels[which] @ table.elements
+        return table.own - back + level
+
+    def grounded(self, which: Int[A, "*L"]) -> Bool[A, "*L M"]:
+        left = jnp.abs(self.blocks[which]).max(-1)
+        return (self.to_ground[which] > 0) & (left < _SHORT)
+
+
+Slots = Grounds | Conditions
+
+
+def conditions_of(electrodes: Float[A, "M M"], to_ground: Float[A, "L M"]) -> Conditions:
+    """Computes (D, S) of conductances to ground (S), from R_ee' (Ω).
+
+    At least one γ of a condition must be positive; otherwise the result is infinite.
+    """
+    xp: Any = np if isinstance(electrodes, np.ndarray) else jnp
+    unit = xp.eye(len(electrodes), dtype=electrodes.dtype)
+    system = unit + electrodes * to_ground[:, None, :]
+    inverse = xp.linalg.inv(system)
+    x = inverse.sum(-1)
+    leaves = to_ground * x
+    total = leaves.sum(-1, keepdims=True)
+    lost = _product("lm,lmn->ln", to_ground, inverse) / total
+    return Conditions(
+        inverse - x[:, :, None] * lost[:, None, :],
+        x / total,
+        to_ground,
+        leaves / total,
+        1 / total[:, 0],
+    )
+
+
+def lengthened(slots: Slots, electrodes: Any, more: Any) -> Slots:
+    """Adds resistances (Ω) to the electrodes' paths to ground."""
+    if isinstance(slots, Grounds):
+        return slots._replace(resistance=slots.resistance + more)
+    return conditions_of(electrodes, slots.to_ground / (1 + slots.to_ground * more))
 
 
 def volts_per_ampere(
+    slots: Slots,
     potential: Float[A, "*batch M"],
-    electrodes: Float[A, "M M"],
-    grounds: Int[A, " L"],
-    ground_resistance: Float[A, "..."] | float,
-    total: Float[A, "*#batch"] | float = 1.0,
+    which: Int[A, " L"],
 ) -> Float[A, "*batch L M"]:
-    """Computes R_i − R_l + total·(R_ll + z − R_il), Ω.
-
-    `potential` is R, or a mix of several whose weights add up to `total`.
-    """
-    offset = slot_offset(electrodes, grounds, ground_resistance)
-    share = total[..., None, None] if np.ndim(total) else total  # pyright: ignore
-    return potential[..., None, :] - potential[..., grounds][..., None] + share * offset
-
-
-def slot_map(
-    table: Resistances,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-) -> Float[Array, "L M K"]:
-    """Computes T^l_ik = R_ik − R_lk − R_il + R_ll + z (Ω); exactly, a slot's V = T^l s.
-
-    s (A per element) is the current that the object feeds into the sheet.
-    """
-    ee, ek, _ = table
-    offset = slot_offset(ee, grounds, ground_resistance)
-    return ek[None] - ek[grounds][:, None] + offset[:, :, None]
-
-
-def loop_resistance(
-    table: Resistances,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
-) -> Float[Array, "L K"]:
-    """Computes R_kk + R_ll − 2R_lk + z (Ω): from element k through the sheet to l."""
-    ee, ek, kk = table
-    return kk + ground_path(ee, grounds, ground_resistance)[:, None] - 2 * ek[grounds]
+    """Computes D·[r; 1], Ω."""
+    return slots.relative(potential, which) + slots.offset(which)
 
 
 def slot_jacobian(
     table: Resistances,
-    grounds: Int[Array, " L"],
-    ground_resistance: Float[Array, "..."],
+    slots: Slots,
+    which: Int[Array, " L"],
     contact_resistance: Float[Array, "..."],
 ) -> Float[Array, "L M K"]:
-    """Computes `contact_jacobian` of slots with one electrode grounded."""
-    t = slot_map(table, grounds, ground_resistance)
-    loop = loop_resistance(table, grounds, ground_resistance)
-    return contact_jacobian(t, loop, contact_resistance)
+    """Computes `contact_jacobian` of slots."""
+    maps = slots.maps(table.elements, which)
+    return contact_jacobian(maps, slots.loops(table, which, maps), contact_resistance)
 
 
-def shared_slot_map(
-    table: Resistances, to_ground: Float[Array, "L M"]
-) -> tuple[Float[Array, "L M K"], Float[Array, "L K"]]:
-    """Computes T and loop resistances with a conductance γ_e (S) to ground per electrode.
+def _along(rows: Any, weights: Any) -> Any:
+    """Sums rows (*n, M), weighed (*L, M): (*n, *L)."""
+    flat = _product("nm,lm->nl", *(a.reshape(-1, a.shape[-1]) for a in (rows, weights)))
+    return flat.reshape(*rows.shape[:-1], *weights.shape[:-1])
 
-    (I + R_eeΓ)x = 1, (I + R_eeΓ)Y = R_ek; the sheet's mean potential per ampere is
-    m = (1 − 1ᵀΓY)/(1ᵀΓx); T = x·m + Y and the loop is R_kk − R_keΓT_·k + m. At least one γ
-    must be positive; otherwise the result is infinite.
-    """
-    ee, ek, kk = table
 
-    def one(gamma: Float[Array, " M"]) -> tuple[Array, Array]:
-        system = jnp.eye(len(ee), dtype=ee.dtype) + ee * gamma
-        rhs = jnp.concatenate([jnp.ones_like(ek[:, :1]), ek], 1)
-        solution = jnp.linalg.solve(system, rhs)
-        x, y = solution[:, :1], solution[:, 1:]
-        through = jnp.matmul(gamma, solution, precision="highest")
-        mean = (1 - through[1:]) / through[0]
-        t = x * mean + y
-        back = jnp.einsum("ek,e,ek->k", ek, gamma, t, precision="highest")
-        return t, kk - back + mean
-
-    return jax.vmap(one)(to_ground)
+def _product(how: str, one: Any, other: Any) -> Any:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.einsum(how, one, other, optimize=True)
+    return jnp.einsum(how, one, other, precision="highest")
 
 
 def contact_jacobian(

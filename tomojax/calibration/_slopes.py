@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from tomojax.calibration._unknowns import MOST
 from tomojax.kernels.contacts import field_at, Fitted, Sheet, thin_rows_at
-from tomojax.kernels.sheet import volts_per_ampere
+from tomojax.kernels.sheet import Grounds, volts_per_ampere
 from tomojax.sensor import make_moves, make_waves, Sensor
 
 
@@ -42,7 +42,7 @@ def slopes_by_rig(
 
     def wave(table: Array, among: Array) -> Float[Array, "S M"]:
         at = thin_rows_at(table, sheet.field.size, place)[0]
-        return current * volts_per_ampere(at, among, grounds, 0.0)
+        return current * volts_per_ampere(Grounds(among, 0.0), at, grounds)
 
     waves = [wave(*pair) for pair in zip(slopes.waves, slopes.waves_among)]
 

@@ -18,6 +18,7 @@ from tomojax._checks import float_array, require, require_positive, require_shap
 from tomojax._custom_types import Numbers
 from tomojax.kernels.sheet import (
     cell_centres,
+    Grounds,
     rectangle_fields,
     rectangle_green,
     Resistances,
@@ -225,7 +226,7 @@ def _gram(
 
     @jax.checkpoint
     def one(ground: Array) -> Array:
-        j = slot_jacobian(table, ground[None], z, through)[0]
+        j = slot_jacobian(table, Grounds(table.electrodes, z), ground[None], through)[0]
         return jnp.matmul(j.T, j, precision="highest")
 
     nothing = jnp.zeros((len(cells), len(cells)), xy.dtype)

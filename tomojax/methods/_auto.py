@@ -67,12 +67,22 @@ class Auto(AbstractMethod):
     cell: Float[Array, "2"]
     points: Points
     shapes: ImageShape
+    inside: Bool[Array, "nx ny"] | None
+    grounded: Bool[np.ndarray, "L M"]
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Auto":
         """Makes the method for an image of `shape` pixels."""
         points = Points.of(sensor, shape)
-        return cls(shape, points.cell, points, ImageShape.of(sensor, shape))
+        shapes = ImageShape.of(sensor, shape)
+        return cls(
+            shape=shape,
+            cell=points.cell,
+            points=points,
+            shapes=shapes,
+            inside=points.inside,
+            grounded=points.grounded,
+        )
 
     def calibrated(self, calibration: Calibration) -> "Auto":
         points = self.points.calibrated(calibration)
@@ -91,10 +101,6 @@ class Auto(AbstractMethod):
     @property
     def noise(self) -> Float[Array, ""]:
         return self.points.noise
-
-    @property
-    def inside(self) -> Bool[Array, "nx ny"] | None:
-        return self.points.inside
 
     @property
     def electrode_count(self) -> int:

@@ -105,7 +105,7 @@ class Batch:
         if flags is not None:
             rows.flags[:] = flags
         grounds = np.where(good.any(2), grounds, 0)
-        looked = look_at(voltages, grounds, good, *self._about)
+        looked = look_at(voltages, grounds, good, *self._about, self.method.grounded)
         usable = self._nothing(voltages, good, looked, rows)
         keys = grounds * 0 if self.method.any_grounds else grounds
         apart = keys
@@ -170,8 +170,9 @@ class Batch:
         require(grounds.shape == shape[:2], "grounds", grounds.shape, f"{shape[:2]}")
         require(good.shape == shape, "good", good.shape, f"{shape}")
         used = grounds[good.any(-1)]
-        inside = not used.size or (0 <= used.min() and used.max() < m)
-        require(inside, "grounds", "an electrode that is none", f"0 to {m - 1} where good")
+        last = len(self.method.grounded) - 1
+        inside = not used.size or (0 <= used.min() and used.max() <= last)
+        require(inside, "grounds", "an electrode that is none", f"0 to {last} where good")
         finite = np.isfinite(voltages)
         require(finite.all() or finite[good].all(), "voltages", "NaN where good", "volts")
 

@@ -155,6 +155,8 @@ class AbstractMethod(eqx.Module):
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
     # Pixels with some of the sheet: the image is NaN in all others. None: every pixel.
     inside: eqx.AbstractVar[Bool[Array, "nx ny"] | None]
+    # Of each ground, the electrodes whose voltage tells of their path to ground alone.
+    grounded: eqx.AbstractVar[Bool[np.ndarray, "L M"]]
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]

@@ -40,8 +40,11 @@ def look_at(
     good: Bool[np.ndarray, "n S M"],
     drive_sign: float,
     noise: float,
+    grounded: Bool[np.ndarray, "L M"],
 ) -> Looked:
     """Checks levels and counts readings; `noise` of a reading, V.
+
+    `grounded` tells which electrodes each ground holds near 0 V.
 
     Bits: AGAINST_DRIVE and GROUND_NOT_LOWEST (see `level_bits`), and PLACE_UNCERTAIN where
     too few readings are there for errors to show.
@@ -52,9 +55,7 @@ def look_at(
     height = np.maximum(high, -low)
     if drive_sign < 0:
         low, high = -high, -low
-    there = np.take_along_axis(good, grounds[..., None], 2)[..., 0]
-    at = np.take_along_axis(voltages, grounds[..., None], 2)[..., 0]
-    at = np.where(there, drive_sign * at, -np.inf)
+    there, at = _at_ground(drive_sign * voltages, grounds, good, grounded)
     bits = level_bits(low, high, at, noise, np)
     least = np.maximum(_SLOTS * (height > TELLS * noise).sum(1), 1)
     flags = np.zeros(len(bits), np.uint32)
@@ -70,3 +71,20 @@ def look_at(
     # c contacts: an offset, c currents, c places and shapes.
     most = (each.max(1, initial=0) - 1 - _MORE) // (1 + _CONTACT)
     return Looked(readings > 0, height.max(1, initial=-np.inf), flags, np.maximum(most, 1))
+
+
+def _at_ground(
+    voltages: Float[np.ndarray, "n S M"],
+    grounds: Integer[np.ndarray, "n S"],
+    good: Bool[np.ndarray, "n S M"],
+    grounded: Bool[np.ndarray, "L M"],
+) -> tuple[Integer[np.ndarray, "n S"], Float[np.ndarray, "n S"]]:
+    """Counts good readings at grounds, and returns their lowest voltage; −inf for none."""
+    if np.array_equal(grounded, np.eye(*grounded.shape)):
+        there = np.take_along_axis(good, grounds[..., None], 2)[..., 0]
+        at = np.take_along_axis(voltages, grounds[..., None], 2)[..., 0]
+    else:
+        held = grounded[grounds] & good
+        there = held.sum(2)
+        at = np.where(held, voltages, np.inf).min(2)
+    return there.astype(int), np.where(there > 0, at, -np.inf)

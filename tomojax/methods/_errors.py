@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
-from tomojax.kernels.sheet import smooth_modes
+from tomojax.kernels.sheet import Slots, smooth_modes
 from tomojax.methods._contract import centred
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
@@ -54,6 +54,7 @@ class PreparedErrors(NamedTuple):
 
     grounds: Int[Array, " S"]
     used: Bool[Array, "S M"]
+    grounded: Bool[Array, "L M"]  # of every ground: what tells of its path alone
     own: Float[Array, ""]  # a channel's own error, as a part of its voltage
     local: Float[Array, "3 M M"]  # and of its voltage's bend and slopes, from all voltages
     smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
@@ -94,16 +95,24 @@ class Errors(eqx.Module):
     size: Float[Array, "2"]
     off: Float[Array, ""]  # of electrodes, pitches
     noise: Float[Array, ""]  # of the converter, V
+    grounded: Bool[Array, "L M"]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
     part: Float[Array, ""]  # the same of what each channel has of its own
 
     @classmethod
-    def of(cls, sensor: Sensor) -> "Errors":
-        """Makes the errors of a rig with nominal values."""
+    def of(cls, sensor: Sensor, slots: Slots | None = None) -> "Errors":
+        """Makes the errors of a rig with nominal values.
+
+        By default each electrode is grounded alone.
+        """
+        which = sensor.all_grounds()
+        grounded = jnp.eye(sensor.electrode_count, dtype=bool)
+        if slots is not None:
+            grounded = slots.grounded(jnp.asarray(which))
         noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
         off = _OFF * sensor.electrode_diameter / sensor.mean_pitch
         one = jnp.ones((), sensor.dtype)
-        return cls(sensor.electrode_xy, sensor.size, off, noise, one, one)
+        return cls(sensor.electrode_xy, sensor.size, off, noise, grounded, one, one)
 
     def calibrated(self, calibration: Calibration) -> "Errors":
         """Returns the errors that the calibration states."""
@@ -130,6 +139,7 @@ class Errors(eqx.Module):
         return PreparedErrors(
             grounds=jnp.asarray(grounds, int),
             used=jnp.asarray(used),
+            grounded=self.grounded,
             own=jnp.asarray(own * _OWN, dtype),
             local=jnp.asarray(local, dtype),
             smooth=spread * self.smooth(self.electrode_xy),
@@ -193,9 +203,7 @@ def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitene
 
 
 def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:
-    grounds = prepared.grounds
-    channels = jnp.arange(prepared.used.shape[1], dtype=grounds.dtype)
-    return prepared.used & (channels != grounds[:, None])
+    return prepared.used & ~prepared.grounded[prepared.grounds]
 
 
 def without_offset(

@@ -13,9 +13,9 @@ from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, point_sources, read_contacts, unexplained
 from tomojax.kernels.sheet import (
-    loop_resistance,
+    contact_jacobian,
     Resistances,
-    slot_jacobian,
+    Slots,
 )
 from tomojax.methods._contract import (
     AbstractMethod,
@@ -86,6 +86,7 @@ class Linear(AbstractMethod):
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
     polarity: Float[Array, ""]  # of the drive: 1 or −1
+    grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
     @classmethod
@@ -95,13 +96,12 @@ class Linear(AbstractMethod):
         sensor = pixels.sensor
         table = resistances(sensor, "series" if sensor.even else "fem")
         grounds = jnp.asarray(sensor.all_grounds())
-        z = sensor.ground_resistance
-        loop = loop_resistance(table, grounds, z)
-        maps = _pixel_jacobian(pixels, table, grounds)
-        conductance = pixels.mean(1 / loop)
+        slots = sensor.slots(table.electrodes)
+        maps, conductance = _pixel_jacobian(pixels, table, slots, grounds)
         noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
         made = cls.from_maps(maps, conductance, shape, pixels.cell, noise, sign)
-        return replace(made, inside=pixels.inside)
+        grounded = np.asarray(slots.grounded(grounds))
+        return replace(made, inside=pixels.inside, grounded=grounded)
 
     @classmethod
     def from_maps(
@@ -127,6 +127,7 @@ class Linear(AbstractMethod):
             conductance=conductance,
             reading_noise=jnp.asarray(noise, cell.dtype),
             polarity=jnp.asarray(polarity, cell.dtype),
+            grounded=np.eye(*maps.shape[:2], dtype=bool),
         )
 
     def calibrated(self, calibration: Calibration) -> "Linear":
@@ -218,12 +219,15 @@ class Linear(AbstractMethod):
 
 @eqx.filter_jit
 def _pixel_jacobian(
-    pixels: Pixels, table: Resistances, grounds: Array
-) -> Float[Array, "L M pixels"]:
-    """Computes J(0), the mean over each pixel's elements; holds one ground at a time."""
-    z, rho = pixels.sensor.ground_resistance, jnp.zeros((), pixels.sensor.dtype)
+    pixels: Pixels, table: Resistances, slots: Slots, grounds: Array
+) -> tuple[Float[Array, "L M pixels"], Float[Array, "L pixels"]]:
+    """Computes J(0) and 1/loop (S), means over a pixel's elements; ground by ground."""
+    rho = jnp.zeros((), pixels.sensor.dtype)
 
-    def one(ground: Array) -> Array:
-        return pixels.mean(slot_jacobian(table, ground[None], z, rho)[0])
+    def one(ground: Array) -> tuple[Array, Array]:
+        maps = slots.maps(table.elements, ground[None])
+        loop = slots.loops(table, ground[None], maps)
+        jacobian = contact_jacobian(maps, loop, rho)
+        return pixels.mean(jacobian[0]), pixels.mean(1 / loop[0])
 
     return jax.lax.map(one, grounds)

@@ -1,27 +1,30 @@
 """Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
-from typing import Any
-
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tomojax.kernels.sheet import slot_offset
 from tomojax.methods._pixels import Pixels
 from tomojax.sensor import resistances
 
 
-def slot_maps(pixels: Pixels) -> Float[np.ndarray, "L M pixels"]:
+def slot_maps(
+    pixels: Pixels,
+) -> tuple[Float[np.ndarray, "L M pixels"], Bool[np.ndarray, "L M"]]:
     """Computes T^l of every ground, volts per ampere into a pixel; float64 on the host.
 
-    A pixel off the sheet has 0.
+    A pixel off the sheet has 0. Tells too which electrodes are `grounded`.
     """
     sensor = pixels.sensor
     table = resistances(sensor, "series" if sensor.even else "fem")
     ee, ek = table.electrodes, pixels.mean(table.elements)
-    ee, ek, z = (np.asarray(a, float) for a in (ee, ek, sensor.ground_resistance))
-    offset = slot_offset(ee, np.arange(len(ee)), z)
-    maps = ek[None] - ek[:, None] + offset[:, :, None]
-    return maps if pixels.inside is None else maps * np.asarray(pixels.inside).ravel()
+    ee, ek = (np.asarray(a, float) for a in (ee, ek))
+    slots = jax.tree.map(lambda a: np.asarray(a, float), sensor).slots(ee)
+    which = sensor.all_grounds()
+    maps, grounded = slots.maps(ek, which), np.asarray(slots.grounded(which))
+    if pixels.inside is not None:
+        maps = maps * np.asarray(pixels.inside).ravel()
+    return maps, grounded
 
 
 def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
@@ -31,13 +34,15 @@ def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
     return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
 
 
-def centring(good: Bool[np.ndarray, " M"], ground: Any) -> Float[np.ndarray, "M M"]:
+def centring(
+    good: Bool[np.ndarray, " M"], grounded: Bool[np.ndarray, " M"]
+) -> Float[np.ndarray, "M M"]:
     """Makes the matrix that subtracts the mean of a slot's good, ungrounded channels.
 
     A ground path, or an electrode's own resistance to the sheet, is hardly known and lifts
     all of these channels alike.
     """
-    used = good & (np.arange(len(good)) != ground)
+    used = good & ~grounded
     return np.diag(used.astype(float)) - np.outer(used, used) / max(1, used.sum())
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 from tomojax._programs import kept
 from tomojax._require import require
 from tomojax.kernels.shapes import PixelSites
-from tomojax.kernels.sheet import coverage, fem_shared_resistances, site_conductance
+from tomojax.kernels.sheet import fem_shared_resistances, site_conductance
 from tomojax.sensor import Sensor, sheet_on_mesh
 
 
@@ -57,12 +57,7 @@ def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:
     else:
         sensor = replace(sensor, divisions=divisions)
     cell = sensor.size / jnp.asarray(shape, sensor.dtype)
-    skin = sensor.skin
-    parts = None if sensor.outline is None else _coverage(skin, sensor.divisions)
-    return Pixels(sensor, shape, cell, parts)
-
-
-_coverage = jax.jit(coverage, static_argnums=1)
+    return Pixels(sensor, shape, cell, sensor.parts())
 
 
 def pixel_divisions(
@@ -83,7 +78,8 @@ def pixel_sites(sensor: Sensor, shape: tuple[int, int]) -> PixelSites:
     A pixel's current is even over its nodes, except nodes on metal.
     """
     fem, (mx, my) = sheet_on_mesh(sensor), (m // n for m, n in zip(sensor.divisions, shape))
-    part = 1.0 if sensor.outline is None else coverage(sensor.skin, sensor.divisions)
+    part = sensor.parts()
+    part = 1.0 if part is None else part
 
     def spread(pixel: Float[Array, "nx ny"]) -> Float[Array, " sites"]:
         each = jnp.repeat(jnp.repeat(pixel / (2 * mx * my), mx, 0), my, 1)

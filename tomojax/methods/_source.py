@@ -97,6 +97,7 @@ class Source(AbstractMethod):
     reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
     polarity: Float[Array, ""]  # of the drive: 1 or −1
+    grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
     @classmethod
@@ -110,7 +111,8 @@ class Source(AbstractMethod):
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
         noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        made = cls.from_maps(slot_maps(pixels), shape, pixels.cell, length, noise, sign)
+        maps, grounded = slot_maps(pixels)
+        made = cls.from_maps(maps, shape, pixels.cell, length, noise, sign, grounded)
         if pixels.inside is None:
             return made
         smoothed = made.smoothed * pixels.inside.ravel()
@@ -125,10 +127,12 @@ class Source(AbstractMethod):
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
         polarity: float = 1.0,
+        grounded: Bool[np.ndarray, "L M"] | None = None,
     ) -> "Source":
         """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
         Currents flow out of the object for a `polarity` of 1, into the object for −1.
+        `grounded` electrodes of each slot tell of their path alone: l of slot l by default.
         """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
@@ -155,6 +159,7 @@ class Source(AbstractMethod):
             reading_noise=jnp.asarray(noise, dtype),
             error=jnp.ones((), dtype),
             polarity=jnp.asarray(polarity, dtype),
+            grounded=np.eye(*maps.shape[:2], dtype=bool) if grounded is None else grounded,
         )
 
     def calibrated(self, calibration: Calibration) -> "Source":
@@ -199,7 +204,7 @@ class Source(AbstractMethod):
         """Returns ln λ where a slot's misfit is what noise and nominal values leave."""
         noise, error = float(self.noise), _MODEL_ERROR * float(self.error)
         target = good.sum() * noise**2 + error**2 * (v[good] @ v[good])
-        centre = centring(good, ground)
+        centre = centring(good, self.grounded[ground])
         v, rows = centre @ v, centre @ np.asarray(self.factors)[ground].astype(float)
         left, s, _ = np.linalg.svd(rows, full_matrices=False)
         beta = left.T @ v
@@ -221,7 +226,7 @@ class Source(AbstractMethod):
         through = np.zeros((rank, rank))
         spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
         for k in np.flatnonzero(good.any(1)):
-            centre = centring(good[k], grounds[k])
+            centre = centring(good[k], self.grounded[grounds[k]])
             rows = centre @ factors[grounds[k]]
             operator = tikhonov_operator(rows, lam)
             operators[k] = operator.T

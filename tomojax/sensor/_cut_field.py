@@ -4,13 +4,15 @@ Near an electrode a mesh is off by the same on a rectangle, whose closed form is
 it lacks there is put back, so that tables are nearly as good as the rectangle's.
 """
 
+from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
-from scipy import ndimage
+from jaxtyping import Array, Float
+from scipy import sparse
 
 from tomojax.kernels.contacts import Among
 from tomojax.kernels.sheet import (
@@ -24,6 +26,7 @@ from tomojax.kernels.sheet import (
     Skin,
     stretch,
 )
+from tomojax.sensor._edges import AbstractEdge
 from tomojax.sensor._sensor import Sensor
 
 # Cells of the mesh, of a diameter; at most so many along a side.
@@ -36,6 +39,9 @@ _WIDER = 0.5
 
 # Sites along each side between which potentials are tabulated.
 _SITES = 24
+
+# Places whose distance to the edge is computed at once.
+_TOGETHER = 4096
 
 # A chart that stretches lengths by more than this beside an electrode is not like a flat
 # sheet there.
@@ -60,29 +66,33 @@ class Cut(NamedTuple):
 def cut_of(sensor: Sensor, even: Sensor) -> Cut:
     """Puts the sheet on a mesh that is finer than its electrodes."""
     size, xy = np.asarray(sensor.size, float), sensor.electrode_xy
-    diameter, divisions = float(sensor.electrode_diameter), np.array(sensor.divisions)
-    finer = np.ceil(_MESH * size / diameter / divisions * (1 - 1e-5)).astype(int)
-    finer = np.maximum(1, np.minimum(finer, _MOST // divisions))
-    rho = np.broadcast_to(np.asarray(sensor.sheet_resistance, float), 2 * divisions.prod())
-    rho = rho.reshape(*divisions, 2).repeat(finer[0], 0).repeat(finer[1], 1).ravel()
-    mesh = divisions * finer
+    diameter, rho = float(sensor.electrode_diameter), np.asarray(sensor.sheet_resistance)
+    wanted = np.ceil(_MESH * size / diameter * (1 - 1e-5)).astype(int)
+    mesh = np.clip(wanted, 8, _MOST)
+    if rho.ndim:  # on a mesh that divides that of the sheet's values
+        divisions = np.array(sensor.divisions)
+        finer = np.maximum(1, mesh // divisions)
+        mesh = divisions * finer
+        rho = rho.reshape(*divisions, 2).repeat(finer[0], 0).repeat(finer[1], 1).ravel()
+    rho = np.broadcast_to(rho, 2 * mesh.prod())
     side = size / mesh
     # An even number of cells: the triangles are the same.
     more = 2 * np.ceil(_WIDER * sensor.mean_pitch / side / 2).astype(int)
     wider, margin = mesh + 2 * more, more * side
-    shape, whole = (tuple(int(n) for n in m) for m in (mesh, wider))
-    fine = sensor.on_mesh(shape, rho)
+    shape, whole = ((int(m[0]), int(m[1])) for m in (mesh, wider))
+    skin = sensor.on_mesh(shape, rho).skin
+    assert skin is not None
     made = jax.jit(fem_sheet, static_argnums=3)
     given = sensor.electrode_diameter / 2, sensor.electrode_shunt
     resistance = jnp.asarray(rho, sensor.dtype)
-    sheet = made(1 / resistance, xy, given[0], shape, sensor.size, given[1], fine.skin)
+    sheet = made(1 / resistance, xy, given[0], shape, sensor.size, given[1], skin)
     box = sensor.size + 2 * jnp.asarray(margin, sensor.dtype)
     same = jnp.full(2 * wider.prod(), 1 / even.sheet_resistance)
     moved = xy + jnp.asarray(margin, sensor.dtype)
     around = made(same, moved, given[0], whole, box, given[1])
-    parts = jax.jit(feed_parts, static_argnums=2)(xy, given[0], shape, sensor.size, fine.skin)
-    alike = np.asarray(stretch(fine.skin, xy, sensor.size / jnp.asarray(mesh))) < _ALIKE
-    return Cut(shape, fine.skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
+    parts = jax.jit(feed_parts, static_argnums=2)(xy, given[0], shape, sensor.size, skin)
+    alike = np.asarray(stretch(skin, xy, sensor.size / jnp.asarray(mesh))) < _ALIKE
+    return Cut(shape, skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
 
 
 def cut_fields(
@@ -106,16 +116,22 @@ def cut_fields(
     rows[:, away] = beside
     rho = float(even.sheet_resistance)
     ee, rows = _centred(rho * ee, rho * rows)
-    solved = jax.jit(fem_fields, static_argnums=1)
-    around_ee, around = solved(cut.around, cut.wider)
-    found_ee, found = solved(cut.sheet, cut.mesh)
-    around = _between(node_image(around, cut.wider), size + 2 * margin, home + margin)
-    found = _between(node_image(found, cut.mesh), size, home)
+    found_ee, found = _solved(cut.sheet, cut.mesh, home, size)
+    around_ee, around = _solved(cut.around, cut.wider, home + margin, size + 2 * margin)
     # Half a disc at an edge acts as a whole one and its image: as two.
     share = cut.alike / cut.parts
     both = np.sqrt(share[:, None] * share)
-    ee = np.asarray(found_ee, float) + both * (ee - np.asarray(around_ee, float))
+    ee = found_ee + both * (ee - around_ee)
     return (ee + ee.T) / 2, found + share[:, None, None] * (rows - around)
+
+
+def _solved(
+    fem: FemSheet, mesh: tuple[int, int], at: Float[np.ndarray, "*n 2"], size: np.ndarray
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M ..."]]:
+    """Computes R_ee' and R_e at places, Ω, by finite elements."""
+    ee, nodes = _fields(fem, mesh)
+    found = _weights(at.reshape(-1, 2), size, mesh) @ np.asarray(nodes, float).T
+    return np.asarray(ee, float), found.T.reshape(-1, *at.shape[:-1])
 
 
 def among_sites(sensor: Sensor, cut: Cut) -> Among:
@@ -128,33 +144,33 @@ def among_sites(sensor: Sensor, cut: Cut) -> Among:
     home = homes(sensor, x, y).reshape(-1, 2)
 
     def shared(fem: FemSheet, mesh: tuple[int, int], at: np.ndarray, box: np.ndarray):
-        shares = _shares(at, box, mesh)
         none = np.zeros((len(sensor.electrode_xy), len(at)))
-        loads = jnp.asarray(np.concatenate([shares, none]), sensor.dtype)
-        solve = jax.jit(fem_shared_resistances, static_argnums=2)
-        return np.asarray(solve(fem, loads, mesh)[1], float)
+        loads = np.concatenate([_weights(at, box, mesh).toarray().T, none])
+        return np.asarray(_shared(fem, jnp.asarray(loads, sensor.dtype), mesh)[1], float)
 
     found = shared(cut.sheet, cut.mesh, home, size)
     wide = size + 2 * cut.margin
     found = found - shared(cut.around, cut.wider, home + cut.margin, wide)
     values = found.reshape(_SITES, _SITES, _SITES, _SITES)
-    dtype = sensor.dtype
-    return Among(*(jnp.asarray(a, dtype) for a in (values, cut.margin)))
+    return Among(*(jnp.asarray(a, sensor.dtype) for a in (values, cut.margin)))
 
 
 def homes(
     sensor: Sensor, x: Float[np.ndarray, " nx"], y: Float[np.ndarray, " ny"]
 ) -> Float[np.ndarray, "nx ny 2"]:
-    """Returns the places that points of a grid stand for: beyond an edge, mirrored at it."""
+    """Returns the places that a grid's points stand for: beyond an edge, mirrored."""
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
     if sensor.outline is None:
         return points
     outline, size = sensor.outline, np.asarray(sensor.size, float)
-    slope = jax.jit(jax.vmap(jax.value_and_grad(outline.distance)))
 
     def level_at(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        level, way = slope(jnp.asarray(at, sensor.dtype))
-        return np.asarray(level, float), np.asarray(way, float)
+        found = np.empty((len(at), 3))
+        for k in range(0, len(at), _TOGETHER):  # of one size: one program
+            some = np.resize(at[k : k + _TOGETHER], (_TOGETHER, 2))
+            level = np.asarray(_levels(outline, jnp.asarray(some, sensor.dtype)))
+            found[k : k + _TOGETHER] = level[: len(at) - k]
+        return found[:, 0], found[:, 1:]
 
     flat = points.reshape(-1, 2)
     level, way = level_at(flat)
@@ -181,29 +197,31 @@ def _centred(
     return ee - each[:, None] - each + mean, rows
 
 
-def _between(
-    image: Float[np.ndarray, "n nx ny"], size: np.ndarray, at: Float[np.ndarray, "*p 2"]
-) -> Float[np.ndarray, "n *p"]:
-    """Interpolates nodes' values linearly."""
-    image = np.asarray(image, float)
-    index = np.moveaxis(at / size * (np.array(image.shape[1:]) - 1), -1, 0)
-    each = [ndimage.map_coordinates(one, index, order=1, mode="nearest") for one in image]
-    return np.stack(each)
-
-
-def _shares(
+def _weights(
     at: Float[np.ndarray, "n 2"], size: np.ndarray, mesh: tuple[int, int]
-) -> Float[np.ndarray, "nodes n"]:
-    """Splits currents among the four nodes around each place."""
-    index = at / size * np.array(mesh)
-    low = np.clip(np.floor(index), 0, np.array(mesh) - 1).astype(int)
+) -> sparse.csr_array:
+    """Computes weights (n, nodes) of the four nodes around each place: linear."""
+    cells = np.array(mesh)
+    index = at / size * cells
+    low = np.clip(np.floor(index), 0, cells - 1).astype(int)
     part = index - low
-    image = np.zeros((len(at), mesh[0] + 1, mesh[1] + 1))
-    each = np.arange(len(at))
+    numbers = node_image(np.arange((cells + 1).prod()), mesh)
+    columns, weights = [], []
     for i in (0, 1):
         for j in (0, 1):
-            weight = np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1])
-            image[each, low[:, 0] + i, low[:, 1] + j] += weight
-    flat = image if mesh[0] >= mesh[1] else image.transpose(0, 2, 1)
-    return flat.reshape(len(at), -1).T
+            columns.append(numbers[low[:, 0] + i, low[:, 1] + j])
+            weights.append(np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1]))
+    rows = np.tile(np.arange(len(at)), 4)
+    entries = np.concatenate(weights), (rows, np.concatenate(columns))
+    return sparse.csr_array(entries, shape=(len(at), numbers.size))
 
+
+@eqx.filter_jit
+def _levels(outline: AbstractEdge, at: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    """Computes distances to the edge, m, and their slopes."""
+    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(at)
+    return jnp.concatenate([level[:, None], slope], 1)
+
+
+_fields = partial(jax.jit, static_argnums=1)(fem_fields)
+_shared = partial(jax.jit, static_argnums=2)(fem_shared_resistances)

@@ -44,9 +44,9 @@ def make_field(sensor: Sensor) -> Field:
 
     A sheet with a value per element, an outline or a surface adds the difference of two
     solutions on a mesh, whose errors cancel. Beyond an edge the table is that of the place
-    mirrored at the edge: smooth, as no current crosses it. Electrodes even out the potential under them (`electrode_shunt`; 1 where
-    the sensor leaves it open: metal discs). Without this effect places are off by 1 mm and
-    more.
+    mirrored at the edge: smooth, as no current crosses it. Electrodes even out the
+    potential under them (`electrode_shunt`; 1 where the sensor leaves it open: metal
+    discs). Without this effect places are off by 1 mm and more.
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """

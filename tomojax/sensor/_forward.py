@@ -22,7 +22,7 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.kernels.sheet import (
-    contact_jacobian,
+    conditions_of,
     element_area,
     element_areas,
     fem_contact,
@@ -32,16 +32,15 @@ from tomojax.kernels.sheet import (
     ground_voltages,
     rectangle_resistances,
     Resistances,
-    shared_ground_voltages,
-    shared_slot_map,
     site_conductance,
     slot_jacobian,
+    Slots,
     subpoints,
 )
 from tomojax.sensor._converter import Converter
 from tomojax.sensor._off_sheet import require_on_sheet
 from tomojax.sensor._outline import AbstractShape
-from tomojax.sensor._sensor import element_values, Sensor
+from tomojax.sensor._sensor import check_conditions, element_values, Sensor
 
 Route = Literal["fem", "series"]
 Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
@@ -149,16 +148,10 @@ def ground_set(
         array = jnp.asarray(array)
         require_shape("grounds", array, (None,))
         require(array.size > 0, "grounds", "none", "at least one")
-        require_within("grounds", array, sensor.electrode_count)
+        require_within("grounds", array, sensor.condition_count)
         return array
     array = float_array("grounds", grounds, sensor.dtype)
-    require_shape("grounds", array, (None, sensor.electrode_count))
-    require(array.size > 0, "grounds", "none", "at least one")
-    require_not_negative("grounds", array)
-    if known(array):
-        floating = np.flatnonzero(np.asarray(array).sum(1) == 0)
-        slots = f"slots {floating[:5]} ungrounded"
-        require(not floating.size, "grounds", slots, "a ground")
+    check_conditions("grounds", array, sensor.electrode_count)
     return array
 
 
@@ -208,9 +201,17 @@ def jacobian(
 def _jacobian(
     sensor: Sensor, grounds: Array, rho: Array, table: Resistances
 ) -> Float[Array, "L M K"]:
+    slots, which = law_of(sensor, grounds, table.electrodes)
+    return slot_jacobian(table, slots, which, rho)
+
+
+def law_of(
+    sensor: Sensor, grounds: Array, electrodes: Array
+) -> tuple[Slots, Int[Array, " L"]]:
+    """Returns the law of slots and their numbers in it, for grounds as `ground_set` has."""
     if grounds.ndim == 2:
-        return contact_jacobian(*shared_slot_map(table, grounds), rho)
-    return slot_jacobian(table, grounds, sensor.ground_resistance, rho)
+        return conditions_of(electrodes, grounds), jnp.arange(len(grounds))
+    return sensor.slots(electrodes), grounds
 
 
 def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " K"]:
@@ -266,7 +267,7 @@ def voltages(
       given: a function of time that returns a shape, such as `sensor.Moving`.
     - `grounds`: electrode numbers (L,), or conductances to ground (L, M) in S for
       several or partial grounds (the sensor's `ground_resistance` is then not used).
-      None stands for every electrode once.
+      None stands for every electrode once. Of a sensor with `conditions`, their numbers.
     - `times` (L,): when each slot is read, s; each slot then has a scene of its own.
     - `converter`: noise and quantisation; a converter with noise needs a `key`.
 
@@ -309,10 +310,8 @@ def exact_voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Arr
     fem = sheet_on_mesh(sensor)
     sites = site_conductance(fem, g, sensor.divisions)
     contact = fem_contact(fem, sites, sensor.divisions)
-    v0 = sensor.drive_voltage
-    if grounds.ndim == 2:
-        return shared_ground_voltages(contact, grounds, v0)
-    return ground_voltages(contact, grounds, sensor.ground_resistance, v0)
+    law = law_of(sensor, grounds, contact.resistance)
+    return ground_voltages(contact, *law, sensor.drive_voltage)
 
 
 @eqx.filter_jit

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +10,6 @@ from scipy import ndimage
 from tomojax._checks import float_array
 from tomojax._custom_types import Numbers
 from tomojax._require import require
-from tomojax.kernels.sheet import coverage
 from tomojax.sensor._edges import AbstractEdge
 
 # Places, or what `place_electrodes` takes by name.
@@ -116,7 +114,9 @@ def check_skin(sensor: Any) -> None:
         f"electrodes {outside[:5].tolist()} off the sheet, by {level.max():.3g} m",
         "middles on the sheet or on its edge",
     )
-    places = xy if sensor.surface is None else np.asarray(sensor.surface(sensor.electrode_xy))
+    places = (
+        xy if sensor.surface is None else np.asarray(sensor.surface(sensor.electrode_xy))
+    )
     apart = np.sqrt(((places[:, None] - places) ** 2).sum(-1)) + np.diag([np.inf] * len(xy))
     one, other = np.unravel_index(apart.argmin(), apart.shape)
     require(
@@ -128,9 +128,12 @@ def check_skin(sensor: Any) -> None:
     if sensor.outline is None:
         return
     shape = sensor.divisions
-    part = np.asarray(jax.jit(coverage, static_argnums=1)(sensor.skin, shape))
-    parts, _ = ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
-    cells = np.clip((xy / np.asarray(sensor.size) * shape).astype(int), 0, np.array(shape) - 1)
+    part = np.asarray(sensor.parts())
+    labelled: Any = ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
+    parts = labelled[0]
+    cells = np.clip(
+        (xy / np.asarray(sensor.size) * shape).astype(int), 0, np.array(shape) - 1
+    )
     near = ndimage.grey_dilation(parts, 3)
     which = np.where(parts[tuple(cells.T)] > 0, parts[tuple(cells.T)], near[tuple(cells.T)])
     apart = np.flatnonzero(which != which[0])

@@ -24,7 +24,15 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax._require import check_electrodes
 from tomojax._shown import named, shown
-from tomojax.kernels.sheet import element_areas, nodes, Skin
+from tomojax.kernels.sheet import (
+    conditions_of,
+    coverage,
+    element_areas,
+    Grounds,
+    nodes,
+    Skin,
+    Slots,
+)
 from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
@@ -55,6 +63,8 @@ class Sensor(eqx.Module):
       effect, at a third of the cost.
     - `resolution`: of one code of the converter, V; 0 if finer than the noise.
     - `divisions` (nx, ny): cells of the mesh. Each is two of the K = 2·nx·ny elements.
+    - `conditions` (L, M): a table of ground conditions, S from each electrode to ground;
+      `grounds` are then its rows. None: electrode l alone through z.
     - `outline`: where the sheet ends, an `AbstractEdge` (`Sensor.disc`, `Sensor.polygon`);
       None: it fills the box.
     - `surface`: a function from places (…, 2) to places in space (…, 3), m, of a curved
@@ -85,6 +95,7 @@ class Sensor(eqx.Module):
     drive_voltage: Float[Array, ""]
     electrode_shunt: Float[Array, ""] | None
     resolution: Float[Array, ""]
+    conditions: Float[Array, "L M"] | None
     outline: AbstractEdge | None
     surface: Callable | None
     divisions: tuple[int, int] = eqx.field(static=True)
@@ -101,6 +112,7 @@ class Sensor(eqx.Module):
         divisions: Numbers = (64, 64),
         dtype: Any = None,
         resolution: Numbers = 0.0,
+        conditions: Numbers | None = None,
         outline: AbstractEdge | None = None,
         surface: Callable | None = None,
     ):
@@ -120,6 +132,9 @@ class Sensor(eqx.Module):
         if electrode_shunt is not None:
             self.electrode_shunt = as_places("electrode_shunt", electrode_shunt)
         self.resolution = as_places("resolution", resolution)
+        self.conditions = None
+        if conditions is not None:
+            self.conditions = as_places("conditions", conditions)
         self.outline, self.surface = (
             jax.tree.map(lambda a: a.astype(xy.dtype) if eqx.is_inexact_array(a) else a, f)
             for f in (outline, surface)
@@ -143,6 +158,8 @@ class Sensor(eqx.Module):
             require_not_negative(name, getattr(self, name))
         require_finite("drive_voltage", self.drive_voltage)
         require_finite("electrode_xy", self.electrode_xy)
+        if self.conditions is not None:
+            check_conditions("conditions", self.conditions, self.electrode_count)
         if self.electrode_shunt is not None:
             require_shape("electrode_shunt", self.electrode_shunt, ())
             require_positive("electrode_shunt", self.electrode_shunt)
@@ -186,10 +203,10 @@ class Sensor(eqx.Module):
         return cls(others.pop("size", size), xy, **others)
 
     @classmethod
-    def disc(
-        cls, diameter: Numbers, electrodes: Electrodes, **others: Any
-    ) -> "Sensor":
-        """Makes a round sensor: `diameter` m; `electrodes` as `place_electrodes` takes them.
+    def disc(cls, diameter: Numbers, electrodes: Electrodes, **others: Any) -> "Sensor":
+        """Makes a round sensor of a `diameter`, m.
+
+        `electrodes`: places (M, 2), or what `place_electrodes` takes, by name.
 
         **Example:**
 
@@ -212,7 +229,7 @@ class Sensor(eqx.Module):
     ) -> "Sensor":
         """Makes a sensor within a polygon, with holes; vertices from 0 up, m.
 
-        `electrodes` as `place_electrodes` takes them; the box ends at the highest x and y.
+        `electrodes` as in `disc`; the box ends at the highest x and y.
 
         **Example:**
 
@@ -263,10 +280,17 @@ class Sensor(eqx.Module):
         return Skin(level, self.surface)
 
     def on_mesh(self, divisions: tuple[int, int], sheet_resistance: Numbers) -> "Sensor":
-        """Returns the sensor on another mesh, with its values of the sheet, Ω per square."""
+        """Returns the sensor on another mesh, with that mesh's values of the sheet."""
         value = float_array("sheet_resistance", sheet_resistance, self.dtype)
         moved = eqx.tree_at(lambda s: s.sheet_resistance, self, value)
         return replace(moved, divisions=divisions)
+
+    def parts(self) -> Float[Array, " K"] | None:
+        """Returns the part of each element that is on the sheet; None: all of it."""
+        skin = self.skin
+        if skin is None or self.outline is None:
+            return None
+        return jax.jit(coverage, static_argnums=1)(skin, self.divisions)
 
     @property
     def area(self) -> float:
@@ -302,8 +326,30 @@ class Sensor(eqx.Module):
         return float(np.sqrt(self.area / self.electrode_count))
 
     def all_grounds(self) -> np.ndarray:
-        """Returns each electrode grounded once, in order: the paper's *All*."""
-        return np.arange(self.electrode_count)
+        """Returns each electrode grounded once, in order: the paper's *All*.
+
+        Of a sensor with `conditions`, the number of each.
+        """
+        return np.arange(self.condition_count)
+
+    @property
+    def condition_count(self) -> int:
+        """Returns the number of ground conditions, L; M where each is an electrode."""
+        table = self.conditions
+        return self.electrode_count if table is None else table.shape[0]
+
+    def ground_xy(self) -> Float[Array, "L 2"]:
+        """Returns where each condition's current leaves in the mean, m."""
+        if self.conditions is None:
+            return self.electrode_xy
+        share = self.conditions / self.conditions.sum(1, keepdims=True)
+        return jnp.matmul(share, self.electrode_xy, precision="highest")
+
+    def slots(self, electrodes: Float[Array, "M M"]) -> Slots:
+        """Returns the law of the ground conditions, from R_ee' (Ω): see `Slots`."""
+        if self.conditions is None:
+            return Grounds(electrodes, self.ground_resistance)
+        return conditions_of(electrodes, self.conditions)
 
     def __repr__(self) -> str:
         nx, ny = self.divisions
@@ -323,6 +369,16 @@ class Sensor(eqx.Module):
     def _repr_png_(self) -> bytes | None:
         """A notebook's picture: the sheet and its electrodes."""
         return png(lambda ax: sheet(self, ax))
+
+
+def check_conditions(name: str, table: Array, electrodes: int) -> None:
+    """Refuses a table of conductances to ground, S. **Raises:** `ValueError`."""
+    require_shape(name, table, (None, electrodes))
+    require(table.size > 0, name, "none", "at least one")
+    require_not_negative(name, table)
+    if known(table):
+        floating = np.flatnonzero(np.asarray(table).sum(1) == 0)
+        require(not floating.size, name, f"slots {floating[:5]} ungrounded", "a ground")
 
 
 def _whole_divisions(divisions: Any) -> tuple[int, int]:

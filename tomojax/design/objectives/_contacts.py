@@ -6,7 +6,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax.kernels.contacts import green_of, in_slot, Sheet, SIZE_WIDTH, tangents
-from tomojax.kernels.sheet import ground_path
 
 
 class Contact(NamedTuple):
@@ -30,8 +29,10 @@ class Contact(NamedTuple):
         raw = tangents(sheet, place, self.size)[0]
         radius = sheet.size * jnp.exp(SIZE_WIDTH * self.size)
         own = green_of(sheet, place[None], radius[None])(place)[0]
-        path = ground_path(sheet.field.electrodes, ground, sheet.ground_resistance)
-        loop = own + path - 2 * raw[ground]
+        slots = sheet.slots
+        volts = slots.relative(raw, ground) + slots.offset(ground)
+        back = slots.level(raw, ground) + slots.sunk(raw, ground, volts)
+        loop = own + slots.path(ground) - back
         return sheet.drive_voltage / (self.resistance + loop)
 
     def columns(self, place: Float[Array, "2"], ground: Array) -> Float[Array, "4 M"]:

@@ -19,7 +19,7 @@ from tomojax._checks import (
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
-from tomojax.kernels.sheet import centroids, cosine_waves, ground_path, slot_offset
+from tomojax.kernels.sheet import centroids, cosine_waves, Grounds
 from tomojax.methods import sheet_of
 from tomojax.sensor import converter_of, resistances, Sensor
 
@@ -166,6 +166,13 @@ def simulate_scenes(
     return SimulatedScenes(given, jnp.asarray(found, sensor.dtype))
 
 
+def _alone(sheet: Sheet) -> Grounds:
+    """**Raises:** `ValueError` for a sensor with a table of conditions."""
+    if not isinstance(sheet.slots, Grounds):
+        raise ValueError("sensor: simulated rigs ground one electrode at a time")
+    return sheet.slots
+
+
 @jax.jit
 def exact_on_rig(
     sheet: Sheet,
@@ -180,12 +187,12 @@ def exact_on_rig(
     are the rig's R_m(x_c) and R_mn less the sheet's."""
     each = sheet.field.electrodes + electrodes
     grounds = jnp.arange(len(each))
-    own = ground_path(each, grounds, sheet.ground_resistance)
-    columns = slot_offset(each, grounds, sheet.ground_resistance)
+    slots = _alone(sheet)._replace(electrodes=each)
+    own, columns = slots.path(grounds), slots.offset(grounds)
     # Metal's current is at its rim: as an even disc's that is larger by e^¼.
     metal = metallic(sheet, conductance)
     larger = jnp.exp(metal / 4)
-    z = jnp.broadcast_to(sheet.ground_resistance, own.shape)
+    z = jnp.broadcast_to(slots.resistance, own.shape)
     short = sheet.drive_voltage * z / (z + 1 / conductance)
 
     def scene(some: tuple[Array, Array, Array, Array]) -> Float[Array, "L M"]:

@@ -18,7 +18,7 @@ from tomojax.design.objectives._information import AbstractObjective, place_prio
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import Noise, slot_weights, solve_small, weighed
-from tomojax.kernels.sheet import volts_per_ampere
+from tomojax.kernels.sheet import Grounds, volts_per_ampere
 from tomojax.methods import noise_of
 from tomojax.sensor import converter_of, Sensor
 
@@ -89,7 +89,8 @@ def _scores(
     def one(place: Array, ek: Array, ground: Array) -> tuple[Array, Array]:
         columns, current = contact.columns(place, ground), contact.current(place, ground)
         slot = ground[None]
-        more = jax.vmap(lambda at, ee: volts_per_ampere(at, ee, slot, 0.0))(ek, more_ee)
+        more = jax.vmap(lambda r, ee: volts_per_ampere(Grounds(ee, 0.0), r, slot))
+        more = more(ek, more_ee)
         off = current * more[:, 0]
         off = off + gains * columns[0] + hisses[ground]
         read = jnp.ones(len(grounds), bool)

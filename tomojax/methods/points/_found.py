@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
 from tomojax.kernels.contacts import Look, look, unwhitened, WhitenedFrame
-from tomojax.kernels.sheet import slot_offset
+from tomojax.kernels.sheet import Grounds
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import (
     highest_cost,
@@ -78,9 +78,13 @@ def fitting_of(
 def look_of(scene: Fitting) -> Look:
     """Whitens the candidates' voltages, and the frame's, in the compared slots."""
     some, sheet = scene.prepared.compared, scene.method.sheet
-    ee, grounds = sheet.field.electrodes, scene.frame.grounds[some]
-    offset = slot_offset(ee, grounds, 0.0)  # as free as it is, z does not count
+    which, slots = scene.frame.grounds[some], sheet.slots
     part = jax.tree.map(lambda a: a[some], scene.frame)
+    if not isinstance(slots, Grounds):
+        offset, blocks = slots.offset(which), slots.blocks[which]
+        return look(scene.method.potentials, offset, part, blocks)
+    # As free as it is, z does not count.
+    offset = slots._replace(resistance=0.0).offset(which)
     return look(scene.method.potentials, offset, part)
 
 

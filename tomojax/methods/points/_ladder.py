@@ -282,8 +282,7 @@ def _own_columns(
     sheet = scene.method.sheet
     each = jax.vmap(field_at, (None, 0, 0))
     own = each(sheet.field, discs.place[:size], discs.radius[:size])
-    z = sheet.ground_resistance
-    return volts_per_ampere(own, sheet.field.electrodes, grounds, z)
+    return volts_per_ampere(sheet.slots, own, grounds)
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:

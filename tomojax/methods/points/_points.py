@@ -14,7 +14,7 @@ from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
-from tomojax.kernels.sheet import cell_centres
+from tomojax.kernels.sheet import cell_centres, lengthened
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._pixels import pixels_of
@@ -63,7 +63,8 @@ class Points(AbstractMethod):
     potentials: Float[Array, "K M"]  # of a usual contact at each
     errors: Errors
     spacing: Float[Array, ""]  # of the candidates along y, m
-    inside: Bool[Array, "nx ny"] | None = None
+    inside: Bool[Array, "nx ny"] | None
+    grounded: Bool[np.ndarray, "L M"]
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
@@ -78,21 +79,23 @@ class Points(AbstractMethod):
         each = jax.vmap(field_at, (None, 0, None))
         potentials = jax.jit(each)(sheet.field, candidates, sheet.size)
         cell = sensor.size / jnp.asarray(shape, sensor.dtype)
+        errors = Errors.of(sensor, sheet.slots)
         return cls(
             shape=shape,
             cell=cell,
             sheet=sheet,
             candidates=candidates,
             potentials=potentials,
-            errors=Errors.of(sensor),
+            errors=errors,
             spacing=jnp.asarray(size[1] / across[1], sensor.dtype),
             inside=None if sensor.outline is None else pixels_of(sensor, shape).inside,
+            grounded=np.asarray(errors.grounded),
         )
 
     def calibrated(self, calibration: Calibration) -> "Points":
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
-        resistance = self.sheet.ground_resistance + ground
-        sheet = self.sheet._replace(ground_resistance=resistance)
+        slots = lengthened(self.sheet.slots, self.sheet.field.electrodes, ground)
+        sheet = self.sheet._replace(slots=slots)
         return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
 
     @property

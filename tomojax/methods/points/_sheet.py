@@ -22,7 +22,7 @@ def sheet_of(sensor: Sensor) -> Sheet:
         field,
         thin,
         resistance,
-        sensor.ground_resistance,
+        sensor.slots(field.electrodes),
         sensor.drive_voltage,
         jnp.asarray(UNIT * pitch, sensor.dtype),
         usual,

@@ -26,7 +26,13 @@ from tomojax.kernels.shapes import (
     touching,
     TwoLevels,
 )
-from tomojax.kernels.sheet import ground_voltages, reduce_sites, voltage_drop
+from tomojax.kernels.sheet import (
+    ground_voltages,
+    lengthened,
+    reduce_sites,
+    Slots,
+    voltage_drop,
+)
 from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode
 from tomojax.methods._errors import (
     Errors,
@@ -149,7 +155,10 @@ class AbstractShape(AbstractMethod):
     coarse_field: TwoLevels
     errors: Errors
     sheet_resistance: Float[Array, ""]
-    ground_resistance: Float[Array, "..."]
+    slots: Slots
+    ground_xy: Float[Array, "L 2"]  # where the current of each ground leaves, m
+    inside: Bool[Array, "nx ny"] | None
+    grounded: Bool[np.ndarray, "L M"]
     drive_voltage: Float[Array, ""]
     pitch: Float[Array, ""]
 
@@ -160,10 +169,6 @@ class AbstractShape(AbstractMethod):
     @property
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
-
-    @property
-    def inside(self) -> Bool[Array, "nx ny"] | None:
-        return self.source.inside
 
     @property
     def electrode_count(self) -> int:
@@ -180,19 +185,26 @@ class AbstractShape(AbstractMethod):
         size, pitch = np.asarray(sensor.size, float), sensor.mean_pitch
         field = modes_of(shape, size, pitch, sensor.dtype)
         few = modes_of(less, size, pitch, sensor.dtype)
+        sites = pixel_sites(fine.sensor, shape)
+        count = sensor.electrode_count
+        slots = sensor.slots(sites.table[-count:, -count:])
         few = few._replace(waves=few.waves[:, :, : -(-few.waves.shape[2] // _WAVES)])
+        source = Source.of(sensor, shape)
         # pyright takes what is a ClassVar by its meaning for a field.
         return cls(  # pyright: ignore
             shape=shape,
             cell=fine.cell,
-            source=Source.of(sensor, shape),
-            fine=pixel_sites(fine.sensor, shape),
+            source=source,
+            fine=sites,
             field=field,
             coarse=pixel_sites(coarse.sensor, less),
             coarse_field=few,
-            errors=Errors.of(sensor),
+            errors=Errors.of(sensor, slots),
             sheet_resistance=jnp.exp(jnp.mean(jnp.log(fine.sensor.sheet_resistance))),
-            ground_resistance=fine.sensor.ground_resistance,
+            slots=slots,
+            ground_xy=sensor.ground_xy(),
+            inside=source.inside,
+            grounded=source.grounded,
             drive_voltage=fine.sensor.drive_voltage,
             pitch=jnp.asarray(pitch, sensor.dtype),
         )
@@ -201,13 +213,14 @@ class AbstractShape(AbstractMethod):
         """Returns the method with the calibration's errors and ground path."""
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
         errors, source = (a.calibrated(calibration) for a in (self.errors, self.source))
-        resistance = self.ground_resistance + ground
-        return replace(self, errors=errors, source=source, ground_resistance=resistance)
+        count = self.electrode_count
+        slots = lengthened(self.slots, self.fine.table[-count:, -count:], ground)
+        return replace(self, errors=errors, source=source, slots=slots)
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedShape:
         start = self.source.prepare(grounds, good, _START * self.source.scale())
         errors = self.errors.prepare(grounds, good, lam)
-        xy = np.asarray(self.errors.electrode_xy, float)[grounds]
+        xy = np.asarray(self.ground_xy, float)[grounds]
         used = np.asarray(np.asarray(errors.used).any(1))
         some = _far_apart(xy, used, _SLOTS)
         ready = self.errors.prepare(grounds[some], good[some], lam)
@@ -281,8 +294,10 @@ class AbstractShape(AbstractMethod):
 
     def every_slot(self) -> PreparedErrors:
         """Prepares the errors of all grounds' voltages, every channel good. Host code."""
-        count = self.electrode_count
-        return self.errors.prepare(np.arange(count), np.ones((count, count), bool), 1.0)
+        grounds, channels = self.errors.grounded.shape
+        return self.errors.prepare(
+            np.arange(grounds), np.ones((grounds, channels), bool), 1.0
+        )
 
     def slopes_at(
         self, errors: PreparedErrors, w: Float[Array, " K"]
@@ -296,8 +311,8 @@ class AbstractShape(AbstractMethod):
         each = jnp.broadcast_to(level, self.fine.on_sheet.shape)
         touch, steep = touching(self.field.waves, self.field.mean, w)
         contact = reduce_sites(self.fine.table, self.fine.of(each * touch), count)
-        z, v0 = self.ground_resistance, self.drive_voltage
-        told = self._told(errors, ground_voltages(contact, errors.grounds, z, v0))
+        law = self.slots, errors.grounds, self.drive_voltage
+        told = self._told(errors, ground_voltages(contact, *law))
         at = Evaluated(0 * told.frame.whitened, contact)
         return shape_slopes(self.field, self.fine, told, each, steep, at)
 
@@ -307,7 +322,7 @@ class AbstractShape(AbstractMethod):
             frame=whitened(errors, voltages).frame,
             tolerance=errors.tolerance,
             part=jnp.minimum(1, _INDEPENDENT / errors.slot_count),
-            ground_resistance=self.ground_resistance,
+            slots=self.slots,
             drive_voltage=self.drive_voltage,
         )
 
@@ -320,11 +335,11 @@ class AbstractShape(AbstractMethod):
         ahead: Before,
     ) -> FittedShape:
         """Compares the fit with the voltages of all slots."""
-        z, v0, contact = self.ground_resistance, self.drive_voltage, fit.at.contact
-        drop = errors.mean(voltage_drop(contact, errors.grounds, z, v0))
+        law, contact = (self.slots, errors.grounds, self.drive_voltage), fit.at.contact
+        drop = errors.mean(voltage_drop(contact, *law))
         flat = images["conductance"].ravel() * jnp.prod(self.cell)
         (at_pixels,) = jax.linear_transpose(self.fine.of, flat)(drop)
-        left = ground_voltages(contact, errors.grounds, z, v0) - voltages
+        left = ground_voltages(contact, *law) - voltages
         frame = whitened(errors, voltages).frame
         misfits = (whitened_columns(frame, left) ** 2).sum(1)
         costs = misfit_cost(misfits, errors.tolerance)
