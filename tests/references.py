@@ -26,9 +26,14 @@ def skfem_stiffness(sheet, shape, size):
     return form.assemble(basis, sheet=per_point).tocsc()
 
 
-def skfem_table(fem, shape):
+def _conductance(sensor):
+    return np.broadcast_to(1 / np.asarray(sensor.sheet_resistance), sensor.element_count)
+
+
+def skfem_table(sensor, fem):
     """Centred R_ee, R_ek, R_kk of a `FemSheet` by scikit-fem and a sparse LU."""
-    k = skfem_stiffness(fem.sheet, shape, fem.size)
+    shape = sensor.divisions
+    k = skfem_stiffness(_conductance(sensor), shape, sensor.size)
     feeds, dipoles = np.asarray(fem.feeds, float), np.asarray(fem.dipoles, float)
     loads = element_functionals(shape).T
     # Another gauge than ours: the first node at 0 V instead of the last.
@@ -79,7 +84,7 @@ def network_voltages(
     from tomojax.sensor import sheet_on_mesh
 
     fem, shape = jax.jit(sheet_on_mesh)(sensor), sensor.divisions
-    k = skfem_stiffness(fem.sheet, shape, fem.size).toarray()
+    k = skfem_stiffness(_conductance(sensor), shape, sensor.size).toarray()
     b, p, dipole = (
         element_functionals(shape),
         np.asarray(fem.feeds),
@@ -126,10 +131,17 @@ def network_voltages(
     return solution[v], solution[np.concatenate([u, v])]
 
 
-def ground_currents(contact, grounds, ground_resistance, drive_voltage):
+def slot_map(table, grounds, ground_resistance):
+    """T of slots with one electrode grounded through z."""
+    from tomojax.kernels.sheet import Grounds
+
+    return Grounds(table.electrodes, ground_resistance).maps(table.elements, grounds)
+
+
+def ground_currents(contact, slots, grounds, drive_voltage):
     """The current through each ground: I^l = V0·p / [p(z + Q_ll) + f_l²], A."""
     p, f = contact.conductance, contact.shortfall[grounds]
-    total = ground_resistance + contact.resistance[grounds, grounds]
+    total = slots.resistance + contact.resistance[grounds, grounds]
     return drive_voltage * p / (p * total + f**2)
 
 

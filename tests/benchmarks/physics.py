@@ -83,7 +83,12 @@ def voltages_beside_skfem(quick: bool) -> dict:
     import references
 
     import tomojax as tx
-    from tomojax.kernels.sheet import fem_contact, ground_voltages, site_conductance
+    from tomojax.kernels.sheet import (
+        fem_contact,
+        ground_voltages,
+        Grounds,
+        site_conductance,
+    )
     from tomojax.sensor import sheet_on_mesh
 
     sensor = tx.Sensor.grid(divisions=(40, 40))
@@ -92,11 +97,12 @@ def voltages_beside_skfem(quick: bool) -> dict:
     # The peer has no contact on an electrode's metal: none in this scene.
     sites = site_conductance(fem._replace(metal=0 * fem.metal), g, (40, 40))
     nodes = np.asarray(sites[: len(fem.feeds)])
-    drive = (jnp.arange(64), sensor.ground_resistance, sensor.drive_voltage)
+    drive = (Grounds(None, sensor.ground_resistance), jnp.arange(64), sensor.drive_voltage)
     solve = jax.jit(lambda s: ground_voltages(fem_contact(fem, s, (40, 40)), *drive))
     from_sensor = jax.jit(lambda s, g: tx.voltages(s, g))
-    arrays = [np.asarray(a, float) for a in (fem.sheet, fem.feeds, fem.series)]
-    k = references.skfem_stiffness(arrays[0], (40, 40), fem.size)
+    conductance = jnp.full(sensor.element_count, 1 / sensor.sheet_resistance)
+    arrays = [np.asarray(a, float) for a in (conductance, fem.feeds, fem.series)]
+    k = references.skfem_stiffness(arrays[0], (40, 40), sensor.size)
     z = float(sensor.ground_resistance)
 
     def peer(k=k, symmetric=False):

@@ -181,7 +181,7 @@ def beside_pyeit(quick: bool) -> dict:
     from pyeit.eit.protocol import PyEITProtocol
     from pyeit.mesh import PyEITMesh
 
-    from tomojax.kernels.sheet import nodes as mesh_nodes, slot_map, triangles
+    from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
     from tomojax.methods import Linear, Source
 
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=np.float32)
@@ -234,7 +234,9 @@ def beside_pyeit(quick: bool) -> dict:
         locate[name], errs, best = sloreta(sensor, two + 1, flat, errors)
         found |= {name: errs, f"{name} λ/σ₁²": best}
     # `source` on the same elements, and whole: with contacts, residual and checks.
-    maps = np.asarray(slot_map(tx.sensor.resistances(sensor), jnp.asarray(grounds), 4.0))
+    maps = np.asarray(
+        references.slot_map(tx.sensor.resistances(sensor), jnp.asarray(grounds), 4.0)
+    )
     of_elements = Source.from_maps(maps.astype(float), (40, 80), linear.cell)
     recorded = [tx.methods.Frame(v, grounds, good) for v in volts]
     ready = of_elements.prepare(grounds, good, of_elements.choose_lambda(recorded))

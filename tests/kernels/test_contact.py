@@ -10,20 +10,20 @@ import references
 
 import tomojax as tx
 from tomojax.kernels.sheet import (
-    contact_jacobian,
+    Conditions,
+    conditions_of,
     ContactReduction,
     fem_contact,
     fem_shared_resistances,
     ground_voltages,
-    loop_resistance,
+    Grounds,
     reduce_sites,
     Resistances,
-    shared_ground_voltages,
-    shared_slot_map,
     site_conductance,
-    slot_map,
+    slot_jacobian,
     voltage_drop,
     voltage_slopes,
+    volts_per_ampere,
 )
 from tomojax.sensor import sheet_on_mesh
 
@@ -58,6 +58,11 @@ reduce_mesh = jax.jit(fem_contact, static_argnums=2)
 shared_resistances = jax.jit(fem_shared_resistances, static_argnums=2)
 
 
+def alone(sensor: tx.Sensor) -> Grounds:
+    """The law for a contact's reduction, which has the resistances."""
+    return Grounds(None, sensor.ground_resistance)
+
+
 def mesh_reduction(sensor: tx.Sensor, g) -> ContactReduction:
     return reduce_mesh(on_mesh(sensor), jnp.asarray(g), SHAPE)
 
@@ -80,7 +85,7 @@ def test_all_grounds(sensor, z, rng) -> None:
     sensor = dataclasses.replace(sensor, ground_resistance=z)
     g = patchy(rng)
     grounds = jnp.arange(ELECTRODES)
-    drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
+    drive = (alone(sensor), grounds, sensor.drive_voltage)
     contact = mesh_reduction(sensor, g)
     volts = ground_voltages(contact, *drive)
     drop = voltage_drop(contact, *drive)
@@ -117,26 +122,68 @@ def test_several_and_partial_grounds(sensor, rng) -> None:
     gamma[3, [0, 2, 7]] = 1e-4, 1e-2, 10.0
     contact = mesh_reduction(sensor, g)
     drive = sensor.drive_voltage
-    got = shared_ground_voltages(contact, jnp.asarray(gamma), drive)
+    slots = conditions_of(contact.resistance, jnp.asarray(gamma))
+    every = jnp.arange(4)
+    got = ground_voltages(contact, slots, every, drive)
+    drops = voltage_drop(contact, slots, every, drive)
     for row, want_of in zip(np.asarray(got), gamma):
         want, _ = references.network_voltages(sensor, g, to_ground=want_of)
         np.testing.assert_allclose(row, want, atol=TOLERANCE * want.max(), rtol=0)
-    z = sensor.ground_resistance
-    one = ground_voltages(contact, jnp.array([3]), z, drive)
+    for drop, want_of in zip(drops, gamma):
+        _, u = references.network_voltages(sensor, g, to_ground=want_of)
+        np.testing.assert_allclose(4.5 - drop, u, atol=TOLERANCE * 4.5, rtol=0)
+    one = ground_voltages(contact, alone(sensor), jnp.array([3]), drive)
     np.testing.assert_allclose(got[2], one[0], atol=1e-11)
+
+
+def test_slopes_with_several_grounds(sensor, rng) -> None:
+    g = jnp.asarray(patchy(rng))
+    gamma = jnp.asarray(10 ** rng.uniform(-6, 0, (3, ELECTRODES)))
+    drive = jnp.arange(3), sensor.drive_voltage
+
+    def law(g):
+        contact = mesh_reduction(sensor, g)
+        return contact, conditions_of(contact.resistance, gamma), *drive
+
+    want = jax.jit(jax.jacfwd(lambda g: ground_voltages(*law(g))))(g)
+    got = sensitivity(*law(g))
+    np.testing.assert_allclose(got, want, atol=1e-9 * float(jnp.abs(want).max()))
+
+
+def test_conditions_are_grounds_where_one_electrode_is_grounded(sensor, rng) -> None:
+    """Each member of both laws, for rows of all slots and of each."""
+    table = tx.sensor.resistances(sensor)
+    one = sensor.slots(table.electrodes)
+    gamma = jnp.eye(ELECTRODES) / sensor.ground_resistance
+    other = conditions_of(table.electrodes, gamma)
+    assert isinstance(one, Grounds) and isinstance(other, Conditions)
+    which = jnp.array([5, 0, 5])
+    rows = 1e3 * jnp.asarray(rng.standard_normal((4, ELECTRODES)))
+    each = jnp.stack([rows, 2 * rows, 3 * rows])
+    volts = volts_per_ampere(one, rows[0], which)
+    pairs = [
+        (law.path(which), law.offset(which), law.relative(rows, which))
+        + (law.apart(each, which), law.level(rows, which), law.sunk(rows, which, volts))
+        + (slot_jacobian(table, law, which, jnp.array(10.0)), law.relative(rows, which[0]))
+        for law in (one, other)
+    ]
+    for got, want in zip(*pairs):
+        np.testing.assert_allclose(got, want, atol=1e-6 * float(jnp.abs(want).max()))
+    np.testing.assert_array_equal(one.grounded(which), other.grounded(which))
 
 
 def test_slot_map_is_exact_in_the_current(sensor, rng) -> None:
     """V^l = T^l s for any current image, one ground or several, whatever fed it."""
     s = 1e-6 * rng.standard_normal(sensor.element_count)
     table = tx.sensor.resistances(sensor)
-    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    t = references.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, _ = references.network_voltages(sensor, injected=s, ground=ground)
         got = t[ground] @ s
         np.testing.assert_allclose(got, want, atol=TOLERANCE * np.abs(want).max(), rtol=0)
     gamma = 10 ** rng.uniform(-7, -1, (3, ELECTRODES))
-    shared, _ = shared_slot_map(table, jnp.asarray(gamma))
+    several = conditions_of(table.electrodes, jnp.asarray(gamma))
+    shared = several.maps(table.elements, jnp.arange(3))
     for row, t_row in zip(gamma, shared):
         want, _ = references.network_voltages(sensor, injected=s, to_ground=row)
         got = t_row @ s
@@ -148,7 +195,7 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     g = patchy(rng)
     sites = np.flatnonzero(g)
     table = table_of_sites(sensor, sites)
-    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    t = references.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, u = references.network_voltages(sensor, g, ground=ground)
         got = t[ground] @ (g * (4.5 - u))[sites]
@@ -189,7 +236,7 @@ def test_weak_and_strong_contacts_lose_no_digits(
     exact = tx.Sensor(np.asarray(sensor.size, float), xy.astype(float), divisions=SHAPE)
     g = np.zeros(NODES + ELECTRODES)
     g[rng.choice(len(g), 30)] = total / 30
-    drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
+    drive = (alone(sensor), jnp.arange(ELECTRODES), sensor.drive_voltage)
     got = np.asarray(ground_voltages(mesh_reduction(sensor, g.astype(dtype)), *drive))
     assert got.dtype == dtype
     for ground in range(ELECTRODES):
@@ -201,27 +248,26 @@ def test_weak_and_strong_contacts_lose_no_digits(
 
 def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     g = jnp.asarray(patchy(rng))
-    z, v0 = sensor.ground_resistance, sensor.drive_voltage
     grounds = jnp.array([0, 3, 6])
-    volts = lambda g: ground_voltages(mesh_reduction(sensor, g), grounds, z, v0)  # noqa: E731
-    want = sensitivity(mesh_reduction(sensor, g), grounds, z, v0)
+    law = alone(sensor), grounds, sensor.drive_voltage
+    volts = lambda g: ground_voltages(mesh_reduction(sensor, g), *law)  # noqa: E731
+    want = sensitivity(mesh_reduction(sensor, g), *law)
     scale = float(jnp.abs(want).max())
     np.testing.assert_allclose(jax.jit(jax.jacfwd(volts))(g), want, atol=1e-10 * scale)
     np.testing.assert_allclose(jax.jit(jax.jacrev(volts))(g), want, atol=1e-10 * scale)
     nothing = mesh_reduction(sensor, 0 * g)
-    at_rest = sensitivity(nothing, grounds, z, v0)
-    t = slot_map(table_of_sites(sensor, np.arange(len(g))), grounds, z)
+    at_rest = sensitivity(nothing, *law)
+    sites = table_of_sites(sensor, np.arange(len(g)))
+    t = references.slot_map(sites, grounds, sensor.ground_resistance)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))
 
 
 def test_no_contact_reads_nothing(small_sensor) -> None:
     nothing = tx.voltages(small_sensor, tx.Scene())
     np.testing.assert_array_equal(nothing, 0)
-    floating = shared_ground_voltages(
-        mesh_reduction(small_sensor, jnp.zeros(NODES + ELECTRODES)),
-        jnp.zeros((1, 8)),
-        small_sensor.drive_voltage,
-    )
+    contact = mesh_reduction(small_sensor, jnp.zeros(NODES + ELECTRODES))
+    slots = conditions_of(contact.resistance, jnp.zeros((1, 8)))
+    floating = ground_voltages(contact, slots, jnp.array([0]), small_sensor.drive_voltage)
     np.testing.assert_array_equal(floating, 0)
 
 
@@ -238,8 +284,7 @@ def test_element_on_the_grounded_electrode_is_finite(dtype) -> None:
     grounds = jnp.array([0, 1])
 
     def j(rho, z):
-        loop = loop_resistance(table, grounds, z)
-        return contact_jacobian(slot_map(table, grounds, z), loop, rho)
+        return slot_jacobian(table, Grounds(ee, z), grounds, rho)
 
     j = jax.jit(j)
     zero = jnp.asarray(0.0, dtype)
@@ -265,7 +310,7 @@ def test_few_strong_sites_of_many(sensor, weakest, rng) -> None:
     g[rng.choice(len(g), 12, replace=False)] = 10 ** rng.uniform(-5, -1, 12)
     got = jax.jit(reduce_sites, static_argnums=2)(table, jnp.asarray(g), ELECTRODES)
     want = mesh_reduction(sensor, g)
-    drive = (jnp.arange(ELECTRODES), sensor.ground_resistance, sensor.drive_voltage)
+    drive = (alone(sensor), jnp.arange(ELECTRODES), sensor.drive_voltage)
     weak = (weakest * jnp.diagonal(table)).sum()
     for of, off in ((ground_voltages, weak**2), (voltage_drop, weak)):
         atol = 4.5 * max(float(off), 1e-9)

@@ -13,7 +13,6 @@ from tomojax.kernels.sheet import (
     FemSheet,
     nodes as mesh_nodes,
     Resistances,
-    slot_map,
     triangles,
 )
 
@@ -41,7 +40,7 @@ def test_slot_voltages_of_a_point_contact(rng) -> None:
     )
     ee, _, _ = fem_resistances(point, shape)
     table = Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
-    t = slot_map(table, jnp.arange(m), jnp.array(0.0))
+    t = references.slot_map(table, jnp.arange(m), jnp.array(0.0))
     got = np.asarray(t[:, :, 0])  # volts for one ampere
     off_ground = ~np.eye(m, dtype=bool)
     np.testing.assert_allclose(got[off_ground], want[off_ground], rtol=1e-10)

@@ -14,8 +14,8 @@ from tomojax.kernels.sheet import (
     centroids,
     fem_contact,
     fem_shared_resistances,
+    Grounds,
     site_conductance,
-    slot_map,
     triangles,
     voltage_drop,
 )
@@ -114,7 +114,7 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
     sites = site_conductance(fem, g, sensor.divisions)
     contact = reduction(fem, sites, sensor.divisions)
     grounds = jnp.arange(sensor.electrode_count)
-    drive = (grounds, sensor.ground_resistance, sensor.drive_voltage)
+    drive = (Grounds(None, sensor.ground_resistance), grounds, sensor.drive_voltage)
     into = (sites * voltage_drop(contact, *drive)).sum(1)
     out = references.ground_currents(contact, *drive)
     np.testing.assert_allclose(into, out, rtol=1e-6)
@@ -127,7 +127,8 @@ def test_currents_balance_and_voltages_are_bounded(data) -> None:
 def test_jacobian_tends_to_the_slot_map(data) -> None:
     sensor = data.draw(sensors())
     rho = 1e12
-    t = slot_map(tx.sensor.resistances(sensor), jnp.arange(3), sensor.ground_resistance)
+    table = tx.sensor.resistances(sensor)
+    t = references.slot_map(table, jnp.arange(3), sensor.ground_resistance)
     j = rho * tx.jacobian(sensor, [0, 1, 2], rho)
     # What is left is loop/ρ, below 1e5/1e12.
     np.testing.assert_allclose(j, t, rtol=2e-7, atol=1e-7)
@@ -147,7 +148,7 @@ def test_rank_of_the_slot_maps(data) -> None:
     table = tx.sensor.resistances(sensor)
     m = sensor.electrode_count
     for z, one in ((0.0, m - 1), (4.0, m)):
-        t = np.asarray(slot_map(table, jnp.arange(m), jnp.asarray(z)))
+        t = np.asarray(references.slot_map(table, jnp.arange(m), jnp.asarray(z)))
         tolerance = 1e-8 * np.linalg.norm(t[0], 2)
         assert np.linalg.matrix_rank(t.reshape(m * m, -1), tolerance) == m
         # z·Σs alone is the last direction: small beside 10 kΩ, but not rounding.

@@ -214,8 +214,8 @@ def test_slopes_by_the_rig():
 
     def volts(calibration: tx.Calibration):
         sheet = tx.method(x64, "points", 16, calibration).sheet
-        at, z = field_at(sheet.field, x, radius), sheet.ground_resistance
-        return sheet, current * volts_per_ampere(at, sheet.field.electrodes, grounds, z)
+        at = field_at(sheet.field, x, radius)
+        return sheet, current * volts_per_ampere(sheet.slots, at, grounds)
 
     sheet, base = volts(tx.Calibration())
     none = jnp.zeros((1, 2))

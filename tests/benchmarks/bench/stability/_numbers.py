@@ -64,8 +64,8 @@ def solver_rows(seed: int = 0) -> list[dict[str, Any]]:
 
 
 def _jacobian(sensor: Sensor, table: Resistances, grounds: Array) -> np.ndarray:
-    z = sensor.ground_resistance
-    jac = slot_jacobian(table, grounds, z, jnp.zeros((), sensor.dtype))
+    slots = sensor.slots(table.electrodes)
+    jac = slot_jacobian(table, slots, grounds, jnp.zeros((), sensor.dtype))
     return np.asarray(jac).reshape(-1, jac.shape[-1])
 
 
@@ -133,8 +133,8 @@ def pipeline(
     g = jnp.exp(point["log_conductance"]) * near / near.sum()
     grounds = jnp.array([0, 5, 10, 15])
     v = voltages(changed, g)[grounds]
-    z = changed.ground_resistance
-    jac = slot_jacobian(table, grounds, z, jnp.zeros((), sensor.dtype))
+    slots = changed.slots(table.electrodes)
+    jac = slot_jacobian(table, slots, grounds, jnp.zeros((), sensor.dtype))
     rows = jac.reshape(-1, jac.shape[-1])
     weights = jnp.repeat(point["weights"], sensor.electrode_count)
     # Of the scale of J, whatever the weights.
