@@ -75,11 +75,17 @@ def plain(*axes: Any) -> None:
 
 
 def lay_sheet(
-    axes: Any, size: Any, electrode_xy: Any, diameter: float = 0.0, color: str = "0.6"
+    axes: Any,
+    size: Any,
+    electrode_xy: Any,
+    diameter: float = 0.0,
+    color: str = "0.6",
+    outline: Any = None,
 ) -> Any:
     """Sets the axes to a sheet seen from above, in mm, with the outlines of its electrodes.
 
     Returns the outlines. Lengths in m. Without a diameter an electrode is a small ring.
+    `outline`: closed lines of a sheet that does not fill its box.
     """
     from matplotlib.collections import EllipseCollection
 
@@ -92,9 +98,17 @@ def lay_sheet(
         linewidths=0.6,
     )  # fmt: skip
     axes.add_collection(outlines)
+    draw_outline(axes, outline, color)
     axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
     axes.set(xlabel="x, mm", ylabel="y, mm")
     return outlines
+
+
+def draw_outline(axes: Any, lines: Any, color: str = "0.6") -> None:
+    """Draws closed lines, m, on axes in mm."""
+    for line in lines or ():
+        closed = 1e3 * np.concatenate([line, line[:1]])
+        axes.plot(*closed.T, color=color, lw=0.9, zorder=1.2, scalex=False, scaley=False)
 
 
 def show_image(axes: Any, image: Any, size: Any, label: str, **more: Any) -> Any:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tomojax._pictures import draw_outline
 from tomojax._require import library, require
 
 __all__ = ["contacts", "grounds", "image", "sheet", "truth"]
@@ -43,7 +44,11 @@ def sheet(sensor: Any, ax: Any = None, *, numbers: bool = True) -> Any:
     patches = library("matplotlib.patches", "app")
     ax = _on_sheet(sensor, ax)
     width, height = _size(sensor)
-    ax.add_patch(patches.Rectangle((0, 0), width, height, fill=False, ec="0.3", lw=1.2))
+    lines = outline_of(sensor)
+    if lines is None:
+        box = patches.Rectangle((0, 0), width, height, fill=False, ec="0.3", lw=1.2)
+        ax.add_patch(box)
+    draw_outline(ax, lines, "0.3")
     radius = 500 * float(sensor.electrode_diameter)
     places = 1e3 * np.asarray(sensor.electrode_xy, float)
     for number, place in enumerate(places):
@@ -225,6 +230,24 @@ def _on_sheet(sensor: Any, ax: Any) -> Any:
     ax.set(xlim=(-rim, sides[0] + rim), ylim=(-rim, sides[1] + rim))
     ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
     return ax
+
+
+def outline_of(sensor: Any) -> list[np.ndarray] | None:
+    """Returns closed lines around a sheet that does not fill its box, m; else None."""
+    edge = getattr(sensor, "outline", None)
+    if edge is None:
+        return None
+    if hasattr(edge, "lines"):
+        return edge.lines(sensor.size)
+    size = np.asarray(sensor.size, float)
+    x, y = (np.linspace(0, side, _POINTS) for side in size)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1)
+    level = np.asarray(edge.distance(points.astype(np.float32)))
+    # What ends at the box is closed there.
+    level = np.pad(level, 1, constant_values=float(np.abs(level).max()) * 1e-6)
+    x, y = (np.concatenate([v[:1], v, v[-1:]]) for v in (x, y))
+    made = library("contourpy", "app").contour_generator(x, y, level.T)
+    return made.lines(0.0)
 
 
 def _size(sensor: Any) -> tuple[float, float]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import MARK, SlotRing
-from tomojax.recordings import Rig, SCHEMA, VERSION
+from tomojax.recordings import Outline, Rig, SCHEMA
 
 _EVERY = 0.25  # s between flushes
 _AGAIN = 1.0  # s until a recorder that died is started again
@@ -35,10 +35,11 @@ _NUMBERS = (
 
 
 def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
-    """Returns the attributes of a recording, version 1."""
+    """Returns the attributes of a recording, and its tables as lists."""
+    outline = {} if rig.outline is None else rig.outline.attributes()
     return {
         "schema": SCHEMA,
-        "schema_version": VERSION,
+        "schema_version": rig.version,
         **{name: getattr(rig, name) for name in _NUMBERS},
         "size": list(rig.size),
         "scale": scale,
@@ -48,12 +49,15 @@ def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
         "convert_period": float("nan"),
         "units": "V",
         "notes": rig.notes,
+        **outline,
         "electrode_xy": np.asarray(rig.electrode_xy, float).tolist(),
+        "tables": {name: table.tolist() for name, table in rig.tables().items()},
     }
 
 
 def rig_of(told: dict[str, Any]) -> Rig:
     """Returns the rig that a recording's attributes describe."""
+    tables = {name: np.asarray(rows) for name, rows in told.get("tables", {}).items()}
     rails = sorted(told["offset"] + told["scale"] * np.array([-32768.0, 32767.0]))
     return Rig(
         **{name: float(told[name]) for name in _NUMBERS},
@@ -61,6 +65,8 @@ def rig_of(told: dict[str, Any]) -> Rig:
         electrode_xy=np.asarray(told["electrode_xy"], float),
         rails=tuple(rails),
         resolution=abs(float(told["scale"])),
+        outline=Outline.read(told, tables.get),
+        conditions=tables.get("conditions/to_ground"),
     )
 
 
@@ -77,6 +83,8 @@ class File:
         self._file = h5py.File(self._new, "w", libver="latest")
         names = dict(told)
         self._file["electrode_xy"] = np.asarray(names.pop("electrode_xy"), float)
+        for name, rows in names.pop("tables", {}).items():
+            self._file[name] = np.asarray(rows, float)
         self._file.attrs.update(names)
         make, m = self._file.create_dataset, electrodes
         packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}

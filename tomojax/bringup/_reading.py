@@ -71,7 +71,11 @@ class Reading:
     order: Order
 
     def __init__(self, slots: Slots):
-        self.slots, self.plane = slots, Plane(slots.rig)
+        rig = slots.rig
+        flat = rig.outline is None and rig.conditions is None
+        shape = "an outline or a table of conditions"
+        require(flat, "recording", shape, "a rectangle with one ground a slot, for `check`")
+        self.slots, self.plane = slots, Plane(rig)
         self.faults: list[Fault] = []
         self.unjudged: dict[str, str] = {}
         self.rng = np.random.default_rng(0)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from tomojax._require import require
 from tomojax.calibration._unknowns import MOST
 from tomojax.kernels.contacts import field_at, Fitted, Sheet, thin_rows_at
 from tomojax.kernels.sheet import Grounds, volts_per_ampere
@@ -21,7 +22,12 @@ class RigSlopes(NamedTuple):
 
 
 def rig_slopes(sensor: Sensor) -> RigSlopes:
-    """Computes slopes for nominal values: these hardly depend on the rig's errors."""
+    """Computes slopes for nominal values: these hardly depend on the rig's errors.
+
+    **Raises:** `ValueError` for a sensor with a table of conditions.
+    """
+    alone = sensor.conditions is None
+    require(alone, "sensor", "a table of conditions", "one grounded electrode a slot")
     return RigSlopes(*make_waves(sensor, MOST), *make_moves(sensor))
 
 

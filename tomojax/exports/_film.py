@@ -138,7 +138,8 @@ class _Picture:
             figure.colorbar(self._shown, ax=sheet, label=bar, extend="max")
         else:
             sheet.set_facecolor("black")
-        electrodes = lay_sheet(sheet, source.size, source.electrode_xy)
+        told = source.size, source.electrode_xy
+        electrodes = lay_sheet(sheet, *told, outline=source.outline)
         (self._dots,) = sheet.plot([], [], ".", color=SKY, ms=2, alpha=0.6)
         (self._rings,) = sheet.plot([], [], color=SKY, lw=1.2)
         # The layout leaves room for a title that is there.

@@ -69,6 +69,7 @@ class Source:
                 require(name in file.names, name, "none", "this dataset")
             self.start, self.stop = stretch_of(file.read("t"), since, until)
             self.size, self.electrode_xy = file.size(), file.electrode_xy()
+            self.outline = file.outline()
         except ValueError as error:
             file.close()
             text = str(error).removeprefix(f"{path}: ")

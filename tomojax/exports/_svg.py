@@ -21,7 +21,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     told = overview(source)
     figure = Figure(figsize=(6.0, 7.0), layout="constrained")
     sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
-    lay_sheet(sheet, source.size, source.electrode_xy)
+    lay_sheet(sheet, source.size, source.electrode_xy, outline=source.outline)
     tracked = "contact_track" in source.names
     step = max(1, -(-source.rows // _POINTS))
     names = ["contact_xy", *(("contact_track",) if tracked else ())]

@@ -95,6 +95,11 @@ class Hdf5(Served):
             # A reader that is about to end must not keep its owner from writing.
             self._file = h5py.File(path, "r", locking=False)
         names = list(self._file)
+        for name in names[:_NAMES]:  # a group's own members, one level down
+            link = self._file.get(name, getlink=True)
+            inner = self._file[name] if type(link) is h5py.HardLink else None
+            if isinstance(inner, h5py.Group):
+                names += [f"{name}/{each}" for each in inner]
         if len(names) > _NAMES:
             raise Refused(f"{len(names)} names in it")
         self.attributes = _attributes(self._file)

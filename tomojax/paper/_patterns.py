@@ -29,7 +29,7 @@ from tomojax.kernels.scan import (
     Region,
     smallest_pitch,
 )
-from tomojax.sensor import resistances, Sensor
+from tomojax.sensor import AbstractEdge, resistances, Sensor
 
 AdaptivePattern = Literal["around", "cop_line", "point"]
 
@@ -66,9 +66,11 @@ def pattern(
 
     **Arguments:** `name`:
 
-    - "all"; "boundary": the array's outline; "edge": electrodes of least x; "v_line":
+    - "all"; "boundary": the array's outline, on a sheet with an outline the electrodes next
+      to its edge, a hole's too; "edge": electrodes of least x; "v_line":
       electrodes nearest to the array's middle in x (a vertical line where x is horizontal);
       "random_16", "random_8": so many, drawn with `seed`;
+    - of a sensor with `conditions`: those whose current leaves at these places;
     - from exploratory `voltages` (2, M) under the grounds of `exploration`: "around",
       "cop_line", "point" as `AdaptiveScan` gives them, and "around_each": a box around
       each of up to four contacts, every electrode once;
@@ -124,7 +126,7 @@ def exploration(sensor: Sensor) -> Int[Array, "2"]:
     >>> print(tx.paper.exploration(sensor))
     [ 0 15]
     """
-    return _corners(sensor.electrode_xy)[::3]
+    return _corners(sensor.ground_xy())[::3]
 
 
 class AdaptiveScan(eqx.Module):
@@ -173,6 +175,8 @@ class AdaptiveScan(eqx.Module):
         adaptive = get_args(AdaptivePattern)
         require(name in adaptive, "name", repr(name), f"one of {', '.join(adaptive)}")
         require(sensor.electrode_count >= 6, "sensor", sensor, "six electrodes or more")
+        alone = sensor.conditions is None
+        require(alone, "sensor", "a table of conditions", "one grounded electrode a slot")
         self.alpha = float_array("alpha", alpha, sensor.dtype)
         require_shape("alpha", self.alpha, ())
         if known(self.alpha):
@@ -224,7 +228,7 @@ def _corners(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
 
 
 def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
-    xy = np.asarray(sensor.electrode_xy, float)
+    xy = np.asarray(sensor.ground_xy(), float)
     near = 0.1 * float(smallest_pitch(sensor.electrode_xy))
     if name == "all":
         return sensor.all_grounds()
@@ -234,12 +238,24 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
         away = np.abs(xy[:, 0] - (xy[:, 0].min() + xy[:, 0].max()) / 2)
         closest = xy[np.argmin(np.round(away / near)), 0]
         return np.flatnonzero(np.abs(xy[:, 0] - closest) <= near)
+    if name == "boundary" and sensor.outline is not None:
+        # No other electrode is nearer to the place on the edge that is nearest to it.
+        return _along_edge(sensor.outline, xy)
     if name == "boundary":
         # Outermost in some direction: the corners and sides of the convex hull.
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
         reach = xy @ np.stack([np.cos(angle), np.sin(angle)])
         return np.flatnonzero((reach >= reach.max(0) - near / 100).any(1))
     count = int(name.removeprefix("random_"))
-    m = sensor.electrode_count
+    m = sensor.condition_count
     require(count <= m, "name", repr(name), f"no more than the {m} electrodes")
     return np.random.default_rng(seed).choice(m, count, replace=False)
+
+
+def _along_edge(outline: AbstractEdge, xy: Float[np.ndarray, "M 2"]) -> np.ndarray:
+    """Lists the electrodes of which no other is nearer to their place on the edge."""
+    places = jnp.asarray(xy)
+    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(places)
+    edge = np.asarray(places - level[:, None] * slope, float)
+    apart = ((edge[:, None] - xy) ** 2).sum(-1)
+    return np.flatnonzero(np.diagonal(apart) <= apart.min(1) * (1 + 1e-6) + 1e-12)

@@ -13,12 +13,13 @@ from tomojax.recordings._chunks import (
 )
 from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
 from tomojax.recordings._open import open_recording as open_recording
+from tomojax.recordings._outline import Outline as Outline
 from tomojax.recordings._recording import (
     ArrayRecording as ArrayRecording,
     Recording as Recording,
     Rig as Rig,
     SCHEMA as SCHEMA,
-    VERSION as VERSION,
+    VERSIONS as VERSIONS,
 )
 from tomojax.recordings._repair import repair_recording as repair_recording
 from tomojax.recordings._stretch import between as between
@@ -31,11 +32,12 @@ __all__ = [
     "Faults",
     "find_faults",
     "open_recording",
+    "Outline",
     "Rate",
     "read_chunk",
     "Recording",
     "repair_recording",
     "Rig",
     "SCHEMA",
-    "VERSION",
+    "VERSIONS",
 ]

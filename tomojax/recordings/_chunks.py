@@ -71,6 +71,7 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
         rig.drive_voltage,
         rig.rails,
         resolution=rig.resolution,
+        conditions=rig.condition_count,
     )
     bits[_after_gaps(recording, scans.t0, first), 0] |= np.uint32(Flag.GAP)
     if len(recording.retimed):

@@ -7,6 +7,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import read_toml
+from tomojax.recordings._outline import Outline
 from tomojax.recordings._recording import check_numbers, PAPER, Rig
 
 # Keys of a sidecar, of options, or of arrays beside the voltages.
@@ -28,6 +29,11 @@ KEYS = {
     "units",
     "schema",
     "schema_version",
+    "outline",
+    "diameter",
+    "outline_xy",
+    "holes",
+    "to_ground",
 }
 
 MOST_SLOTS = 1 << 16  # of a scan; no rig has as many
@@ -76,15 +82,21 @@ def rig_of(
     if not np.isfinite(rails).all():
         sentences += ("rails are not told: what saturates below the drive is not seen",)
     rig = Rig(
-        **{name: number(name, told[name]) for name in PAPER},
         size=size,
         electrode_xy=xy,
         rails=rails,
         resolution=resolution,
         notes=str(told.get("notes", "")),
+        outline=Outline.read(told, told.get),
+        conditions=_table(told.get("to_ground")),
+        **{name: number(name, told[name]) for name in PAPER},
     )
     check_numbers(rig)
     return rig, sentences
+
+
+def _table(told: Any) -> np.ndarray | None:
+    return None if told is None else np.asarray(told, float)
 
 
 def number(name: str, value: Any) -> float:

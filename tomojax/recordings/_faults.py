@@ -49,6 +49,7 @@ def find_faults(
     rails: tuple[float, float] = (-np.inf, np.inf),
     repeats: bool = True,
     resolution: float = 0.0,
+    conditions: int | None = None,
 ) -> Faults:
     """Finds bad channels, slots and scans of a stretch of a recording.
 
@@ -56,6 +57,7 @@ def find_faults(
     `rails` of the converter, V; `repeats` False does not look for stuck and dead channels
     and scans (voltages without noise); `resolution`: of one code, V, if known. A sound
     channel may repeat itself if noise moves the channel by less than a code.
+    `conditions`: how many there are, where grounds number a table of them.
 
     Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
     STUCK_SCAN.
@@ -76,7 +78,7 @@ def find_faults(
     low = max(rails[0], min(0.0, drive_voltage) - beyond)
     high = min(rails[1], max(0.0, drive_voltage) + beyond)
     saturated = finite & ((voltages <= low) | (voltages >= high))
-    unknown = (grounds < 0) | (grounds >= channels)
+    unknown = (grounds < 0) | (grounds >= (channels if conditions is None else conditions))
     zero = np.logical_not(voltages.any(-1))
     good = finite & ~saturated
     flags = (

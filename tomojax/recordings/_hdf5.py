@@ -1,4 +1,4 @@
-"""Reads recording version 1 from HDF5, or from the variables of a MATLAB v7.3 file."""
+"""Reads recordings, version 1 or 2, from HDF5, or from variables of a MATLAB v7.3 file."""
 
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -8,6 +8,7 @@ import numpy as np
 from tomojax._require import require
 from tomojax.files import open_container, OpenContainer
 from tomojax.recordings._described import MOST_SLOTS, number, rails_of, size_of
+from tomojax.recordings._outline import Outline
 from tomojax.recordings._recording import (
     PAPER,
     Recording,
@@ -15,10 +16,13 @@ from tomojax.recordings._recording import (
     Scans,
     SCHEMA,
     settle,
-    VERSION,
+    VERSIONS,
 )
 
-_FIELDS = {*PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version"}
+_FIELDS = {
+    *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
+    "outline", "diameter",
+}  # fmt: skip
 
 _MEND = "copy it again from where it was recorded"
 
@@ -79,15 +83,25 @@ class Hdf5Recording(Recording):
             rails=rails,
             resolution=abs(scale),
             notes=_text(told.get("notes", "")),
+            outline=Outline.read(told, self._dataset),
+            conditions=self._dataset("conditions/to_ground"),
             **{name: number(name, told[name]) for name in PAPER},
         )
         self._load_times()
         self._load_marks()
         settle(self)
 
+    def _dataset(self, name: str) -> np.ndarray | None:
+        """Reads a table that a file need not have."""
+        if name not in self._file.names:
+            return None
+        found = self._file.read_whole(name)
+        return found.T if self._matlab else found
+
     def _load_shape(self) -> None:
         """Reads how many scans, slots and electrodes the arrays have."""
-        v, ground = self._shape("v", 3, "iu"), self._shape("ground", 2, "iu")
+        self._ground = "condition" if "condition" in self._file.names else "ground"
+        v, ground = self._shape("v", 3, "iu"), self._shape(self._ground, 2, "iu")
         t0 = self._shape("t0", 2 if self._matlab else 1, "fiu")
         fits = not self._matlab or 1 in t0
         require(fits, "t0", f"shape {t0}", "one row or column")
@@ -97,13 +111,13 @@ class Hdf5Recording(Recording):
         counts = self.electrodes <= _MOST_ELECTRODES and self.slots <= MOST_SLOTS
         most = f"up to {MOST_SLOTS} slots of {_MOST_ELECTRODES} electrodes"
         require(counts, "v", f"{self.slots} of {self.electrodes}", most)
-        lengths = {"v": scans, "ground": ground[0], "t0": max(t0)}
+        lengths = {"v": scans, self._ground: ground[0], "t0": max(t0)}
         self.scans = min(lengths.values()) if self._growing else scans
         for name, length in lengths.items():
             fits = length == self.scans or self._growing
             require(fits, name, f"{length} scans", f"{scans}, as v has")
         fits = ground[1] == self.slots
-        require(fits, "ground", f"{ground[1]} slots", f"{self.slots}, as v has")
+        require(fits, self._ground, f"{ground[1]} slots", f"{self.slots}, as v has")
         require(self.code_type.itemsize <= 4, "v", self.code_type, "integer codes")
 
     def _load_times(self) -> None:
@@ -112,7 +126,7 @@ class Hdf5Recording(Recording):
         if not self._growing:
             return
         told = self.scans
-        some = [self._file.whole_rows(name) for name in ("v", "ground", "t0")]
+        some = [self._file.whole_rows(name) for name in ("v", self._ground, "t0")]
         self.scans = min([told, *(n for n in some if n is not None)])
         self.t0 = self.t0[: self.scans]
         # Times are written last: a row without one is not whole yet.
@@ -160,7 +174,7 @@ class Hdf5Recording(Recording):
         try:
             axis = -1 if self._matlab else 0
             codes = self._file.read("v", start, stop, axis)
-            ground = self._file.read("ground", start, stop, axis)
+            ground = self._file.read(self._ground, start, stop, axis)
             if self._matlab:
                 codes, ground = np.swapaxes(codes, 0, 2), ground.T
         except OSError as error:
@@ -252,5 +266,5 @@ def _check_schema(told: dict[str, Any]) -> None:
     schema = _text(told["schema"])
     require(schema == SCHEMA, "schema", repr(schema), f"{SCHEMA!r}")
     version = number("schema_version", told["schema_version"])
-    expected = f"{VERSION}; a newer tomojax may read it"
-    require(version == VERSION, "schema_version", f"{version:g}", expected)
+    expected = f"{VERSIONS[-1]} or less; a newer tomojax may read it"
+    require(version in VERSIONS, "schema_version", f"{version:g}", expected)

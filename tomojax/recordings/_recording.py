@@ -12,12 +12,13 @@ from jaxtyping import Float, Integer
 from tomojax._require import check_electrodes, require
 from tomojax._shown import html_table, named, shown
 from tomojax.recordings._clock import mended_gaps, mended_times, usual_step
+from tomojax.recordings._outline import check_table, Outline
 
 if TYPE_CHECKING:
     import tomojax.sensor
 
 SCHEMA = "tomojax-recording"
-VERSION = 1
+VERSIONS = 1, 2  # 2 tells of outlines and conditions
 
 # What no rig has: these catch millimetres for metres, millivolts for volts.
 _NUMBERS = (1e-9, 1e12)
@@ -75,6 +76,25 @@ class Rig:
     rails: tuple[float, float]  # the lowest and highest voltage that can be read
     notes: str = ""
     resolution: float = 0.0  # of one code, V; 0 where it is not known
+    outline: Outline | None = None  # of a sheet that is no rectangle
+    conditions: np.ndarray | None = None  # (C, M) S to ground; None: an electrode each
+
+    @property
+    def condition_count(self) -> int:
+        """Returns the number of ground conditions."""
+        return len(self.electrode_xy if self.conditions is None else self.conditions)
+
+    @property
+    def version(self) -> int:
+        """Returns the least version of a file that tells all of it."""
+        return VERSIONS[self.outline is not None or self.conditions is not None]
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """Returns the datasets of a file that tell of outline and ground conditions."""
+        found = {} if self.outline is None else self.outline.datasets()
+        if self.conditions is None:
+            return found
+        return found | {"conditions/to_ground": np.asarray(self.conditions, float)}
 
     @classmethod
     def of(
@@ -90,6 +110,7 @@ class Rig:
             require(value.ndim == 0, name, "a value per element or electrode", "one value")
             numbers[name] = float(value)
         width, height = (float(side) for side in sensor.size)
+        table = sensor.conditions
         return cls(
             **numbers,
             size=(width, height),
@@ -97,6 +118,8 @@ class Rig:
             rails=rails,
             resolution=float(sensor.resolution),
             notes="",
+            outline=Outline.of(sensor),
+            conditions=None if table is None else np.asarray(table, float),
         )
 
     def __repr__(self) -> str:
@@ -116,7 +139,7 @@ class Rig:
         """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
-        cells = _cells(self)
+        cells = _cells(self) * (1 if self.outline is None else 3)
         return Sensor(
             self.size,
             self.electrode_xy,
@@ -127,6 +150,8 @@ class Rig:
             divisions=tuple(int(n) for n in np.maximum(cells, 2)),
             dtype=dtype,
             resolution=self.resolution,
+            conditions=self.conditions,
+            outline=None if self.outline is None else self.outline.edge(self.size),
         )
 
 
@@ -272,7 +297,10 @@ def check(recording: Recording) -> None:
     require(low < high and fits, "scale", f"readings from {low:g} to {high:g}", expected)
     require(recording.scans > 0, "v", "no scans", "at least one")
     require(recording.slots > 0, "v", "no slots in a scan", "at least one")
-    check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
+    if rig.outline is None:
+        check_electrodes(rig.electrode_xy, rig.size, rig.electrode_diameter)
+    if rig.conditions is not None:
+        check_table(rig.conditions, m)
     _cells(rig)
     _check_gaps(recording)
 

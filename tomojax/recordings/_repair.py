@@ -11,7 +11,7 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.recordings._chunks import CHUNK_SLOTS, Progress
 from tomojax.recordings._hdf5 import Hdf5Recording
-from tomojax.recordings._recording import SCHEMA, VERSION
+from tomojax.recordings._recording import SCHEMA
 
 
 def repair_recording(
@@ -102,7 +102,7 @@ def _describe(file: h5py.File, recording: Hdf5Recording, join: int) -> None:
     scale, offset = recording.codes_to_volts
     file.attrs.update(
         schema=SCHEMA,
-        schema_version=VERSION,
+        schema_version=rig.version,
         scale=scale,
         offset=offset,
         size=list(rig.size),
@@ -111,7 +111,10 @@ def _describe(file: h5py.File, recording: Hdf5Recording, join: int) -> None:
         convert_period=np.nan,
         units="V",
         notes="\n".join(filter(None, (rig.notes, said))),
+        **({} if rig.outline is None else rig.outline.attributes()),
     )
+    for name, values in rig.tables().items():
+        file[name] = values
     file["electrode_xy"] = np.asarray(rig.electrode_xy, float)
 
 

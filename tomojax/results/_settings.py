@@ -215,7 +215,11 @@ def _digest_of_rig(recording: Recording) -> str:
     """Digests the rig and the first scan: a rig may be described beside the recording."""
     first = recording.read(0, 1)
     told = [recording.slots, recording.gaps.tolist()]
-    told += [np.asarray(value).tolist() for value in vars(recording.rig).values()]
+    rig = recording.rig
+    apart = "outline", "conditions"  # as files have them, where they are told
+    told += [np.asarray(v).tolist() for name, v in vars(rig).items() if name not in apart]
+    told += [rig.outline.attributes()] if rig.outline else []
+    told += [table.tolist() for table in rig.tables().values()]
     digest = hashlib.sha256(json.dumps(told).encode())
     digest.update(np.ascontiguousarray(first.voltages).tobytes())
     return digest.hexdigest()

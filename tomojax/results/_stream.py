@@ -28,7 +28,7 @@ from tomojax.methods import (
     Points,
     Rows,
 )
-from tomojax.recordings import Chunk, Progress, read_chunk, Recording
+from tomojax.recordings import Chunk, Progress, read_chunk, Recording, Rig
 from tomojax.results._adapting import Adapting
 from tomojax.results._file import check_output, Dataset, ResultsFile, RowWriter
 from tomojax.results._following import Following
@@ -198,6 +198,7 @@ class _Run:
             "recording_sha256": self._config["recording_sha256"],
             "versions": json.dumps(self._config["versions"]),
             **marks,
+            **_outline(recording.rig),
             "configuration": json.dumps(self._config, sort_keys=True),
         }
         self._file.create(self._datasets(), attributes)
@@ -315,3 +316,10 @@ def _read_ahead(
         if following is not None:
             coming.append((following, reader.submit(read, following)))
         yield chunk, result.result()
+
+
+def _outline(rig: Rig) -> dict[str, str]:
+    """Returns the outline of a sheet that does not fill its box, as lines, m."""
+    if rig.outline is None:
+        return {}
+    return {"outline": json.dumps([line.tolist() for line in rig.outline.lines(rig.size)])}

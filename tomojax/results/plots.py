@@ -29,7 +29,7 @@ def timeline(path: Path) -> Figure:
         size, electrodes = file.size(), np.zeros((0, 2))
         if "electrode_xy" in file.attributes:
             electrodes = file.electrode_xy()
-        method = str(file.attributes.get("method", ""))
+        method, outline = str(file.attributes.get("method", "")), file.outline()
     figure = Figure(figsize=(14, 9), layout="constrained")
     of = f", found by {method}" if method else ""
     figure.suptitle(f"Contacts in {path.name}{of}")
@@ -44,7 +44,7 @@ def timeline(path: Path) -> Figure:
     right = dict(zip(("places", *maps), sheets))
     # A bar is as tall as its map: one map alone does not fill its column.
     tall = 0.9 if maps else 0.5
-    _on_sheet(right["places"], rows, size, electrodes, tall)
+    _on_sheet(right["places"], rows, size, electrodes, outline, tall)
     if "image" in right:
         label = f"image, {shown['unit'].replace('^2', '²')}"
         show_image(right["image"], shown["image"], size, label)
@@ -114,10 +114,15 @@ def _flags(axes: Any, t: np.ndarray, flags: np.ndarray) -> None:
 
 
 def _on_sheet(
-    axes: Any, rows: dict, size: np.ndarray, electrodes: np.ndarray, tall: float
+    axes: Any,
+    rows: dict,
+    size: np.ndarray,
+    electrodes: np.ndarray,
+    outline: Any,
+    tall: float,
 ) -> None:
     """Draws where contacts were: by time, the larger the current; rows in doubt grey."""
-    lay_sheet(axes, size, electrodes)
+    lay_sheet(axes, size, electrodes, outline=outline)
     xy, current = rows["contact_xy"], np.nan_to_num(rows["contact_current"])
     there = np.isfinite(xy).all(-1)
     doubt = there & (rows["flags"] & int(DOUBT) > 0)[:, None]

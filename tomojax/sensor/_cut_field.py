@@ -16,11 +16,14 @@ from scipy import sparse
 
 from tomojax.kernels.contacts import Among
 from tomojax.kernels.sheet import (
+    centroids,
+    cosine_waves,
     feed_parts,
     fem_fields,
     fem_shared_resistances,
     fem_sheet,
     FemSheet,
+    heights,
     node_image,
     rectangle_grid_fields,
     Skin,
@@ -42,6 +45,9 @@ _SITES = 24
 
 # Places whose distance to the edge is computed at once.
 _TOGETHER = 4096
+
+# Part of a wave that its effect is computed with.
+_LITTLE = 0.02
 
 # A chart that stretches lengths by more than this beside an electrode is not like a flat
 # sheet there.
@@ -132,6 +138,29 @@ def _solved(
     ee, nodes = _fields(fem, mesh)
     found = _weights(at.reshape(-1, 2), size, mesh) @ np.asarray(nodes, float).T
     return np.asarray(ee, float), found.T.reshape(-1, *at.shape[:-1])
+
+
+def wave_fields(
+    sensor: Sensor, cut: Cut, x: np.ndarray, y: np.ndarray, orders: np.ndarray
+) -> tuple[Float[np.ndarray, "q M M"], Float[np.ndarray, "q M nx ny"]]:
+    """Computes what a unit of each wave of the sheet adds to R_ee' and R_e, Ω.
+
+    The results are differences between sheets with a little of the wave.
+    """
+    size, home = np.asarray(sensor.size, float), homes(sensor, x, y)
+    places = centroids(cut.mesh, sensor.size)
+    scale = jnp.asarray(heights(orders)[:, None], sensor.dtype)
+    waves = scale * cosine_waves(places, sensor.size, orders)
+    found = []
+    for wave in waves:
+        sides = [
+            cut.sheet._replace(local=cut.sheet.local / (1 + part * wave)[:, None, None])
+            for part in (_LITTLE, -_LITTLE)
+        ]
+        one, other = (_solved(fem, cut.mesh, home, size) for fem in sides)
+        found.append([(a - b) / (2 * _LITTLE) for a, b in zip(one, other)])
+    ee, rows = zip(*found)
+    return np.stack(ee), np.stack(rows)
 
 
 def among_sites(sensor: Sensor, cut: Cut) -> Among:

@@ -1,9 +1,12 @@
 """Computes how the table of electrodes' potentials changes with places and the sheet."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from tomojax.kernels.contacts import field_at
 from tomojax.kernels.sheet import (
     heights,
     rectangle_grid_fields,
@@ -11,11 +14,15 @@ from tomojax.kernels.sheet import (
     rectangle_wave_fields,
     smooth_orders,
 )
-from tomojax.sensor._field import averaged_field, averaged_radii, parts_of
+from tomojax.sensor._cut_field import cut_of, wave_fields
+from tomojax.sensor._field import averaged_field, averaged_radii, make_field, parts_of
 from tomojax.sensor._sensor import Sensor
 
 # An electrode's step that gives the slopes by its place, of its diameter.
 _MOVE = 1e-3
+
+# The same where potentials are solved on a mesh, whose rounding is larger.
+_FAR = 0.04
 
 # Half periods in a pitch that waves are followed to.
 _FOLLOWED = 8
@@ -34,6 +41,8 @@ def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array
     """
     sensor, even, cells, every = parts_of(sensor)
     places, step = np.asarray(sensor.electrode_xy, float), _MOVE * _diameter(even)
+    if not sensor.flat:
+        return _cut_moves(sensor)
     size, rho = np.asarray(sensor.size, float), _effective(even)
     x, y = (np.linspace(0, s, n + 1) for s, n in zip(size, cells))
     values = []
@@ -49,6 +58,23 @@ def make_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array
     at, radius = jnp.asarray(places, sensor.dtype), sensor.electrode_diameter / 2
     slope = rho * rectangle_slope(at[:, None], at, radius, sensor.size)
     return jnp.stack(values), jnp.moveaxis(slope, -1, 0).astype(sensor.dtype)
+
+
+def _cut_moves(sensor: Sensor) -> tuple[Float[Array, "2 nx ny A M"], Float[Array, "2 M M"]]:
+    """Computes `make_moves` on a mesh: all electrodes move at once."""
+    step, xy = _FAR * _diameter(sensor), sensor.electrode_xy
+    values, among = [], []
+    for unit in np.eye(2):
+        moved = [
+            make_field(eqx.tree_at(lambda s: s.electrode_xy, sensor, xy + by)).values
+            for by in jnp.asarray(step * np.stack([unit, -unit]), sensor.dtype)
+        ]
+        slope = (moved[0] - moved[1]) / (2 * step)
+        values.append(slope)
+        field = make_field(sensor)._replace(values=slope)
+        at = jax.vmap(field_at, (None, 0, None))(field, xy, field.radii[0])
+        among.append(at.T)
+    return jnp.stack(values), jnp.stack(among)
 
 
 def _diameter(sensor: Sensor) -> float:
@@ -74,6 +100,10 @@ def make_waves(
     sensor, even, cells, every = parts_of(sensor)
     size = np.asarray(sensor.size, float)
     x, y = (np.linspace(0, s, n // every + 1) for s, n in zip(size, cells))
+    if not sensor.flat:
+        of_waves = sensor, cut_of(sensor, even), x, y, smooth_orders(most)
+        ee, rows = (jnp.asarray(a, sensor.dtype) for a in wave_fields(*of_waves))
+        return jnp.moveaxis(rows, 1, -1), ee
     followed = int(np.ceil(_FOLLOWED * size.max() / sensor.mean_pitch))
     orders, places = smooth_orders(most), np.asarray(sensor.electrode_xy, float)
     radius = averaged_radii(sensor)[_RADIUS]

@@ -103,7 +103,7 @@ def check_skin(sensor: Any) -> None:
     **Raises:** `ValueError`.
     """
     xy, diameter = np.asarray(sensor.electrode_xy, float), float(sensor.electrode_diameter)
-    slack = 1e-3 * diameter  # an electrode's middle may be on the edge
+    slack = 0.05 * diameter  # an electrode's middle may be on the edge
     level = np.maximum(-xy, xy - np.asarray(sensor.size, float)).max(1)
     if sensor.outline is not None:
         level = np.maximum(level, np.asarray(sensor.outline.distance(sensor.electrode_xy)))

@@ -60,6 +60,11 @@ class AbstractStepMethod(eqx.Module):
 
     @property
     @abstractmethod
+    def grounded(self) -> Bool[np.ndarray, "L M"]:
+        """Returns the table that `AbstractMethod` defines."""
+
+    @property
+    @abstractmethod
     def residual_limit(self) -> float:
         """Returns the limit that `AbstractMethod` defines."""
 
@@ -105,6 +110,10 @@ class Follow(AbstractStepMethod):
         return cls(count, points, candidates, errors, slot_time)
 
     @property
+    def grounded(self) -> Bool[np.ndarray, "L M"]:
+        return self.points.grounded
+
+    @property
     def residual_limit(self) -> float:
         return 1.0  # of all that is read; `__call__` judges by less
 
@@ -128,7 +137,7 @@ class Follow(AbstractStepMethod):
             elapsed,
             self.errors,
         )
-        used = read.used & (jnp.arange(len(read.used), dtype=ground.dtype) != ground)
+        used = read.used & ~sheet.slots.grounded(ground)
         residual = rms(rest, used)
         high = residual > _LIMIT * rms(centred(voltages, used), used) + 2 * self.noise
         radius = radius_of(sheet, now.size)
@@ -187,10 +196,14 @@ class EachSlot(AbstractStepMethod):
         cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
     ) -> "EachSlot":
         """Prepares the method for every ground, with the channels that are `good`."""
-        grounds = np.arange(method.electrode_count)[:, None]
+        grounds = np.arange(len(method.grounded))[:, None]
         each = [method.prepare(ground, good[None], lam) for ground in grounds]
         prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
         return cls(count, method, prepared, jnp.asarray(good))
+
+    @property
+    def grounded(self) -> Bool[np.ndarray, "L M"]:
+        return self.method.grounded
 
     @property
     def residual_limit(self) -> float:

@@ -200,9 +200,11 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
     sensor, gives "information" its tables; other policies do not use `follow`.
     """
     if name and set(name) <= set("0123456789,- "):
-        return Fixed(_grounds(name, sensor.electrode_count))
+        return Fixed(_grounds(name, sensor.condition_count))
     expected = f"electrodes with commas, or one of {', '.join(POLICIES)}"
     require(name in POLICIES, "policy", repr(name), expected)
+    alone = sensor.conditions is None or name in PATTERNS
+    require(alone, "policy", repr(name), "a pattern or numbers, of a table of conditions")
     if name in ADAPTIVE:
         return Adaptive(AdaptiveScan(sensor, cast(AdaptivePattern, name)))
     if name == "around_contacts":

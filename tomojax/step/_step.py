@@ -67,6 +67,7 @@ class Step:
         self.policies = tuple(policies)
         self.dtype = np.dtype(sensor.dtype)
         self._method, self._cheaper = method, cheaper
+        self._grounded = jnp.asarray(method.grounded)
         self._policies = tuple(policies.values())
         self._corners = exploration(sensor).astype(jnp.int32)
         self._good, self._highest = jnp.asarray(good), highest
@@ -171,10 +172,10 @@ class Step:
     def _begun(self) -> Remembered:
         """Returns the memory before the first slot: the corners are next."""
         m, no = self.electrode_count, jnp.array(False)
-        whole, none = jnp.zeros(m, jnp.int32), jnp.zeros((), jnp.int32)
+        none = jnp.zeros((), jnp.int32)
         plan = Plan(
             policy=none,
-            grounds=whole.at[:2].set(self._corners),
+            grounds=self._no_grounds().at[:2].set(self._corners),
             length=none + 2,
             at=none,
             exploring=jnp.array(True),
@@ -186,8 +187,12 @@ class Step:
             plan=plan,
             doubt=Doubt(stretch=no, held=none, full=no),
             last=Slot(jnp.zeros(m, self.dtype), ground=none, lost=none, hurried=no),
-            used=whole > 0,
+            used=jnp.zeros(m, bool),
         )
+
+    def _no_grounds(self) -> Int[Array, " n"]:
+        """Returns room for a stretch of any ground conditions."""
+        return jnp.zeros(max(2, *self._grounded.shape), jnp.int32)
 
     def _silent(self) -> Output:
         """Returns an output without a contact: every output has its shapes and types."""
@@ -246,7 +251,8 @@ class Step:
         high = size > self._highest
         used = self._good & finite & ~high
         voltages: Array = jnp.where(used, (volts - self._zero) / self._gain, 0)
-        known = (slot.ground >= 0) & (slot.ground < self.electrode_count)
+        grounds = len(self._grounded)
+        known = (slot.ground >= 0) & (slot.ground < grounds)
         enough = 2 * used.sum() >= self._good.sum()
         flags = bits_of(
             ((self._good & ~finite).any(), Flag.BAD_VOLTAGES),
@@ -255,7 +261,7 @@ class Step:
             (slot.lost > 0, Flag.GAP),
             (finite.all() & (size == 0).all(), Flag.ALL_ZERO),
         )
-        ground = jnp.clip(slot.ground, 0, self.electrode_count - 1).astype(jnp.int32)
+        ground = jnp.clip(slot.ground, 0, grounds - 1).astype(jnp.int32)
         against = jnp.where(known, self._against(voltages, used, ground), 0)
         return Read(
             voltages,
@@ -271,7 +277,9 @@ class Step:
         towards: Array = voltages * self._drive_sign
         high = jnp.where(used, towards, -jnp.inf).max()
         low = jnp.where(used, towards, jnp.inf).min()
-        at = jnp.where(used, towards, -jnp.inf)[ground]
+        held = self._grounded[ground] & used
+        at = jnp.where(held, towards, jnp.inf).min()
+        at = jnp.where(held.any(), at, -jnp.inf)
         bits = level_bits(low, high, at, self._method.noise, jnp)
         return jnp.asarray(bits, jnp.int32)
 
@@ -320,12 +328,12 @@ class Step:
 
     def _planned(self, plan: Plan, seen: Seen) -> tuple[Plan, Array]:
         """Returns the plan for the next slot, and whether a new stretch begins there."""
-        at, m = plan.at + 1, self.electrode_count
-        corners = jnp.zeros(m, jnp.int32).at[:2].set(self._corners)
+        at, room = plan.at + 1, self._no_grounds()
+        corners = room.at[:2].set(self._corners)
 
         def laid(policy: AbstractPolicy) -> tuple:
             grounds = policy(seen).astype(jnp.int32)
-            whole = jnp.zeros(m, jnp.int32).at[: len(grounds)].set(grounds)
+            whole = room.at[: len(grounds)].set(grounds)
             return whole, jnp.array(len(grounds), jnp.int32), jnp.array(False)
 
         def next_of(policy: AbstractPolicy) -> Any:

@@ -97,7 +97,8 @@ def find_signs(recording: Recording) -> list[Sign]:
         some, more = judge(some, touched)
         signs += more
     some = some.take(np.flatnonzero(touched))
-    if len(some.asked) < _FEW:
+    # What a wire ends at is judged on a rectangle with one ground a slot.
+    if len(some.asked) < _FEW or recording.rig.version > 1:
         return signs
     return signs + _wired(some, Plane(recording.rig))
 

@@ -1,5 +1,6 @@
 """Loads a results file from outside, and judges its contents before any use."""
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,19 @@ class LoadedResults:
         fine = fine and bool(np.isfinite(xy).all())
         require(fine, f"{self.path}: electrode_xy", f"shape {xy.shape}", "(M, 2), m")
         return xy
+
+    def outline(self) -> list[np.ndarray] | None:
+        """Returns closed lines around a sheet that does not fill its box, m; else None."""
+        told = self.attributes.get("outline")
+        if told is None:
+            return None
+        try:
+            lines = [np.asarray(line, float) for line in json.loads(told)]
+            fine = all(line.ndim == 2 and line.shape[1] == 2 for line in lines)
+        except (TypeError, ValueError):
+            fine, lines = False, []
+        require(fine, f"{self.path}: outline", str(told)[:40], "lines (n, 2), m")
+        return lines
 
     def read(self, name: str) -> np.ndarray:
         """Reads a dataset, and checks values that can be wrong."""
