@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import cell_sides, centroids, node_areas, nodes, Shape
-from tomojax.kernels.sheet._skin import distances, moves, node_parts, Skin
+from tomojax.kernels.sheet._skin import distances, local_cells, moves, node_parts, Skin
 
 # The own resistance of a Gaussian of width s is that of a disc of radius a when
 # ln s + ½(2 ln 2 − γ) = ln a, Euler's γ: the mean of −ln|x − x'| over two draws.
@@ -35,7 +35,7 @@ _GAUSS = float(2 * np.log(2) - np.euler_gamma) / 2
 _NARROWEST = 0.65
 
 
-def _own_excess(width: Array, radius: Array, shape: Shape, size: Array) -> Array:
+def _own_excess(width: Array, radius: Array, cell: Float[Array, "2 ..."]) -> Array:
     """Computes 2πσ·(own resistance of a disc − that of the feed on the mesh).
 
     The result is ln s + ½(2 ln 2 − γ) − ln a − (dx² + dy²)/(64 s²) − 0.0012 (h/s)⁴. The
@@ -44,8 +44,8 @@ def _own_excess(width: Array, radius: Array, shape: Shape, size: Array) -> Array
     too easily and overstates the own resistance by (1/σ)·∫|f̂|²(k_x⁴dx² + k_y⁴dy²)/(12k⁴) +
     ….
     """
-    square = cell_sides(shape, size) ** 2
-    mesh = square.sum() / (64 * width**2) + 0.0011936 * (square**2).mean() / width**4
+    square = cell**2
+    mesh = square.sum(0) / (64 * width**2) + 0.0011936 * (square**2).mean(0) / width**4
     return jnp.log(width / radius) + _GAUSS - mesh
 
 
@@ -56,14 +56,15 @@ def feed_width(
 
     At the disc's own width `_own_excess` vanishes, by four Newton steps in ln s. So
     `_own_excess` is never below zero. A negative resistance in series would make a strong
-    contact over an electrode push current out of the ground.
+    contact over an electrode push current out of the ground. The cells are the chart's.
     """
     log_width = jnp.log(radius) - _GAUSS
-    excess = lambda x: _own_excess(jnp.exp(x), radius, shape, size)  # noqa: E731
+    cell = cell_sides(shape, size)
+    excess = lambda x: _own_excess(jnp.exp(x), radius, cell)  # noqa: E731
     for _ in range(4):
         value, slope = jax.jvp(excess, (log_width,), (jnp.ones_like(log_width),))
         log_width = log_width - value / slope
-    return jnp.maximum(jnp.exp(log_width), _NARROWEST * cell_sides(shape, size).max())
+    return jnp.maximum(jnp.exp(log_width), _NARROWEST * cell.max())
 
 
 def feed_weights(
@@ -152,11 +153,12 @@ def series_resistances(
     square = distances(skin, places, centroids(shape, size))
     near = jnp.exp(-square / (2 * width**2))
     under = jnp.matmul(sheet, near, precision="highest") / near.sum(0)
-    excess = jnp.maximum(_own_excess(width, radius, shape, size), 0)
+    sides = local_cells(skin, places, cell_sides(shape, size))
+    excess = jnp.maximum(_own_excess(width, radius, sides), 0)
     series = excess / (2 * np.pi * under)
     if shunt is None:
         return series, series[:0]
-    cell = cell_sides(shape, size) ** 2 / width**2
-    own = (1 + cell.sum() / 32 + 0.0047744 * (cell**2).mean()) / (4 * width**2)
-    lacking = (1 / (shunt * radius**2) - own) / (2 * np.pi)
-    return series, lacking / jnp.concatenate([under, under])
+    cell = sides**2 / width**2
+    own = (1 + cell.sum(0) / 32 + 0.0047744 * (cell**2).mean(0)) / (4 * width**2)
+    lacking = (1 / (shunt * radius**2) - own) / (2 * np.pi) / under
+    return series, jnp.concatenate([lacking, lacking])

@@ -115,19 +115,34 @@ def moves(
     unit = jnp.broadcast_to(jnp.eye(2, dtype=places.dtype), (len(places), 2, 2))
     if skin is None or skin.surface is None:
         return unit
-    step = _STEP * cell
-    slopes = [
-        (skin.points(places + by) - skin.points(places - by)) / (2 * by.sum())
-        for by in jnp.diag(step)
-    ]
-    slope = jnp.stack(slopes, -1)  # (M, 3, 2)
-    metric = jnp.einsum("mdi,mdj->mij", slope, slope, precision="highest")
+    metric = _metric(skin, places, cell)
     # √g = (g + √det·I)/√(trace + 2√det), of two rows.
     root = jnp.sqrt(jnp.linalg.det(metric))
     whole = (metric + root[:, None, None] * unit) / jnp.sqrt(
         jnp.trace(metric, axis1=1, axis2=2) + 2 * root
     )[:, None, None]
     return jnp.linalg.inv(whole)
+
+
+def _metric(
+    skin: Skin, places: Float[Array, "M 2"], cell: Float[Array, "2"]
+) -> Float[Array, "M 2 2"]:
+    slopes = [
+        (skin.points(places + by) - skin.points(places - by)) / (2 * by.sum())
+        for by in jnp.diag(_STEP * cell)
+    ]
+    slope = jnp.stack(slopes, -1)  # (M, 3, 2)
+    return jnp.einsum("mdi,mdj->mij", slope, slope, precision="highest")
+
+
+def local_cells(
+    skin: Skin | None, places: Float[Array, "M 2"], cell: Float[Array, "2"]
+) -> Float[Array, "2 ..."]:
+    """Computes the sides of the cells in space, at places, m."""
+    if skin is None or skin.surface is None:
+        return cell[:, None]
+    metric = _metric(skin, places, cell)
+    return jnp.sqrt(jnp.diagonal(metric, axis1=1, axis2=2)).T * cell[:, None]
 
 
 def stretch(

@@ -1,6 +1,5 @@
 """Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,8 +18,7 @@ def slot_maps(
     table = resistances(sensor, "series" if sensor.even else "fem")
     ee, ek = table.electrodes, pixels.mean(table.elements)
     ee, ek = (np.asarray(a, float) for a in (ee, ek))
-    slots = jax.tree.map(lambda a: np.asarray(a, float), sensor).slots(ee)
-    which = sensor.all_grounds()
+    slots, which = sensor.slots(ee), sensor.all_grounds()
     maps, grounded = slots.maps(ek, which), np.asarray(slots.grounded(which))
     if pixels.inside is not None:
         maps = maps * np.asarray(pixels.inside).ravel()

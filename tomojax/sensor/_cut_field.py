@@ -96,7 +96,7 @@ def cut_of(sensor: Sensor, even: Sensor) -> Cut:
     same = jnp.full(2 * wider.prod(), 1 / even.sheet_resistance)
     moved = xy + jnp.asarray(margin, sensor.dtype)
     around = made(same, moved, given[0], whole, box, given[1])
-    parts = jax.jit(feed_parts, static_argnums=2)(xy, given[0], shape, sensor.size, skin)
+    parts = eqx.filter_jit(feed_parts)(xy, given[0], shape, sensor.size, skin)
     alike = np.asarray(stretch(skin, xy, sensor.size / jnp.asarray(mesh))) < _ALIKE
     return Cut(shape, skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
 

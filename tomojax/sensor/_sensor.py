@@ -290,7 +290,7 @@ class Sensor(eqx.Module):
         skin = self.skin
         if skin is None or self.outline is None:
             return None
-        return jax.jit(coverage, static_argnums=1)(skin, self.divisions)
+        return eqx.filter_jit(coverage)(skin, self.divisions)
 
     @property
     def area(self) -> float:
@@ -345,11 +345,16 @@ class Sensor(eqx.Module):
         share = self.conditions / self.conditions.sum(1, keepdims=True)
         return jnp.matmul(share, self.electrode_xy, precision="highest")
 
-    def slots(self, electrodes: Float[Array, "M M"]) -> Slots:
-        """Returns the law of the ground conditions, from R_ee' (Ω): see `Slots`."""
+    def slots(self, electrodes: Any) -> Slots:
+        """Returns the law of the ground conditions, from R_ee' (Ω): see `Slots`.
+
+        Of an array of NumPy the law has NumPy's, in float64.
+        """
+        host = isinstance(electrodes, np.ndarray)
+        as_told = (lambda a: np.asarray(a, float)) if host else jnp.asarray
         if self.conditions is None:
-            return Grounds(electrodes, self.ground_resistance)
-        return conditions_of(electrodes, self.conditions)
+            return Grounds(electrodes, as_told(self.ground_resistance))
+        return conditions_of(electrodes, as_told(self.conditions))
 
     def __repr__(self) -> str:
         nx, ny = self.divisions
