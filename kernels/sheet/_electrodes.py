@@ -26,11 +26,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import cell_sides, centroids, node_areas, nodes, Shape
-from tomojax.kernels.sheet._skin import distances, local_cells, moves, node_parts, Skin
+from tomojax.kernels.sheet._skin import (
+    distances,
+    from_edge,
+    local_cells,
+    moves,
+    node_parts,
+    Skin,
+)
 
 # The own resistance of a Gaussian of width s is that of a disc of radius a when
 # ln s + ½(2 ln 2 − γ) = ln a, Euler's γ: the mean of −ln|x − x'| over two draws.
 _GAUSS = float(2 * np.log(2) - np.euler_gamma) / 2
+# A dipole towards the edge answers this part at least, so that it is solved for.
+_FAINT = 0.03
+
 # Below this width, in cells, the sum over nodes no longer repeats the integral (8e-4).
 _NARROWEST = 0.65
 
@@ -122,8 +132,15 @@ def dipole_weights(
     size: Float[Array, "2"],
     skin: Skin | None = None,
 ) -> Float[Array, "nodes D"]:
-    """Computes slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m."""
+    """Computes slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m.
+
+    With an outline the two ways are towards the edge, and along it.
+    """
     steps = moves(skin, places, cell_sides(shape, size))
+    if skin is not None:
+        way = from_edge(skin, places, width, shape, size)[1]
+        turn = jnp.stack([way, jnp.stack([-way[:, 1], way[:, 0]], 1)], -1)
+        steps = jnp.matmul(steps, turn, precision="highest")
 
     def moved(by: Float[Array, "2"]) -> Float[Array, "nodes M"]:
         at = places + jnp.matmul(steps, by, precision="highest")
@@ -161,4 +178,10 @@ def series_resistances(
     cell = sides**2 / width**2
     own = (1 + cell.sum(0) / 32 + 0.0047744 * (cell**2).mean(0)) / (4 * width**2)
     lacking = (1 / (shunt * radius**2) - own) / (2 * np.pi) / under
-    return series, jnp.concatenate([lacking, lacking])
+    if skin is None:
+        return series, jnp.concatenate([lacking, lacking])
+    # No current crosses an edge: there an image cancels the dipole that points to it.
+    inside = from_edge(skin, places, width, shape, size)[0] / radius
+    answers = jnp.clip(inside, _FAINT, 1)
+    less = (1 / answers**2 - 1) / (2 * np.pi * radius**2 * under)
+    return series, jnp.concatenate([lacking + less, lacking])

@@ -32,8 +32,8 @@ class Following(AbstractSolver):
         rig = recording.rig
         self._step = make_step(
             rig.sensor(),
-            # Recorded grounds are what they are; those that were asked for are not used.
-            **({} if rig.conditions is None else {"policy": "all"}),
+            # Recorded grounds are what they are; those that a policy asks for are not used.
+            policy="around_contacts" if rig.conditions is None else "all",
             contacts=settings.contacts,
             f_switch=rig.f_switch,
             calibration=calibration,

@@ -74,7 +74,8 @@ def cut_of(sensor: Sensor, even: Sensor) -> Cut:
     size, xy = np.asarray(sensor.size, float), sensor.electrode_xy
     diameter, rho = float(sensor.electrode_diameter), np.asarray(sensor.sheet_resistance)
     wanted = np.ceil(_MESH * size / diameter * (1 - 1e-5)).astype(int)
-    mesh = np.clip(wanted, 8, _MOST)
+    # As fine as the sensor's own where that is finer: narrow gaps ask for it.
+    mesh = np.maximum(np.clip(wanted, 8, _MOST), sensor.divisions)
     if rho.ndim:  # on a mesh that divides that of the sheet's values
         divisions = np.array(sensor.divisions)
         finer = np.maximum(1, mesh // divisions)

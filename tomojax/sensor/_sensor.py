@@ -213,7 +213,7 @@ class Sensor(eqx.Module):
         >>> import tomojax as tx
         >>> sensor = tx.Sensor.disc(0.1, {"rim": 16, "grid": 0.03})
         >>> sensor.electrode_count, bool(sensor.on_sheet([[0.001, 0.001]]).any())
-        (21, False)
+        (25, False)
         """
         across = checked("diameter", diameter, require_positive, ())
         size = jnp.broadcast_to(across, 2)
@@ -354,7 +354,8 @@ class Sensor(eqx.Module):
         as_told = (lambda a: np.asarray(a, float)) if host else jnp.asarray
         if self.conditions is None:
             return Grounds(electrodes, as_told(self.ground_resistance))
-        return conditions_of(electrodes, as_told(self.conditions))
+        table: Any = as_told(self.conditions)
+        return conditions_of(electrodes, table)
 
     def __repr__(self) -> str:
         nx, ny = self.divisions
