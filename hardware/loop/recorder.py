@@ -36,6 +36,7 @@ _NUMBERS = (
 
 def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
     """Returns the attributes of a recording, and its tables as lists."""
+    tables = {name: table.tolist() for name, table in rig.tables().items()}
     outline = {} if rig.outline is None else rig.outline.attributes()
     return {
         "schema": SCHEMA,
@@ -51,7 +52,7 @@ def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
         "notes": rig.notes,
         **outline,
         "electrode_xy": np.asarray(rig.electrode_xy, float).tolist(),
-        "tables": {name: table.tolist() for name, table in rig.tables().items()},
+        **({"tables": tables} if tables else {}),
     }
 
 

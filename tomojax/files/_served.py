@@ -11,6 +11,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -97,9 +98,10 @@ class Hdf5(Served):
         names = list(self._file)
         for name in names[:_NAMES]:  # a group's own members, one level down
             link = self._file.get(name, getlink=True)
-            inner = self._file[name] if type(link) is h5py.HardLink else None
-            if isinstance(inner, h5py.Group):
-                names += [f"{name}/{each}" for each in inner]
+            with suppress(Exception):  # damaged: its own turn tells
+                inner = self._file[name] if type(link) is h5py.HardLink else None
+                if isinstance(inner, h5py.Group):
+                    names += [f"{name}/{each}" for each in inner]
         if len(names) > _NAMES:
             raise Refused(f"{len(names)} names in it")
         self.attributes = _attributes(self._file)

@@ -10,6 +10,7 @@ from ._contract import (
     centred as centred,
     Estimate as Estimate,
     Frame as Frame,
+    grounded_of as grounded_of,
     judge as judge,
     Part as Part,
     rms as rms,

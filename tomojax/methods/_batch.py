@@ -14,7 +14,13 @@ from jaxtyping import Array, Bool, Float, Integer
 from tomojax._require import require
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import AbstractMethod, Frame, Part
+from tomojax.methods._contract import (
+    AbstractMethod,
+    Frame,
+    grounded_of,
+    inside_of,
+    Part,
+)
 from tomojax.methods._doubts import look_at, Looked
 from tomojax.methods._rows import empty_rows, Rows
 
@@ -75,6 +81,7 @@ class Batch:
         self.film = film if method.films else 1
         self._prepared: OrderedDict[bytes, Any] = OrderedDict()
         self._begun = False
+        self._grounded = grounded_of(method)
         self._about = float(method.drive_sign), float(method.noise)
 
     def __call__(
@@ -105,7 +112,7 @@ class Batch:
         if flags is not None:
             rows.flags[:] = flags
         grounds = np.where(good.any(2), grounds, 0)
-        looked = look_at(voltages, grounds, good, *self._about, self.method.grounded)
+        looked = look_at(voltages, grounds, good, *self._about, self._grounded)
         usable = self._nothing(voltages, good, looked, rows)
         keys = grounds * 0 if self.method.any_grounds else grounds
         apart = keys
@@ -170,7 +177,7 @@ class Batch:
         require(grounds.shape == shape[:2], "grounds", grounds.shape, f"{shape[:2]}")
         require(good.shape == shape, "good", good.shape, f"{shape}")
         used = grounds[good.any(-1)]
-        last = len(self.method.grounded) - 1
+        last = len(self._grounded) - 1
         inside = not used.size or (0 <= used.min() and used.max() <= last)
         require(inside, "grounds", "an electrode that is none", f"0 to {last} where good")
         finite = np.isfinite(voltages)
@@ -195,8 +202,8 @@ class Batch:
         rows.flags[:] |= np.where(quiet, np.uint32(Flag.NO_CONTACT), looked.flags)
         squares = (used[quiet].astype(float) ** 2).sum((1, 2))
         rows.residual[quiet] = np.sqrt(squares / good[quiet].sum((1, 2)))
-        outside = self.method.inside is not None and ~np.asarray(self.method.inside)
-        nothing = np.where(outside, np.nan, 0.0)
+        inside = inside_of(self.method)
+        nothing = 0.0 if inside is None else np.where(inside, 0.0, np.nan)
         if rows.image is not None and rows.residual_by_electrode is not None:
             rows.image[quiet] = nothing
             with np.errstate(invalid="ignore"):  # NaN where no slot is good

@@ -153,10 +153,6 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
-    # Pixels with some of the sheet: the image is NaN in all others. None: every pixel.
-    inside: eqx.AbstractVar[Bool[Array, "nx ny"] | None]
-    # Of each ground, the electrodes whose voltage tells of their path to ground alone.
-    grounded: eqx.AbstractVar[Bool[np.ndarray, "L M"]]
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -259,6 +255,23 @@ def _block(
     return jax.vmap(one)(voltages)
 
 
+def inside_of(method: AbstractMethod) -> Bool[Array, "nx ny"] | None:
+    """Returns which pixels have some of the sheet, a field `inside`; None: every pixel.
+
+    The image is NaN in all others.
+    """
+    return getattr(method, "inside", None)
+
+
+def grounded_of(method: AbstractMethod) -> Bool[np.ndarray, "L M"]:
+    """Returns the electrodes of each ground that tell of their path alone.
+
+    That is a field `grounded`; by default each electrode is grounded alone.
+    """
+    told = getattr(method, "grounded", None)
+    return np.eye(method.electrode_count, dtype=bool) if told is None else told
+
+
 def judged(
     method: AbstractMethod,
     estimate: Estimate,
@@ -279,7 +292,7 @@ def judged(
     def drawn(image: Array | None) -> Array | None:
         if image is None or not images:
             return None
-        inside = method.inside
+        inside = inside_of(method)
         return image if inside is None else jnp.where(inside, image, jnp.nan)
 
     return Rows.of(

@@ -38,8 +38,8 @@ from tomojax.kernels.sheet import (
     subpoints,
 )
 from tomojax.sensor._converter import Converter
-from tomojax.sensor._off_sheet import require_on_sheet
 from tomojax.sensor._outline import AbstractShape
+from tomojax.sensor._placing import require_on_sheet
 from tomojax.sensor._sensor import check_conditions, element_values, Sensor
 
 Route = Literal["fem", "series"]

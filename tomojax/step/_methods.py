@@ -22,7 +22,15 @@ from tomojax.kernels.contacts import (
 )
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
-from tomojax.methods import AbstractMethod, bits_of, centred, Estimate, Points, rms
+from tomojax.methods import (
+    AbstractMethod,
+    bits_of,
+    centred,
+    Estimate,
+    grounded_of,
+    Points,
+    rms,
+)
 from tomojax.step._state import Read, Slot
 
 # One more contact may hide where more than this part of a slot's spread of voltages is
@@ -196,14 +204,14 @@ class EachSlot(AbstractStepMethod):
         cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
     ) -> "EachSlot":
         """Prepares the method for every ground, with the channels that are `good`."""
-        grounds = np.arange(len(method.grounded))[:, None]
+        grounds = np.arange(len(grounded_of(method)))[:, None]
         each = [method.prepare(ground, good[None], lam) for ground in grounds]
         prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
         return cls(count, method, prepared, jnp.asarray(good))
 
     @property
     def grounded(self) -> Bool[np.ndarray, "L M"]:
-        return self.method.grounded
+        return grounded_of(self.method)
 
     @property
     def residual_limit(self) -> float:
