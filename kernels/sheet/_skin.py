@@ -181,8 +181,8 @@ def pinned_node(skin: Skin | None, shape: Shape) -> Array:
     """Returns the node that is pinned to 0 V: the last, or the one furthest inside."""
     last = (shape[0] + 1) * (shape[1] + 1) - 1
     if skin is None:
-        return jnp.asarray(last)
-    return jnp.argmin(jax.lax.stop_gradient(skin.level))
+        return jnp.asarray(last, jnp.int32)
+    return jnp.argmin(jax.lax.stop_gradient(skin.level)).astype(jnp.int32)
 
 
 def middles(skin: Skin | None, shape: Shape, size: Array) -> Float[Array, "K d"]:

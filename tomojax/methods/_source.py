@@ -115,7 +115,7 @@ class Source(AbstractMethod):
         made = cls.from_maps(maps, shape, pixels.cell, length, noise, sign, grounded)
         if pixels.inside is None:
             return made
-        smoothed = made.smoothed * pixels.inside.ravel()
+        smoothed = jnp.where(pixels.inside.ravel(), made.smoothed, 0)
         return replace(made, inside=pixels.inside, smoothed=smoothed)
 
     @classmethod

@@ -98,7 +98,7 @@ def cut_of(sensor: Sensor, even: Sensor) -> Cut:
     moved = xy + jnp.asarray(margin, sensor.dtype)
     around = made(same, moved, given[0], whole, box, given[1])
     parts = eqx.filter_jit(feed_parts)(xy, given[0], shape, sensor.size, skin)
-    alike = np.asarray(stretch(skin, xy, sensor.size / jnp.asarray(mesh))) < _ALIKE
+    alike = np.asarray(stretch(skin, xy, jnp.asarray(side, sensor.dtype))) < _ALIKE
     return Cut(shape, skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
 
 
