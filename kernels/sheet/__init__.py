@@ -56,6 +56,7 @@ from tomojax.kernels.sheet._slots import (
     Slots as Slots,
     volts_per_ampere as volts_per_ampere,
 )
+from tomojax.kernels.sheet._stiffness import reference_stiffness as reference_stiffness
 from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (
     cosine_waves as cosine_waves,

@@ -12,6 +12,7 @@ from tomojax.kernels.sheet import (
     fem_resistances,
     FemSheet,
     nodes as mesh_nodes,
+    reference_stiffness,
     Resistances,
     triangles,
 )
@@ -35,9 +36,9 @@ def test_slot_voltages_of_a_point_contact(rng) -> None:
 
     feeds = jnp.zeros((len(nodes), 17)).at[chosen, np.arange(17)].set(1.0)
     none = jnp.zeros((len(nodes), 0))
-    point = FemSheet(
-        jnp.asarray(sheet), size, feeds, jnp.zeros(17), none, none[0], 0 * feeds
-    )
+    local = jnp.asarray(sheet)[:, None, None] * reference_stiffness(shape, size)
+    last = jnp.array(len(nodes) - 1)
+    point = FemSheet(local, last, feeds, jnp.zeros(17), none, none[0], 0 * feeds)
     ee, _, _ = fem_resistances(point, shape)
     table = Resistances(ee[:m, :m], ee[:m, m:], ee[m:, m])
     t = references.slot_map(table, jnp.arange(m), jnp.array(0.0))

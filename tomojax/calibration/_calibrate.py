@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -44,8 +44,10 @@ _FOUND = 0.5
 # Frames scatter by no less than this part of what errors as told would make them.
 _SCATTER = 0.05
 
-# Keeps a direction that no frame shows from a division by 0.
+# Keeps a direction that no frame shows from a division by 0. In units of rounding: what is
+# less is rounding, of either sign.
 _NEVER = 1e-9
+_ROUNDING = 1e3
 
 # Contacts within this part of a pitch make the same errors of the model.
 _ALIKE = 0.25
@@ -164,7 +166,7 @@ def calibrated(
                 new = sums_of(points, slopes, volts, known)
                 cost = _cost(unknowns, new, trial)
             state, now, sums, lowest = trial, told, new, cost
-            step, covariance, prior = _step(unknowns, sums, state)
+            step, covariance, prior = _step(unknowns, sums, state, sensor.dtype)
             if not better:
                 break
         else:  # the slopes are not exact, nor are residuals linear
@@ -200,7 +202,7 @@ def _cost(unknowns: Unknowns, sums: Sums, state: np.ndarray) -> float:
 
 
 def _step(
-    unknowns: Unknowns, sums: Sums, state: np.ndarray
+    unknowns: Unknowns, sums: Sums, state: np.ndarray, dtype: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Computes Gauss and Newton's step, the values' covariance, and the step's prior.
 
@@ -212,7 +214,8 @@ def _step(
     known, turn = np.linalg.eigh(root.T @ sums.normal @ root)
     known = np.maximum(known, 0)
     scatter = np.einsum("ij,ik,kj->j", turn, root.T @ sums.scatter @ root, turn)
-    part = np.maximum(known, _NEVER) / np.maximum(scatter, _SCATTER * known + _NEVER)
+    never = max(_NEVER, _ROUNDING * float(np.finfo(dtype).eps))
+    part = np.maximum(known, never) / np.maximum(scatter, _SCATTER * known + never)
     along = turn.T @ (root.T @ sums.right)
     off = turn.T @ np.linalg.solve(root, state - unknowns.start)
     whole = 1 + part * known

@@ -323,7 +323,8 @@ class Sensor(eqx.Module):
     @property
     def mean_pitch(self) -> float:
         """Returns the pitch of a square grid with as many electrodes on the sheet, m."""
-        return float(np.sqrt(self.area / self.electrode_count))
+        area = np.prod(np.asarray(self.size)) if self.flat else self.area
+        return float(np.sqrt(area / self.electrode_count))
 
     def all_grounds(self) -> np.ndarray:
         """Returns each electrode grounded once, in order: the paper's *All*.
