@@ -238,8 +238,9 @@ def test_replay_is_the_same_and_a_state_can_be_saved(step, scenes):
     one = jax.tree.map(lambda *a: np.stack(a), *outs)
     for name in ("ground", "flags"):
         np.testing.assert_array_equal(getattr(one, name), getattr(replayed, name))
-    # To rounding: what is compiled into a loop is ordered otherwise.
-    np.testing.assert_allclose(one.contacts.xy, replayed.contacts.xy, atol=2e-6)
+    # To rounding, which a processor's own code orders otherwise in a loop: after the lost
+    # slots few rows tell the place, and some 1e-4 of the pitch (2e-6 m) comes of it.
+    np.testing.assert_allclose(one.contacts.xy, replayed.contacts.xy, atol=2e-5)
     np.testing.assert_allclose(one.residual, replayed.residual, rtol=1e-2)
     # Sizes are of the order of 1 and hardly told: rounding moves them by some 1e-4.
     np.testing.assert_allclose(state.numbers, end.numbers, rtol=1e-2, atol=1e-3)
