@@ -2,11 +2,11 @@
 
     python tests/benchmarks/skins.py [--each 30] [--rigs 6] [--seed N] [--only SKIN ...]
 
-Eight skins beside a rectangle (`bench.skins`): their voltages come of quadratic elements on
-an unstructured mesh, on rigs with errors of the sheet, gains, places, paths and noise that no
-method is told. Scenes have one, two or three contacts, a bar or a letter; each is read from
-ten slots and from two. Places are judged in mean pitches, shapes by the overlap at the image's
-own half level. The default seed is for judging: no threshold was set on it. Making scenes
+Seven skins beside a rectangle (`bench.skins`): their voltages come of quadratic elements on
+an unstructured mesh, on rigs with errors of the sheet, gains, places, paths and noise that
+no method is told. Scenes have one, two or three contacts, a bar or a letter; each is read
+from ten slots and from two. Places are judged in mean pitches, shapes by the overlap where
+touch is likelier than not. The default seed is for judging: no threshold was set on it. Making scenes
 needs the packages triangle and shapely. Writes skins.json and skins.png.
 """
 
@@ -30,10 +30,10 @@ KINDS = ("one", "two", "three", "bar", "letter")
 def sensor_of(d: dict) -> Any:
     """The sensor that methods are told: nominal values."""
     import jax.numpy as jnp
-    from bench.skins import SURFACES
     from jax.tree_util import Partial
 
     import tomojax as tx
+    from bench.skins import SURFACES
 
     told: dict[str, Any] = {"dtype": np.float32}
     surface = SURFACES.get(d["surface"])
@@ -106,7 +106,8 @@ def judged(found: dict, scenes: Any, kind: str) -> dict:
     count, pitch = KINDS.index(kind) + 1, float(scenes["pitch"])
     right = found["count"][some] == count
     each = [
-        off(found["xy"][i][:count], scenes["places"][i][:count]) / pitch for i in some[right]
+        off(found["xy"][i][:count], scenes["places"][i][:count]) / pitch
+        for i in some[right]
     ]
     wrong = ~right
     wrong[right] = [bool((e > 0.5).any()) for e in each]

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 import shapely
+from shapely.ops import nearest_points
+
 from bench.rigs import draw_strokes, Strokes
 from bench.skins._peer import draw_errors, Peer
 from bench.skins._sheets import SURFACES
-from shapely.ops import nearest_points
 
 # Contacts' radii, m, and conductances, S; a stroke's width, m, and S/m².
 RADII, SIEMENS = (4e-3, 8e-3), (5e-6, 1e-4)
@@ -52,7 +53,11 @@ def draw_contacts(
             r, at = rng.uniform(*RADII), rng.uniform([0, 0], d["size"])
             point = shapely.Point(at)
             off_apex = d["surface"] != "cone" or np.linalg.norm(at - 0.08) > 2 * r
-            if sheet.contains(point) and sheet.boundary.distance(point) > r / 2 and off_apex:
+            if (
+                sheet.contains(point)
+                and sheet.boundary.distance(point) > r / 2
+                and off_apex
+            ):
                 out.append([*at, r, 10 ** rng.uniform(*np.log10(SIEMENS))])
         found = np.array(out)
         q = surface(found[:, :2]) if surface else found[:, :2]
