@@ -6,8 +6,8 @@ Seven skins beside a rectangle (`bench.skins`): their voltages come of quadratic
 an unstructured mesh, on rigs with errors of the sheet, gains, places, paths and noise that
 no method is told. Scenes have one, two or three contacts, a bar or a letter; each is read
 from ten slots and from two. Places are judged in mean pitches, shapes by the overlap where
-touch is likelier than not. The default seed is for judging: no threshold was set on it. Making scenes
-needs the packages triangle and shapely. Writes skins.json and skins.png.
+touch is likelier than not. The default seed is for judging: no threshold was set on it.
+Making scenes needs the packages triangle and shapely. Writes skins.json and skins.png.
 """
 
 import argparse

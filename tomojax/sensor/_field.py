@@ -73,9 +73,8 @@ def _told(
     """Puts what another code or a measurement tells in the place of nominal resistances."""
     if told is None:
         return ee, rows
-    more_ee, more = told.beside(
-        *(jnp.asarray(a, told.electrodes.dtype) for a in (ee, rows))
-    )
+    dtype = told.electrodes.dtype
+    more_ee, more = told.beside(jnp.asarray(ee, dtype), jnp.asarray(rows, dtype))
     return ee + np.asarray(more_ee), rows + np.asarray(more)
 
 
