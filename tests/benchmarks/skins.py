@@ -125,7 +125,7 @@ def measured(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
 
     rows = []
     for name, d in sheets().items():
-        if name not in (options.only or sheets()):
+        if options.only and name not in options.only:
             continue
         path = folder / f"{name}.npz"
         if not path.exists():
@@ -133,7 +133,7 @@ def measured(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
 
             make_scenes(name, d, folder, options.seed, options.each, options.rigs)
         scenes, sensor = dict(np.load(path)), sensor_of(d)
-        for method in METHODS:
+        for method in options.methods:
             kinds = KINDS[3:] if method == "shape" else KINDS[:3]
             some = np.isin(scenes["kinds"], kinds)
             part = scenes | {k: scenes[k][some] for k in ("kinds", "places", "masks")}
@@ -195,6 +195,7 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=6)
     parser.add_argument("--seed", type=int, default=1000400)
     parser.add_argument("--only", nargs="*")
+    parser.add_argument("--methods", nargs="*", default=METHODS, choices=METHODS)
     parser.add_argument("--scenes", type=Path, help="a folder of scenes, kept")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()

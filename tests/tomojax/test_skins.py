@@ -201,3 +201,22 @@ def test_a_sheet_that_another_code_tells(worn) -> None:
     assert np.abs(apart(table) - apart(nominal)).max() > 500
     with pytest.raises(ValueError, match="told: got resistances of electrodes alone"):
         tx.voltages(told, tx.Disc([0.03, 0.03], 0.006, 0.5))
+
+
+def test_no_peak_is_off_the_sheet(disc) -> None:
+    method = tx.method(disc, "source", grid=24)
+    outside = ~np.asarray(method.inside).ravel()
+    assert outside.any() and (np.asarray(method.basis)[:, outside] == 0).all()
+
+
+@pytest.mark.long
+def test_a_bar_on_a_round_skin_has_its_conductance_and_no_doubt(disc) -> None:
+    bar = tx.Bar([0.045, 0.055], 0.036, 0.014, 0.4, 0.3)
+    grounds = np.array([0, 3, 6, 9, 11, 15])
+    volts = np.float32(tx.voltages(disc, bar, grounds))
+    rows = tx.Batch(tx.method(disc, "shape", 32), contacts=2)(volts[None], grounds[None])
+    assert not rows.flags[0] & tx.Flag.PLACE_UNCERTAIN
+    np.testing.assert_allclose(
+        rows.contact_conductance[0, 0], 0.3 * 0.036 * 0.014, rtol=0.2
+    )
+    assert np.isnan(rows.touch[0]).any()

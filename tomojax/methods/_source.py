@@ -115,8 +115,10 @@ class Source(AbstractMethod):
         made = cls.from_maps(maps, shape, pixels.cell, length, noise, sign, grounded)
         if pixels.inside is None:
             return made
-        smoothed = jnp.where(pixels.inside.ravel(), made.smoothed, 0)
-        return replace(made, inside=pixels.inside, smoothed=smoothed)
+        # Rounding off the sheet, divided by its own spread, had peaks there.
+        there = pixels.inside.ravel()
+        basis, smoothed = (jnp.where(there, a, 0) for a in (made.basis, made.smoothed))
+        return replace(made, inside=pixels.inside, basis=basis, smoothed=smoothed)
 
     @classmethod
     def from_maps(

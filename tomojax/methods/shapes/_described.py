@@ -35,7 +35,7 @@ def described(
     model: AbstractShape, fitted: FittedShape, image: Float[Array, "nx ny"], count: int
 ) -> Estimate:
     """Reads each contact off a connected region that touches; sets the flags."""
-    touch = fitted.fit.touch.reshape(model.shape)
+    touch = model.touched(fitted.fit)
     doubt = (fitted.touch * (1 - fitted.touch)).sum()
     vague = doubt > _VAGUE * fitted.touch.sum()
     read = lambda carried: read_regions(  # noqa: E731

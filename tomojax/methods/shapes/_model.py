@@ -249,16 +249,25 @@ class AbstractShape(AbstractMethod):
         sure = spread(self.field, curvature, fit.w)
         if follow:
             fit = followed(self.field, self.fine, given, each, fit)
-        conductance = level * fit.touch.reshape(self.shape)
+        conductance = level * self.touched(fit)
         near = _NEXT * levels(conductance, self.cell, self.pitch)
         images = {
             "level": level,
             "conductance": conductance,
-            "touch": sure.touch.reshape(self.shape),
+            "touch": self.on_sheet(sure.touch),
             "deviation": level * sure.deviation.reshape(self.shape),
         }
         ahead = Before(fit.w, near, fit.cost)
         return self._judged(prepared.errors, voltages, fit, images, ahead)
+
+    def on_sheet(self, values: Float[Array, " pixels"]) -> Float[Array, "nx ny"]:
+        """Returns an image that is 0 off the sheet, where no voltage tells of the field."""
+        image = values.reshape(self.shape)
+        return image if self.inside is None else jnp.where(self.inside, image, 0)
+
+    def touched(self, fit: ShapeFit) -> Float[Array, "nx ny"]:
+        """Returns the part of each pixel that touches."""
+        return self.on_sheet(fit.touch)
 
     def _from(
         self, told: Told, before: Before, blurred: Float[Array, ""]
@@ -280,7 +289,7 @@ class AbstractShape(AbstractMethod):
                 lambda: (before.w, before.level),
             )
             fit = fine(w, level)
-            image = level * fit.touch.reshape(self.shape)
+            image = level * self.touched(fit)
             under = (image**2).sum() < _UNDER * (image * level).sum()
             worse = ~(fit.cost <= _MORE * before.cost) | under
             return Turn(fit, level, jnp.array(True), run.anew | ~worse)
