@@ -24,6 +24,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE)]
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "shape")
+RASTER = 160  # pixels of the longer side
 KINDS = ("one", "two", "three", "bar", "letter")
 
 
@@ -55,7 +56,7 @@ def answers(sensor: Any, name: str, volts: np.ndarray, grounds: np.ndarray) -> d
     import tomojax as tx
 
     if name == "follow":
-        step = tx.make_step(sensor, "follow", contacts=4)
+        step = tx.make_step(sensor, "follow", "all", contacts=4)
         replay = [step.replay(step.state, v, grounds)[1] for v in volts]
         last = [jax.tree.map(lambda a: np.asarray(a)[-1], out) for out in replay]
         return {
@@ -69,6 +70,13 @@ def answers(sensor: Any, name: str, volts: np.ndarray, grounds: np.ndarray) -> d
     rows = batch(volts, np.tile(grounds, (len(volts), 1)))
     found = {"count": rows.contact_count, "xy": rows.contact_xy, "flags": rows.flags}
     return found | ({"touch": np.asarray(rows.touch)} if shapes else {})
+
+
+def pixels(size: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
+    """The centres of a raster (n, 2), m, and its shape: shapes' overlap is told on it."""
+    shape = tuple(int(round(RASTER * s / max(size))) for s in size)
+    at = np.stack(np.indices(shape), -1).reshape(-1, 2) + 0.5
+    return at / shape * np.asarray(size), shape
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:

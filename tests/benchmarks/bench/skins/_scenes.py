@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import shapely
 from shapely.ops import nearest_points
+from skins import pixels
 
 from bench.rigs import draw_strokes, Strokes
 from bench.skins._peer import draw_errors, Peer
@@ -15,7 +16,6 @@ from bench.skins._sheets import SURFACES
 RADII, SIEMENS = (4e-3, 8e-3), (5e-6, 1e-4)
 STROKE, PER_AREA = 0.014, (0.05, 1.0)
 LETTERS = "ACEFHLSTU"
-RASTER = 160  # pixels of the longer side, that shapes' overlap is told on
 KINDS = ("one", "two", "three", "bar", "letter")
 
 
@@ -29,13 +29,6 @@ def spread(xy: np.ndarray, n: int, surface: Any) -> np.ndarray:
     while len(got) < n:
         got.append(int(apart[:, got].min(1).argmax()))
     return np.array(sorted(got))
-
-
-def pixels(size: Any) -> tuple[np.ndarray, tuple[int, int]]:
-    """The centres of the raster (n, 2), m, and its shape."""
-    shape = tuple(int(round(RASTER * s / max(size))) for s in size)
-    at = np.stack(np.indices(shape), -1).reshape(-1, 2) + 0.5
-    return at / shape * np.asarray(size), shape
 
 
 def _level(strokes: Strokes) -> Any:
