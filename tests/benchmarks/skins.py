@@ -36,7 +36,7 @@ def sensor_of(d: dict) -> Any:
     import tomojax as tx
     from bench.skins import SURFACES
 
-    told: dict[str, Any] = {"dtype": np.float32}
+    told: dict[str, Any] = {"dtype": d.get("dtype", np.float32)}
     surface = SURFACES.get(d["surface"])
     if surface is not None:
         told["surface"] = Partial(lambda p: surface(p, jnp))
