@@ -98,6 +98,29 @@ def overlap(touch: np.ndarray, mask: np.ndarray) -> float:
     return float((found & mask).sum() / max(1, (found | mask).sum()))
 
 
+def bounds(sensor: Any, places: np.ndarray, grounds: np.ndarray) -> float:
+    """The least deviation of a place that noise alone leaves (Cramér and Rao), m: median.
+
+    Of a contact of 6 mm and 20 µS at each place, of unknown radius and conductance.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    import tomojax as tx
+
+    def volts(told: Any) -> Any:
+        disc = tx.Disc.of_total(told[:2], 6e-3 * told[2], 2e-5 * told[3])
+        return tx.voltages(sensor, disc, grounds).ravel()
+
+    found = []
+    for place in places:
+        told = jnp.asarray([*place, 1.0, 1.0], sensor.dtype)
+        slopes = np.asarray(jax.jacfwd(volts)(told), float)
+        spread = np.linalg.inv(slopes.T @ slopes) * tx.sensor.nominal_noise(sensor) ** 2
+        found.append(np.sqrt(np.linalg.eigvalsh(spread[:2, :2])[-1]))
+    return float(np.median(found))
+
+
 def judged(found: dict, scenes: Any, kind: str) -> dict:
     """A row of figures of one kind of scene."""
     from bench.frontier import DOUBT
@@ -141,6 +164,11 @@ def measured(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
 
             make_scenes(name, d, folder, options.seed, options.each, options.rigs)
         scenes, sensor = dict(np.load(path)), sensor_of(d)
+        lone = scenes["places"][scenes["kinds"] == "one", 0]
+        for slots in (10, 2):
+            told = bounds(sensor, lone, scenes[f"grounds{slots}"]) / scenes["pitch"]
+            rows.append({"skin": name, "slots": slots, "bound": float(told)})
+            print(json.dumps(rows[-1]), flush=True)
         for method in options.methods:
             kinds = KINDS[3:] if method == "shape" else KINDS[:3]
             some = np.isin(scenes["kinds"], kinds)
@@ -161,6 +189,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
 
     from tomojax._pictures import plain, style
 
+    rows = [row for row in rows if "method" in row]
     names = list(dict.fromkeys(row["skin"] for row in rows))
     figure = Figure(figsize=(12, 1.6 + 0.5 * len(names)), layout="constrained")
     figure.suptitle("One to three contacts and shapes on skins of other outlines")

@@ -176,6 +176,8 @@ def sheets():
     out["hexagon"] = dict(
         outline=hexa, holes=[], xy=np.array(el), size=hexa.max(0).tolist()
     )
+    # The same round skin, read at its edge alone.
+    out["rim"] = dict(out["disc"], xy=out["disc"]["xy"][:16])
     cy = np.array([[0, 0], [CW, 0], [CW, 0.1], [0, 0.1]])
     out["cylinder"] = dict(
         outline=cy,
@@ -200,6 +202,7 @@ def sheets():
         d.setdefault("surface", None)
         kinds = {
             "disc": "disc",
+            "rim": "disc",
             "cone": "disc",
             "rectangle": "rectangle",
             "cylinder": "rectangle",
