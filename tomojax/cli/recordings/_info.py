@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from tomojax._require import naming
 from tomojax.cli.entry import (
     Command,
     InputFile,
@@ -55,10 +56,8 @@ def info(
         if known is not None:
             from tomojax.calibration import still_fits
 
-            try:
+            with naming(calibration):
                 fit = still_fits(recording, known)
-            except ValueError as error:
-                raise ValueError(f"{calibration}: {error}") from None
     print(info.text(rec, summary, rows))
     if fit is not None:
         from tomojax.calibration import fit_text

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import naming
 from tomojax.cli.entry import (
     Command,
     InputFile,
@@ -101,11 +102,8 @@ def _check_stretch(results: Path, since: float | None, until: float | None) -> N
     from tomojax._stretch import stretch_of
     from tomojax.results.loading import LoadedResults
 
-    with LoadedResults(results) as file:
-        try:
-            stretch_of(file.read("t"), since, until)
-        except ValueError as error:
-            raise ValueError(f"{results}: {error}") from None
+    with LoadedResults(results) as file, naming(results):
+        stretch_of(file.read("t"), since, until)
 
 
 def _track_of(results: Path) -> Path:

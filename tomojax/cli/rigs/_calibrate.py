@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from tomojax._require import naming
 from tomojax.cli.entry import (
     Command,
     InputFile,
@@ -78,13 +79,10 @@ def calibrate(
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
         older = Calibration.load(before, recording.electrodes) if before else None
-        with Progress() as progress:
-            try:
-                found = room.calibrated_recording(
-                    recording, told, frames, calibration=older, progress=progress.say
-                )
-            except ValueError as error:
-                raise ValueError(f"{rec}: {error}") from None
+        with Progress() as progress, naming(rec):
+            found = room.calibrated_recording(
+                recording, told, frames, calibration=older, progress=progress.say
+            )
     found.calibration.save(out)
     print(room.text(sensor, found))
     print(f"calibration: {out}")

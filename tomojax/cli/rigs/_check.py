@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import naming
 from tomojax.cli.entry import (
     AMOUNT,
     Command,
@@ -137,11 +138,8 @@ def check(
             _same_sensor(path, recording, like)
         from tomojax import bringup  # imports JAX, without which a bad file is told
 
-        with Progress() as progress:
-            try:
-                found = bringup.check(recording, corners, progress=progress.say)
-            except ValueError as error:
-                raise ValueError(f"{path}: {error}") from None
+        with Progress() as progress, naming(path):
+            found = bringup.check(recording, corners, progress=progress.say)
     print(bringup.text(found))
     if write:
         bringup.write_order(found, write)

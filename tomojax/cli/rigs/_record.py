@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import naming
 from tomojax.cli.entry import (
     check_name,
     Command,
@@ -83,11 +84,8 @@ def _calibrated(rec: Path, made: Path) -> None:
 
     print("calibrating: one to two minutes the first time …", file=sys.stderr)
     with open_recording(rec) as recording:
-        with Progress() as progress:
-            try:
-                found = calibrated_recording(recording, progress=progress.say)
-            except ValueError as error:
-                raise ValueError(f"{rec}: {error}") from None
+        with Progress() as progress, naming(rec):
+            found = calibrated_recording(recording, progress=progress.say)
         print(text(recording.rig.sensor(), found))
     found.calibration.save(made)
     print(f"calibration: {made}")
