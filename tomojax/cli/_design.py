@@ -43,9 +43,7 @@ _MAP = 32
     multiple=True,
     help="Design for a contact at X Y, mm. May be repeated.",
 )
-@click.option(
-    "--slots", type=int, default=8, show_default=True, help="Ground so many electrodes."
-)
+@click.option("--slots", type=int, default=8, help="Ground so many electrodes.")
 @click.option(
     "--grounds",
     metavar="E,E,…",
@@ -55,7 +53,6 @@ _MAP = 32
     "--method",
     type=click.Choice(["points", "linear", "source"]),
     default="points",
-    show_default=True,
     help="Choose the grounds for this method.",
 )
 @click.option(
@@ -72,7 +69,6 @@ _MAP = 32
     "--contacts",
     type=int,
     default=64,
-    show_default=True,
     help="Spread this many contacts over the region.",
 )
 @like_option

@@ -1,6 +1,7 @@
 """`tomojax info`: prints what a recording holds, and its faults."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,7 +14,7 @@ from tomojax.cli.entry import (
     stretch_options,
     write_report,
 )
-from tomojax.cli.recordings._opened import layout_option, opened
+from tomojax.cli.recordings._opened import layout_option, opened, stretch
 
 
 @click.command(cls=Command)
@@ -27,12 +28,7 @@ from tomojax.cli.recordings._opened import layout_option, opened
 @layout_option
 @stretch_options
 def info(
-    rec: Path,
-    calibration: Path | None,
-    json_path: Path | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
+    rec: Path, calibration: Path | None, json_path: Path | None, **options: Any
 ) -> None:
     """Print what the recording REC holds, and its faults.
 
@@ -41,8 +37,8 @@ def info(
     from tomojax.bringup.signs import find_signs
     from tomojax.recordings import info
 
-    known = None
-    with opened(rec, layout, since, until) as recording:
+    known = fit = None
+    with opened(rec, **stretch(options)) as recording:
         if calibration is not None:
             from tomojax.sensor import Calibration  # imports JAX: REC alone needs none
 
@@ -52,7 +48,6 @@ def info(
             rows = info.faults(recording, progress)
         signs = find_signs(recording)
         rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
-        fit = None
         if known is not None:
             from tomojax.calibration import still_fits
 

@@ -14,7 +14,7 @@ from tomojax._whole import whole
 from tomojax.cli.compiled import compiling
 from tomojax.cli.entry import interrupts, Progress, STOPPED, write_report
 from tomojax.cli.recordings._one import COMPILING, settings_of
-from tomojax.cli.recordings._opened import opened
+from tomojax.cli.recordings._opened import opened, stretch
 
 # What recordings are called.
 _TABLES = (".csv", ".tsv", ".txt")
@@ -156,15 +156,9 @@ def _reconstruct(
 
     if not rec.is_file():
         raise ValueError(f"{rec}: no such file")
-    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
-        reconstruct_recording(
-            recording,
-            place,
-            settings,
-            resume=options["resume"],
-            overwrite=options["overwrite"],
-            progress=progress,
-        )
+    with opened(rec, **stretch(options)) as recording:
+        given = {name: options[name] for name in ("resume", "overwrite")}
+        reconstruct_recording(recording, place, settings, **given, progress=progress)
 
 
 def _begun(place: Path) -> bool:

@@ -5,7 +5,7 @@ from typing import Any
 
 from tomojax.cli.compiled import Compiling, compiling
 from tomojax.cli.entry import interrupts, Progress, save_picture, write_report
-from tomojax.cli.recordings._opened import opened
+from tomojax.cli.recordings._opened import opened, stretch
 
 # Said as the first program begins.
 COMPILING = (
@@ -47,7 +47,7 @@ def settings_of(options: dict[str, Any]) -> Any:
 
 def reconstruct_one(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """Makes the results of a recording, and tells of them."""
-    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
+    with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
         share, compiled = _reconstructed(recording, out, settings_of(options), options)
     _tell(out, share, compiled, options)
@@ -64,15 +64,9 @@ def _reconstructed(
     with Progress("reconstruct", "chunks") as progress, interrupts():
         begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
         with compiling(progress.say, begun) as compiled:
-            reconstruct_recording(
-                recording,
-                out,
-                settings,
-                resume=options["resume"],
-                overwrite=options["overwrite"],
-                share=share,
-                progress=progress,
-            )
+            given = {name: options[name] for name in ("resume", "overwrite")}
+            told = {"share": share, "progress": progress}
+            reconstruct_recording(recording, out, settings, **given, **told)
     distributed.leave(share, out)
     return share, compiled
 

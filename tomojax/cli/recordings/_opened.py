@@ -28,6 +28,11 @@ layout_option = click.option(
 )
 
 
+def stretch(options: dict[str, Any]) -> dict[str, Any]:
+    """Picks the options of `opened` among a command's."""
+    return {name: options[name] for name in ("layout", "since", "until")}
+
+
 def opened(
     rec: Path, layout: dict, since: float | None = None, until: float | None = None
 ) -> Any:

@@ -64,7 +64,6 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--lam",
     default="auto",
-    show_default=True,
     callback=_lam,
     help="Regularisation weight λ, or auto.",
 )
@@ -75,7 +74,6 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     "--contacts",
     type=int,
     default=4,
-    show_default=True,
     help="Find this many contacts per row at most.",
 )
 @click.option(
@@ -87,7 +85,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--tare/--no-tare",
     default=True,
-    help="Take channels' zeros from contact-free slots, if there are any. [default: tare]",
+    help="Take channels' zeros from contact-free slots, if there are any.",
 )
 @click.option(
     "--adapt",

@@ -84,18 +84,11 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     type=COUNT,
     default=1,
     help="Make one scan of so many, as of a rig's single slots: 64 after `record "
-    "--pattern all`. [default: 1]",
+    "--pattern all`.",
 )
 @stretch_options
 def repair(
-    rec: Path,
-    out: Path,
-    header: dict,
-    scans: Any,
-    order: Path | None,
-    join: int,
-    since: float | None,
-    until: float | None,
+    rec: Path, out: Path, scans: Any, order: Path | None, join: int, **options: Any
 ) -> None:
     """Write the recording REC as it should have been.
 
@@ -113,13 +106,14 @@ def repair(
         raise ValueError(f"{order}: got {unknown[0]}, expected channels and grounds")
     if rec.suffix.lower() == ".tdms":
         raise ValueError(f"{rec}: got TDMS, expected a recording in HDF5")
-    if scans is not None and (since is not None or until is not None):
+    part = options["since"], options["until"]
+    if scans is not None and part != (None, None):
         raise ValueError("--scans: got --from or --to as well, expected one of them")
     with (
-        open_recording(rec, header=header) as recording,
+        open_recording(rec, header=options["header"]) as recording,
         Progress("repair", "scans") as progress,
     ):
-        scans = scans or between(recording, since, until).stretch
+        scans = scans or between(recording, *part).stretch
         given = order_of.get("channels"), order_of.get("grounds")
         repair_recording(recording, out, scans, *given, join, progress)  # pyright: ignore
         told = recording.mended

@@ -72,7 +72,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
 @click.option(
     "--task",
     default="touch",
-    help="Say in words what lerobot's episodes show. [default: touch]",
+    help="Say in words what lerobot's episodes show.",
 )
 @click.option("--slow", type=NUMBER, help="Slow a film down this many times. [default: 1]")
 @click.option(

@@ -44,27 +44,23 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
 @click.option(
     "--smooth/--filter",
     default=True,
-    show_default=True,
     help="Use later rows as well as earlier rows, or earlier rows alone.",
 )
 @click.option(
     "--hold",
     type=int,
     default=3,
-    show_default=True,
     help="Keep a contact that is missing from up to this many rows.",
 )
 @click.option(
     "--least",
     type=int,
     default=3,
-    show_default=True,
     help="Drop a contact that fewer rows than this show.",
 )
 @click.option(
     "--drift",
     default="auto",
-    show_default=True,
     callback=_drift,
     help="How much place (m) and ln g (conductance) change per row, as standard "
     "deviations M,LN_G, or auto. 0,0 stands still.",

@@ -1,6 +1,7 @@
 """`tomojax calibrate`: finds out what a rig really is from a rub."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -16,7 +17,7 @@ from tomojax.cli.entry import (
     stretch_options,
     write_report,
 )
-from tomojax.cli.recordings import layout_option, opened
+from tomojax.cli.recordings import layout_option, opened, stretch
 
 
 @click.command(cls=Command)
@@ -35,7 +36,6 @@ from tomojax.cli.recordings import layout_option, opened
     "--frames",
     type=int,
     default=1000,
-    show_default=True,
     help="Use this many frames of ten slots at most.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
@@ -44,17 +44,7 @@ from tomojax.cli.recordings import layout_option, opened
 @layout_option
 @stretch_options
 def calibrate(
-    rec: Path,
-    places: Path | None,
-    out: Path,
-    before: Path | None,
-    frames: int,
-    overwrite: bool,
-    picture: Path | None,
-    json_path: Path | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
+    rec: Path, places: Path | None, out: Path, frames: int, **options: Any
 ) -> None:
     """Calibrate the rig from REC, a recording of a rub.
 
@@ -66,18 +56,19 @@ def calibrate(
     is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
     uses the result.
     """
-    if out.exists() and not overwrite:
+    if out.exists() and not options["overwrite"]:
         raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
     if frames < 16:
         raise ValueError(f"frames: got {frames}, expected 16 or more")
 
-    with opened(rec, layout, since, until) as recording:
+    with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
         from tomojax import calibration as room
         from tomojax.sensor import Calibration
 
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
+        before = options["before"]
         older = Calibration.load(before, recording.electrodes) if before else None
         with Progress() as progress, naming(rec):
             found = room.calibrated_recording(
@@ -86,10 +77,10 @@ def calibrate(
     found.calibration.save(out)
     print(room.text(sensor, found))
     print(f"calibration: {out}")
-    if picture:
-        save_picture(room.picture(sensor, found), picture)
+    if options["picture"]:
+        save_picture(room.picture(sensor, found), options["picture"])
     row = room.summary(sensor, found)
-    write_report(json_path, rows=[row], summary=row)
+    write_report(options["json_path"], rows=[row], summary=row)
 
 
 def _calibration_of(rec: Path) -> Path:

@@ -34,13 +34,11 @@ _COMPILING = (
 @click.option(
     "--method",
     default="follow",
-    show_default=True,
     help="Find contacts by this method: follow, or one that sees each slot alone.",
 )
 @click.option(
     "--policy",
     default="around_contacts",
-    show_default=True,
     help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
     "electrodes as 0,7,14, or a table of `tomojax design --policy`.",
 )
@@ -52,7 +50,6 @@ _COMPILING = (
     "--contacts",
     type=COUNT,
     default=2,
-    show_default=True,
     help="Find this many contacts at most.",
 )
 @calibration_option

@@ -70,7 +70,6 @@ session_options = grouped(
         "--view",
         type=click.Choice(["terminal", "web", "rerun", "none"]),
         default="terminal",
-        show_default=True,
         help="Show the session here: in the terminal, a browser (web), Rerun, or not.",
     ),
     click.option(
@@ -88,7 +87,6 @@ session_options = grouped(
         "--file-seconds",
         type=AMOUNT,
         default=3600.0,
-        show_default=True,
         help="Begin a new file of the recording after this time, s.",
     ),
     wire_options,

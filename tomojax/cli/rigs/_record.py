@@ -31,7 +31,6 @@ from tomojax.cli.rigs._session import session
 @click.option(
     "--pattern",
     default="all",
-    show_default=True,
     help="Ground these electrodes in turn, over and over: a pattern's name (all, boundary, "
     "edge, v_line, random_16, random_8), or electrodes as 0,7,14.",
 )
