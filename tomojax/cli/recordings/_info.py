@@ -6,27 +6,20 @@ from typing import Any
 import click
 
 from tomojax._require import naming
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    Progress,
-    stretch_options,
-    write_report,
-)
+from tomojax.cli import entry
 from tomojax.cli.recordings._opened import layout_option, opened, stretch
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
 @click.option(
     "--calibration",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Say how old this calibration is, and whether REC still fits it.",
 )
-@json_option("the faults and a summary")
+@entry.json_option("the faults and a summary")
 @layout_option
-@stretch_options
+@entry.stretch_options
 def info(
     rec: Path, calibration: Path | None, json_path: Path | None, **options: Any
 ) -> None:
@@ -44,7 +37,7 @@ def info(
 
             known = Calibration.load(calibration, recording.electrodes)
         summary = info.summary(recording)
-        with Progress("info", "chunks") as progress:
+        with entry.Progress("info", "chunks") as progress:
             rows = info.faults(recording, progress)
         signs = find_signs(recording)
         rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
@@ -59,4 +52,4 @@ def info(
 
         print(fit_text(fit))
         summary["calibration"] = {"file": str(calibration), **fit}
-    write_report(json_path, rows=rows, summary=summary)
+    entry.write_report(json_path, rows=rows, summary=summary)

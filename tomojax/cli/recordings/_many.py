@@ -11,8 +11,8 @@ from typing import Any
 
 from tomojax._require import require
 from tomojax._whole import whole
+from tomojax.cli import entry
 from tomojax.cli.compiled import compiling
-from tomojax.cli.entry import interrupts, Progress, STOPPED, write_report
 from tomojax.cli.recordings._one import COMPILING, settings_of
 from tomojax.cli.recordings._opened import opened, stretch
 
@@ -58,7 +58,7 @@ def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -
     rows, wrong = _rows(places, out, options, settings_of(options))
     print(text(rows, wrong, out))
     summary = {"recordings": len(rows), "done": len(rows) - wrong}
-    write_report(options["json_path"], rows=rows, summary=summary)
+    entry.write_report(options["json_path"], rows=rows, summary=summary)
     if wrong:
         raise SystemExit(2)
 
@@ -124,7 +124,7 @@ def _rows(
         raise ValueError(f"{out}: got results of {len(there)} already, expected {mend}")
     out.mkdir(exist_ok=True)
     rows, wrong = [], 0
-    with Progress(unit="chunks") as progress, interrupts():
+    with entry.Progress(unit="chunks") as progress, entry.interrupts():
         begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
         with compiling(begun=begun):
             for number, (rec, place) in enumerate(places.items(), 1):
@@ -138,7 +138,7 @@ def _rows(
                     done = f"{number - 1 - wrong} of {len(places)}"
                     told = f"tomojax: stopped after {done}; --resume goes on in {out}"
                     print(f"\n{told}", file=sys.stderr)
-                    raise SystemExit(STOPPED) from None
+                    raise SystemExit(entry.STOPPED) from None
                 except (OSError, ValueError) as error:
                     wrong += 1
                     row["status"] = " ".join(str(error).splitlines())
@@ -150,7 +150,7 @@ def _rows(
 
 
 def _reconstruct(
-    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: Progress
+    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: entry.Progress
 ) -> None:
     from tomojax.results import reconstruct_recording
 

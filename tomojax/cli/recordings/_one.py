@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from tomojax.cli import entry
 from tomojax.cli.compiled import Compiling, compiling
-from tomojax.cli.entry import interrupts, Progress, save_picture, write_report
 from tomojax.cli.recordings._opened import opened, stretch
 
 # Said as the first program begins.
@@ -61,7 +61,7 @@ def _reconstructed(
 
     given = [options[n] for n in ("coordinator", "processes", "process")]
     share = distributed.join(*given, out=out, resume=options["resume"])
-    with Progress("reconstruct", "chunks") as progress, interrupts():
+    with entry.Progress("reconstruct", "chunks") as progress, entry.interrupts():
         begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
         with compiling(progress.say, begun) as compiled:
             given = {name: options[name] for name in ("resume", "overwrite")}
@@ -84,11 +84,11 @@ def _tell(
         return
     summary = report.summary(out)
     print(report.text(summary, out))
-    write_report(options["json_path"], rows=summary.pop("rows"), summary=summary)
+    entry.write_report(options["json_path"], rows=summary.pop("rows"), summary=summary)
     if options["outlines"]:
         count = write_outlines(out, options["outlines"])
         print(f"outlines: {count} in {options['outlines']}")
     if options["picture"]:
         from tomojax.results.plots import timeline
 
-        save_picture(timeline(out), options["picture"])
+        entry.save_picture(timeline(out), options["picture"])

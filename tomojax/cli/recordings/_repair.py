@@ -5,14 +5,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    COUNT,
-    InputFile,
-    OutputFile,
-    Progress,
-    stretch_options,
-)
+from tomojax.cli import entry
 
 _NAMES = (
     "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
@@ -50,12 +43,12 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     return first, last
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("recording"),
+    type=entry.OutputFile("recording"),
     required=True,
     help="Write the repaired recording here, a new file.",
 )
@@ -76,17 +69,17 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
 )
 @click.option(
     "--order",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Put channels and grounds in the order of this file of `tomojax check --write`.",
 )
 @click.option(
     "--join",
-    type=COUNT,
+    type=entry.COUNT,
     default=1,
     help="Make one scan of so many, as of a rig's single slots: 64 after `record "
     "--pattern all`.",
 )
-@stretch_options
+@entry.stretch_options
 def repair(
     rec: Path, out: Path, scans: Any, order: Path | None, join: int, **options: Any
 ) -> None:
@@ -111,7 +104,7 @@ def repair(
         raise ValueError("--scans: got --from or --to as well, expected one of them")
     with (
         open_recording(rec, header=options["header"]) as recording,
-        Progress("repair", "scans") as progress,
+        entry.Progress("repair", "scans") as progress,
     ):
         scans = scans or between(recording, *part).stretch
         given = order_of.get("channels"), order_of.get("grounds")

@@ -7,16 +7,7 @@ from typing import Any
 import click
 
 from tomojax._require import naming
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    save_picture,
-    stretch_options,
-    write_report,
-)
+from tomojax.cli import entry
 
 
 def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
@@ -33,12 +24,12 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     return place, height
 
 
-@click.command(cls=Command)
-@click.argument("results", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("results", type=entry.InputFile())
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("results", lambda given: _track_of(given["results"])),
+    type=entry.OutputFile("results", lambda given: _track_of(given["results"])),
     help="Write the tracks here. [default: RESULTS.track.h5]",
 )
 @click.option(
@@ -66,9 +57,9 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     "deviations M,LN_G, or auto. 0,0 stands still.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
-@picture_option("the contacts' paths")
-@json_option("the contacts")
-@stretch_options
+@entry.picture_option("the contacts' paths")
+@entry.json_option("the contacts")
+@entry.stretch_options
 def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS over time.
 
@@ -85,9 +76,9 @@ def track(results: Path, out: Path, **options: Any) -> None:
     print(work.text(found))
     print(f"tracks: {out}")
     rows = [touch._asdict() for touch in found]
-    write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})
+    entry.write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})
     if options["picture"]:
-        save_picture(work.picture(results, out), options["picture"])
+        entry.save_picture(work.picture(results, out), options["picture"])
 
 
 def _check_stretch(results: Path, since: float | None, until: float | None) -> None:

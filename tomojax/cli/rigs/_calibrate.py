@@ -6,31 +6,21 @@ from typing import Any
 import click
 
 from tomojax._require import naming
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    Progress,
-    save_picture,
-    stretch_options,
-    write_report,
-)
+from tomojax.cli import entry
 from tomojax.cli.recordings import layout_option, opened, stretch
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
-@click.argument("places", type=InputFile(), required=False)
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
+@click.argument("places", type=entry.InputFile(), required=False)
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
+    type=entry.OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
     help="Write the calibration here. [default: REC.calibration.json]",
 )
 @click.option(
-    "--older", "before", type=InputFile(), help="Begin with this older calibration."
+    "--older", "before", type=entry.InputFile(), help="Begin with this older calibration."
 )
 @click.option(
     "--frames",
@@ -39,10 +29,10 @@ from tomojax.cli.recordings import layout_option, opened, stretch
     help="Use this many frames of ten slots at most.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
-@picture_option("the sheet and electrodes")
-@json_option("the printed figures")
+@entry.picture_option("the sheet and electrodes")
+@entry.json_option("the printed figures")
 @layout_option
-@stretch_options
+@entry.stretch_options
 def calibrate(
     rec: Path, places: Path | None, out: Path, frames: int, **options: Any
 ) -> None:
@@ -70,7 +60,7 @@ def calibrate(
         told = room.read_places(places) if places else None
         before = options["before"]
         older = Calibration.load(before, recording.electrodes) if before else None
-        with Progress() as progress, naming(rec):
+        with entry.Progress() as progress, naming(rec):
             found = room.calibrated_recording(
                 recording, told, frames, calibration=older, progress=progress.say
             )
@@ -78,9 +68,9 @@ def calibrate(
     print(room.text(sensor, found))
     print(f"calibration: {out}")
     if options["picture"]:
-        save_picture(room.picture(sensor, found), options["picture"])
+        entry.save_picture(room.picture(sensor, found), options["picture"])
     row = room.summary(sensor, found)
-    write_report(options["json_path"], rows=[row], summary=row)
+    entry.write_report(options["json_path"], rows=[row], summary=row)
 
 
 def _calibration_of(rec: Path) -> Path:

@@ -9,19 +9,7 @@ from typing import Any
 import click
 
 from tomojax._require import naming
-from tomojax.cli.entry import (
-    AMOUNT,
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    Progress,
-    save_picture,
-    stretch_options,
-    wire_options,
-    write_report,
-)
+from tomojax.cli import entry
 from tomojax.cli.recordings import layout_option, opened, stretch
 from tomojax.cli.rigs._session import session
 
@@ -47,7 +35,7 @@ class _Corners(click.ParamType):
         return int(parts[0]), int(parts[1])
 
 
-@click.command(cls=Command)
+@click.command(cls=entry.Command)
 @click.argument("source", metavar="SOURCE|REC")
 @click.option(
     "--corners",
@@ -60,39 +48,41 @@ class _Corners(click.ParamType):
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("recording"),
+    type=entry.OutputFile("recording"),
     help="Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
 )
 @click.option(
     "--write",
-    type=OutputFile("order"),
+    type=entry.OutputFile("order"),
     help="Write the corrected order of wires here, for --config of `tomojax live`; "
     "replaces an earlier order.",
 )
-@picture_option("the sheet and its faults")
-@json_option("the faults")
-@click.option("--like", type=InputFile(), help="Expect as many channels as this recording.")
+@entry.picture_option("the sheet and its faults")
+@entry.json_option("the faults")
+@click.option(
+    "--like", type=entry.InputFile(), help="Expect as many channels as this recording."
+)
 @click.option(
     "--quiet",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=4.0,
     help="Record SOURCE untouched for this time, s.",
 )
 @click.option(
     "--rub",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=20.0,
     help="Record a rub on SOURCE for this time, s.",
 )
 @click.option(
     "--touch",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=3.0,
     help="Record each touch on SOURCE for this time, s.",
 )
-@wire_options
+@entry.wire_options
 @layout_option
-@stretch_options
+@entry.stretch_options
 def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
     """Check a new rig: wires, grounds, noise, places and sheet.
 
@@ -121,15 +111,15 @@ def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
             _same_sensor(path, recording, like)
         from tomojax import bringup  # imports JAX, without which a bad file is told
 
-        with Progress() as progress, naming(path):
+        with entry.Progress() as progress, naming(path):
             found = bringup.check(recording, corners, progress=progress.say)
     print(bringup.text(found))
     if write := options["write"]:
         bringup.write_order(found, write)
         print(f"order of channels and grounds: {write}; use it with --config {write}")
     if options["picture"]:
-        save_picture(bringup.picture(found), options["picture"])
-    write_report(options["json_path"], **bringup.summary(found))
+        entry.save_picture(bringup.picture(found), options["picture"])
+    entry.write_report(options["json_path"], **bringup.summary(found))
     return 1 if found.faults else 0
 
 
