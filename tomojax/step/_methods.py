@@ -9,17 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts import (
-    Candidates,
-    follow,
-    Followed,
-    hardly_told,
-    Noise,
-    nothing_followed,
-    radius_of,
-    Sheet,
-    tangents,
-)
+from tomojax.kernels import contacts as model
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
 from tomojax.methods import (
@@ -99,8 +89,8 @@ class Follow(AbstractStepMethod):
 
     count: int = eqx.field(static=True)
     points: Points
-    candidates: Candidates
-    errors: Noise
+    candidates: model.Candidates
+    errors: model.Noise
     slot_time: Float[Array, ""]  # s
 
     @classmethod
@@ -129,13 +119,13 @@ class Follow(AbstractStepMethod):
     def noise(self) -> Float[Array, ""]:
         return self.errors.converter
 
-    def first(self) -> Followed:
-        return nothing_followed(self.points.sheet.field.size, self.count)
+    def first(self) -> model.Followed:
+        return model.nothing_followed(self.points.sheet.field.size, self.count)
 
-    def __call__(self, memory: Followed, read: Read) -> tuple[Followed, Told]:
+    def __call__(self, memory: model.Followed, read: Read) -> tuple[model.Followed, Told]:
         sheet, voltages, ground = self.points.sheet, read.voltages, read.ground
         elapsed = read.elapsed * self.slot_time
-        now, rest = follow(
+        now, rest = model.follow(
             sheet,
             self.candidates,
             memory,
@@ -148,7 +138,7 @@ class Follow(AbstractStepMethod):
         used = read.used & ~sheet.slots.grounded(ground)
         residual = rms(rest, used)
         high = residual > _LIMIT * rms(centred(voltages, used), used) + 2 * self.noise
-        radius = radius_of(sheet, now.size)
+        radius = model.radius_of(sheet, now.size)
         unusual = jnp.maximum(1, now.left / _LEFT)
         c = unusual * (_FILTERED * now.covariance + _SHARED * now.alone) * sheet.unit**2
         found = Contacts(
@@ -161,7 +151,9 @@ class Follow(AbstractStepMethod):
             covariance=jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1),
         )
         faint = (jnp.abs(voltages).max() < _FAINT * self.noise) & now.there.any()
-        vague = now.there & hardly_told(sheet, now.conductance, now.covariance[:, 2, 2])
+        vague = now.there & model.hardly_told(
+            sheet, now.conductance, now.covariance[:, 2, 2]
+        )
         flags = bits_of(
             (faint, Flag.PLACE_UNCERTAIN),
             (vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
@@ -169,13 +161,13 @@ class Follow(AbstractStepMethod):
         )
         return now, Told(strongest_first(found, now.there), residual, flags)
 
-    def image(self, memory: Followed, slot: Slot) -> Float[Array, "nx ny"]:
+    def image(self, memory: model.Followed, slot: Slot) -> Float[Array, "nx ny"]:
         none = jnp.zeros_like(memory.place)
         return points_image(
             memory.place,
             none,
             none[:, 0],
-            radius_of(self.points.sheet, memory.size),
+            model.radius_of(self.points.sheet, memory.size),
             jnp.where(memory.there, memory.current, 0),
             self.points.cell,
             self.points.shape,
@@ -183,12 +175,12 @@ class Follow(AbstractStepMethod):
 
 
 @jax.jit
-def _candidates(sheet: Sheet, places: Float[Array, "K 2"]) -> Candidates:
+def _candidates(sheet: model.Sheet, places: Float[Array, "K 2"]) -> model.Candidates:
     """Computes the voltages of usual contacts at these places."""
     none = jnp.zeros((), places.dtype)
-    tangent = jax.vmap(tangents, (None, 0, None))(sheet, places, none)
+    tangent = jax.vmap(model.tangents, (None, 0, None))(sheet, places, none)
     potential = tangent[:, 0]
-    return Candidates(places, potential, potential**2, tangent)
+    return model.Candidates(places, potential, potential**2, tangent)
 
 
 class EachSlot(AbstractStepMethod):
