@@ -11,7 +11,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
+from tomojax.kernels.images import (
+    Contacts,
+    no_contacts,
+    points_image,
+    Spots,
+    strongest_first,
+)
 from tomojax.methods import (
     AbstractMethod,
     bits_of,
@@ -163,15 +169,10 @@ class Follow(AbstractStepMethod):
 
     def image(self, memory: model.Followed, slot: Slot) -> Float[Array, "nx ny"]:
         none = jnp.zeros_like(memory.place)
-        return points_image(
-            memory.place,
-            none,
-            none[:, 0],
-            model.radius_of(self.points.sheet, memory.size),
-            jnp.where(memory.there, memory.current, 0),
-            self.points.cell,
-            self.points.shape,
-        )
+        radius = model.radius_of(self.points.sheet, memory.size)
+        current = jnp.where(memory.there, memory.current, 0)
+        spots = Spots(memory.place, none, none[:, 0], radius, current)
+        return points_image(spots, self.points.cell, self.points.shape)
 
 
 @jax.jit
