@@ -51,7 +51,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
         }
 
         def put(topic: str, t: float, message: dict[str, Any]) -> None:
-            stamp = _nanoseconds(t)
+            stamp = round(t * 1e9)  # ns
             seconds, rest = divmod(stamp, 10**9)
             head = {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": _FRAME}
             told = {"header": head, **message}
@@ -68,10 +68,6 @@ def write(source: Source, out: Path, progress: Progress) -> None:
         for event in source.events():
             put("events", event.t, _event(event))
         writer.finish()
-
-
-def _nanoseconds(t: float) -> int:
-    return round(t * 1e9)
 
 
 def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str, Any]]]:

@@ -48,10 +48,9 @@ def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -
     **Raises:** `SystemExit` if a recording failed.
     """
     for name in ("picture", "outlines", "coordinator", "processes", "process"):
-        if options[name] is not None:
-            raise ValueError(f"--{name}: got several recordings, expected one")
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"--out: {out}: got a file, expected a folder for several")
+        require(options[name] is None, f"--{name}", "several recordings", "one")
+    fits = out.is_dir() or not out.exists()
+    require(fits, f"--out: {out}", "a file", "a folder for several")
     if not out.absolute().parent.is_dir():
         raise ValueError(f"{out}: no such folder; make it, or give another")
     places = places_of(found_in(given), out)
@@ -118,10 +117,12 @@ def _rows(
     Returns the rows of the table, and how many recordings failed. The table is written anew
     after each recording.
     """
-    there = [place for place in places.values() if place.exists() or _begun(place)]
-    if there and not (options["resume"] or options["overwrite"]):
-        mend = "--resume to go on, --overwrite, or another folder"
-        raise ValueError(f"{out}: got results of {len(there)} already, expected {mend}")
+    from tomojax.results import partial_path
+
+    there = [one for one in places.values() if one.exists() or partial_path(one).exists()]
+    asked = not there or options["resume"] or options["overwrite"]
+    mend = "--resume to go on, --overwrite, or another folder"
+    require(asked, f"{out}", f"results of {len(there)} already", mend)
     out.mkdir(exist_ok=True)
     rows, wrong = [], 0
     with entry.Progress(unit="chunks") as progress, entry.interrupts():
@@ -159,10 +160,6 @@ def _reconstruct(
     with opened(rec, **stretch(options)) as recording:
         given = {name: options[name] for name in ("resume", "overwrite")}
         reconstruct_recording(recording, place, settings, **given, progress=progress)
-
-
-def _begun(place: Path) -> bool:
-    return place.with_name(place.name + ".partial").exists()
 
 
 def _counted(place: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import require
 from tomojax.cli import entry
 
 _NAMES = (
@@ -95,13 +96,12 @@ def repair(
         raise ValueError(f"{out}: is there; give another name")
     order_of = {} if order is None else read_toml(order, "no order of channels")
     unknown = sorted(order_of.keys() - {"channels", "grounds"})
-    if unknown:
-        raise ValueError(f"{order}: got {unknown[0]}, expected channels and grounds")
-    if rec.suffix.lower() == ".tdms":
-        raise ValueError(f"{rec}: got TDMS, expected a recording in HDF5")
+    require(not unknown, f"{order}", ", ".join(unknown[:1]), "channels and grounds")
+    hdf5 = rec.suffix.lower() != ".tdms"
+    require(hdf5, f"{rec}", "TDMS", "a recording in HDF5")
     part = options["since"], options["until"]
-    if scans is not None and part != (None, None):
-        raise ValueError("--scans: got --from or --to as well, expected one of them")
+    alone = scans is None or part == (None, None)
+    require(alone, "--scans", "--from or --to as well", "one of them")
     with (
         open_recording(rec, header=options["header"]) as recording,
         entry.Progress("repair", "scans") as progress,
