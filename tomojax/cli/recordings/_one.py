@@ -19,27 +19,21 @@ def settings_of(options: dict[str, Any]) -> Any:
 
     **Raises:** `ValueError` for options that do not go together.
     """
-    from tomojax.results import check_outlines, default_method, Settings
+    from tomojax.results import check_outlines, Settings
 
-    names = "coordinator", "processes", "process"
-    shared = any(options[name] is not None for name in names)
+    shared = any(options[n] is not None for n in ("coordinator", "processes", "process"))
     follows = options["method"] == "follow"
     if follows and shared:
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
     if options["adapt"] and shared:
         raise ValueError("--coordinator: --adapt goes in order; use one process")
-    images = options["images"]
-    rate = options["rate"] or ("slot" if follows else "scan")
-    names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
-    given = {name: options[name] for name in names}
+    names = "method", "rate", "images", "lam", "grid", "contacts", "threshold", "chunk"
+    given = {name: options[name] for name in (*names, "tare", "adapt")}
+    if given["images"] is None:
+        given["images"] = not follows and given["rate"] != "slot"
     files = ("calibration", "policy")
     given |= {name: str(options[name]) if options[name] else None for name in files}
-    settings = Settings(
-        method=options["method"] or default_method(rate),
-        rate=rate,
-        images=rate == "scan" if images is None else images,
-        **given,
-    )
+    settings = Settings(**given)
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
     return settings
