@@ -158,13 +158,5 @@ def _image(image: np.ndarray) -> dict[str, Any]:
 
 
 def _event(event: Event) -> dict[str, Any]:
-    return {
-        "device_time": event.t,
-        "event": event.kind,
-        "contact": event.contact,
-        "x": event.xy[0],
-        "y": event.xy[1],
-        "conductance": event.conductance,
-        "force": event.force,
-        "text": event.text,
-    }
+    (x, y), told = event.xy, event._asdict()
+    return told | {"device_time": event.t, "event": event.kind, "x": x, "y": y}

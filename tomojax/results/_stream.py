@@ -104,11 +104,11 @@ def reconstruct_recording(
 
 def _check_share(settings: Settings, share: tuple[int, int]) -> None:
     """Refuses several processes where each chunk needs the chunk before it."""
-    alone, name = share[1] == 1, "--processes"
-    mend = "one process: follow goes from slot to slot"
-    require(alone or settings.method != "follow", name, share[1], mend)
-    mend = "one process: --adapt follows a recording in order"
-    require(alone or not settings.adapt, name, share[1], mend)
+    why = "--adapt follows a recording in order"
+    if settings.method == "follow":
+        why = "follow goes from slot to slot"
+    fits = share[1] == 1 or not settings.in_order
+    require(fits, "--processes", share[1], f"one process: {why}")
 
 
 class _Run:
