@@ -91,9 +91,10 @@ class ShownResults:
         until = _time(asked.get("to"), begin, end, end)
         until = until if until > since else end
         sources, told, t = self._row(row)
-        sources |= self._volts(row, t, asked, told)
+        heard, volts = self._volts(row, t, asked)
+        told.append(("voltages", heard))
         lines, names = self._time_line(since, until)
-        sources |= lines
+        sources |= volts | lines
         read = f"{100 * line.read:.0f} % of the rows are in the line"
         if line.failed:
             read += f"; then: {line.failed}"
@@ -147,38 +148,28 @@ class ShownResults:
             told.append(("force", ", ".join(f"{f:.3g} N" for f in forces) or "–"))
         return sources, told, t
 
-    def _volts(
-        self, row: int, t: float, asked: dict[str, str], told: list[tuple[str, str]]
-    ) -> dict[str, Any]:
-        """Reads the row's voltages from the recording, and a spectrum around the row."""
+    def _volts(self, row: int, t: float, asked: dict[str, str]) -> tuple[str, dict]:
+        """Reads the row's voltages and a spectrum; says where from, or why not."""
         recording = self._recording
         if recording is None:
-            told.append(("voltages", self._heard))
-            return {}
+            return self._heard, {}
         slotwise = self._file.attributes.get("rate") == "slot"
         scan, slot = divmod(row, recording.slots) if slotwise else (row, 0)
         if scan >= recording.scans:
-            told.append(("voltages", f"{self._heard} ends before this row"))
-            return {}
+            return f"{self._heard} ends before this row", {}
         first = max(0, min(scan - _SPECTRUM // 2, recording.scans - _SPECTRUM))
         try:
             some = recording.read(first, min(first + _SPECTRUM, recording.scans))
         except ValueError as error:
-            told.append(("voltages", str(error)))
-            return {}
+            return str(error), {}
         if abs(float(some.t0[scan - first]) - t) > recording.interval:
-            told.append(
-                ("voltages", f"{self._heard} is another recording: its times differ")
-            )
-            return {}
-        ground = int(some.grounds[scan - first, slot])
-        told.append(("voltages", f"{self._heard}, ground {ground}"))
+            return f"{self._heard} is another recording: its times differ", {}
         electrode = web.chosen_electrode(asked, recording.electrodes)
         series = np.nan_to_num(some.voltages[:, slot, electrode].astype(float))
         found = {"volts": web.volt_columns(some.voltages[scan - first, slot])}
         if len(series) >= 16:
             found["spectrum"] = web.spectrum(series, 1 / recording.interval)
-        return found
+        return f"{self._heard}, ground {int(some.grounds[scan - first, slot])}", found
 
     def _time_line(self, since: float, until: float) -> tuple[dict[str, Any], list[str]]:
         line, scale = self._line, 1.0 if self._line.name == "contact_force" else 1e6
