@@ -230,10 +230,11 @@ class AbstractShape(AbstractMethod):
         still = jax.lax.stop_gradient(voltages)
         fit, level = self._from(told, before, self._level(prepared.source, still))
         each = (level * jnp.prod(self.cell)).ravel()
-        curvature = shapes.shape_curvature(self.field, self.fine, told, each, fit)
+        scene = shapes.Scene(self.field, self.fine, told, each)
+        curvature = shapes.shape_curvature(scene, fit)
         sure = shapes.spread(self.field, curvature, fit.w)
         if follow:
-            fit = shapes.followed(self.field, self.fine, given, each, fit)
+            fit = shapes.followed(scene._replace(told=given), fit)
         conductance = level * fit.touch.reshape(self.shape)
         near = _NEXT * shapes.levels(conductance, self.cell, self.pitch)
         images = {
@@ -256,9 +257,8 @@ class AbstractShape(AbstractMethod):
 
         def fine(w: Array, level: Array) -> shapes.ShapeFit:
             each = (level * jnp.prod(self.cell)).ravel()
-            return shapes.fit_shape(
-                self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN
-            )
+            scene = shapes.Scene(self.field, self.fine, told, each)
+            return shapes.fit_shape(scene, w, _THEN, _ENOUGH_THEN)
 
         def turn(run: Turn) -> Turn:
             w, level = jax.lax.cond(
@@ -301,7 +301,8 @@ class AbstractShape(AbstractMethod):
         law = self.slots, errors.grounds, self.drive_voltage
         told = self._told(errors, ground_voltages(contact, *law))
         at = shapes.Evaluated(0 * told.frame.whitened, contact)
-        return shapes.shape_slopes(self.field, self.fine, told, each, steep, at)
+        scene = shapes.Scene(self.field, self.fine, told, each)
+        return shapes.shape_slopes(scene, steep, at)
 
     def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> shapes.Told:
         return shapes.Told(
@@ -365,7 +366,8 @@ class AbstractShape(AbstractMethod):
         n, _, few = field.waves.shape
         start = jnp.zeros(few, level.dtype)
         each = jnp.broadcast_to(level * area, n)
-        fit = shapes.fit_shape(field, sites, told, each, start, _FIRST, _ENOUGH)
+        scene = shapes.Scene(field, sites, told, each)
+        fit = shapes.fit_shape(scene, start, _FIRST, _ENOUGH)
         touch, _ = shapes.touching(self.field.waves[:, :, :few], self.field.mean, fit.w)
         image = level * touch
         near = _LEVEL * shapes.levels(image.reshape(self.shape), self.cell, self.pitch)
