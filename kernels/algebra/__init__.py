@@ -23,6 +23,7 @@ from tomojax.kernels.algebra._halving import descended as descended, Run as Run
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,
+    Measured as Measured,
     smooth_levels as smooth_levels,
 )
 from tomojax.kernels.algebra._subsets import (
