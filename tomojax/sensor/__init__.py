@@ -45,6 +45,7 @@ from tomojax.sensor._shapes import (
     Polygon as Polygon,
     Ring as Ring,
 )
+from tomojax.sensor._told import ToldSheet as ToldSheet
 
 # The rest serves other rooms.
 __all__ = [
@@ -72,5 +73,6 @@ __all__ = [
     "Sensor",
     "sheet_on_mesh",
     "Shifted",
+    "ToldSheet",
     "voltages",
 ]
