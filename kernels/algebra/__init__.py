@@ -34,4 +34,5 @@ from tomojax.kernels.algebra._subsets import (
     project_weights as project_weights,
     subset_marginals as subset_marginals,
 )
+from tomojax.kernels.algebra._tree_where import tree_where as tree_where
 from tomojax.kernels.algebra._where_needed import where_needed as where_needed

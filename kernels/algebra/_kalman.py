@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra._blocktri import matmul
 from tomojax.kernels.algebra._elimination import solve_positive
+from tomojax.kernels.algebra._tree_where import tree_where
 
 # Measurements over which innovations are averaged, and the χ² that none reaches by noise
 # (of two values: once in 300 000).
@@ -81,7 +82,7 @@ def level_update(
         jnp.where(anew, jnp.where(first, 1, 1 / part[which, 0, 0]), count),
     )
     still = level._replace(covariance=jnp.where(first, level.covariance, predicted))
-    return jax.tree.map(lambda a, b: jnp.where(there, a, b), new, still)
+    return tree_where(there, new, still)
 
 
 def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Array:
@@ -118,7 +119,7 @@ def filter_levels(measured: Measured, drift: Float[Array, "d d"]) -> Levels:
 
     def step(level: Level, one: Measured) -> tuple[Level, Levels]:
         z, r, here, begin = one
-        level = jax.tree.map(lambda a, b: jnp.where(begin, a, b), nothing, level)
+        level = tree_where(begin, nothing, level)
         likely = jnp.where(here, _likelihood(level, z, r, drift), 0)
         level = level_update(level, z, r, here, drift)
         return level, Levels(level.mean, level.covariance, likely)

@@ -163,6 +163,7 @@ def _designed(
     import numpy as np
 
     from tomojax import design as room
+    from tomojax.kernels.sheet import cell_centres
 
     words = {k: options[k] for k in ("noise", "lam")}
     method, criterion = options["method"], options["criterion"] or "place"
@@ -186,8 +187,7 @@ def _designed(
         progress.say("the map")
         figures = None
         if criterion != "d" or method == "points":  # else one figure for all places
-            parts = [(np.arange(_MAP) + 0.5) / _MAP * s for s in np.asarray(sensor.size)]
-            grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+            grid = cell_centres((_MAP, _MAP)) * np.asarray(sensor.size)
             chosen = np.zeros(made.slots)
             chosen[found.grounds] = 1
             figures = np.asarray(objective(grid)(jax.numpy.asarray(chosen)))

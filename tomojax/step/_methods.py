@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import (
     Contacts,
@@ -223,9 +224,7 @@ class EachSlot(AbstractStepMethod):
         whole = (read.used | ~self.good).all()
         touched = jnp.abs(read.voltages).max() > self.method.threshold
         none = no_contacts(self.count, read.voltages.dtype)
-        contacts = jax.tree.map(
-            lambda a, b: jnp.where(whole & touched, a, b), estimate.contacts, none
-        )
+        contacts = tree_where(whole & touched, estimate.contacts, none)
         flags = jnp.asarray(estimate.flags | bits_of((~whole, Flag.NO_DATA)), int)
         return (), Told(contacts, estimate.residual, flags)
 

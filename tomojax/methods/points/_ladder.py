@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
@@ -152,8 +153,8 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     gained = _gains(scene, discs, new, size)
     promise, rival = _promise(scene, new, ended, size)
     return ladder._replace(
-        best=_choose(gained & (_score(new) < _score(best)), new, best),
-        discs=_choose(gained, new, discs),
+        best=tree_where(gained & (_score(new) < _score(best)), new, best),
+        discs=tree_where(gained, new, discs),
         promise=jnp.where(gained, promise, 0),
         rival=rival,
         pair=pair,
@@ -174,7 +175,7 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
         alone, _ = best_fit(scene, CURVE, starts, _asked_of(scene, one, less))
         # What leaves more than errors is no shape: a curve fits a little of anything.
         gained = _gains(scene, one, alone, 2) & ~alone.high & long_enough(scene, alone)
-        return _choose(gained & (_score(alone) < _score(best)), alone, best), None
+        return tree_where(gained & (_score(alone) < _score(best)), alone, best), None
 
     starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
     # One after the other: the model is compiled once.
@@ -342,7 +343,3 @@ def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
     wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size
     is_ring = curve.ring[0] > 0
     return (is_ring & wide) | (~is_ring & long)
-
-
-def _choose(first: Array, one: Found, other: Found) -> Found:
-    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)
