@@ -180,9 +180,9 @@ class AbstractMethod(eqx.Module):
     padded: ClassVar[bool] = True
 
     @property
-    @abstractmethod
     def electrode_count(self) -> int:
-        """Returns M, the number of electrodes."""
+        """Returns M, the number of electrodes; by default that of a field `grounded`."""
+        return self.grounded.shape[1]  # pyright: ignore
 
     @property
     @abstractmethod

@@ -62,21 +62,10 @@ class AbstractStepMethod(eqx.Module):
     """A method of a step: finds contacts slot by slot, with a memory of earlier slots."""
 
     count: eqx.AbstractVar[int]  # contacts at most
-
-    @property
-    @abstractmethod
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        """Returns the table that `AbstractMethod` defines."""
-
-    @property
-    @abstractmethod
-    def residual_limit(self) -> float:
-        """Returns the limit that `AbstractMethod` defines."""
-
-    @property
-    @abstractmethod
-    def noise(self) -> Float[Array, ""]:
-        """Returns the noise of a reading, V rms."""
+    # As of `AbstractMethod`.
+    grounded: eqx.AbstractVar[Bool[np.ndarray, "L M"]]
+    residual_limit: eqx.AbstractVar[float]
+    noise: eqx.AbstractVar[Float[Array, ""]]
 
     @abstractmethod
     def image(self, memory: Any, slot: Slot) -> Float[Array, "nx ny"]:
@@ -95,6 +84,9 @@ class Follow(AbstractStepMethod):
     """`points` carried on from slot to slot: see `kernels._follow`."""
 
     count: int = eqx.field(static=True)
+    grounded: Bool[np.ndarray, "L M"]
+    residual_limit: float
+    noise: Float[Array, ""]
     points: Points
     candidates: model.Candidates
     errors: model.Noise
@@ -112,19 +104,9 @@ class Follow(AbstractStepMethod):
         candidates = _candidates(points.sheet, points.candidates)
         errors, dtype = points.errors.in_slot(good), points.cell.dtype
         slot_time = jnp.asarray(1 / f_switch, dtype)
-        return cls(count, points, candidates, errors, slot_time)
-
-    @property
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        return self.points.grounded
-
-    @property
-    def residual_limit(self) -> float:
-        return 1.0  # of all that is read; `__call__` judges by less
-
-    @property
-    def noise(self) -> Float[Array, ""]:
-        return self.errors.converter
+        # The limit is of all that is read; `__call__` judges by less.
+        told = points.grounded, 1.0, errors.converter
+        return cls(count, *told, points, candidates, errors, slot_time)
 
     def first(self) -> model.Followed:
         return model.nothing_followed(self.points.sheet.field.size, self.count)
@@ -189,6 +171,9 @@ class EachSlot(AbstractStepMethod):
     """A method of the ladder on each slot alone, without a memory."""
 
     count: int = eqx.field(static=True)
+    grounded: Bool[np.ndarray, "L M"]
+    residual_limit: float
+    noise: Float[Array, ""]
     method: AbstractMethod
     prepared: Any  # of each ground
     good: Bool[Array, " M"]
@@ -198,22 +183,12 @@ class EachSlot(AbstractStepMethod):
         cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
     ) -> "EachSlot":
         """Prepares the method for every ground, with the channels that are `good`."""
-        grounds = np.arange(len(grounded_of(method)))[:, None]
+        grounded = grounded_of(method)
+        grounds = np.arange(len(grounded))[:, None]
         each = [method.prepare(ground, good[None], lam) for ground in grounds]
         prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
-        return cls(count, method, prepared, jnp.asarray(good))
-
-    @property
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        return grounded_of(self.method)
-
-    @property
-    def residual_limit(self) -> float:
-        return self.method.residual_limit
-
-    @property
-    def noise(self) -> Float[Array, ""]:
-        return self.method.noise
+        told = grounded, method.residual_limit, method.noise
+        return cls(count, *told, method, prepared, jnp.asarray(good))
 
     def first(self) -> tuple:
         return ()

@@ -106,10 +106,6 @@ class Points(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.potentials.shape[1]
-
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         return self.errors.prepare(grounds, good, lam)
 

@@ -155,10 +155,6 @@ class AbstractShape(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.source.electrode_count
-
     @classmethod
     def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
         """Makes the method for an image of `shape` pixels."""
