@@ -111,17 +111,15 @@ def draw_outline(axes: Any, lines: Any, color: str = "0.6") -> None:
         axes.plot(*closed.T, color=color, lw=0.9, zorder=1.2, scalex=False, scaley=False)
 
 
-def show_image(axes: Any, image: Any, size: Any, label: str, **more: Any) -> Any:
+def show_image(
+    axes: Any, image: Any, size: Any, label: str, extend: str = "neither", /, **more: Any
+) -> Any:
     """Draws an image (nx, ny) of the whole sheet, in mm, and its colour bar; size in m."""
     width, height = 1e3 * np.asarray(size, float)
-    shown = axes.imshow(
-        np.asarray(image).T,
-        origin="lower",
-        extent=(0, width, 0, height),
-        **({"cmap": DENSITY} | more),
-    )
+    look = {"cmap": DENSITY, "origin": "lower", "extent": (0, width, 0, height)}
+    shown = axes.imshow(np.asarray(image).T, **(look | more))
     axes.set(xlabel="x, mm", ylabel="y, mm")
-    axes.figure.colorbar(shown, ax=axes, label=label)
+    axes.figure.colorbar(shown, ax=axes, label=label, extend=extend)
     return shown
 
 

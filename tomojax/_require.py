@@ -1,6 +1,7 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -17,6 +18,15 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
         text = " ".join(str(got).split())
         text = text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
         raise ValueError(f"{name}: got {text}, expected {expected}")
+
+
+@contextmanager
+def naming(name: Any) -> Iterator[None]:
+    """Puts a name, a file's, before the text of a `ValueError` that lacks the name."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{name}: {str(error).removeprefix(f'{name}: ')}") from None
 
 
 def one_of(got: str, names: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax._pictures import draw_outline
+from tomojax._pictures import draw_outline, show_image, VALUE
 from tomojax._require import library, require
 
 __all__ = ["contacts", "grounds", "image", "sheet", "truth"]
@@ -88,9 +88,7 @@ def image(sensor: Any, image: Any, ax: Any = None, *, unit: str = "", **style: A
         pixels = pixels.reshape(nx, ny, 2).mean(-1)
     require(pixels.ndim == 2, "image", f"shape {pixels.shape}", "(K,), or (nx, ny) pixels")
     ax = _on_sheet(sensor, ax)
-    width, height = _size(sensor)
-    told = {"cmap": "viridis", "origin": "lower", "extent": (0, width, 0, height)} | style
-    ax.figure.colorbar(ax.imshow(pixels.T, **told), ax=ax, label=unit)
+    show_image(ax, pixels, sensor.size, unit, **({"cmap": VALUE} | style))
     return ax
 
 

@@ -23,6 +23,7 @@ from tomojax.kernels.algebra._halving import descended as descended, Run as Run
 from tomojax.kernels.algebra._kalman import (
     filter_levels as filter_levels,
     Levels as Levels,
+    Measured as Measured,
     smooth_levels as smooth_levels,
 )
 from tomojax.kernels.algebra._subsets import (
@@ -33,4 +34,5 @@ from tomojax.kernels.algebra._subsets import (
     project_weights as project_weights,
     subset_marginals as subset_marginals,
 )
+from tomojax.kernels.algebra._tree_where import tree_where as tree_where
 from tomojax.kernels.algebra._where_needed import where_needed as where_needed

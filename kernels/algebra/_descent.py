@@ -17,6 +17,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra._elimination import solve_positive
+from tomojax.kernels.algebra._tree_where import tree_where
 
 # Damping of the first step, as a part of the diagonal.
 _DAMPING = 1e-3
@@ -128,7 +129,7 @@ def descend(
         def once(_, run: _Descent) -> _Descent:
             stepped = _step(model, run, limits, below, given)
             stepped = _onward(stepped, starts, few, most, enough)
-            return jax.tree.map(lambda a, b: jnp.where(run.ended, a, b), run, stepped)
+            return tree_where(run.ended, run, stepped)
 
         return lax.fori_loop(0, _TURN, once, run)
 
@@ -169,9 +170,8 @@ def _step(
     change = new.gradient - gradient
     near = known & (jnp.abs(move) < _NEAR * limits.longest).all()
     bent = jnp.where(near, _secant(run.bent, matrix, -move, change), run.bent)
-    trial, new = jax.tree.map(
-        lambda a, b: jnp.where(better, a, b), (trial, new), (run.parameters, run.normal)
-    )
+    before = run.parameters, run.normal
+    trial, new = tree_where(better, (trial, new), before)
     damping = jnp.where(known, damping, run.damping)
     return run._replace(
         parameters=trial,
@@ -226,7 +226,7 @@ def _onward(run: _Descent, starts: Array, few: int, most: int, enough: Array) ->
         damping=jnp.full_like(run.damping, _DAMPING),
         steps=jnp.zeros_like(run.steps),
     )
-    run = jax.tree.map(lambda a, b: jnp.where(again, a, b), fresh, run)
+    run = tree_where(again, fresh, run)
     ended = over & last | good & run.ended
     return run._replace(start=number, best=best, lowest=lowest, ended=ended)
 

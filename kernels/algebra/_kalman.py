@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra._blocktri import matmul
 from tomojax.kernels.algebra._elimination import solve_positive
+from tomojax.kernels.algebra._tree_where import tree_where
 
 # Measurements over which innovations are averaged, and the χ² that none reaches by noise
 # (of two values: once in 300 000).
@@ -81,7 +82,7 @@ def level_update(
         jnp.where(anew, jnp.where(first, 1, 1 / part[which, 0, 0]), count),
     )
     still = level._replace(covariance=jnp.where(first, level.covariance, predicted))
-    return jax.tree.map(lambda a, b: jnp.where(there, a, b), new, still)
+    return tree_where(there, new, still)
 
 
 def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Array:
@@ -95,6 +96,15 @@ def _likelihood(level: Level, measured: Array, noise: Array, drift: Array) -> Ar
     return -jnp.where(first, _GATE, jnp.minimum(unlikely, _GATE) + jnp.log(area)) / 2
 
 
+class Measured(NamedTuple):
+    """Measurements of d values, n in a row."""
+
+    value: Float[Array, "n d"]
+    noise: Float[Array, "n d d"]
+    there: Bool[Array, " n"]
+    begins: Bool[Array, " n"]  # whether all before is of something else
+
+
 class Levels(NamedTuple):
     """The states after each of n measurements."""
 
@@ -103,33 +113,21 @@ class Levels(NamedTuple):
     likelihood: Float[Array, " n"]  # ln, of each measurement by those before it
 
 
-def filter_levels(
-    measured: Float[Array, "n d"],
-    noise: Float[Array, "n d d"],
-    there: Bool[Array, " n"],
-    begins: Bool[Array, " n"],
-    drift: Float[Array, "d d"],
-) -> Levels:
+def filter_levels(measured: Measured, drift: Float[Array, "d d"]) -> Levels:
     """Runs `level_update` over all measurements; forgets all at each of `begins`."""
-    nothing = no_level(measured.shape[1], measured.dtype)
+    nothing = no_level(measured.value.shape[1], measured.value.dtype)
 
-    def step(level: Level, one: tuple) -> tuple[Level, Levels]:
+    def step(level: Level, one: Measured) -> tuple[Level, Levels]:
         z, r, here, begin = one
-        level = jax.tree.map(lambda a, b: jnp.where(begin, a, b), nothing, level)
+        level = tree_where(begin, nothing, level)
         likely = jnp.where(here, _likelihood(level, z, r, drift), 0)
         level = level_update(level, z, r, here, drift)
         return level, Levels(level.mean, level.covariance, likely)
 
-    return lax.scan(step, nothing, (measured, noise, there, begins))[1]
+    return lax.scan(step, nothing, measured)[1]
 
 
-def smooth_levels(
-    measured: Float[Array, "n d"],
-    noise: Float[Array, "n d d"],
-    there: Bool[Array, " n"],
-    begins: Bool[Array, " n"],
-    drift: Float[Array, "d d"],
-) -> Levels:
+def smooth_levels(measured: Measured, drift: Float[Array, "d d"]) -> Levels:
     """Estimates the state at each measurement from the measurements before and after.
 
     The function adds the filter's forward and backward runs as independent, and subtracts
@@ -137,17 +135,18 @@ def smooth_levels(
     nearby. Then the run nearer to the measurement counts: the other run comes from beyond
     the change.
     """
-    forward = filter_levels(measured, noise, there, begins, drift)
-    z, r, here = measured[::-1], noise[::-1], there[::-1]
+    forward = filter_levels(measured, drift)
     # Backwards a stretch begins where the next one starts.
-    ends = jnp.concatenate([begins[1:], jnp.ones(1, bool)])[::-1]
-    backward = Levels(*(a[::-1] for a in filter_levels(z, r, here, ends, drift)))
+    ends = jnp.concatenate([measured.begins[1:], jnp.ones(1, bool)])
+    turned = Measured(*(a[::-1] for a in measured._replace(begins=ends)))
+    backward = Levels(*(a[::-1] for a in filter_levels(turned, drift)))
 
-    def one(ahead_of: Levels, behind_it: Levels, z: Array, r: Array, here: Array) -> Levels:
-        (fm, fc, likely), (bm, bc, _) = ahead_of, behind_it
+    def one(ahead_of: Levels, behind_it: Levels, now: Measured) -> Levels:
+        (fm, fc, likely), (bm, bc, _), (z, r, here, _) = ahead_of, behind_it, now
         apart = fm - bm
         unlikely = jnp.vdot(apart, solve_positive(fc + bc, apart[:, None])[:, 0])
         unit = jnp.eye(len(z), dtype=z.dtype)
+        r = jnp.where(here, r, unit)
         ahead, behind, own = (solve_positive(c, unit) for c in (fc, bc, r))
         # The measurement counts once, and no more than what it is a part of.
         shared = jnp.where(here, own, 0)
@@ -167,7 +166,4 @@ def smooth_levels(
         mean = jnp.where(agree, both, mean)
         return Levels(mean, jnp.where(agree, spread, covariance), likely)
 
-    safe = jnp.where(
-        there[:, None, None], noise, jnp.eye(measured.shape[1], dtype=noise.dtype)
-    )
-    return jax.vmap(one)(forward, backward, measured, safe, there)
+    return jax.vmap(one)(forward, backward, measured)

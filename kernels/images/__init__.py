@@ -14,6 +14,7 @@ from tomojax.kernels.images._contacts import (
 from tomojax.kernels.images._drawing import (
     points_as_contacts as points_as_contacts,
     points_image as points_image,
+    Spots as Spots,
 )
 from tomojax.kernels.images._explained import (
     explained_by as explained_by,

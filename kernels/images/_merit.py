@@ -45,13 +45,10 @@ def half_width(image: Float[Array, "nx ny"], cell: Float[Array, "2"]) -> Float[A
     """
     peak = jnp.unravel_index(jnp.argmax(image), image.shape)
     top = image[peak]
-    lines = (image[:, peak[1]] / top, peak[0]), (image[peak[0]] / top, peak[1])
-    reach = [
-        _distance_to_half(line, at) * step for (line, at), step in zip(lines, cell)
-    ] + [
-        _distance_to_half(line[::-1], len(line) - 1 - at) * step
-        for (line, at), step in zip(lines, cell)
-    ]
+    lines = [(image[:, peak[1]] / top, peak[0]), (image[peak[0]] / top, peak[1])]
+    lines += [(line[::-1], len(line) - 1 - at) for line, at in lines]
+    steps = (*cell, *cell)
+    reach = [_distance_to_half(line, at) * d for (line, at), d in zip(lines, steps)]
     return sum(reach, jnp.zeros_like(top)) / len(reach)
 
 

@@ -202,9 +202,8 @@ def cop_line(
     away = electrode_xy - electrode_xy[region.centre]
     on_line = matmul(away, along)
     across = away[:, 1] * along[0] - away[:, 0] * along[1]
-    reach = (
-        0.5 * smallest_pitch(electrode_xy) * (1 - 1e-3)
-    )  # half-way between two lines is neither
+    # Half-way between two lines is neither.
+    reach = 0.5 * smallest_pitch(electrode_xy) * (1 - 1e-3)
     tier = jnp.where(
         jnp.abs(across) <= reach, 0, jnp.where(jnp.abs(on_line) <= reach, 1, 2)
     )

@@ -16,6 +16,7 @@ from tomojax.kernels.shapes._fit import (
     fit_shape as fit_shape,
     followed as followed,
     PixelSites as PixelSites,
+    Scene as Scene,
     shape_curvature as shape_curvature,
     shape_slopes as shape_slopes,
     ShapeFit as ShapeFit,

@@ -59,6 +59,15 @@ class Told(NamedTuple):
     drive_voltage: Float[Array, ""]  # V
 
 
+class Scene(NamedTuple):
+    """A field of n pixels, the sites under them, and the frame that it is fitted to."""
+
+    field: TwoLevels
+    sites: PixelSites
+    told: Told
+    level: Float[Array, " n"]  # S of a pixel that touches
+
+
 class Evaluated(NamedTuple):
     """The model's state at some w."""
 
@@ -77,18 +86,13 @@ class ShapeFit(NamedTuple):
 
 
 def fit_shape(
-    field: TwoLevels,
-    sites: PixelSites,
-    told: Told,
-    level: Float[Array, " n"],
-    start: Float[Array, " K"],
-    most: int,
-    enough: float,
+    scene: Scene, start: Float[Array, " K"], most: int, enough: float
 ) -> ShapeFit:
-    """Finds the likeliest field, from `start`; `level`: S of a pixel that touches.
+    """Finds the likeliest field, from `start`.
 
     The fit ends after `most` evaluations, or once a step gains less than the part `enough`.
     """
+    field, sites, told, level = scene
 
     def evaluated(w: Array) -> tuple[Array, Evaluated]:
         touch, _ = touching(field.waves, field.mean, w)
@@ -99,7 +103,7 @@ def fit_shape(
 
     def move_from(w: Array, at: Evaluated) -> Array:
         _, steep = touching(field.waves, field.mean, w)
-        slopes = shape_slopes(field, sites, told, level, steep, at)
+        slopes = shape_slopes(scene, steep, at)
         matrix, uphill = _equations(told, slopes, at.rest)
         unit = jnp.eye(len(w), dtype=w.dtype)
         move = -cho_solve((jnp.linalg.cholesky(matrix + unit), True), uphill + w)
@@ -112,26 +116,19 @@ def fit_shape(
     return ShapeFit(run.w, touch, (at.rest**2).sum(1), run.cost, at)
 
 
-def followed(
-    field: TwoLevels,
-    sites: PixelSites,
-    told: Told,
-    level: Float[Array, " n"],
-    fit: ShapeFit,
-) -> ShapeFit:
+def followed(scene: Scene, fit: ShapeFit) -> ShapeFit:
     """Gives a fit derivatives by `told`: those of the place where the fit ends.
 
     At the end JᵀWr + w = 0, and so dw = −(I + JᵀWJ)⁻¹JᵀW dr: the derivative does not follow
     the fit's steps. W, J and the level stay as they are.
     """
-    fixed: Any = jax.lax.stop_gradient((field, sites, level, fit))
-    still: Told = jax.lax.stop_gradient(told)
-    field, sites, level, fit = fixed
+    fixed: Any = jax.lax.stop_gradient((scene, fit))
+    (field, _, still, _), fit = fixed
     _, steep = touching(field.waves, field.mean, fit.w)
-    slopes = shape_slopes(field, sites, still, level, steep, fit.at)
+    slopes = shape_slopes(fixed[0], steep, fit.at)
     matrix, _ = _equations(still, slopes, fit.at.rest)
     unit = jnp.eye(len(fit.w), dtype=fit.w.dtype)
-    rest = _rest(told, fit.at.contact)
+    rest = _rest(scene.told, fit.at.contact)
     change = rest - jax.lax.stop_gradient(rest)
     weight = still.part / (1 + fit.misfits / still.tolerance)
     uphill = jnp.einsum("s,sw,swk->k", weight, change, slopes, precision="highest")
@@ -141,14 +138,10 @@ def followed(
 
 
 def shape_slopes(
-    field: TwoLevels,
-    sites: PixelSites,
-    told: Told,
-    level: Float[Array, " n"],
-    steep: Float[Array, "n q"],
-    at: Evaluated,
+    scene: Scene, steep: Float[Array, "n q"], at: Evaluated
 ) -> Float[Array, "S W K"]:
     """Computes slopes of the whitened residuals by w; `steep`: slopes of touch by f."""
+    field, sites, told, level = scene
     n = len(level)
     of_slots = told.slots, told.frame.grounds, told.drive_voltage
     slopes = voltage_slopes(at.contact, *of_slots)
@@ -174,24 +167,19 @@ def shape_slopes(
     return whitened_slopes(told.frame, volts)
 
 
-def shape_curvature(
-    field: TwoLevels,
-    sites: PixelSites,
-    told: Told,
-    level: Float[Array, " n"],
-    fit: ShapeFit,
-) -> Float[Array, "K K"]:
+def shape_curvature(scene: Scene, fit: ShapeFit) -> Float[Array, "K K"]:
     """Computes t·JᵀWJ, the data's part of the inverse covariance of w; the prior adds I.
 
     The question is whether a pixel touches, which a tangent does not tell. Far from f = 0
     the logistic function is flat, and any f would do. So slopes are those of the chord to f
     = 0.
     """
+    field = scene.field
     f = field.mean + matmul(field.waves, fit.w)
     small = jnp.abs(f) < 1e-2
     chord = jnp.where(small, 0.25, (jax.nn.sigmoid(f) - 0.5) / jnp.where(small, 1, f))
-    slopes = shape_slopes(field, sites, told, level, chord / f.shape[1], fit.at)
-    return _equations(told, slopes, fit.at.rest)[0]
+    slopes = shape_slopes(scene, chord / f.shape[1], fit.at)
+    return _equations(scene.told, slopes, fit.at.rest)[0]
 
 
 def _rest(told: Told, contact: ContactReduction) -> Float[Array, "S W"]:

@@ -15,7 +15,7 @@ from tomojax.kernels.contacts import (
     whiten,
     whitened_columns,
 )
-from tomojax.kernels.images import points_image
+from tomojax.kernels.images import points_image, Spots
 from tomojax.kernels.sheet import (
     rectangle_fields,
     rectangle_green,
@@ -121,9 +121,11 @@ def test_image_holds_the_current():
     extent = jnp.array([[0.03, 0.02], [0.0, 0.0], [0.0, 0.0]])
     ring = jnp.array([0.0, 0.0, 0.02])
     radius = jnp.array([0.005, 0.0001, 0.004])
-    image = points_image(place, extent, ring, radius, current, cell, (32, 32))
+    spots = Spots(place, extent, ring, radius, current)
+    image = points_image(spots, cell, (32, 32))
     np.testing.assert_allclose(image.sum() * cell.prod(), current.sum())
-    only = points_image(place, extent, ring, radius, current.at[:2].set(0), cell, (32, 32))
+    last = spots._replace(current=current.at[:2].set(0))
+    only = points_image(last, cell, (32, 32))
     assert only[20, 20] < 0.01 * only.max()  # the hole
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import tomojax as tx
 from tomojax.cli.app import run
-from tomojax.kernels.algebra import filter_levels, smooth_levels
+from tomojax.kernels.algebra import filter_levels, Measured, smooth_levels
 from tomojax.methods import Rows
 
 SPREAD = np.array([[9e-8, 3e-8], [3e-8, 4e-8]])
@@ -26,7 +26,8 @@ def levels(z, kind=filter_levels, drift=0.0, dtype=np.float32):
     noise = jnp.broadcast_to(jnp.asarray(SPREAD, dtype), (n, 2, 2))
     ones, zeros = jnp.ones(n, bool), jnp.zeros(n, bool)
     eye = jnp.eye(2, dtype=dtype)
-    return jax.jit(kind)(jnp.asarray(z, dtype), noise, ones, zeros, drift * eye)
+    given = Measured(jnp.asarray(z, dtype), noise, ones, zeros)
+    return jax.jit(kind)(given, drift * eye)
 
 
 def test_a_static_scene_gains_all_slots():

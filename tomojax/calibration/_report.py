@@ -7,6 +7,7 @@ import numpy as np
 from tomojax._pictures import lay_sheet, show_image, SIGNED
 from tomojax.calibration._calibrate import Calibrated
 from tomojax.calibration._unknowns import affine, all_waves
+from tomojax.kernels.sheet import cell_centres
 from tomojax.sensor import Sensor
 
 # A square that fewer frames touch is hardly known.
@@ -160,8 +161,7 @@ def picture(sensor: Sensor, found: Calibrated) -> Any:
     size, m = np.asarray(sensor.size, float), sensor.electrode_count
     figure = Figure(figsize=(7.2, 6.0), layout="constrained")
     axes = figure.subplots()
-    axis = [(np.arange(60) + 0.5) / 60 * s for s in size]
-    grid = np.stack(np.meshgrid(*axis, indexing="ij"), -1).reshape(-1, 2)
+    grid = cell_centres((60, 60)) * size
     factor = 100 * (calibration.sheet_factor(grid, size).reshape(60, 60) - 1)
     most = max(np.abs(factor).max(), 0.1)
     label = "sheet resistance beside its mean, %"

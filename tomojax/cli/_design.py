@@ -7,29 +7,17 @@ from typing import Any
 import click
 
 from tomojax._require import require
+from tomojax.cli import entry
 from tomojax.cli._design_shown import draw, text
-from tomojax.cli.entry import (
-    Command,
-    ground_numbers,
-    json_option,
-    like_option,
-    NUMBER,
-    OutputFile,
-    OutputFolder,
-    Progress,
-    save_picture,
-    sheet_of,
-    write_report,
-)
 
 # Cells of the map of what a design tells, along a side.
 _MAP = 32
 
 
-@click.command(cls=Command)
+@click.command(cls=entry.Command)
 @click.option(
     "--region",
-    type=NUMBER,
+    type=entry.NUMBER,
     nargs=4,
     metavar="X0 Y0 X1 Y1",
     help="Design for contacts in this rectangle, mm. [default: the sheet without a rim "
@@ -38,14 +26,12 @@ _MAP = 32
 @click.option(
     "--place",
     "spots",
-    type=NUMBER,
+    type=entry.NUMBER,
     nargs=2,
     multiple=True,
     help="Design for a contact at X Y, mm. May be repeated.",
 )
-@click.option(
-    "--slots", type=int, default=8, show_default=True, help="Ground so many electrodes."
-)
+@click.option("--slots", type=int, default=8, help="Ground so many electrodes.")
 @click.option(
     "--grounds",
     metavar="E,E,…",
@@ -55,7 +41,6 @@ _MAP = 32
     "--method",
     type=click.Choice(["points", "linear", "source"]),
     default="points",
-    show_default=True,
     help="Choose the grounds for this method.",
 )
 @click.option(
@@ -66,21 +51,24 @@ _MAP = 32
     "figure. `rigs`: the error on simulated rigs. [default: place; rigs for the "
     "--policy table of points or linear]",
 )
-@click.option("--noise", type=NUMBER, help="Assumed noise, V rms. [default: the method's]")
-@click.option("--lam", type=NUMBER, help="Image's regularisation λ. [default: by noise]")
+@click.option(
+    "--noise", type=entry.NUMBER, help="Assumed noise, V rms. [default: the method's]"
+)
+@click.option(
+    "--lam", type=entry.NUMBER, help="Image's regularisation λ. [default: by noise]"
+)
 @click.option(
     "--contacts",
     type=int,
     default=64,
-    show_default=True,
     help="Spread this many contacts over the region.",
 )
-@like_option
-@json_option("the whole report", makes=True)
-@click.option("--out", type=OutputFolder("design.png"), help="Folder for a picture.")
+@entry.like_option
+@entry.json_option("the whole report", makes=True)
+@click.option("--out", type=entry.OutputFolder("design.png"), help="Folder for a picture.")
 @click.option(
     "--policy",
-    type=OutputFile("policy", makes=True),
+    type=entry.OutputFile("policy", makes=True),
     help="Write a table of grounds by place to this .npz file as well, for `tomojax live "
     "--policy`; replaces an earlier table.",
 )
@@ -107,7 +95,7 @@ def design(
         raise ValueError(f"--policy: got {policy}, expected a name that ends in .npz")
     if region and spots:
         raise ValueError("--place: got a region as well, expected one of both")
-    rig, size, electrodes = sheet_of(like)
+    rig, size, electrodes = entry.sheet_of(like)
     if region:
         _check_region(region, size)
     own = _own(grounds, electrodes)
@@ -126,10 +114,10 @@ def design(
         rows, summary, figures = _designed(sensor, places, own, options)
         print(text(rows, summary))
         told = {"rows": rows, "summary": summary}
-        write_report(json_path, **json.loads(json.dumps(told).replace("NaN", "null")))
+        entry.write_report(json_path, **json.loads(json.dumps(told).replace("NaN", "null")))
         if out:
             figure = draw(sensor, rows, summary, places, figures)
-            save_picture(figure, out / "design.png")
+            entry.save_picture(figure, out / "design.png")
         if policy:
             _table(sensor, policy, options)
 
@@ -148,7 +136,7 @@ def _own(grounds: str | None, electrodes: int) -> list[int]:
     """Reads the electrodes of `--grounds`; none where there is no such option."""
     if grounds is None:
         return []
-    found = ground_numbers("--grounds", grounds, electrodes)
+    found = entry.ground_numbers("--grounds", grounds, electrodes)
     if found is None or len(set(found)) < len(found):
         expected = "electrodes with commas, each once"
         raise ValueError(f"--grounds: got {grounds!r}, expected {expected}")
@@ -175,6 +163,7 @@ def _designed(
     import numpy as np
 
     from tomojax import design as room
+    from tomojax.kernels.sheet import cell_centres
 
     words = {k: options[k] for k in ("noise", "lam")}
     method, criterion = options["method"], options["criterion"] or "place"
@@ -182,7 +171,7 @@ def _designed(
     def objective(where: Any) -> Any:
         return room.design_objective(sensor, where, method, criterion, **words)
 
-    with Progress("design:") as progress:
+    with entry.Progress("design:") as progress:
         progress.say("the grounds")
         made = objective(places)
         found = room.design(made, options["slots"])
@@ -198,8 +187,7 @@ def _designed(
         progress.say("the map")
         figures = None
         if criterion != "d" or method == "points":  # else one figure for all places
-            parts = [(np.arange(_MAP) + 0.5) / _MAP * s for s in np.asarray(sensor.size)]
-            grid = np.stack(np.meshgrid(*parts, indexing="ij"), -1).reshape(-1, 2)
+            grid = cell_centres((_MAP, _MAP)) * np.asarray(sensor.size)
             chosen = np.zeros(made.slots)
             chosen[found.grounds] = 1
             figures = np.asarray(objective(grid)(jax.numpy.asarray(chosen)))

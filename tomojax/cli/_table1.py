@@ -4,23 +4,16 @@ from pathlib import Path
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    json_option,
-    OutputFolder,
-    Progress,
-    save_picture,
-    write_report,
-)
+from tomojax.cli import entry
 
 _PICTURES = tuple(f"table1_{name}.png" for name in ("table", "dependence", "images"))
 
 
-@click.command(cls=Command)
-@json_option("the rows and a summary", makes=True)
+@click.command(cls=entry.Command)
+@entry.json_option("the rows and a summary", makes=True)
 @click.option(
     "--out",
-    type=OutputFolder(*_PICTURES),
+    type=entry.OutputFolder(*_PICTURES),
     help="Folder for three pictures; without it, none is drawn.",
 )
 def table1(json_path: Path | None, out: Path | None) -> None:
@@ -31,12 +24,12 @@ def table1(json_path: Path | None, out: Path | None) -> None:
     for folder in (out, json_path and json_path.parent):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-    with Progress("table1:") as progress:
+    with entry.Progress("table1:") as progress:
         study = run(progress.say)
     print(report.text(study))
-    write_report(json_path, rows=report.rows(study), summary=report.summary(study))
+    entry.write_report(json_path, rows=report.rows(study), summary=report.summary(study))
     if out:
         from tomojax.paper.table1 import plots
 
         for draw in (plots.table, plots.dependence, plots.images):
-            save_picture(draw(study), out / f"table1_{draw.__name__}.png")
+            entry.save_picture(draw(study), out / f"table1_{draw.__name__}.png")

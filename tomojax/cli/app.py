@@ -5,12 +5,12 @@ import sys
 
 import click
 
+from tomojax.cli import entry
 from tomojax.cli._design import design
 from tomojax.cli._studies import studies
 from tomojax.cli._table1 import table1
 from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.demo import demo
-from tomojax.cli.entry import listening, STOPPED, stopped
 from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track, view
 from tomojax.cli.rigs import calibrate, check, live, record
@@ -64,7 +64,7 @@ for command in (
 
 def run() -> None:
     """Runs `app`; an error is one line on standard error, and its exit status is 2."""
-    with listening(stopped):
+    with entry.listening(entry.stopped):
         _run()
 
 
@@ -73,8 +73,8 @@ def _run() -> None:
         status = app(standalone_mode=False)
         sys.stdout.flush()  # a full disk or a closed pipe is told here
     except (click.exceptions.Abort, KeyboardInterrupt):
-        print(f"\n{stopped()}", file=sys.stderr)
-        raise SystemExit(STOPPED) from None
+        print(f"\n{entry.stopped()}", file=sys.stderr)
+        raise SystemExit(entry.STOPPED) from None
     except click.ClickException as error:
         print(f"tomojax: {error.format_message()}", file=sys.stderr)
         raise SystemExit(2) from None

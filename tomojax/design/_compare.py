@@ -13,20 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer
 
+from tomojax import paper
 from tomojax._custom_types import Numbers
 from tomojax._require import library, require
 from tomojax._shown import html_table
 from tomojax.design.objectives import design_places, simulate_scenes
 from tomojax.kernels.images import half_width, image_place
-from tomojax.paper import (
-    AdaptiveScan,
-    cell_size,
-    exploration,
-    pattern,
-    PATTERNS,
-    pixels,
-    reduce_jacobian,
-)
 from tomojax.sensor import ground_set, jacobian, Sensor
 from tomojax.step import ADAPTIVE
 
@@ -116,7 +108,7 @@ class PatternTable:
 
 def compare_patterns(
     sensor: Sensor,
-    patterns: Mapping[str, str | Numbers] | Sequence[str] = PATTERNS,
+    patterns: Mapping[str, str | Numbers] | Sequence[str] = paper.PATTERNS,
     *,
     width: float | None = None,
     contacts: int = 48,
@@ -159,7 +151,7 @@ def compare_patterns(
     radius = _RADIUS * sensor.mean_pitch
     sensor = _on_coarse_mesh(sensor)
     scenes = simulate_scenes(sensor, places, radius=radius, rigs=rigs, seed=seed)
-    explored = scenes.voltages[:, exploration(sensor)]
+    explored = scenes.voltages[:, paper.exploration(sensor)]
     images = _Images.of(sensor, np.asarray(scenes.voltages, float))
     rows = []
     for name, one in checked.items():
@@ -194,8 +186,8 @@ def _on_coarse_mesh(sensor: Sensor) -> Sensor:
 def _checked(sensor: Sensor, name: str, one: str | Numbers) -> str | np.ndarray:
     argument = f"patterns[{name!r}]"
     if isinstance(one, str):
-        wanted = f"grounds or one of {', '.join(PATTERNS)}"
-        require(one in PATTERNS, argument, repr(one), wanted)
+        wanted = f"grounds or one of {', '.join(paper.PATTERNS)}"
+        require(one in paper.PATTERNS, argument, repr(one), wanted)
         return one
     grounds = np.asarray(ground_set(sensor, one))
     whole = grounds.ndim == 1 and len(np.unique(grounds)) == len(grounds)
@@ -210,10 +202,10 @@ def _sets(
     if not isinstance(one, str):
         grounds = one
     elif one in ADAPTIVE:
-        scan = AdaptiveScan(sensor, one)  # pyright: ignore
+        scan = paper.AdaptiveScan(sensor, one)  # pyright: ignore
         return np.asarray(jax.jit(jax.vmap(lambda v: scan(v)[0]))(explored))
     else:
-        grounds = np.asarray(pattern(sensor, one, seed=seed))
+        grounds = np.asarray(paper.pattern(sensor, one, seed=seed))
     return np.broadcast_to(grounds, (len(explored), len(grounds)))
 
 
@@ -230,10 +222,10 @@ class _Images(NamedTuple):
         # An even sheet has a J without the mesh's errors, as in method "linear".
         maps = jacobian(sensor, route="fem" if sensor.sheet_resistance.ndim else "series")
         most = min(len(maps) * maps.shape[1], maps.shape[2])
-        reduced = reduce_jacobian(maps, min(_RANK * sensor.electrode_count, most))
+        reduced = paper.reduce_jacobian(maps, min(_RANK * sensor.electrode_count, most))
         factors, grams = (np.asarray(a, float) for a in (reduced.factors, reduced.grams))
         rights = np.einsum("lmr,plm->plr", factors, volts, optimize=True)
-        basis = np.asarray(pixels(sensor, reduced.basis), float)
+        basis = np.asarray(paper.pixels(sensor, reduced.basis), float)
         scale = float(np.linalg.eigvalsh(grams.sum(0))[-1])
         return cls(grams, rights, basis.reshape(len(basis), -1), scale)
 
@@ -270,7 +262,8 @@ def _at_width(
 
     def measured(lam: float) -> tuple[float, np.ndarray]:
         found = jnp.asarray(of_lam(lam * images.scale), sensor.dtype)
-        widths, at = _measured(found.reshape(-1, *sensor.divisions), cell_size(sensor))
+        found = found.reshape(-1, *sensor.divisions)
+        widths, at = _measured(found, paper.cell_size(sensor))
         return 2 * float(np.median(widths)), np.asarray(at)
 
     # From the narrow end: with the smallest λ noise makes an image of its own.

@@ -1,7 +1,8 @@
 """`export`: finds the module that writes a kind, and checks the module's library."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -102,9 +103,17 @@ def export(
     each = [results] if isinstance(results, str | Path) else list(results)
     require(len(each) > 0, "results", "none", "a results file")
     if kind == "lerobot":
-        _export_dataset(
-            [Path(one) for one in each], out, since, until, rate, task, progress
-        )
+        from tomojax.exports._lerobot import Dataset, frames_per_second
+
+        dataset = None
+        with _whole_folder(out) as part:
+            for one in each:
+                with Source(Path(one), since, until) as source:
+                    rate = rate or frames_per_second(source)
+                    dataset = dataset or Dataset(part, rate, task)
+                    dataset.add(source, progress)
+            assert dataset is not None
+            dataset.finish()
         return
     require(len(each) == 1, "results", f"{len(each)} files", f"one, of kind {kind!r}")
     write: Callable = import_module(f"tomojax.exports.{found.module}").write
@@ -113,30 +122,15 @@ def export(
         write(source, out, progress, **more)
 
 
-def _export_dataset(
-    each: list[Path],
-    out: Path,
-    since: float | None,
-    until: float | None,
-    rate: int | None,
-    task: str,
-    progress: Progress,
-) -> None:
-    from tomojax.exports._lerobot import Dataset, frames_per_second
-
+@contextmanager
+def _whole_folder(out: Path) -> Iterator[Path]:
+    """Gives a folder to write to, which takes the name `out` at the end."""
     require(not out.exists(), f"{out}", "a file or folder that is there", "a new name")
     part = out.with_name(f".{out.name}.partial")
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir()
-        dataset = None
-        for path in each:
-            with Source(path, since, until) as source:
-                rate = rate or frames_per_second(source)
-                dataset = dataset or Dataset(part, rate, task)
-                dataset.add(source, progress)
-        assert dataset is not None
-        dataset.finish()
+        yield part
         part.rename(out)
     finally:
         shutil.rmtree(part, ignore_errors=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax._pictures import DENSITY, lay_sheet, SKY
+from tomojax._pictures import lay_sheet, show_image, SKY
 from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.exports._overview import draw_overview, Overview, overview, rings
@@ -117,7 +117,6 @@ class _Picture:
         self._source, self._trail, self.pace = source, trail, ""
         names = ("t", "contact_count", "contact_xy", "contact_radius", "flags", "image")
         self._names = [name for name in names if name in source.names]
-        width, height = 1e3 * source.size
         self._past: list[np.ndarray] = []
         figure = Figure(figsize=(6.4, 7.2), dpi=100, layout="constrained")
         sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
@@ -126,16 +125,9 @@ class _Picture:
             some = rows[:: max(1, len(rows) // _SAMPLED)].tolist()
             tops = [float(np.nanmax(source.row("image", k), initial=0)) for k in some]
             top = float(np.percentile(tops, 95)) or 1.0
-            self._shown = sheet.imshow(
-                source.row("image", int(rows[0])).T,
-                origin="lower",
-                extent=(0, width, 0, height),
-                vmin=0,
-                vmax=top,
-                cmap=DENSITY,
-            )
             bar = f"image, {source.unit('image').replace('^2', '²')}"
-            figure.colorbar(self._shown, ax=sheet, label=bar, extend="max")
+            first, most = source.row("image", int(rows[0])), {"vmin": 0, "vmax": top}
+            self._shown = show_image(sheet, first, source.size, bar, "max", **most)
         else:
             sheet.set_facecolor("black")
         told = source.size, source.electrode_xy

@@ -51,7 +51,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
         }
 
         def put(topic: str, t: float, message: dict[str, Any]) -> None:
-            stamp = _nanoseconds(t)
+            stamp = round(t * 1e9)  # ns
             seconds, rest = divmod(stamp, 10**9)
             head = {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": _FRAME}
             told = {"header": head, **message}
@@ -68,10 +68,6 @@ def write(source: Source, out: Path, progress: Progress) -> None:
         for event in source.events():
             put("events", event.t, _event(event))
         writer.finish()
-
-
-def _nanoseconds(t: float) -> int:
-    return round(t * 1e9)
 
 
 def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str, Any]]]:
@@ -162,13 +158,5 @@ def _image(image: np.ndarray) -> dict[str, Any]:
 
 
 def _event(event: Event) -> dict[str, Any]:
-    return {
-        "device_time": event.t,
-        "event": event.kind,
-        "contact": event.contact,
-        "x": event.xy[0],
-        "y": event.xy[1],
-        "conductance": event.conductance,
-        "force": event.force,
-        "text": event.text,
-    }
+    (x, y), told = event.xy, event._asdict()
+    return told | {"device_time": event.t, "event": event.kind, "x": x, "y": y}

@@ -24,7 +24,8 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     with whole(out) as part, h5netcdf.File(part, "w") as file:
         attributes = plain(source.attributes)
         attributes.pop("electrode_xy", None)  # are coordinates
-        file.attrs.update({n: _fit(v) for n, v in attributes.items()})
+        for name, value in attributes.items():  # an attribute is no list
+            file.attrs[name] = np.array(value) if isinstance(value, list) else value
         file.attrs["Conventions"] = "CF-1.11"
         file.dimensions = sizes
         made = [_make(file, source, variable) for variable in told]
@@ -70,8 +71,3 @@ def _events(file: Any, source: Source) -> None:
         made = _variable(file, name, ("event",), kind, unit or "1")
         if len(values):
             made[:] = values
-
-
-def _fit(value: Any) -> Any:
-    """Turns a list into an array, as NetCDF's attributes need."""
-    return np.array(value) if isinstance(value, list) else value

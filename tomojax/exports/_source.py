@@ -134,6 +134,7 @@ class Source:
             ) from None
 
     def _found(self) -> list[Event]:
+        # As `EventFinder.rows` takes them.
         names = ["t", "contact_count", "contact_xy", "contact_conductance", "flags"]
         names += [n for n in ("contact_force",) if n in self.names]
         t = self.times()
@@ -141,14 +142,7 @@ class Source:
         finder = EventFinder.of_rows(self.pitch, interval)
         found: list[Event] = []
         for block in self.blocks(names):
-            found += finder.rows(
-                t=block["t"],
-                count=block["contact_count"],
-                xy=block["contact_xy"],
-                conductance=block["contact_conductance"],
-                flags=block["flags"],
-                force=block.get("contact_force"),
-            )
+            found += finder.rows(*block.values())
         return found + finder.finish()
 
     def _tracked(self) -> list[Event]:

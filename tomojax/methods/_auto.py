@@ -102,10 +102,6 @@ class Auto(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.points.noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.points.electrode_count
-
     def choose_lambda(self, frames: list[Frame]) -> float:
         """Returns the λ that `source` chooses."""
         return self.source.choose_lambda(frames)

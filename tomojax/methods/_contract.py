@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax._programs import kept
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.methods._rows import Rows
@@ -179,9 +180,9 @@ class AbstractMethod(eqx.Module):
     padded: ClassVar[bool] = True
 
     @property
-    @abstractmethod
     def electrode_count(self) -> int:
-        """Returns M, the number of electrodes."""
+        """Returns M, the number of electrodes; by default that of a field `grounded`."""
+        return self.grounded.shape[1]  # pyright: ignore
 
     @property
     @abstractmethod
@@ -324,7 +325,7 @@ def judge(
     # A channel that is not good is 0: the limit is the lower for it.
     high = residual > limit * jnp.sqrt(jnp.mean(voltages**2)) + _FLOOR * noise
     none = no_contacts(len(contacts.radius), voltages.dtype)
-    contacts = jax.tree.map(lambda a, b: jnp.where(failed, a, b), none, contacts)
+    contacts = tree_where(failed, none, contacts)
     flags = jnp.where(failed, Flag.SOLVE_FAILED.value, flags)
     nothing = contacts.count == 0
     # A row without a contact has no place that could be uncertain.

@@ -141,10 +141,6 @@ class Linear(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.reading_noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.factors.shape[1]
-
     def scale(self) -> float:
         rows = np.asarray(self.factors, float)
         return float(np.linalg.norm(rows.reshape(-1, rows.shape[-1]), 2) ** 2)

@@ -177,10 +177,6 @@ class Source(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.reading_noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.factors.shape[1]
-
     def scale(self) -> float:
         return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)
 

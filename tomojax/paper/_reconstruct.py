@@ -22,20 +22,8 @@ from tomojax._checks import (
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
+from tomojax.kernels import inverse
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.inverse import (
-    choose_lambda,
-    lambda_grid,
-    lambda_scores,
-    LambdaRule,
-    reduce_slots,
-    ReducedSlots,
-    row_basis,
-    solve_reduced,
-    SolveRoute,
-    spectrum,
-    tikhonov,
-)
 
 
 class Reconstruction(NamedTuple):
@@ -62,7 +50,7 @@ class Reconstruction(NamedTuple):
         return tuple_shown(self, image=("V", 1.0), residual=("V", 1.0))
 
 
-def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> ReducedSlots:
+def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> inverse.ReducedSlots:
     """Reduces J to an orthonormal basis of `rank` rows: a new λ then costs a millisecond.
 
     New grounds cost as little. `rank` 256 holds J(0) of the paper's sensor to 8e-4 of its
@@ -90,20 +78,20 @@ def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> ReducedSlots:
 
 
 @eqx.filter_jit
-def _reduce(jacobian: Array, rank: int) -> ReducedSlots:
-    return reduce_slots(jacobian, row_basis(jacobian, rank))
+def _reduce(jacobian: Array, rank: int) -> inverse.ReducedSlots:
+    return inverse.reduce_slots(jacobian, inverse.row_basis(jacobian, rank))
 
 
 def reconstruct(
-    jacobian: Numbers | ReducedSlots,
+    jacobian: Numbers | inverse.ReducedSlots,
     voltages: Numbers,
     grounds: Numbers | None = None,
     *,
-    lam: Numbers | LambdaRule = "cautious",
+    lam: Numbers | inverse.LambdaRule = "cautious",
     weights: Numbers | None = None,
     noise: Numbers | None = None,
     per_recording: bool = False,
-    route: SolveRoute = "auto",
+    route: inverse.SolveRoute = "auto",
 ) -> Reconstruction:
     """Computes φ = (J_sᵀWJ_s + λI)⁻¹J_sᵀWV_s, the paper's Eq. 3, with λ given or chosen.
 
@@ -142,9 +130,9 @@ def reconstruct(
     >>> result.image.shape, bool(result.lam > 0), int(result.flags)
     ((512,), True, 0)
     """
-    reduced = isinstance(jacobian, ReducedSlots)
+    reduced = isinstance(jacobian, inverse.ReducedSlots)
     slots = jacobian if reduced else float_array("jacobian", cast(Numbers, jacobian))
-    maps = slots.factors if isinstance(slots, ReducedSlots) else slots
+    maps = slots.factors if isinstance(slots, inverse.ReducedSlots) else slots
     require_shape("jacobian", maps, (None, None, None))
     chosen = _slots(grounds, len(maps))
     shape = (len(chosen), maps.shape[1])
@@ -162,7 +150,7 @@ def reconstruct(
     w = jnp.broadcast_to(per_row, shape)
     if known(v, w):
         require_finite("voltages", jnp.where(w > 0, v, 0))
-    rules, routes = get_args(LambdaRule), get_args(SolveRoute)
+    rules, routes = get_args(inverse.LambdaRule), get_args(inverse.SolveRoute)
     require(route in routes, "route", repr(route), f"one of {', '.join(routes)}")
     rule = None
     if isinstance(lam, str):
@@ -201,7 +189,7 @@ def _slots(grounds: Numbers | None, count: int) -> Int[Array, " S"]:
 def _reconstruct(
     slots, voltages: Array, grounds, lam, w, noise, rule, per_recording, route
 ):
-    reduced = isinstance(slots, ReducedSlots)
+    reduced = isinstance(slots, inverse.ReducedSlots)
     maps = slots.factors if reduced else slots
     rows = maps[grounds]
     # What has no weight may be anything.
@@ -214,10 +202,10 @@ def _reconstruct(
 
     def one(frame: Array, lam: Array, ran_out: Array) -> Reconstruction:
         if route is None:
-            solution = solve_reduced(slots, grounds, frame, lam, w[:, 0])
+            solution = inverse.solve_reduced(slots, grounds, frame, lam, w[:, 0])
         else:
             flat = rows.reshape(-1, rows.shape[-1])
-            solution = tikhonov(flat, frame.ravel(), lam, w.ravel(), route)
+            solution = inverse.tikhonov(flat, frame.ravel(), lam, w.ravel(), route)
         misfit = jnp.einsum("smk,k->sm", rows, solution, precision="highest") - frame
         residual = jnp.sqrt(jnp.mean(misfit**2, where=w > 0))
         # A GPU rounds products to TF32 otherwise: images off by 3e-4.
@@ -240,14 +228,14 @@ def _chosen_lambda(
 ) -> tuple[Float[Array, "*frames"], Bool[Array, "*frames"]]:
     """λ, and whether that is the largest of the search."""
     scale = jnp.sqrt(w)
-    s = spectrum(scale[..., None] * rows)
-    grid = lambda_grid(s)
-    score = lambda frame: lambda_scores(s, scale * frame, grid, rule, noise)  # noqa: E731
+    s = inverse.spectrum(scale[..., None] * rows)
+    grid = inverse.lambda_grid(s)
+    score = lambda frame: inverse.lambda_scores(s, scale * frame, grid, rule, noise)  # noqa: E731
     scores = jax.lax.map(score, frames)
     if shared:
-        lam = choose_lambda(grid, scores)
+        lam = inverse.choose_lambda(grid, scores)
     else:
-        lam = jax.vmap(lambda one: choose_lambda(grid, one))(scores)
+        lam = jax.vmap(lambda one: inverse.choose_lambda(grid, one))(scores)
     return lam, lam >= grid[-1]
 
 

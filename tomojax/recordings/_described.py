@@ -81,6 +81,7 @@ def rig_of(
     rails, resolution = _range(told, codes)
     if not np.isfinite(rails).all():
         sentences += ("rails are not told: what saturates below the drive is not seen",)
+    table = told.get("to_ground")
     rig = Rig(
         size=size,
         electrode_xy=xy,
@@ -88,15 +89,11 @@ def rig_of(
         resolution=resolution,
         notes=str(told.get("notes", "")),
         outline=Outline.read(told, told.get),
-        conditions=_table(told.get("to_ground")),
+        conditions=None if table is None else np.asarray(table, float),
         **{name: number(name, told[name]) for name in PAPER},
     )
     check_numbers(rig)
     return rig, sentences
-
-
-def _table(told: Any) -> np.ndarray | None:
-    return None if told is None else np.asarray(told, float)
 
 
 def number(name: str, value: Any) -> float:

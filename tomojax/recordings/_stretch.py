@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tomojax._require import naming
 from tomojax._stretch import stretch_of
 from tomojax.recordings._recording import Recording, Scans
 
@@ -54,8 +55,6 @@ def between(recording: Recording, since: float | None, until: float | None) -> R
     """
     if since is None and until is None:
         return recording
-    try:
+    with naming(recording.path):
         start, stop = stretch_of(recording.t0, since, until)
-    except ValueError as error:
-        raise ValueError(f"{recording.path}: {error}") from None
     return Stretch(recording, start, stop)

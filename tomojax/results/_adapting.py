@@ -36,9 +36,9 @@ class Adapting(AbstractSolver):
         return {**self._solver.remembered(), **self.adapter.state()}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
+        super().resume(kept)
         self._solver.resume(kept)
         if kept:
-            self.start = int(kept["chunk"])
             self.adapter.restore(kept)
 
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any]]:

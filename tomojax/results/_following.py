@@ -53,8 +53,8 @@ class Following(AbstractSolver):
         return {"numbers": numbers, "whole": whole}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
+        super().resume(kept)
         if kept:
-            self.start = int(kept["chunk"])
             self.state = Packed(kept["numbers"], kept["whole"])  # pyright: ignore
 
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any]]:

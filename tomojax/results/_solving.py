@@ -104,13 +104,14 @@ class AbstractSolver(ABC):
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any] | None]:
         """Returns the rows of a chunk, and what is kept after them, if anything."""
 
-    @abstractmethod
     def remembered(self) -> dict[str, np.ndarray]:
         """Returns the present state, for `resume`."""
+        return {}
 
-    @abstractmethod
     def resume(self, kept: dict[str, np.ndarray]) -> None:
         """Goes on from the state after a chunk; an empty state means the beginning."""
+        if kept:
+            self.start = int(kept["chunk"])
 
 
 class EachAlone(AbstractSolver):
@@ -121,12 +122,6 @@ class EachAlone(AbstractSolver):
     ):
         self._batch, self._calibration = batch, calibration
         self._chosen, self._own_lam = chosen, own_lam
-
-    def remembered(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def resume(self, kept: dict[str, np.ndarray]) -> None:
-        pass
 
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, None]:
         _, voltages, grounds, good, flags = frames

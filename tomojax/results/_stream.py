@@ -18,16 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from tomojax import methods
 from tomojax._require import require
 from tomojax.calibration import force
-from tomojax.methods import (
-    Batch,
-    empty_rows,
-    fields_of_rows,
-    method as make_method,
-    Points,
-    Rows,
-)
 from tomojax.recordings import Chunk, Progress, read_chunk, Recording, Rig
 from tomojax.results._adapting import Adapting
 from tomojax.results._file import check_output, Dataset, ResultsFile, RowWriter
@@ -111,11 +104,11 @@ def reconstruct_recording(
 
 def _check_share(settings: Settings, share: tuple[int, int]) -> None:
     """Refuses several processes where each chunk needs the chunk before it."""
-    alone, name = share[1] == 1, "--processes"
-    mend = "one process: follow goes from slot to slot"
-    require(alone or settings.method != "follow", name, share[1], mend)
-    mend = "one process: --adapt follows a recording in order"
-    require(alone or not settings.adapt, name, share[1], mend)
+    why = "--adapt follows a recording in order"
+    if settings.method == "follow":
+        why = "follow goes from slot to slot"
+    fits = share[1] == 1 or not settings.in_order
+    require(fits, "--processes", share[1], f"one process: {why}")
 
 
 class _Run:
@@ -136,7 +129,7 @@ class _Run:
             self._model = Following(recording, settings, self._calibration, self._size)
         else:
             sensor, grid = recording.rig.sensor(), settings.pixels
-            self._model = make_method(sensor, settings.method, grid, self._calibration)
+            self._model = methods.method(sensor, settings.method, grid, self._calibration)
         self._chosen = None
         if settings.policy:
             contacts, method = settings.contacts, settings.method
@@ -207,12 +200,12 @@ class _Run:
         """Lists the file's datasets: of rows, and what `--adapt` logs for each chunk."""
         settings, model = self._settings, self._model
         count = self._recording.scans * self._rows_of_a_scan
-        empty = empty_rows(0, model.sizes(settings.contacts, settings.images))
+        empty = methods.empty_rows(0, model.sizes(settings.contacts, settings.images))
         told = {"contact_covariance": model.tells_covariance, "rung": model.tells_rung}
         found = {"t": Dataset((count,), "<f8", "s")}
         for name, values in empty._asdict().items():
             if values is not None and told.get(name, True):
-                field, shape = fields_of_rows()[name], (count, *values.shape[1:])
+                field, shape = methods.fields_of_rows()[name], (count, *values.shape[1:])
                 found[name] = Dataset(shape, field.kind, field.unit or model.image_unit)
             if name == "contact_conductance" and self._calibration.pressure is not None:
                 found["contact_force"] = Dataset((count, settings.contacts), "<f4", "N")
@@ -228,7 +221,7 @@ class _Run:
         if isinstance(model, Following):
             solver, points = model, None
         else:
-            batch = Batch(
+            batch = methods.Batch(
                 model,
                 lam,
                 settings.contacts,
@@ -238,7 +231,8 @@ class _Run:
             )
             own = settings.lam is None
             solver = EachAlone(batch, self._calibration, self._chosen, own)
-            points = model if isinstance(model, Points) else getattr(model, "points", None)
+            alone = isinstance(model, methods.Points)
+            points = model if alone else getattr(model, "points", None)
         if not settings.adapt:
             return solver
         return Adapting(recording, self._calibration, points, solver)
@@ -290,7 +284,7 @@ class _Run:
         stop = min(start + self._size, self._recording.scans)
         return read_chunk(self._recording, start, stop, self._settings.rate)
 
-    def _forces(self, rows: Rows) -> dict[str, np.ndarray]:
+    def _forces(self, rows: methods.Rows) -> dict[str, np.ndarray]:
         if self._calibration.pressure is None:
             return {}
         g, radius = rows.contact_conductance, rows.contact_radius

@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Integer
+from jaxtyping import Array, Float, Integer
 
 from tomojax._require import require
 from tomojax._shown import tuple_shown
-from tomojax.kernels.algebra import filter_levels, Levels, smooth_levels
+from tomojax.kernels.algebra import filter_levels, Levels, Measured, smooth_levels
 from tomojax.methods import Rows
 
 # A contact is the one of the row before that is no farther.
@@ -132,8 +132,8 @@ def track(
     for k, (z, r) in enumerate((place, (height, spread))):
         each = jnp.asarray([d[k] ** 2 for d in drifts], jnp.float32)
         z, origin = _centred(z)
-        z, noise = jnp.asarray(z), jnp.asarray(r, jnp.float32)
-        found = _likeliest(z, noise, jnp.asarray(there), jnp.asarray(begins), each, smooth)
+        measured = Measured(*map(jnp.asarray, (z, r.astype(np.float32), there, begins)))
+        found = _likeliest(measured, each, smooth)
         followed += [np.asarray(found.mean) + origin, np.asarray(found.covariance)]
     return _arranged(rows, paths, *followed)
 
@@ -216,24 +216,17 @@ def _centred(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @eqx.filter_jit
-def _likeliest(
-    z: Float[Array, "n C d"],
-    noise: Float[Array, "n C d d"],
-    there: Bool[Array, "n C"],
-    begins: Bool[Array, "n C"],
-    drifts: Float[Array, " k"],
-    smooth: bool,
-) -> Levels:
-    """Filters the paths with the drift that makes all measurements likeliest."""
-    unit = jnp.eye(z.shape[-1], dtype=z.dtype)
-    paths = jax.vmap(filter_levels, (1, 1, 1, 1, None), 1)
+def _likeliest(measured: Measured, drifts: Float[Array, " k"], smooth: bool) -> Levels:
+    """Filters n rows of C paths with the drift that makes all measurements likeliest."""
+    unit = jnp.eye(measured.value.shape[-1], dtype=measured.value.dtype)
+    paths = jax.vmap(filter_levels, (1, None), 1)
     drift = drifts[0]
     if len(drifts) > 1:
-        every = lambda d: paths(z, noise, there, begins, d * unit).likelihood.sum()  # noqa: E731
+        every = lambda d: paths(measured, d * unit).likelihood.sum()  # noqa: E731
         drift = drifts[jnp.argmax(jax.lax.map(every, drifts))]
     if smooth:
-        paths = jax.vmap(smooth_levels, (1, 1, 1, 1, None), 1)
-    return paths(z, noise, there, begins, drift * unit)
+        paths = jax.vmap(smooth_levels, (1, None), 1)
+    return paths(measured, drift * unit)
 
 
 def _arranged(

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from tomojax._pictures import lay_sheet, style
-from tomojax._require import require
+from tomojax._require import naming, require
 from tomojax._stretch import stretch_of
 from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
@@ -59,15 +59,13 @@ def track_results(
         need = "results of points or auto, with contact_covariance"
         method = file.attributes.get("method", "unknown method")
         require(told, f"{path}", method, need)
-        try:
+        with naming(path):
             t = file.read("t")
             part = slice(*stretch_of(t, since, until))
             t, rows = t[part], _rows(file, part)
             # As `Sensor.mean_pitch`, m.
             pitch = float(np.sqrt(np.prod(size) / electrodes))
             found = track(rows, drive, sheet, pitch=pitch, **options)
-        except ValueError as error:
-            raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
         try:
             with whole(out) as building:
                 _write(building, file, part, found, options)

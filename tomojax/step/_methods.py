@@ -9,19 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts import (
-    Candidates,
-    follow,
-    Followed,
-    hardly_told,
-    Noise,
-    nothing_followed,
-    radius_of,
-    Sheet,
-    tangents,
-)
+from tomojax.kernels import contacts as model
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import Contacts, no_contacts, points_image, strongest_first
+from tomojax.kernels.images import (
+    Contacts,
+    no_contacts,
+    points_image,
+    Spots,
+    strongest_first,
+)
 from tomojax.methods import (
     AbstractMethod,
     bits_of,
@@ -65,21 +62,10 @@ class AbstractStepMethod(eqx.Module):
     """A method of a step: finds contacts slot by slot, with a memory of earlier slots."""
 
     count: eqx.AbstractVar[int]  # contacts at most
-
-    @property
-    @abstractmethod
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        """Returns the table that `AbstractMethod` defines."""
-
-    @property
-    @abstractmethod
-    def residual_limit(self) -> float:
-        """Returns the limit that `AbstractMethod` defines."""
-
-    @property
-    @abstractmethod
-    def noise(self) -> Float[Array, ""]:
-        """Returns the noise of a reading, V rms."""
+    # As of `AbstractMethod`.
+    grounded: eqx.AbstractVar[Bool[np.ndarray, "L M"]]
+    residual_limit: eqx.AbstractVar[float]
+    noise: eqx.AbstractVar[Float[Array, ""]]
 
     @abstractmethod
     def image(self, memory: Any, slot: Slot) -> Float[Array, "nx ny"]:
@@ -98,9 +84,12 @@ class Follow(AbstractStepMethod):
     """`points` carried on from slot to slot: see `kernels._follow`."""
 
     count: int = eqx.field(static=True)
+    grounded: Bool[np.ndarray, "L M"]
+    residual_limit: float
+    noise: Float[Array, ""]
     points: Points
-    candidates: Candidates
-    errors: Noise
+    candidates: model.Candidates
+    errors: model.Noise
     slot_time: Float[Array, ""]  # s
 
     @classmethod
@@ -115,27 +104,17 @@ class Follow(AbstractStepMethod):
         candidates = _candidates(points.sheet, points.candidates)
         errors, dtype = points.errors.in_slot(good), points.cell.dtype
         slot_time = jnp.asarray(1 / f_switch, dtype)
-        return cls(count, points, candidates, errors, slot_time)
+        # The limit is of all that is read; `__call__` judges by less.
+        told = points.grounded, 1.0, errors.converter
+        return cls(count, *told, points, candidates, errors, slot_time)
 
-    @property
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        return self.points.grounded
+    def first(self) -> model.Followed:
+        return model.nothing_followed(self.points.sheet.field.size, self.count)
 
-    @property
-    def residual_limit(self) -> float:
-        return 1.0  # of all that is read; `__call__` judges by less
-
-    @property
-    def noise(self) -> Float[Array, ""]:
-        return self.errors.converter
-
-    def first(self) -> Followed:
-        return nothing_followed(self.points.sheet.field.size, self.count)
-
-    def __call__(self, memory: Followed, read: Read) -> tuple[Followed, Told]:
+    def __call__(self, memory: model.Followed, read: Read) -> tuple[model.Followed, Told]:
         sheet, voltages, ground = self.points.sheet, read.voltages, read.ground
         elapsed = read.elapsed * self.slot_time
-        now, rest = follow(
+        now, rest = model.follow(
             sheet,
             self.candidates,
             memory,
@@ -148,7 +127,7 @@ class Follow(AbstractStepMethod):
         used = read.used & ~sheet.slots.grounded(ground)
         residual = rms(rest, used)
         high = residual > _LIMIT * rms(centred(voltages, used), used) + 2 * self.noise
-        radius = radius_of(sheet, now.size)
+        radius = model.radius_of(sheet, now.size)
         unusual = jnp.maximum(1, now.left / _LEFT)
         c = unusual * (_FILTERED * now.covariance + _SHARED * now.alone) * sheet.unit**2
         found = Contacts(
@@ -161,7 +140,9 @@ class Follow(AbstractStepMethod):
             covariance=jnp.stack([c[:, 0, 0], c[:, 1, 1], c[:, 0, 1]], 1),
         )
         faint = (jnp.abs(voltages).max() < _FAINT * self.noise) & now.there.any()
-        vague = now.there & hardly_told(sheet, now.conductance, now.covariance[:, 2, 2])
+        vague = now.there & model.hardly_told(
+            sheet, now.conductance, now.covariance[:, 2, 2]
+        )
         flags = bits_of(
             (faint, Flag.PLACE_UNCERTAIN),
             (vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
@@ -169,32 +150,30 @@ class Follow(AbstractStepMethod):
         )
         return now, Told(strongest_first(found, now.there), residual, flags)
 
-    def image(self, memory: Followed, slot: Slot) -> Float[Array, "nx ny"]:
+    def image(self, memory: model.Followed, slot: Slot) -> Float[Array, "nx ny"]:
         none = jnp.zeros_like(memory.place)
-        return points_image(
-            memory.place,
-            none,
-            none[:, 0],
-            radius_of(self.points.sheet, memory.size),
-            jnp.where(memory.there, memory.current, 0),
-            self.points.cell,
-            self.points.shape,
-        )
+        radius = model.radius_of(self.points.sheet, memory.size)
+        current = jnp.where(memory.there, memory.current, 0)
+        spots = Spots(memory.place, none, none[:, 0], radius, current)
+        return points_image(spots, self.points.cell, self.points.shape)
 
 
 @jax.jit
-def _candidates(sheet: Sheet, places: Float[Array, "K 2"]) -> Candidates:
+def _candidates(sheet: model.Sheet, places: Float[Array, "K 2"]) -> model.Candidates:
     """Computes the voltages of usual contacts at these places."""
     none = jnp.zeros((), places.dtype)
-    tangent = jax.vmap(tangents, (None, 0, None))(sheet, places, none)
+    tangent = jax.vmap(model.tangents, (None, 0, None))(sheet, places, none)
     potential = tangent[:, 0]
-    return Candidates(places, potential, potential**2, tangent)
+    return model.Candidates(places, potential, potential**2, tangent)
 
 
 class EachSlot(AbstractStepMethod):
     """A method of the ladder on each slot alone, without a memory."""
 
     count: int = eqx.field(static=True)
+    grounded: Bool[np.ndarray, "L M"]
+    residual_limit: float
+    noise: Float[Array, ""]
     method: AbstractMethod
     prepared: Any  # of each ground
     good: Bool[Array, " M"]
@@ -204,22 +183,12 @@ class EachSlot(AbstractStepMethod):
         cls, method: AbstractMethod, count: int, good: Bool[np.ndarray, " M"], lam: float
     ) -> "EachSlot":
         """Prepares the method for every ground, with the channels that are `good`."""
-        grounds = np.arange(len(grounded_of(method)))[:, None]
+        grounded = grounded_of(method)
+        grounds = np.arange(len(grounded))[:, None]
         each = [method.prepare(ground, good[None], lam) for ground in grounds]
         prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
-        return cls(count, method, prepared, jnp.asarray(good))
-
-    @property
-    def grounded(self) -> Bool[np.ndarray, "L M"]:
-        return grounded_of(self.method)
-
-    @property
-    def residual_limit(self) -> float:
-        return self.method.residual_limit
-
-    @property
-    def noise(self) -> Float[Array, ""]:
-        return self.method.noise
+        told = grounded, method.residual_limit, method.noise
+        return cls(count, *told, method, prepared, jnp.asarray(good))
 
     def first(self) -> tuple:
         return ()
@@ -230,9 +199,7 @@ class EachSlot(AbstractStepMethod):
         whole = (read.used | ~self.good).all()
         touched = jnp.abs(read.voltages).max() > self.method.threshold
         none = no_contacts(self.count, read.voltages.dtype)
-        contacts = jax.tree.map(
-            lambda a, b: jnp.where(whole & touched, a, b), estimate.contacts, none
-        )
+        contacts = tree_where(whole & touched, estimate.contacts, none)
         flags = jnp.asarray(estimate.flags | bits_of((~whole, Flag.NO_DATA)), int)
         return (), Told(contacts, estimate.residual, flags)
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._require import require
 from tomojax._shown import named
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.kernels.levels import level_bits
@@ -237,7 +238,7 @@ class Step:
         flags = read.flags | bits | more
         output = Output(contacts, residual, flags, plan.grounds[plan.at])
         kept = state.memory, state.cheaper
-        memory, cheaper = _where(read.ok, (memory, cheaper), kept)
+        memory, cheaper = tree_where(read.ok, (memory, cheaper), kept)
         doubt = doubt._replace(stretch=doubt.stretch & ~over)
         last = Slot(read.voltages, read.ground, slot.lost, slot.hurried)
         used = read.used & read.ok
@@ -304,7 +305,7 @@ class Step:
         contacts, bits = judge(contacts, residual, bits, read.voltages, limit, noise)
         none = no_contacts(len(contacts.radius), read.voltages.dtype)
         bits = bits.astype(jnp.int32)
-        return _where(read.ok, (contacts, bits), (none, jnp.zeros_like(bits)))
+        return tree_where(read.ok, (contacts, bits), (none, jnp.zeros_like(bits)))
 
     def _doubted(
         self, doubt: Doubt, contacts: Contacts, bits: Array, ok: Array
@@ -356,7 +357,3 @@ class Step:
         remembered = self._packing.unpack(state)
         image = self._method.image(remembered.memory, remembered.last)
         return jnp.where(remembered.used.any(), image, jnp.nan)
-
-
-def _where(condition: Array, one: Any, other: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)

@@ -18,6 +18,14 @@ class Command(click.Command):
     **Raises:** `ValueError` before any work.
     """
 
+    def __init__(self, *args: Any, **given: Any):
+        super().__init__(*args, **given)
+        for one in self.params:  # every default is shown but that of a plain flag
+            value = getattr(one, "default", None)
+            if isinstance(one, click.Option) and isinstance(value, int | float | str):
+                if one.show_default is None:
+                    one.show_default = bool(one.secondary_opts) or not one.is_flag
+
     def invoke(self, ctx: click.Context) -> Any:
         read, written = paths_read(ctx), paths_written(ctx)
         names = "overwrite", "resume"

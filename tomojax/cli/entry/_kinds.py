@@ -10,6 +10,7 @@ PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", "
 
 _SIGNATURES = (b"\x89PNG", b"%PDF", b"%!PS", b"\xff\xd8\xff", b"RIFF", b"II*", b"MM\0*")
 _SIGNATURES += (b"GIF8",)
+_OUTLINES = (b'{"type": "FeatureCollection"', b"<svg")
 _HEAD = 1 << 12
 
 
@@ -31,25 +32,12 @@ def _is_picture(path: Path) -> bool:
     return head.startswith(_SIGNATURES) or b"<svg" in head
 
 
-def _is_outlines(path: Path) -> bool:
-    head = _head(path)
-    return head.startswith((b'{"type": "FeatureCollection"', b"<svg"))
-
-
 def _is_policy(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as file:
             return {"table.npy", "idle.npy"} <= set(file.namelist())
     except Exception:  # whatever zipfile makes of bytes that are no such file
         return False
-
-
-def _is_report(path: Path) -> bool:
-    return "environment" in _json(path)
-
-
-def _is_calibration(path: Path) -> bool:
-    return _json(path).get("schema") == "tomojax-calibration"
 
 
 # Kind: what a file of it is called, and whether a file is one.
@@ -63,11 +51,14 @@ KINDS: dict[str, tuple[str, Callable[[Path], bool]]] = {
     "netcdf": ("a NetCDF file", lambda path: _head(path).startswith(b"\x89HDF")),
     "parquet": ("a Parquet file", lambda path: _head(path).startswith(b"PAR1")),
     "svg": ("an SVG picture", lambda path: b"<svg" in _head(path)),
-    "calibration": ("a calibration", _is_calibration),
+    "calibration": (
+        "a calibration",
+        lambda path: _json(path).get("schema") == "tomojax-calibration",
+    ),
     "order": ("an order of check", lambda path: b"channels = [" in _head(path)),
-    "outlines": ("outlines", _is_outlines),
+    "outlines": ("outlines", lambda path: _head(path).startswith(_OUTLINES)),
     "picture": ("a picture", _is_picture),
     "policy": ("a policy", _is_policy),
-    "report": ("a report of --json", _is_report),
+    "report": ("a report of --json", lambda path: "environment" in _json(path)),
     "view": ("a view of rerun", lambda path: _head(path).startswith(b"RRF")),
 }

@@ -4,6 +4,10 @@ Each module holds one command, or code that the commands share.
 """
 
 from tomojax.cli.recordings._info import info as info
-from tomojax.cli.recordings._opened import layout_option as layout_option, opened as opened
+from tomojax.cli.recordings._opened import (
+    layout_option as layout_option,
+    opened as opened,
+    stretch as stretch,
+)
 from tomojax.cli.recordings._reconstruct import reconstruct as reconstruct
 from tomojax.cli.recordings._repair import repair as repair

@@ -1,37 +1,27 @@
 """`tomojax info`: prints what a recording holds, and its faults."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    Progress,
-    stretch_options,
-    write_report,
-)
-from tomojax.cli.recordings._opened import layout_option, opened
+from tomojax._require import naming
+from tomojax.cli import entry
+from tomojax.cli.recordings._opened import layout_option, opened, stretch
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
 @click.option(
     "--calibration",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Say how old this calibration is, and whether REC still fits it.",
 )
-@json_option("the faults and a summary")
+@entry.json_option("the faults and a summary")
 @layout_option
-@stretch_options
+@entry.stretch_options
 def info(
-    rec: Path,
-    calibration: Path | None,
-    json_path: Path | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
+    rec: Path, calibration: Path | None, json_path: Path | None, **options: Any
 ) -> None:
     """Print what the recording REC holds, and its faults.
 
@@ -40,29 +30,26 @@ def info(
     from tomojax.bringup.signs import find_signs
     from tomojax.recordings import info
 
-    known = None
-    with opened(rec, layout, since, until) as recording:
+    known = fit = None
+    with opened(rec, **stretch(options)) as recording:
         if calibration is not None:
             from tomojax.sensor import Calibration  # imports JAX: REC alone needs none
 
             known = Calibration.load(calibration, recording.electrodes)
         summary = info.summary(recording)
-        with Progress("info", "chunks") as progress:
+        with entry.Progress("info", "chunks") as progress:
             rows = info.faults(recording, progress)
         signs = find_signs(recording)
         rows += [{"fault": s.text, "scans": None, "where": []} for s in signs]
-        fit = None
         if known is not None:
             from tomojax.calibration import still_fits
 
-            try:
+            with naming(calibration):
                 fit = still_fits(recording, known)
-            except ValueError as error:
-                raise ValueError(f"{calibration}: {error}") from None
     print(info.text(rec, summary, rows))
     if fit is not None:
         from tomojax.calibration import fit_text
 
         print(fit_text(fit))
         summary["calibration"] = {"file": str(calibration), **fit}
-    write_report(json_path, rows=rows, summary=summary)
+    entry.write_report(json_path, rows=rows, summary=summary)

@@ -11,10 +11,10 @@ from typing import Any
 
 from tomojax._require import require
 from tomojax._whole import whole
+from tomojax.cli import entry
 from tomojax.cli.compiled import compiling
-from tomojax.cli.entry import interrupts, Progress, STOPPED, write_report
 from tomojax.cli.recordings._one import COMPILING, settings_of
-from tomojax.cli.recordings._opened import opened
+from tomojax.cli.recordings._opened import opened, stretch
 
 # What recordings are called.
 _TABLES = (".csv", ".tsv", ".txt")
@@ -48,17 +48,16 @@ def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -
     **Raises:** `SystemExit` if a recording failed.
     """
     for name in ("picture", "outlines", "coordinator", "processes", "process"):
-        if options[name] is not None:
-            raise ValueError(f"--{name}: got several recordings, expected one")
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"--out: {out}: got a file, expected a folder for several")
+        require(options[name] is None, f"--{name}", "several recordings", "one")
+    fits = out.is_dir() or not out.exists()
+    require(fits, f"--out: {out}", "a file", "a folder for several")
     if not out.absolute().parent.is_dir():
         raise ValueError(f"{out}: no such folder; make it, or give another")
     places = places_of(found_in(given), out)
     rows, wrong = _rows(places, out, options, settings_of(options))
     print(text(rows, wrong, out))
     summary = {"recordings": len(rows), "done": len(rows) - wrong}
-    write_report(options["json_path"], rows=rows, summary=summary)
+    entry.write_report(options["json_path"], rows=rows, summary=summary)
     if wrong:
         raise SystemExit(2)
 
@@ -118,13 +117,15 @@ def _rows(
     Returns the rows of the table, and how many recordings failed. The table is written anew
     after each recording.
     """
-    there = [place for place in places.values() if place.exists() or _begun(place)]
-    if there and not (options["resume"] or options["overwrite"]):
-        mend = "--resume to go on, --overwrite, or another folder"
-        raise ValueError(f"{out}: got results of {len(there)} already, expected {mend}")
+    from tomojax.results import partial_path
+
+    there = [one for one in places.values() if one.exists() or partial_path(one).exists()]
+    asked = not there or options["resume"] or options["overwrite"]
+    mend = "--resume to go on, --overwrite, or another folder"
+    require(asked, f"{out}", f"results of {len(there)} already", mend)
     out.mkdir(exist_ok=True)
     rows, wrong = [], 0
-    with Progress(unit="chunks") as progress, interrupts():
+    with entry.Progress(unit="chunks") as progress, entry.interrupts():
         begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
         with compiling(begun=begun):
             for number, (rec, place) in enumerate(places.items(), 1):
@@ -138,7 +139,7 @@ def _rows(
                     done = f"{number - 1 - wrong} of {len(places)}"
                     told = f"tomojax: stopped after {done}; --resume goes on in {out}"
                     print(f"\n{told}", file=sys.stderr)
-                    raise SystemExit(STOPPED) from None
+                    raise SystemExit(entry.STOPPED) from None
                 except (OSError, ValueError) as error:
                     wrong += 1
                     row["status"] = " ".join(str(error).splitlines())
@@ -150,25 +151,15 @@ def _rows(
 
 
 def _reconstruct(
-    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: Progress
+    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: entry.Progress
 ) -> None:
     from tomojax.results import reconstruct_recording
 
     if not rec.is_file():
         raise ValueError(f"{rec}: no such file")
-    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
-        reconstruct_recording(
-            recording,
-            place,
-            settings,
-            resume=options["resume"],
-            overwrite=options["overwrite"],
-            progress=progress,
-        )
-
-
-def _begun(place: Path) -> bool:
-    return place.with_name(place.name + ".partial").exists()
+    with opened(rec, **stretch(options)) as recording:
+        given = {name: options[name] for name in ("resume", "overwrite")}
+        reconstruct_recording(recording, place, settings, **given, progress=progress)
 
 
 def _counted(place: Path) -> dict[str, Any]:

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from tomojax.cli import entry
 from tomojax.cli.compiled import Compiling, compiling
-from tomojax.cli.entry import interrupts, Progress, save_picture, write_report
-from tomojax.cli.recordings._opened import opened
+from tomojax.cli.recordings._opened import opened, stretch
 
 # Said as the first program begins.
 COMPILING = (
@@ -19,27 +19,21 @@ def settings_of(options: dict[str, Any]) -> Any:
 
     **Raises:** `ValueError` for options that do not go together.
     """
-    from tomojax.results import check_outlines, default_method, Settings
+    from tomojax.results import check_outlines, Settings
 
-    names = "coordinator", "processes", "process"
-    shared = any(options[name] is not None for name in names)
+    shared = any(options[n] is not None for n in ("coordinator", "processes", "process"))
     follows = options["method"] == "follow"
     if follows and shared:
         raise ValueError("--coordinator: follow goes from slot to slot; use one process")
     if options["adapt"] and shared:
         raise ValueError("--coordinator: --adapt goes in order; use one process")
-    images = options["images"]
-    rate = options["rate"] or ("slot" if follows else "scan")
-    names = "lam", "grid", "contacts", "threshold", "chunk", "tare", "adapt"
-    given = {name: options[name] for name in names}
+    names = "method", "rate", "images", "lam", "grid", "contacts", "threshold", "chunk"
+    given = {name: options[name] for name in (*names, "tare", "adapt")}
+    if given["images"] is None:
+        given["images"] = not follows and given["rate"] != "slot"
     files = ("calibration", "policy")
     given |= {name: str(options[name]) if options[name] else None for name in files}
-    settings = Settings(
-        method=options["method"] or default_method(rate),
-        rate=rate,
-        images=rate == "scan" if images is None else images,
-        **given,
-    )
+    settings = Settings(**given)
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
     return settings
@@ -47,7 +41,7 @@ def settings_of(options: dict[str, Any]) -> Any:
 
 def reconstruct_one(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """Makes the results of a recording, and tells of them."""
-    with opened(rec, options["layout"], options["since"], options["until"]) as recording:
+    with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
         share, compiled = _reconstructed(recording, out, settings_of(options), options)
     _tell(out, share, compiled, options)
@@ -61,18 +55,12 @@ def _reconstructed(
 
     given = [options[n] for n in ("coordinator", "processes", "process")]
     share = distributed.join(*given, out=out, resume=options["resume"])
-    with Progress("reconstruct", "chunks") as progress, interrupts():
+    with entry.Progress("reconstruct", "chunks") as progress, entry.interrupts():
         begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
         with compiling(progress.say, begun) as compiled:
-            reconstruct_recording(
-                recording,
-                out,
-                settings,
-                resume=options["resume"],
-                overwrite=options["overwrite"],
-                share=share,
-                progress=progress,
-            )
+            given = {name: options[name] for name in ("resume", "overwrite")}
+            told = {"share": share, "progress": progress}
+            reconstruct_recording(recording, out, settings, **given, **told)
     distributed.leave(share, out)
     return share, compiled
 
@@ -90,11 +78,11 @@ def _tell(
         return
     summary = report.summary(out)
     print(report.text(summary, out))
-    write_report(options["json_path"], rows=summary.pop("rows"), summary=summary)
+    entry.write_report(options["json_path"], rows=summary.pop("rows"), summary=summary)
     if options["outlines"]:
         count = write_outlines(out, options["outlines"])
         print(f"outlines: {count} in {options['outlines']}")
     if options["picture"]:
         from tomojax.results.plots import timeline
 
-        save_picture(timeline(out), options["picture"])
+        entry.save_picture(timeline(out), options["picture"])

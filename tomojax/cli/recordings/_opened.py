@@ -5,6 +5,8 @@ from typing import Any
 
 import click
 
+from tomojax._require import require
+
 
 def _layout(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
     found = {}
@@ -28,6 +30,11 @@ layout_option = click.option(
 )
 
 
+def stretch(options: dict[str, Any]) -> dict[str, Any]:
+    """Picks the options of `opened` among a command's."""
+    return {name: options[name] for name in ("layout", "since", "until")}
+
+
 def opened(
     rec: Path, layout: dict, since: float | None = None, until: float | None = None
 ) -> Any:
@@ -40,8 +47,7 @@ def opened(
     if rec.suffix.lower() == ".tdms":
         names = ("group", "channels", "ground", "slots", "rail")
         unknown = sorted(layout.keys() - set(names))
-        if unknown:
-            raise ValueError(f"--layout: got {unknown}, expected some of {list(names)}")
+        require(not unknown, "--layout", unknown, f"some of {list(names)}")
         whole = open_recording(rec, **layout)
     else:
         whole = open_recording(rec, header=layout)

@@ -6,18 +6,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    calibration_option,
-    check_name,
-    Command,
-    InputFile,
-    json_option,
-    METHODS,
-    NUMBER,
-    OutputFile,
-    picture_option,
-    stretch_options,
-)
+from tomojax.cli import entry
 from tomojax.cli.recordings._many import reconstruct_all
 from tomojax.cli.recordings._one import reconstruct_one
 from tomojax.cli.recordings._opened import layout_option
@@ -29,15 +18,15 @@ _FOLDER = Path("tomojax-results")
 def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     if value == "auto":
         return None
-    return NUMBER.convert(value, parameter, context)
+    return entry.NUMBER.convert(value, parameter, context)
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile(empty=True), nargs=-1, required=True)
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile(empty=True), nargs=-1, required=True)
 @click.option(
     "-o",
     "--out",
-    type=OutputFile(
+    type=entry.OutputFile(
         "results",
         lambda given: _results_of(given["rec"]),
         unless=lambda given: _several(given["rec"]),
@@ -64,7 +53,6 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--lam",
     default="auto",
-    show_default=True,
     callback=_lam,
     help="Regularisation weight λ, or auto.",
 )
@@ -75,19 +63,18 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
     "--contacts",
     type=int,
     default=4,
-    show_default=True,
     help="Find this many contacts per row at most.",
 )
 @click.option(
     "--threshold",
-    type=NUMBER,
+    type=entry.NUMBER,
     help="Report no contact if all voltages are below this, V. [default: the method's]",
 )
-@calibration_option
+@entry.calibration_option
 @click.option(
     "--tare/--no-tare",
     default=True,
-    help="Take channels' zeros from contact-free slots, if there are any. [default: tare]",
+    help="Take channels' zeros from contact-free slots, if there are any.",
 )
 @click.option(
     "--adapt",
@@ -96,7 +83,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 )
 @click.option(
     "--policy",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Use only the slots that this table chooses in each scan, and its λ. `tomojax "
     "design --policy` writes the table.",
 )
@@ -105,14 +92,14 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 )
 @click.option("--resume", is_flag=True, help="Go on with a run that ended early.")
 @click.option("--overwrite", is_flag=True, help="Begin anew over results that are there.")
-@picture_option("the contacts over time")
+@entry.picture_option("the contacts over time")
 @click.option(
     "--outlines",
-    type=OutputFile("outlines"),
+    type=entry.OutputFile("outlines"),
     help="Write outlines of what touches to this .geojson or .svg file; needs --method "
     "shape. Replaces earlier outlines.",
 )
-@json_option("the printed summary")
+@entry.json_option("the printed summary")
 @click.option(
     "--verbose", is_flag=True, help="Print each compiled program, and how long it took, s."
 )
@@ -120,7 +107,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option("--processes", type=int, help="Processes that share the work.")
 @click.option("--process", type=int, help="This process's number, from 0.")
 @layout_option
-@stretch_options
+@entry.stretch_options
 def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     """Find contacts and images in the recording REC.
 
@@ -134,7 +121,7 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     --processes. Start a killed command again with --resume.
     """
     method = options["method"]
-    check_name("--method", method or METHODS[0], (*METHODS, "follow"))
+    entry.check_name("--method", method or entry.METHODS[0], (*entry.METHODS, "follow"))
     if _several(rec):
         reconstruct_all(rec, out or _FOLDER, options)
     else:

@@ -5,14 +5,8 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    COUNT,
-    InputFile,
-    OutputFile,
-    Progress,
-    stretch_options,
-)
+from tomojax._require import require
+from tomojax.cli import entry
 
 _NAMES = (
     "f_switch", "scale", "offset", "drive_voltage", "ground_resistance",
@@ -50,12 +44,12 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
     return first, last
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("recording"),
+    type=entry.OutputFile("recording"),
     required=True,
     help="Write the repaired recording here, a new file.",
 )
@@ -76,26 +70,19 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
 )
 @click.option(
     "--order",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Put channels and grounds in the order of this file of `tomojax check --write`.",
 )
 @click.option(
     "--join",
-    type=COUNT,
+    type=entry.COUNT,
     default=1,
     help="Make one scan of so many, as of a rig's single slots: 64 after `record "
-    "--pattern all`. [default: 1]",
+    "--pattern all`.",
 )
-@stretch_options
+@entry.stretch_options
 def repair(
-    rec: Path,
-    out: Path,
-    header: dict,
-    scans: Any,
-    order: Path | None,
-    join: int,
-    since: float | None,
-    until: float | None,
+    rec: Path, out: Path, scans: Any, order: Path | None, join: int, **options: Any
 ) -> None:
     """Write the recording REC as it should have been.
 
@@ -109,17 +96,17 @@ def repair(
         raise ValueError(f"{out}: is there; give another name")
     order_of = {} if order is None else read_toml(order, "no order of channels")
     unknown = sorted(order_of.keys() - {"channels", "grounds"})
-    if unknown:
-        raise ValueError(f"{order}: got {unknown[0]}, expected channels and grounds")
-    if rec.suffix.lower() == ".tdms":
-        raise ValueError(f"{rec}: got TDMS, expected a recording in HDF5")
-    if scans is not None and (since is not None or until is not None):
-        raise ValueError("--scans: got --from or --to as well, expected one of them")
+    require(not unknown, f"{order}", ", ".join(unknown[:1]), "channels and grounds")
+    hdf5 = rec.suffix.lower() != ".tdms"
+    require(hdf5, f"{rec}", "TDMS", "a recording in HDF5")
+    part = options["since"], options["until"]
+    alone = scans is None or part == (None, None)
+    require(alone, "--scans", "--from or --to as well", "one of them")
     with (
-        open_recording(rec, header=header) as recording,
-        Progress("repair", "scans") as progress,
+        open_recording(rec, header=options["header"]) as recording,
+        entry.Progress("repair", "scans") as progress,
     ):
-        scans = scans or between(recording, since, until).stretch
+        scans = scans or between(recording, *part).stretch
         given = order_of.get("channels"), order_of.get("grounds")
         repair_recording(recording, out, scans, *given, join, progress)  # pyright: ignore
         told = recording.mended

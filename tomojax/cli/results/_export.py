@@ -8,18 +8,7 @@ from typing import Any
 import click
 
 from tomojax._require import require
-from tomojax.cli.entry import (
-    check_paths,
-    Command,
-    COUNT,
-    InputFile,
-    interrupts,
-    NUMBER,
-    OutputFile,
-    Progress,
-    STOPPED,
-    Written,
-)
+from tomojax.cli import entry
 
 
 def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict:
@@ -30,7 +19,9 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     for value in values:
         name = "kind" if value in KINDS else "until"
         try:
-            known = value if name == "kind" else NUMBER.convert(value, parameter, context)
+            known = (
+                value if name == "kind" else entry.NUMBER.convert(value, parameter, context)
+            )
         except click.BadParameter:
             expected = f"{', '.join(KINDS)}, or a time in s"
             raise click.BadParameter(f"got {value!r}, expected {expected}") from None
@@ -40,8 +31,8 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     return found
 
 
-@click.command(cls=Command)
-@click.argument("results", type=InputFile(), nargs=-1, required=True)
+@click.command(cls=entry.Command)
+@click.argument("results", type=entry.InputFile(), nargs=-1, required=True)
 @click.option(
     "--to",
     multiple=True,
@@ -54,30 +45,32 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
 @click.option(
     "--from",
     "since",
-    type=NUMBER,
+    type=entry.NUMBER,
     help="Write rows from this time on, s after the first row. [default: 0]",
 )
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("", unless=lambda given: True),  # checked once the kind is known
+    type=entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
     help="Write this file, or files in this folder for several RESULTS. [default: beside "
     "RESULTS]",
 )
 @click.option(
     "--rate",
-    type=COUNT,
+    type=entry.COUNT,
     help="Frames a second of lerobot, or pictures a second of a film. [default: 50]",
 )
 @click.option(
     "--task",
     default="touch",
-    help="Say in words what lerobot's episodes show. [default: touch]",
+    help="Say in words what lerobot's episodes show.",
 )
-@click.option("--slow", type=NUMBER, help="Slow a film down this many times. [default: 1]")
+@click.option(
+    "--slow", type=entry.NUMBER, help="Slow a film down this many times. [default: 1]"
+)
 @click.option(
     "--film",
-    type=OutputFile("", unless=lambda given: True),
+    type=entry.OutputFile("", unless=lambda given: True),
     help="Write a film here, short for --to film -o FILM.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that are there.")
@@ -112,16 +105,16 @@ def export(results: Sequence[Path], to: dict, **options: Any) -> None:
     _check(results, list(work.values()), kind, options["overwrite"])
     given = {n: options[n] for n in ("since", "rate", "task", "slow")}
     wrong = 0
-    with interrupts():
+    with entry.interrupts():
         for number, (one, place) in enumerate(work.items()):
             try:
-                with Progress(place.name, "rows") as progress:
+                with entry.Progress(place.name, "rows") as progress:
                     export(one, place, kind, until=to["until"], **given, progress=progress)
             except KeyboardInterrupt:
                 print(
                     f"\ntomojax: stopped; {number} of {len(work)} written", file=sys.stderr
                 )
-                raise SystemExit(STOPPED) from None
+                raise SystemExit(entry.STOPPED) from None
             except (OSError, ValueError) as error:
                 if len(work) == 1:
                     raise
@@ -163,7 +156,7 @@ def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None
             f"a name with {' or '.join(endings)}",
         )
     written = [
-        Written(path, "--out", kind, kind != "film" and len(places) > 1, ())
+        entry.Written(path, "--out", kind, kind != "film" and len(places) > 1, ())
         for place in places
         for path in (place, *beside(place, kind))
     ]
@@ -172,4 +165,4 @@ def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None
     for one in written:
         there = one.path.exists() and not overwrite
         require(not there, f"{one.path}", "a file", "a new name, or --overwrite")
-    check_paths(list(results), written, overwrite)
+    entry.check_paths(list(results), written, overwrite)

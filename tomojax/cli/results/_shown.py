@@ -10,19 +10,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.cli.results._timeline import Timeline
-from tomojax.hardware.web import (
-    chosen_electrode,
-    contact_columns,
-    document,
-    ellipse_columns,
-    flag_lines,
-    flag_rows,
-    marked_line,
-    numbers,
-    pixels,
-    spectrum,
-    volt_columns,
-)
+from tomojax.hardware import web
 from tomojax.recordings import open_recording, Recording
 from tomojax.results.loading import LoadedResults
 
@@ -80,7 +68,7 @@ class ShownResults:
             shape = file.stretch("image", 0, 1).shape[1:]
             label = f"image, {file.unit('image')}"
         forces = self._line.name == "contact_force"
-        made = document(
+        made = web.document(
             file.size(), xy, shape, label, self._line.span,
             "force, N" if forces else "conductance, µS",
         )  # fmt: skip
@@ -103,16 +91,17 @@ class ShownResults:
         until = _time(asked.get("to"), begin, end, end)
         until = until if until > since else end
         sources, told, t = self._row(row)
-        sources |= self._volts(row, t, asked, told)
+        heard, volts = self._volts(row, t, asked)
+        told.append(("voltages", heard))
         lines, names = self._time_line(since, until)
-        sources |= lines
+        sources |= volts | lines
         read = f"{100 * line.read:.0f} % of the rows are in the line"
         if line.failed:
             read += f"; then: {line.failed}"
         return {
             "sources": sources,
             "told": told,
-            "flags": flag_lines(int(file.stretch("flags", row, row + 1)[0])),
+            "flags": web.flag_lines(int(file.stretch("flags", row, row + 1)[0])),
             "names": names,
             "title": f"{file.path.name}, {file.rows} rows",
             "thinned": "" if line.read == 1 else read,
@@ -126,10 +115,10 @@ class ShownResults:
         xy, g = one["contact_xy"][:count], one["contact_conductance"][:count]
         tracks = one.get("contact_track")
         called = None if tracks is None else tracks[:count]
-        sources: dict[str, Any] = {"contacts": contact_columns(xy, g, called)}
+        sources: dict[str, Any] = {"contacts": web.contact_columns(xy, g, called)}
         if "contact_covariance" in one:
             spread = one["contact_covariance"][:count]
-            sources["ellipses"] = ellipse_columns(xy, spread)
+            sources["ellipses"] = web.ellipse_columns(xy, spread)
         first = max(self._line.first, row - _TRAIL)
         step = max(1, (row + 1 - first) // 100)
         trail = file.stretch("contact_xy", first, row + 1)[::step]
@@ -139,12 +128,12 @@ class ShownResults:
         x, y = places[known].T.tolist()
         sources["trails"] = {"x": x, "y": y, "age": ages[known].tolist()}
         if "image" in names:
-            found = pixels(one["image"])
+            found = web.pixels(one["image"])
             high = found["high"] = found.pop("top")
             found["pixels"] = [value * high for value in found["pixels"]]
             sources["image"] = found
         if "residual_by_electrode" in names:
-            each = numbers(1e3 * one["residual_by_electrode"].astype(float))
+            each = web.numbers(1e3 * one["residual_by_electrode"].astype(float))
             sources["residuals"] = {"electrode": list(range(len(each))), "residual": each}
         sources["now"] = {"t": [t]}
         told = [
@@ -159,38 +148,28 @@ class ShownResults:
             told.append(("force", ", ".join(f"{f:.3g} N" for f in forces) or "–"))
         return sources, told, t
 
-    def _volts(
-        self, row: int, t: float, asked: dict[str, str], told: list[tuple[str, str]]
-    ) -> dict[str, Any]:
-        """Reads the row's voltages from the recording, and a spectrum around the row."""
+    def _volts(self, row: int, t: float, asked: dict[str, str]) -> tuple[str, dict]:
+        """Reads the row's voltages and a spectrum; says where from, or why not."""
         recording = self._recording
         if recording is None:
-            told.append(("voltages", self._heard))
-            return {}
+            return self._heard, {}
         slotwise = self._file.attributes.get("rate") == "slot"
         scan, slot = divmod(row, recording.slots) if slotwise else (row, 0)
         if scan >= recording.scans:
-            told.append(("voltages", f"{self._heard} ends before this row"))
-            return {}
+            return f"{self._heard} ends before this row", {}
         first = max(0, min(scan - _SPECTRUM // 2, recording.scans - _SPECTRUM))
         try:
             some = recording.read(first, min(first + _SPECTRUM, recording.scans))
         except ValueError as error:
-            told.append(("voltages", str(error)))
-            return {}
+            return str(error), {}
         if abs(float(some.t0[scan - first]) - t) > recording.interval:
-            told.append(
-                ("voltages", f"{self._heard} is another recording: its times differ")
-            )
-            return {}
-        ground = int(some.grounds[scan - first, slot])
-        told.append(("voltages", f"{self._heard}, ground {ground}"))
-        electrode = chosen_electrode(asked, recording.electrodes)
+            return f"{self._heard} is another recording: its times differ", {}
+        electrode = web.chosen_electrode(asked, recording.electrodes)
         series = np.nan_to_num(some.voltages[:, slot, electrode].astype(float))
-        found = {"volts": volt_columns(some.voltages[scan - first, slot])}
+        found = {"volts": web.volt_columns(some.voltages[scan - first, slot])}
         if len(series) >= 16:
-            found["spectrum"] = spectrum(series, 1 / recording.interval)
-        return found
+            found["spectrum"] = web.spectrum(series, 1 / recording.interval)
+        return f"{self._heard}, ground {int(some.grounds[scan - first, slot])}", found
 
     def _time_line(self, since: float, until: float) -> tuple[dict[str, Any], list[str]]:
         line, scale = self._line, 1.0 if self._line.name == "contact_force" else 1e6
@@ -198,15 +177,15 @@ class ShownResults:
         t = parts.t.tolist()
         each = max(1, -(-len(t) // _MOST_FLAGS))
         at = np.arange(0, len(t), each)
-        doubts = flag_rows(parts.t[at], np.bitwise_or.reduceat(parts.flags, at))
+        doubts = web.flag_rows(parts.t[at], np.bitwise_or.reduceat(parts.flags, at))
         marks = [one for one in self.marks if since <= one[0] <= until]
         line = {
             "t": t,
             "count": parts.contacts.tolist(),
-            "low": numbers(scale * parts.low.astype(float)),
-            "high": numbers(scale * parts.high.astype(float)),
+            "low": web.numbers(scale * parts.low.astype(float)),
+            "high": web.numbers(scale * parts.high.astype(float)),
         }
-        return marked_line(line, doubts, marks, since, until)
+        return web.marked_line(line, doubts, marks, since, until)
 
 
 _OF_A_ROW = (

@@ -6,16 +6,8 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    save_picture,
-    stretch_options,
-    write_report,
-)
+from tomojax._require import naming
+from tomojax.cli import entry
 
 
 def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
@@ -32,46 +24,42 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
     return place, height
 
 
-@click.command(cls=Command)
-@click.argument("results", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("results", type=entry.InputFile())
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("results", lambda given: _track_of(given["results"])),
+    type=entry.OutputFile("results", lambda given: _track_of(given["results"])),
     help="Write the tracks here. [default: RESULTS.track.h5]",
 )
 @click.option(
     "--smooth/--filter",
     default=True,
-    show_default=True,
     help="Use later rows as well as earlier rows, or earlier rows alone.",
 )
 @click.option(
     "--hold",
     type=int,
     default=3,
-    show_default=True,
     help="Keep a contact that is missing from up to this many rows.",
 )
 @click.option(
     "--least",
     type=int,
     default=3,
-    show_default=True,
     help="Drop a contact that fewer rows than this show.",
 )
 @click.option(
     "--drift",
     default="auto",
-    show_default=True,
     callback=_drift,
     help="How much place (m) and ln g (conductance) change per row, as standard "
     "deviations M,LN_G, or auto. 0,0 stands still.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace results that are there.")
-@picture_option("the contacts' paths")
-@json_option("the contacts")
-@stretch_options
+@entry.picture_option("the contacts' paths")
+@entry.json_option("the contacts")
+@entry.stretch_options
 def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS over time.
 
@@ -88,9 +76,9 @@ def track(results: Path, out: Path, **options: Any) -> None:
     print(work.text(found))
     print(f"tracks: {out}")
     rows = [touch._asdict() for touch in found]
-    write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})
+    entry.write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})
     if options["picture"]:
-        save_picture(work.picture(results, out), options["picture"])
+        entry.save_picture(work.picture(results, out), options["picture"])
 
 
 def _check_stretch(results: Path, since: float | None, until: float | None) -> None:
@@ -101,11 +89,8 @@ def _check_stretch(results: Path, since: float | None, until: float | None) -> N
     from tomojax._stretch import stretch_of
     from tomojax.results.loading import LoadedResults
 
-    with LoadedResults(results) as file:
-        try:
-            stretch_of(file.read("t"), since, until)
-        except ValueError as error:
-            raise ValueError(f"{results}: {error}") from None
+    with LoadedResults(results) as file, naming(results):
+        stretch_of(file.read("t"), since, until)
 
 
 def _track_of(results: Path) -> Path:

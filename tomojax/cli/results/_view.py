@@ -8,22 +8,22 @@ from pathlib import Path
 import click
 
 from tomojax._require import require_library
-from tomojax.cli.entry import AMOUNT, Command, InputFile, interrupts, stretch_options
+from tomojax.cli import entry
 
 
-@click.command(cls=Command)
-@click.argument("results", type=InputFile())
+@click.command(cls=entry.Command)
+@click.argument("results", type=entry.InputFile())
 @click.option(
     "--recording",
     "rec",
-    type=InputFile(),
+    type=entry.InputFile(),
     help="Show voltages of this recording. [default: the results' own, if it is beside "
     "them]",
 )
-@stretch_options
+@entry.stretch_options
 @click.option("--open", "opened", is_flag=True, help="Open the page in the browser.")
 @click.option(
-    "--seconds", type=AMOUNT, help="Show for this time, s. [default: until Ctrl-C]"
+    "--seconds", type=entry.AMOUNT, help="Show for this time, s. [default: until Ctrl-C]"
 )
 def view(
     results: Path,
@@ -57,6 +57,6 @@ def view(
         if opened:
             webbrowser.open(url)
 
-    with interrupts(own_end=True) as stop:
+    with entry.interrupts(own_end=True) as stop:
         over = lambda: stop.is_set() or time.monotonic() > end  # noqa: E731
         serve(Pages(shown.document(), shown.answer), tell, until=over)

@@ -1,59 +1,40 @@
 """`tomojax calibrate`: finds out what a rig really is from a rub."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    Progress,
-    save_picture,
-    stretch_options,
-    write_report,
-)
-from tomojax.cli.recordings import layout_option, opened
+from tomojax._require import naming
+from tomojax.cli import entry
+from tomojax.cli.recordings import layout_option, opened, stretch
 
 
-@click.command(cls=Command)
-@click.argument("rec", type=InputFile())
-@click.argument("places", type=InputFile(), required=False)
+@click.command(cls=entry.Command)
+@click.argument("rec", type=entry.InputFile())
+@click.argument("places", type=entry.InputFile(), required=False)
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
+    type=entry.OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
     help="Write the calibration here. [default: REC.calibration.json]",
 )
 @click.option(
-    "--older", "before", type=InputFile(), help="Begin with this older calibration."
+    "--older", "before", type=entry.InputFile(), help="Begin with this older calibration."
 )
 @click.option(
     "--frames",
     type=int,
     default=1000,
-    show_default=True,
     help="Use this many frames of ten slots at most.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
-@picture_option("the sheet and electrodes")
-@json_option("the printed figures")
+@entry.picture_option("the sheet and electrodes")
+@entry.json_option("the printed figures")
 @layout_option
-@stretch_options
+@entry.stretch_options
 def calibrate(
-    rec: Path,
-    places: Path | None,
-    out: Path,
-    before: Path | None,
-    frames: int,
-    overwrite: bool,
-    picture: Path | None,
-    json_path: Path | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
+    rec: Path, places: Path | None, out: Path, frames: int, **options: Any
 ) -> None:
     """Calibrate the rig from REC, a recording of a rub.
 
@@ -65,33 +46,31 @@ def calibrate(
     is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
     uses the result.
     """
-    if out.exists() and not overwrite:
+    if out.exists() and not options["overwrite"]:
         raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
     if frames < 16:
         raise ValueError(f"frames: got {frames}, expected 16 or more")
 
-    with opened(rec, layout, since, until) as recording:
+    with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
         from tomojax import calibration as room
         from tomojax.sensor import Calibration
 
         sensor = recording.rig.sensor()
         told = room.read_places(places) if places else None
+        before = options["before"]
         older = Calibration.load(before, recording.electrodes) if before else None
-        with Progress() as progress:
-            try:
-                found = room.calibrated_recording(
-                    recording, told, frames, calibration=older, progress=progress.say
-                )
-            except ValueError as error:
-                raise ValueError(f"{rec}: {error}") from None
+        with entry.Progress() as progress, naming(rec):
+            found = room.calibrated_recording(
+                recording, told, frames, calibration=older, progress=progress.say
+            )
     found.calibration.save(out)
     print(room.text(sensor, found))
     print(f"calibration: {out}")
-    if picture:
-        save_picture(room.picture(sensor, found), picture)
+    if options["picture"]:
+        entry.save_picture(room.picture(sensor, found), options["picture"])
     row = room.summary(sensor, found)
-    write_report(json_path, rows=[row], summary=row)
+    entry.write_report(options["json_path"], rows=[row], summary=row)
 
 
 def _calibration_of(rec: Path) -> Path:

@@ -2,26 +2,18 @@
 
 import sys
 import time
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    AMOUNT,
-    Command,
-    InputFile,
-    json_option,
-    OutputFile,
-    picture_option,
-    Progress,
-    save_picture,
-    stretch_options,
-    wire_options,
-    write_report,
-)
-from tomojax.cli.recordings import layout_option, opened
+from tomojax._require import naming
+from tomojax.cli import entry
+from tomojax.cli.recordings import layout_option, opened, stretch
 from tomojax.cli.rigs._session import session
+
+_PAUSE = 2.0  # s, between the parts of a recording
 
 # Names of sources that are no files.
 _SOURCES = ("serial:", "udp://", "ni:", "virtual")
@@ -43,71 +35,55 @@ class _Corners(click.ParamType):
         return int(parts[0]), int(parts[1])
 
 
-@click.command(cls=Command)
+@click.command(cls=entry.Command)
 @click.argument("source", metavar="SOURCE|REC")
 @click.option(
     "--corners",
     type=_Corners(),
     default="auto",
+    show_default=False,
     help="The two electrodes at the corners that were touched in the end, as 0,7, or "
     "none. [default: 0 and the last of row 0]",
 )
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("recording"),
+    type=entry.OutputFile("recording"),
     help="Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
 )
 @click.option(
     "--write",
-    type=OutputFile("order"),
+    type=entry.OutputFile("order"),
     help="Write the corrected order of wires here, for --config of `tomojax live`; "
     "replaces an earlier order.",
 )
-@picture_option("the sheet and its faults")
-@json_option("the faults")
-@click.option("--like", type=InputFile(), help="Expect as many channels as this recording.")
+@entry.picture_option("the sheet and its faults")
+@entry.json_option("the faults")
+@click.option(
+    "--like", type=entry.InputFile(), help="Expect as many channels as this recording."
+)
 @click.option(
     "--quiet",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=4.0,
-    show_default=True,
     help="Record SOURCE untouched for this time, s.",
 )
 @click.option(
     "--rub",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=20.0,
-    show_default=True,
     help="Record a rub on SOURCE for this time, s.",
 )
 @click.option(
     "--touch",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     default=3.0,
-    show_default=True,
     help="Record each touch on SOURCE for this time, s.",
 )
-@wire_options
+@entry.wire_options
 @layout_option
-@stretch_options
-def check(
-    source: str,
-    corners: Any,
-    out: Path | None,
-    write: Path | None,
-    picture: Path | None,
-    json_path: Path | None,
-    like: Path | None,
-    quiet: float,
-    rub: float,
-    touch: float,
-    baud: int | None,
-    bind: str | None,
-    layout: dict,
-    since: float | None,
-    until: float | None,
-) -> int:
+@entry.stretch_options
+def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
     """Check a new rig: wires, grounds, noise, places and sheet.
 
     The command also judges the drive and the gains. REC is judged, or SOURCE (serial:PORT,
@@ -127,28 +103,23 @@ def check(
     """
     path = Path(source)
     if source.startswith(_SOURCES) and not path.is_file():
-        if min(quiet, rub, touch) <= 0:
-            raise ValueError(f"seconds: got {min(quiet, rub, touch)}, expected above 0")
-        path = out or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
-        _record(source, path, like, quiet, rub, touch, corners, baud=baud, bind=bind)
+        path = options["out"] or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
+        _record(source, path, corners, options | {"like": like})
 
-    with opened(path, layout, since, until) as recording:
+    with opened(path, **stretch(options)) as recording:
         if like is not None:
             _same_sensor(path, recording, like)
         from tomojax import bringup  # imports JAX, without which a bad file is told
 
-        with Progress() as progress:
-            try:
-                found = bringup.check(recording, corners, progress=progress.say)
-            except ValueError as error:
-                raise ValueError(f"{path}: {error}") from None
+        with entry.Progress() as progress, naming(path):
+            found = bringup.check(recording, corners, progress=progress.say)
     print(bringup.text(found))
-    if write:
+    if write := options["write"]:
         bringup.write_order(found, write)
         print(f"order of channels and grounds: {write}; use it with --config {write}")
-    if picture:
-        save_picture(bringup.picture(found), picture)
-    write_report(json_path, **bringup.summary(found))
+    if options["picture"]:
+        entry.save_picture(bringup.picture(found), options["picture"])
+    entry.write_report(options["json_path"], **bringup.summary(found))
     return 1 if found.faults else 0
 
 
@@ -165,49 +136,31 @@ def _same_sensor(path: Path, recording: Any, like: Path) -> None:
         raise ValueError(f"{path}: v: got {here} channels, expected {there}, as {like} has")
 
 
-def _record(
-    source: str,
-    out: Path,
-    like: Path | None,
-    quiet: float,
-    rub: float,
-    touch: float,
-    corners: Any,
-    **given: Any,
-) -> None:
+def _record(source: str, out: Path, corners: Any, options: dict[str, Any]) -> None:
     """Records a source while the user is told what to do."""
-    import numpy as np
-
     first = "the corner of electrode 0 (x and y least)"
     second = "the corner at the end of row 0 (x least, y most)"
     if corners not in ("auto", None):
         first, second = (f"the corner of electrode {c}" for c in corners)
-    pause = 2.0
     words = [
-        (quiet, "leave the sheet alone"),
-        (rub, "rub the sheet anywhere, all over"),
-        (pause, "lift off"),
+        (options["quiet"], "leave the sheet alone"),
+        (options["rub"], "rub the sheet anywhere, all over"),
+        (_PAUSE, "lift off"),
     ]
-    if corners is not None:
-        words += [
-            (touch, f"touch {first} and hold still"),
-            (pause, "lift off"),
-            (touch, f"touch {second} and hold still"),
-            (pause, "lift off"),
-        ]
-    starts = np.cumsum([0.0, *(seconds for seconds, _ in words)]).tolist()
-    said = iter(zip(starts, words))
-    due = [next(said)]
+    for corner in () if corners is None else (first, second):
+        words.append((options["touch"], f"touch {corner} and hold still"))
+        words.append((_PAUSE, "lift off"))
+    starts = list(accumulate((seconds for seconds, _ in words), initial=0.0))
+    due = list(zip(starts, words))
 
     def tell(seconds: float) -> None:
         while due and seconds >= due[0][0]:
-            length, text = due.pop()[1]
+            length, text = due.pop(0)[1]
             print(f"{text} ({length:g} s)", file=sys.stderr, flush=True)
-            due.extend([one] if (one := next(said, None)) else [])
 
-    options = given | {
-        "like": like, "speed": None, "view": "none", "rrd": None, "since": None,
-        "until": None, "seconds": starts[-1], "file_seconds": 1e6,
+    options |= {
+        "speed": None, "view": "none", "rrd": None, "since": None, "until": None,
+        "seconds": starts[-1], "file_seconds": 1e6,
     }  # fmt: skip
     prepare = lambda sensor: list(range(sensor.electrode_count))  # noqa: E731
     with session(source, out, options, prepare) as (opened, asked):

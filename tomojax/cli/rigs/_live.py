@@ -9,17 +9,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    AMOUNT,
-    calibration_option,
-    check_name,
-    Command,
-    COUNT,
-    ground_numbers,
-    METHODS,
-    OutputFile,
-    POLICIES,
-)
+from tomojax.cli import entry
 from tomojax.cli.rigs._options import session_options
 from tomojax.cli.rigs._session import session
 
@@ -29,33 +19,32 @@ _COMPILING = (
 )
 
 
-@click.command(cls=Command)
+@click.command(cls=entry.Command)
 @session_options
 @click.option(
     "--method",
     default="follow",
-    show_default=True,
     help="Find contacts by this method: follow, or one that sees each slot alone.",
 )
 @click.option(
     "--policy",
     default="around_contacts",
-    show_default=True,
     help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
     "electrodes as 0,7,14, or a table of `tomojax design --policy`.",
 )
 @click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(
-    "--budget", type=AMOUNT, help="A slot older than this is late, s. [default: one slot]"
+    "--budget",
+    type=entry.AMOUNT,
+    help="A slot older than this is late, s. [default: one slot]",
 )
 @click.option(
     "--contacts",
-    type=COUNT,
+    type=entry.COUNT,
     default=2,
-    show_default=True,
     help="Find this many contacts at most.",
 )
-@calibration_option
+@entry.calibration_option
 @click.option(
     "--adapt",
     is_flag=True,
@@ -70,7 +59,7 @@ _COMPILING = (
 @click.option(
     "--record",
     "out",
-    type=OutputFile("recording", also=(".adapted.h5",)),
+    type=entry.OutputFile("recording", also=(".adapted.h5",)),
     help="Write the slots to this recording as well. [default: no recording]",
 )
 @click.option(
@@ -83,7 +72,7 @@ _COMPILING = (
 )
 @click.option(
     "--radius",
-    type=AMOUNT,
+    type=entry.AMOUNT,
     help="Radius of the tip that presses, m. --send then includes forces. Needs a "
     "--calibration with a law of pressure.",
 )
@@ -102,13 +91,13 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     from tomojax.hardware.sinks import check_all
 
     for option, name in (("--method", method), ("--cheaper", options["cheaper"])):
-        check_name(option, name or method, ("follow", *METHODS))
+        entry.check_name(option, name or method, ("follow", *entry.METHODS))
     own = policy.endswith(".npz")
     if own and not Path(policy).is_file():
         raise ValueError(f"--policy: {policy}: no such file")
-    if not own and ground_numbers("--policy", policy) is None:
+    if not own and entry.ground_numbers("--policy", policy) is None:
         more = ", electrodes with commas: 0,7,14, or a table, .npz"
-        check_name("--policy", policy, POLICIES, more)
+        entry.check_name("--policy", policy, entry.POLICIES, more)
     sinks = check_all(options["send"], out)
     # What is read line by line has no pictures of a terminal in between.
     lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)
@@ -119,7 +108,7 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     def check(electrodes: int) -> None:
         nonlocal calibration, law
         if not own:
-            ground_numbers("--policy", policy, electrodes)
+            entry.ground_numbers("--policy", policy, electrodes)
         if path is not None:
             from tomojax.sensor import Calibration
 

@@ -5,16 +5,7 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    AMOUNT,
-    grouped,
-    InputFile,
-    like_option,
-    OutputFile,
-    stretch_options,
-    whole_number,
-    wire_options,
-)
+from tomojax.cli import entry
 
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
@@ -49,17 +40,17 @@ class Numbers(click.ParamType):
     def convert(self, value: Any, param: Any, ctx: Any) -> list[int]:
         try:
             parts = value.split(",") if isinstance(value, str) else value
-            return [whole_number(part) for part in parts]
+            return [entry.whole_number(part) for part in parts]
         except (TypeError, ValueError):
             self.fail(f"got {value!r}, expected whole numbers with commas", param, ctx)
 
 
-session_options = grouped(
+session_options = entry.grouped(
     click.argument("source"),
-    stretch_options,
+    entry.stretch_options,
     click.option(
         "--config",
-        type=InputFile(empty=True),
+        type=entry.InputFile(empty=True),
         is_eager=True,
         expose_value=False,
         callback=_config,
@@ -70,35 +61,33 @@ session_options = grouped(
         "--view",
         type=click.Choice(["terminal", "web", "rerun", "none"]),
         default="terminal",
-        show_default=True,
         help="Show the session here: in the terminal, a browser (web), Rerun, or not.",
     ),
     click.option(
         "--rrd",
-        type=OutputFile("view"),
+        type=entry.OutputFile("view"),
         help="Write the view of --view rerun to this file and open no viewer; "
         "replaces an earlier view.",
     ),
     click.option(
         "--seconds",
-        type=AMOUNT,
+        type=entry.AMOUNT,
         help="Stop after this time, s. [default: until Ctrl-C]",
     ),
     click.option(
         "--file-seconds",
-        type=AMOUNT,
+        type=entry.AMOUNT,
         default=3600.0,
-        show_default=True,
         help="Begin a new file of the recording after this time, s.",
     ),
-    wire_options,
+    entry.wire_options,
     click.option(
         "--speed",
-        type=AMOUNT,
+        type=entry.AMOUNT,
         help="Replay a recording this many times as fast as measured. [default: "
         "as fast as it is read]",
     ),
-    like_option,
+    entry.like_option,
     click.option(
         "--channels",
         type=Numbers(),

@@ -6,31 +6,24 @@ from typing import Any
 
 import click
 
-from tomojax.cli.entry import (
-    check_name,
-    Command,
-    FIXED,
-    ground_numbers,
-    OutputFile,
-    Progress,
-)
+from tomojax._require import naming
+from tomojax.cli import entry
 from tomojax.cli.rigs._options import session_options
 from tomojax.cli.rigs._session import session
 
 
-@click.command(cls=Command)
+@click.command(cls=entry.Command)
 @session_options
 @click.option(
     "-o",
     "--out",
-    type=OutputFile("recording", also=(".calibration.json",)),
+    type=entry.OutputFile("recording", also=(".calibration.json",)),
     required=True,
     help="Write the recording to this file.",
 )
 @click.option(
     "--pattern",
     default="all",
-    show_default=True,
     help="Ground these electrodes in turn, over and over: a pattern's name (all, boundary, "
     "edge, v_line, random_16, random_8), or electrodes as 0,7,14.",
 )
@@ -51,10 +44,12 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
     """
 
     def check(electrodes: int) -> list[int] | None:
-        return ground_numbers("--pattern", pattern, electrodes)
+        return entry.ground_numbers("--pattern", pattern, electrodes)
 
-    if ground_numbers("--pattern", pattern) is None:
-        check_name("--pattern", pattern, FIXED, ", or electrodes with commas: 0,7,14")
+    if entry.ground_numbers("--pattern", pattern) is None:
+        entry.check_name(
+            "--pattern", pattern, entry.FIXED, ", or electrodes with commas: 0,7,14"
+        )
 
     def grounds(sensor: Any) -> list[int]:
         import numpy as np
@@ -83,11 +78,8 @@ def _calibrated(rec: Path, made: Path) -> None:
 
     print("calibrating: one to two minutes the first time …", file=sys.stderr)
     with open_recording(rec) as recording:
-        with Progress() as progress:
-            try:
-                found = calibrated_recording(recording, progress=progress.say)
-            except ValueError as error:
-                raise ValueError(f"{rec}: {error}") from None
+        with entry.Progress() as progress, naming(rec):
+            found = calibrated_recording(recording, progress=progress.say)
         print(text(recording.rig.sensor(), found))
     found.calibration.save(made)
     print(f"calibration: {made}")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tomojax._require import require_library
-from tomojax.cli.entry import interrupts, sheet_of
+from tomojax.cli import entry
 
 # Seconds that a process beside the loop has to end: `shape` may be compiling.
 _PATIENCE = 60.0
@@ -76,7 +76,7 @@ class _Session:
             if self.recorder is not None:
                 self.recorder.look()
 
-        with interrupts(own_end=True) as stop:
+        with entry.interrupts(own_end=True) as stop:
             until = lambda: stop.is_set() or time.perf_counter() > end  # noqa: E731
             try:
                 run(
@@ -182,7 +182,7 @@ def session(
     from tomojax.hardware import open_source, SlotRing
     from tomojax.hardware.sources import OrderedSource, ReplaySource
 
-    rig, _, electrodes = sheet_of(options["like"])
+    rig, _, electrodes = entry.sheet_of(options["like"])
     order = options.get("channels"), options.get("grounds")
 
     def opened(where: str) -> Any:

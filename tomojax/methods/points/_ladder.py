@@ -9,17 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.contacts import (
-    along,
-    best_pairs,
-    best_places,
-    explained,
-    field_at,
-    gains_beside,
-    Look,
-    own_beside,
-    weighed_volts,
-)
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
@@ -109,8 +99,8 @@ def shaped(found: Found) -> Any:
 def first(scene: Fitting) -> Ladder:
     """Fits one disc, from the best candidates."""
     at, candidates = look_of(scene), scene.method.candidates
-    scores = explained(_alone(scene, at), at.own)
-    best = best_places(scores, candidates, 1.5 * scene.method.spacing, _STARTS)
+    scores = model.explained(_alone(scene, at), at.own)
+    best = model.best_places(scores, candidates, 1.5 * scene.method.spacing, _STARTS)
     found, ended = best_fit(scene, DISCS, starts_at(scene, candidates[best][:, None]))
     found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
@@ -126,10 +116,11 @@ def first(scene: Fitting) -> Ladder:
     )
 
 
-def _alone(scene: Fitting, at: Look) -> Float[Array, "s K"]:
+def _alone(scene: Fitting, at: model.Look) -> Float[Array, "s K"]:
     """Multiplies each candidate's column by the voltages, in the drive's direction."""
     forward = jnp.sign(scene.method.sheet.drive_voltage)
-    return forward * along(at, weighed_volts(at, scene.voltages[scene.prepared.compared]))
+    weighed = model.weighed_volts(at, scene.voltages[scene.prepared.compared])
+    return forward * model.along(at, weighed)
 
 
 def seen_at_all(scene: Fitting, found: Found) -> Found:
@@ -162,8 +153,8 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     gained = _gains(scene, discs, new, size)
     promise, rival = _promise(scene, new, ended, size)
     return ladder._replace(
-        best=_choose(gained & (_score(new) < _score(best)), new, best),
-        discs=_choose(gained, new, discs),
+        best=tree_where(gained & (_score(new) < _score(best)), new, best),
+        discs=tree_where(gained, new, discs),
         promise=jnp.where(gained, promise, 0),
         rival=rival,
         pair=pair,
@@ -184,7 +175,7 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
         alone, _ = best_fit(scene, CURVE, starts, _asked_of(scene, one, less))
         # What leaves more than errors is no shape: a curve fits a little of anything.
         gained = _gains(scene, one, alone, 2) & ~alone.high & long_enough(scene, alone)
-        return _choose(gained & (_score(alone) < _score(best)), alone, best), None
+        return tree_where(gained & (_score(alone) < _score(best)), alone, best), None
 
     starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
     # One after the other: the model is compiled once.
@@ -216,11 +207,12 @@ def _promise(
     at, some, m = look_of(scene), scene.prepared.compared, scene.voltages.shape[1]
     scale = scene.frame.scale[some]
     rest, slope = ended.rest[some], ended.slope[some].transpose(1, 0, 2)
-    own = own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
+    own = model.own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
     normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
     right = jnp.einsum("psw,sw->p", slope, rest, precision="highest")
-    left, slopes = along(at, scale * rest[:, :m]), along(at, scale * slope[..., :m])
-    gains = gains_beside(left, slopes, own, normal, right)
+    left = model.along(at, scale * rest[:, :m])
+    slopes = model.along(at, scale * slope[..., :m])
+    gains = model.gains_beside(left, slopes, own, normal, right)
     best = jnp.argmax(gains)
     return gains[best] / len(some), candidates[best]
 
@@ -247,8 +239,9 @@ def _more_discs(
     if size == 2:
         at, spacing = look_of(scene), 1.5 * scene.method.spacing
         alone = _alone(scene, at)
-        places = best_places(explained(alone, at.own), candidates, spacing, _FIRST)
-        pairs = best_pairs(at, alone, places, candidates, spacing, _PAIRS)
+        scores = model.explained(alone, at.own)
+        places = model.best_places(scores, candidates, spacing, _FIRST)
+        pairs = model.best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
     return best_fit(scene, DISCS, starts, _asked_of(scene, discs, GAIN * (size - 1)))
@@ -280,7 +273,7 @@ def _own_columns(
 ) -> Float[Array, "C s M"]:
     """Computes the voltages that the discs make per ampere."""
     sheet = scene.method.sheet
-    each = jax.vmap(field_at, (None, 0, 0))
+    each = jax.vmap(model.field_at, (None, 0, 0))
     own = each(sheet.field, discs.place[:size], discs.radius[:size])
     return volts_per_ampere(sheet.slots, own, grounds)
 
@@ -350,7 +343,3 @@ def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
     wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size
     is_ring = curve.ring[0] > 0
     return (is_ring & wide) | (~is_ring & long)
-
-
-def _choose(first: Array, one: Found, other: Found) -> Found:
-    return jax.tree.map(lambda a, b: jnp.where(first, a, b), one, other)

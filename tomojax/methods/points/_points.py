@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import largest_variance, points_as_contacts, points_image
+from tomojax.kernels.images import largest_variance, points_as_contacts, points_image, Spots
 from tomojax.kernels.sheet import cell_centres, lengthened
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
 from tomojax.methods._errors import Errors, PreparedErrors
@@ -106,10 +106,6 @@ class Points(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.potentials.shape[1]
-
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedErrors:
         return self.errors.prepare(grounds, good, lam)
 
@@ -135,25 +131,10 @@ class Points(AbstractMethod):
         return called(frames, every, _described_all, found, images)
 
     def _described(self, found: Found) -> Estimate:
-        contacts = points_as_contacts(
-            found.count,
-            found.place,
-            found.extent,
-            found.ring,
-            found.radius,
-            found.current,
-            found.conductance,
-            found.covariance,
-        )
-        image = points_image(
-            found.place,
-            found.extent,
-            found.ring,
-            found.radius,
-            found.current,
-            self.cell,
-            self.shape,
-        )
+        spots = Spots(*(getattr(found, name) for name in Spots._fields))
+        told = found.conductance, found.covariance
+        contacts = points_as_contacts(found.count, spots, *told)
+        image = points_image(spots, self.cell, self.shape)
         # Half of a pitch.
         limit = 0.5 / UNIT * self.sheet.unit
         apart = largest_variance(found.covariance) > limit**2

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import no_contacts, read_regions
 from tomojax.methods._contract import bits_of, Estimate
@@ -56,11 +57,8 @@ def described(
     contacts = jax.tree.map(lambda a: a[:count] if a.ndim else a, contacts)
     told = jnp.where(fitted.seen, some, 0).astype(jnp.uint8)
     # What is not seen has no place.
-    contacts = jax.tree.map(
-        lambda a, none: jnp.where(fitted.seen, a, none),
-        contacts._replace(count=told),
-        no_contacts(count, contacts.xy.dtype),
-    )
+    none = no_contacts(count, contacts.xy.dtype)
+    contacts = tree_where(fitted.seen, contacts._replace(count=told), none)
     faint = fitted.seen & (fitted.highest < _FAINT * model.noise)
     squares = fitted.conductance.max() * model.sheet_resistance
     metal = squares * (_RIM * model.pitch) ** 2 > 1

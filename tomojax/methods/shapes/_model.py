@@ -9,23 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from tomojax.kernels import shapes
 from tomojax.kernels.contacts import whitened_columns
-from tomojax.kernels.shapes import (
-    Evaluated,
-    fit_shape,
-    followed,
-    levels,
-    modes_of,
-    near_touching,
-    PixelSites,
-    shape_curvature,
-    shape_slopes,
-    ShapeFit,
-    spread,
-    Told,
-    touching,
-    TwoLevels,
-)
 from tomojax.kernels.sheet import (
     ground_voltages,
     lengthened,
@@ -113,7 +98,7 @@ class Before(NamedTuple):
 class Turn(NamedTuple):
     """A fit, and how to go on."""
 
-    fit: ShapeFit
+    fit: shapes.ShapeFit
     level: Float[Array, "nx ny"]  # S/m²
     anew: Bool[Array, ""]  # whether the next fit begins with a coarse one
     ended: Bool[Array, ""]
@@ -122,7 +107,7 @@ class Turn(NamedTuple):
 class FittedShape(NamedTuple):
     """A shape fitted to one frame."""
 
-    fit: ShapeFit
+    fit: shapes.ShapeFit
     level: Float[Array, "nx ny"]  # S/m² of what touches
     conductance: Float[Array, "nx ny"]  # S/m²
     current: Float[Array, "nx ny"]  # A per pixel, the mean over the slots
@@ -149,10 +134,10 @@ class AbstractShape(AbstractMethod):
     shape: tuple[int, int] = eqx.field(static=True)
     cell: Float[Array, "2"]
     source: Source
-    fine: PixelSites
-    field: TwoLevels
-    coarse: PixelSites
-    coarse_field: TwoLevels
+    fine: shapes.PixelSites
+    field: shapes.TwoLevels
+    coarse: shapes.PixelSites
+    coarse_field: shapes.TwoLevels
     errors: Errors
     sheet_resistance: Float[Array, ""]
     slots: Slots
@@ -170,10 +155,6 @@ class AbstractShape(AbstractMethod):
     def noise(self) -> Float[Array, ""]:
         return self.errors.noise
 
-    @property
-    def electrode_count(self) -> int:
-        return self.source.electrode_count
-
     @classmethod
     def of(cls: type[_S], sensor: Sensor, shape: tuple[int, int]) -> _S:
         """Makes the method for an image of `shape` pixels."""
@@ -183,8 +164,8 @@ class AbstractShape(AbstractMethod):
         less = (max(1, shape[0] // _COARSER), max(1, shape[1] // _COARSER))
         fine, coarse = (pixels_of(sensor, s, CELLS) for s in (shape, less))
         size, pitch = np.asarray(sensor.size, float), sensor.mean_pitch
-        field = modes_of(shape, size, pitch, sensor.dtype)
-        few = modes_of(less, size, pitch, sensor.dtype)
+        field = shapes.modes_of(shape, size, pitch, sensor.dtype)
+        few = shapes.modes_of(less, size, pitch, sensor.dtype)
         sites = pixel_sites(fine.sensor, shape)
         count = sensor.electrode_count
         slots = sensor.slots(sites.table[-count:, -count:])
@@ -241,16 +222,17 @@ class AbstractShape(AbstractMethod):
     ) -> FittedShape:
         """Fits the image and tells its misfit; `follow` adds the image's derivative."""
         given = self._told(prepared.some, voltages[prepared.fitted])
-        told: Told = jax.lax.stop_gradient(given)
+        told: shapes.Told = jax.lax.stop_gradient(given)
         still = jax.lax.stop_gradient(voltages)
         fit, level = self._from(told, before, self._level(prepared.source, still))
         each = (level * jnp.prod(self.cell)).ravel()
-        curvature = shape_curvature(self.field, self.fine, told, each, fit)
-        sure = spread(self.field, curvature, fit.w)
+        scene = shapes.Scene(self.field, self.fine, told, each)
+        curvature = shapes.shape_curvature(scene, fit)
+        sure = shapes.spread(self.field, curvature, fit.w)
         if follow:
-            fit = followed(self.field, self.fine, given, each, fit)
+            fit = shapes.followed(scene._replace(told=given), fit)
         conductance = level * self.touched(fit)
-        near = _NEXT * levels(conductance, self.cell, self.pitch)
+        near = _NEXT * shapes.levels(conductance, self.cell, self.pitch)
         images = {
             "level": level,
             "conductance": conductance,
@@ -265,22 +247,23 @@ class AbstractShape(AbstractMethod):
         image = values.reshape(self.shape)
         return image if self.inside is None else jnp.where(self.inside, image, 0)
 
-    def touched(self, fit: ShapeFit) -> Float[Array, "nx ny"]:
+    def touched(self, fit: shapes.ShapeFit) -> Float[Array, "nx ny"]:
         """Returns the part of each pixel that touches."""
         return self.on_sheet(fit.touch)
 
     def _from(
-        self, told: Told, before: Before, blurred: Float[Array, ""]
-    ) -> tuple[ShapeFit, Float[Array, "nx ny"]]:
+        self, told: shapes.Told, before: Before, blurred: Float[Array, ""]
+    ) -> tuple[shapes.ShapeFit, Float[Array, "nx ny"]]:
         """Fits the fine field from the frame before, or from a coarse fit.
 
         A fit that the frame before began is given up where its end is no good. The loop
         holds each of the two fits once: they are most of what has to be compiled.
         """
 
-        def fine(w: Array, level: Array) -> ShapeFit:
+        def fine(w: Array, level: Array) -> shapes.ShapeFit:
             each = (level * jnp.prod(self.cell)).ravel()
-            return fit_shape(self.field, self.fine, told, each, w, _THEN, _ENOUGH_THEN)
+            scene = shapes.Scene(self.field, self.fine, told, each)
+            return shapes.fit_shape(scene, w, _THEN, _ENOUGH_THEN)
 
         def turn(run: Turn) -> Turn:
             w, level = jax.lax.cond(
@@ -294,8 +277,8 @@ class AbstractShape(AbstractMethod):
             worse = ~(fit.cost <= _MORE * before.cost) | under
             return Turn(fit, level, jnp.array(True), run.anew | ~worse)
 
-        shapes = jax.eval_shape(fine, before.w, before.level)
-        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+        about = jax.eval_shape(fine, before.w, before.level)
+        nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), about)
         anew = ~jnp.isfinite(before.cost)
         first = Turn(nothing, before.level, anew, jnp.array(False))
         ended: Turn = jax.lax.while_loop(lambda run: ~run.ended, turn, first)
@@ -318,15 +301,16 @@ class AbstractShape(AbstractMethod):
         count = self.electrode_count
         level = jnp.prod(self.cell) / (self.sheet_resistance * self.pitch**2)
         each = jnp.broadcast_to(level, self.fine.on_sheet.shape)
-        touch, steep = touching(self.field.waves, self.field.mean, w)
+        touch, steep = shapes.touching(self.field.waves, self.field.mean, w)
         contact = reduce_sites(self.fine.table, self.fine.of(each * touch), count)
         law = self.slots, errors.grounds, self.drive_voltage
         told = self._told(errors, ground_voltages(contact, *law))
-        at = Evaluated(0 * told.frame.whitened, contact)
-        return shape_slopes(self.field, self.fine, told, each, steep, at)
+        at = shapes.Evaluated(0 * told.frame.whitened, contact)
+        scene = shapes.Scene(self.field, self.fine, told, each)
+        return shapes.shape_slopes(scene, steep, at)
 
-    def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> Told:
-        return Told(
+    def _told(self, errors: PreparedErrors, voltages: Float[Array, "S M"]) -> shapes.Told:
+        return shapes.Told(
             voltages=voltages,
             frame=whitened(errors, voltages).frame,
             tolerance=errors.tolerance,
@@ -339,7 +323,7 @@ class AbstractShape(AbstractMethod):
         self,
         errors: PreparedErrors,
         voltages: Float[Array, "S M"],
-        fit: ShapeFit,
+        fit: shapes.ShapeFit,
         images: dict[str, Array],
         ahead: Before,
     ) -> FittedShape:
@@ -378,7 +362,7 @@ class AbstractShape(AbstractMethod):
         return ((guess**2).sum() + tiny) / (guess.sum() + tiny) / jnp.prod(self.cell)
 
     def _coarse(
-        self, told: Told, blurred: Float[Array, ""]
+        self, told: shapes.Told, blurred: Float[Array, ""]
     ) -> tuple[Float[Array, " K"], Float[Array, "nx ny"]]:
         """Returns the fine fit's first field, and the level of the coarse fit, S/m²."""
         field, sites = self.coarse_field, self.coarse
@@ -387,11 +371,12 @@ class AbstractShape(AbstractMethod):
         n, _, few = field.waves.shape
         start = jnp.zeros(few, level.dtype)
         each = jnp.broadcast_to(level * area, n)
-        fit = fit_shape(field, sites, told, each, start, _FIRST, _ENOUGH)
-        touch, _ = touching(self.field.waves[:, :, :few], self.field.mean, fit.w)
+        scene = shapes.Scene(field, sites, told, each)
+        fit = shapes.fit_shape(scene, start, _FIRST, _ENOUGH)
+        touch, _ = shapes.touching(self.field.waves[:, :, :few], self.field.mean, fit.w)
         image = level * touch
-        near = _LEVEL * levels(image.reshape(self.shape), self.cell, self.pitch)
-        return near_touching(self.field, image / near.ravel()), near
+        near = _LEVEL * shapes.levels(image.reshape(self.shape), self.cell, self.pitch)
+        return shapes.near_touching(self.field, image / near.ravel()), near
 
 
 def _far_apart(

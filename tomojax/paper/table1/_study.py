@@ -23,18 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Integer
 
+from tomojax import paper
 from tomojax.kernels.images import half_area_radius, half_width, image_place
 from tomojax.kernels.inverse import ReducedSlots, solve_damped
 from tomojax.kernels.sheet import centroids
-from tomojax.paper import (
-    AdaptivePattern,
-    AdaptiveScan,
-    cell_size,
-    exploration,
-    pattern,
-    PATTERNS,
-    reduce_jacobian,
-)
 from tomojax.sensor import Converter, Disc, jacobian, Sensor, voltages
 
 # Table I: width in mm, Δt in ms.
@@ -49,7 +41,7 @@ PAPER = {
     "random_16": (49.0, 1.60),
     "random_8": (56.6, 0.80),
 }
-ADAPTIVE = get_args(AdaptivePattern)
+ADAPTIVE = get_args(paper.AdaptivePattern)
 
 MARGIN = 0.040  # m from the edge, of the table's contacts
 _CONTACTS = 100
@@ -91,12 +83,12 @@ def run(progress: Callable[[str], None] = lambda step: None) -> Study:
     sensor = Sensor.grid(divisions=_COARSE)
     progress("Jacobian")
     jac = jacobian(sensor)
-    reduced = reduce_jacobian(jac, _RANK)
+    reduced = paper.reduce_jacobian(jac, _RANK)
     middles = np.asarray(centroids(sensor.divisions, sensor.size))
     elements = _contact_elements(middles, np.asarray(sensor.size))
     own = jnp.moveaxis(jac[:, :, elements], -1, 0)
     study = Study(sensor, middles[elements], _SWEEP, {}, {}, {}, {})
-    inside, cell = study.inside(), cell_size(sensor)
+    inside, cell = study.inside(), paper.cell_size(sensor)
     places = study.places[inside]
     progress("exact voltages")
     exact = _exact_voltages(places)
@@ -105,7 +97,7 @@ def run(progress: Callable[[str], None] = lambda step: None) -> Study:
     lam = _calibrated(reduced, sums, places, cell)
     study = study._replace(lams=lam * np.append(_SWEEP, 1.0))
     lams = jnp.asarray(study.lams, sensor.dtype)
-    for name in PATTERNS:
+    for name in paper.PATTERNS:
         progress(f"pattern {name}")
         study.grounds[name] = _grounds(sensor, name, own)
         grams, rights = _sums(reduced, study.grounds[name], own)
@@ -141,11 +133,11 @@ def _grounds(
     sensor: Sensor, name: str, volts: Float[Array, "P L M"]
 ) -> Integer[np.ndarray, "P S"]:
     if name in ADAPTIVE:
-        scan = AdaptiveScan(sensor, cast(AdaptivePattern, name))
-        explored = volts[:, exploration(sensor)]
+        scan = paper.AdaptiveScan(sensor, cast(paper.AdaptivePattern, name))
+        explored = volts[:, paper.exploration(sensor)]
         return np.asarray(eqx.filter_jit(jax.vmap(lambda v: scan(v)[0]))(explored))
     # Each contact has random patterns of its own.
-    return np.stack([pattern(sensor, name, seed=i) for i in range(len(volts))])
+    return np.stack([paper.pattern(sensor, name, seed=i) for i in range(len(volts))])
 
 
 @jax.jit
