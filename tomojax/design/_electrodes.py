@@ -235,7 +235,7 @@ class _Pixels(NamedTuple):
     number: np.ndarray  # of each element's pixel; K for elements that do not count
     area: Float[Array, " elements"]  # of each element on the sheet, m²
 
-    def mean(self, values: Float[Array, "elements *n"]) -> Float[Array, "K *n"]:
+    def mean(self, values: Float[Array, " elements *n"]) -> Float[Array, " K *n"]:
         """Averages elements' values over pixels, by area."""
         count = len(self.middles)
 
