@@ -140,8 +140,11 @@ class AdaptiveScan(eqx.Module):
 
     The principal direction is that of `electrode_currents`; the paper takes that of the
     electrodes in contact. On a recorded spanner at 35° the currents give 36°, and the
-    electrodes give 18°. Without a contact, or with NaN voltages, the scan is that around
-    the array's middle, and the region's flags say so.
+    electrodes give 18°. Of a sensor with `conditions` the grounds are those whose current
+    leaves at the places that the pattern asks for (`Sensor.ground_xy`).
+
+    Without a contact, or with NaN voltages, the scan is that around the array's middle, and
+    the region's flags say so.
 
     **Example:**
 
@@ -158,6 +161,8 @@ class AdaptiveScan(eqx.Module):
     """
 
     electrode_xy: Float[Array, "M 2"]
+    ground_xy: Float[Array, "L 2"]  # where each condition's current leaves
+    shares: Float[Array, "L M"] | None  # of a condition's conductance, by electrode
     resistances: Float[Array, "M M"]  # R_ee'
     corners: Int[Array, "4"]
     alpha: Float[Array, ""]
@@ -174,9 +179,8 @@ class AdaptiveScan(eqx.Module):
     ):
         adaptive = get_args(AdaptivePattern)
         require(name in adaptive, "name", repr(name), f"one of {', '.join(adaptive)}")
-        require(sensor.electrode_count >= 6, "sensor", sensor, "six electrodes or more")
-        alone = sensor.conditions is None
-        require(alone, "sensor", "a table of conditions", "one grounded electrode a slot")
+        enough = min(sensor.electrode_count, sensor.condition_count) >= 6
+        require(enough, "sensor", sensor, "six electrodes and ground conditions or more")
         self.alpha = float_array("alpha", alpha, sensor.dtype)
         require_shape("alpha", self.alpha, ())
         if known(self.alpha):
@@ -189,16 +193,22 @@ class AdaptiveScan(eqx.Module):
         )
         self.electrode_xy = sensor.electrode_xy
         self.resistances = resistances(sensor).electrodes
-        self.corners = _corners(sensor.electrode_xy)
+        self.ground_xy = sensor.ground_xy()
+        self.corners = _corners(self.ground_xy)
+        table = sensor.conditions
+        self.shares = None if table is None else table / table.sum(1, keepdims=True)
         self.name = name
 
     def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
         """Returns ground conditions and the region that they come from."""
-        region = self.region(voltages)
+        region, pitch = self.region(voltages), smallest_pitch(self.electrode_xy)
+        centre = self.electrode_xy[region.centre]
         if self.name == "around":
-            return around(region, self.electrode_xy), region
+            return around(region, self.ground_xy, pitch), region
         if self.name == "cop_line":
-            return cop_line(region, self.electrode_xy), region
+            return cop_line(region, self.ground_xy, centre, pitch), region
+        if self.shares is not None:  # a condition's voltage is its electrodes'
+            voltages = jnp.matmul(voltages, self.shares.T, precision="highest")
         return point(voltages, self.corners), region
 
     def region(self, voltages: Float[Array, "E M"]) -> Region:
@@ -216,7 +226,8 @@ class AdaptiveScan(eqx.Module):
         regions = contact_regions(
             voltages, self.electrode_xy, currents, self.threshold, count
         )
-        box = lambda region: around(region, self.electrode_xy)  # noqa: E731
+        pitch = smallest_pitch(self.electrode_xy)
+        box = lambda region: around(region, self.ground_xy, pitch)  # noqa: E731
         return jax.vmap(box)(regions), regions
 
 
@@ -240,7 +251,7 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
         return np.flatnonzero(np.abs(xy[:, 0] - closest) <= near)
     if name == "boundary" and sensor.outline is not None:
         # No other electrode is nearer to the place on the edge that is nearest to it.
-        return _along_edge(sensor.outline, xy)
+        return _along_edge(sensor.outline, sensor.ground_xy())
     if name == "boundary":
         # Outermost in some direction: the corners and sides of the convex hull.
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
@@ -252,10 +263,9 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice(m, count, replace=False)
 
 
-def _along_edge(outline: AbstractEdge, xy: Float[np.ndarray, "M 2"]) -> np.ndarray:
+def _along_edge(outline: AbstractEdge, places: Float[Array, "L 2"]) -> np.ndarray:
     """Lists the electrodes of which no other is nearer to their place on the edge."""
-    places = jnp.asarray(xy)
     level, slope = jax.vmap(jax.value_and_grad(outline.distance))(places)
     edge = np.asarray(places - level[:, None] * slope, float)
-    apart = ((edge[:, None] - xy) ** 2).sum(-1)
+    apart = ((edge[:, None] - np.asarray(places, float)) ** 2).sum(-1)
     return np.flatnonzero(np.diagonal(apart) <= apart.min(1) * (1 + 1e-6) + 1e-12)
