@@ -67,8 +67,9 @@ def pattern(
     **Arguments:** `name`:
 
     - "all"; "boundary": the array's outline, on a sheet with an outline the electrodes next
-      to its edge, a hole's too; "edge": electrodes of least x; "v_line":
-      electrodes nearest to the array's middle in x (a vertical line where x is horizontal);
+      to its edge, a hole's too; "edge": electrodes of least x, within half a
+      pitch; "v_line": the column nearest to the array's middle in x (a vertical line where
+      x is horizontal), half a pitch to each side;
       "random_16", "random_8": so many, drawn with `seed`;
     - of a sensor with `conditions`: those whose current leaves at these places;
     - from exploratory `voltages` (2, M) under the grounds of `exploration`: "around",
@@ -240,18 +241,21 @@ def _corners(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
 
 def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     xy = np.asarray(sensor.ground_xy(), float)
-    near = 0.1 * float(smallest_pitch(sensor.electrode_xy))
+    pitch = float(smallest_pitch(sensor.electrode_xy))
+    near, half = 0.1 * pitch, 0.5 * pitch
     if name == "all":
         return sensor.all_grounds()
     if name == "edge":
-        return np.flatnonzero(xy[:, 0] <= xy[:, 0].min() + near)
+        # Half a pitch: both columns of a hexagon grid's side, three of a rim.
+        return np.flatnonzero(xy[:, 0] <= xy[:, 0].min() + half * (1 + 1e-3))
     if name == "v_line":
         away = np.abs(xy[:, 0] - (xy[:, 0].min() + xy[:, 0].max()) / 2)
         closest = xy[np.argmin(np.round(away / near)), 0]
-        return np.flatnonzero(np.abs(xy[:, 0] - closest) <= near)
+        # As for *CoP line*: half-way between two lines is neither.
+        return np.flatnonzero(np.abs(xy[:, 0] - closest) <= half * (1 - 1e-3))
     if name == "boundary" and sensor.outline is not None:
         # No other electrode is nearer to the place on the edge that is nearest to it.
-        return _along_edge(sensor.outline, sensor.ground_xy())
+        return _along_edge(sensor.outline, sensor.ground_xy(), pitch)
     if name == "boundary":
         # Outermost in some direction: the corners and sides of the convex hull.
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
@@ -263,9 +267,13 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice(m, count, replace=False)
 
 
-def _along_edge(outline: AbstractEdge, places: Float[Array, "L 2"]) -> np.ndarray:
+def _along_edge(
+    outline: AbstractEdge, places: Float[Array, "L 2"], pitch: float
+) -> np.ndarray:
     """Lists the electrodes of which no other is nearer to their place on the edge."""
-    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(places)
-    edge = np.asarray(places - level[:, None] * slope, float)
+    # Half-way between two edges there is no slope: a little aside there is.
+    aside = places + 1e-3 * pitch * jnp.array([0.6, 0.8], places.dtype)
+    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(aside)
+    edge = np.asarray(aside - level[:, None] * slope, float)
     apart = ((edge[:, None] - np.asarray(places, float)) ** 2).sum(-1)
     return np.flatnonzero(np.diagonal(apart) <= apart.min(1) * (1 + 1e-6) + 1e-12)
