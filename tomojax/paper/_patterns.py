@@ -241,7 +241,10 @@ def _corners(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
 
 def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     xy = np.asarray(sensor.ground_xy(), float)
-    pitch = float(smallest_pitch(sensor.electrode_xy))
+    # The usual way to the next electrode: two of a rim and a grid may be nearly in touch.
+    places = np.asarray(sensor.electrode_xy, float)
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    pitch = float(np.median(np.sort(apart, 1)[:, 1]))
     near, half = 0.1 * pitch, 0.5 * pitch
     if name == "all":
         return sensor.all_grounds()
