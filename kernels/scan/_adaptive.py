@@ -160,20 +160,22 @@ def smallest_pitch(electrode_xy: Float[Array, "M 2"]) -> Float[Array, ""]:
     return jnp.sqrt(apart.min())
 
 
-def around(region: Region, electrode_xy: Float[Array, "M 2"]) -> Int[Array, "8"]:
-    """Picks *Around*: corners and side midpoints of the region's box, as eight electrodes.
+def around(
+    region: Region, ground_xy: Float[Array, "L 2"], pitch: Float[Array, ""]
+) -> Int[Array, " n"]:
+    """Picks *Around*: corners and side midpoints of the region's box, as eight grounds.
 
-    The box is at least two pitches wide, so that the eight differ, and is moved inside the
-    array. Each corner or midpoint takes the nearest electrode not yet taken. All electrodes
-    are taken if there are fewer than eight.
+    The box is at least two `pitch` wide, so that the eight differ, and is moved inside the
+    array. Each corner or midpoint takes the nearest ground not yet taken. All grounds are
+    taken if there are fewer than eight.
     """
-    size = jnp.maximum(region.high - region.low, 2 * smallest_pitch(electrode_xy))
-    low, high = electrode_xy.min(0), electrode_xy.max(0)
+    size = jnp.maximum(region.high - region.low, 2 * pitch)
+    low, high = ground_xy.min(0), ground_xy.max(0)
     size = jnp.minimum(size, high - low)
     centre = jnp.clip((region.low + region.high) / 2, low + size / 2, high - size / 2)
     steps = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
     targets = centre + jnp.asarray(steps, size.dtype) * size / 2
-    return nearest_electrodes(targets[: len(electrode_xy)], electrode_xy)
+    return nearest_electrodes(targets[: len(ground_xy)], ground_xy)
 
 
 def nearest_electrodes(
@@ -190,20 +192,23 @@ def nearest_electrodes(
 
 
 def cop_line(
-    region: Region, electrode_xy: Float[Array, "M 2"], count: int = 8
-) -> Int[Array, " L"]:
-    """Picks *CoP line*: `count` electrodes along the direction class through the centre.
+    region: Region,
+    ground_xy: Float[Array, "L 2"],
+    centre: Float[Array, "2"],
+    pitch: Float[Array, ""],
+    count: int = 8,
+) -> Int[Array, " n"]:
+    """Picks *CoP line*: `count` grounds along the direction class through the `centre`.
 
-    Electrodes within half a pitch of the line come first, nearest to the centre first. If
-    these are too few, electrodes of the perpendicular line follow, then the nearest others.
+    Grounds within half a pitch of the line come first, nearest to the centre first. If
+    these are too few, grounds of the perpendicular line follow, then the nearest others.
     """
-    angle = region.direction_class.astype(electrode_xy.dtype) * (jnp.pi / DIRECTIONS)
-    along = jnp.stack([jnp.cos(angle), jnp.sin(angle)]).astype(electrode_xy.dtype)
-    away = electrode_xy - electrode_xy[region.centre]
+    angle = region.direction_class.astype(ground_xy.dtype) * (jnp.pi / DIRECTIONS)
+    along = jnp.stack([jnp.cos(angle), jnp.sin(angle)]).astype(ground_xy.dtype)
+    away = ground_xy - centre
     on_line = matmul(away, along)
     across = away[:, 1] * along[0] - away[:, 0] * along[1]
-    # Half-way between two lines is neither.
-    reach = 0.5 * smallest_pitch(electrode_xy) * (1 - 1e-3)
+    reach = 0.5 * pitch * (1 - 1e-3)  # half-way between two lines is neither
     tier = jnp.where(
         jnp.abs(across) <= reach, 0, jnp.where(jnp.abs(on_line) <= reach, 1, 2)
     )

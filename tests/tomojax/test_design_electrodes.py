@@ -1,5 +1,7 @@
 """Places for electrodes, by gradient."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,7 +82,66 @@ def test_bad_input(sensor, words, message):
         tx.design.design_electrodes(sensor, grid=6, **words)
 
 
-def test_an_uneven_sheet():
-    sensor = tx.Sensor.grid(3, 3, divisions=(16, 16), sheet_resistance=np.full(512, 1e4))
-    with pytest.raises(ValueError, match="a sheet with a value per element"):
-        tx.design.design_electrodes(sensor, grid=6)
+CORNERS = [[0, 0], [0.12, 0], [0.12, 0.12], [0, 0.12]]
+LETTER = [[0, 0], [0.08, 0], [0.08, 0.04], [0.04, 0.04], [0.04, 0.08], [0, 0.08]]
+
+
+@pytest.mark.long
+def test_a_mesh_has_the_closed_forms_spread(sensor):
+    """A rectangle told by its corners, and one told by a value per element."""
+    plain = replace(sensor, divisions=(48, 48))
+    cut = tx.Sensor.polygon(CORNERS, np.asarray(plain.electrode_xy), divisions=(48, 48))
+    valued = plain.on_mesh((48, 48), np.full(2 * 48**2, 1e4))
+    places = jnp.asarray([[0.05, 0.06], [0.08, 0.03], [0.03, 0.031], [0.1, 0.1]])
+    lam = 1e-5 * image_scale(plain, 12)
+
+    def spread(of):
+        xy = of.electrode_xy
+        return tx.design.image_spread(of, places, xy, lam=lam, grid=12)
+
+    for other in (cut, valued):
+        np.testing.assert_allclose(spread(other), spread(plain), rtol=0.02)
+
+
+@pytest.mark.parametrize("grounds", ["one", "several"])
+def test_slopes_on_a_disc_from_any_places(grounds):
+    middle = [[0.03, 0.031], [0.05, 0.04], [0.045, 0.02], [0.022, 0.05], [0.06, 0.061]]
+    table = None if grounds == "one" else np.eye(5)[:2] + 1e-4 * np.eye(5)[2:4]
+    round_one = tx.Sensor.disc(0.08, middle, divisions=(20, 20), conditions=table)
+    places, lam = jnp.asarray([[0.04, 0.03]]), 1e-4 * image_scale(round_one, 10)
+
+    @jax.jit
+    @jax.value_and_grad
+    def value(xy):
+        return tx.design.image_spread(round_one, places, xy, lam=lam, grid=10).sum()
+
+    xy, h = round_one.electrode_xy, 1e-6
+    slope = value(xy)[1]
+    for e, k in ((0, 0), (4, 1)):
+        step = jnp.zeros_like(xy).at[e, k].set(h)
+        wanted = (value(xy + step)[0] - value(xy - step)[0]) / (2 * h)
+        np.testing.assert_allclose(slope[e, k], wanted, 1e-5, 1e-7 * abs(slope).max())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("grounds", ["one", "several"])
+def test_electrodes_of_a_letter_stay_on_it(grounds):
+    """From places of no order, two of them on the rim."""
+    places = [[0.01, 0.012], [0.0, 0.03], [0.03, 0.0], [0.031, 0.033], [0.07, 0.012]]
+    xy = [*places, [0.055, 0.03], [0.012, 0.071], [0.028, 0.05]]
+    table = np.eye(8) + np.roll(np.eye(8), 3, 1) if grounds == "several" else None
+    letter = tx.Sensor.polygon(LETTER, xy, divisions=(24, 24), conditions=table)
+    found = tx.design.design_electrodes(letter, grid=12, starts=1)
+    assert found.spread.max() < 0.95 * found.spread_before.max()
+    assert letter.on_sheet(found.electrode_xy).all()
+    moved = replace(letter, electrode_xy=jnp.asarray(found.electrode_xy))
+    inside = -np.asarray(moved.outline.distance(moved.electrode_xy))
+    assert inside.min() > 0.55 * 0.005
+    apart = np.linalg.norm(found.electrode_xy[:, None] - found.electrode_xy, axis=-1)
+    assert (apart + np.eye(8)).min() > 1.3 * 0.005
+
+
+def test_places_off_the_sheet():
+    letter = tx.Sensor.polygon(LETTER, {"grid": 0.02}, divisions=(24, 24))
+    with pytest.raises(ValueError, match="places: got 1 off the sheet"):
+        tx.design.design_electrodes(letter, [[0.07, 0.07], [0.01, 0.01]], grid=12)

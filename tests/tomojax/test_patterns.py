@@ -136,6 +136,54 @@ def test_any_array(make) -> None:
         assert tx.pattern(sensor, "boundary").tolist() == list(range(9))
 
 
+BOX = [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]
+HOLE = [[0.04, 0.04], [0.06, 0.04], [0.06, 0.06], [0.04, 0.06]]
+LETTER = [[0, 0], [0.12, 0], [0.12, 0.06], [0.06, 0.06], [0.06, 0.12], [0, 0.12]]
+
+
+def hexagons() -> tx.Sensor:
+    rows, columns = np.indices((5, 5)).reshape(2, -1)
+    x, y = 0.01 + 0.02 * columns + 0.01 * (rows % 2), 0.012 + 0.0173 * rows
+    return tx.Sensor([0.11, 0.1], np.stack([x, y], 1), divisions=(30, 30))
+
+
+OUTLINES = {
+    "rim": lambda: tx.Sensor.disc(0.1, {"rim": 16}, divisions=(30, 30)),
+    "letter": lambda: tx.Sensor.polygon(LETTER, {"grid": 0.02}, divisions=(36, 36)),
+    "hexagons": hexagons,
+    "hole": lambda: tx.Sensor.polygon(BOX, {"grid": 0.02}, [HOLE], divisions=(30, 30)),
+}
+
+
+@pytest.mark.parametrize(
+    "name, sizes",
+    [  # of the boundary, the edge and the vertical line
+        ("rim", (16, 3, 2)),
+        ("letter", (20, 6, 6)),
+        ("hexagons", (13, 5, 3)),
+        ("hole", (24, 5, 4)),
+    ],
+)
+def test_patterns_on_other_outlines(name, sizes) -> None:
+    sensor, places = OUTLINES[name](), {"letter": [0.03, 0.09], "hole": [0.07, 0.05]}
+    place = np.array(places.get(name, [0.06, 0.04]))
+    xy, touch = np.asarray(sensor.electrode_xy), tx.Disc.of_total(place, 0.006, 3e-5)
+    volts = explored(sensor, touch)
+    fixed = [np.asarray(tx.pattern(sensor, n)) for n in ("boundary", "edge", "v_line")]
+    assert tuple(map(len, fixed)) == sizes
+    if name == "letter":  # the arm's middle is half-way between two edges
+        assert not (np.abs(xy[fixed[0]] - [0.03, 0.09]) < 1e-6).all(1).any()
+    away = np.linalg.norm(xy - place, axis=1)
+    for adaptive, count in (("around", 8), ("cop_line", 8), ("point", 6)):
+        grounds = np.asarray(tx.pattern(sensor, adaptive, volts))
+        assert len(set(grounds.tolist())) == len(grounds) == count
+    # *CoP line* begins at the contact; *Point* ends with the two next to it.
+    line = np.asarray(tx.pattern(sensor, "cop_line", volts))
+    assert away[line[0]] <= np.sort(away)[1] + 1e-6
+    around = np.asarray(tx.pattern(sensor, "around", volts))
+    assert away[around].mean() < away.mean()
+
+
 @pytest.mark.parametrize("name", ["around", "cop_line", "point"])
 def test_scenes_without_a_region(paper_sensor, name) -> None:
     """Nothing, one electrode, the edge, the whole sheet, NaN: defined and flagged."""

@@ -70,8 +70,54 @@ def test_a_step_with_conditions(paired) -> None:
         state, out = step(state, v, int(ground))
     assert np.hypot(*(np.asarray(out.contacts.xy[0]) - PLACES[0])) < 1e-3
     assert int(out.ground) < 4
-    with pytest.raises(ValueError, match="policy: got 'information'"):
-        tx.make_step(paired, "follow", "information", contacts=1, grid=16)
+
+
+def test_policies_of_a_table(disc) -> None:
+    """A table of single grounds has the policies, patterns and designs of these grounds."""
+    single = replace(disc, conditions=np.eye(disc.electrode_count) / 4.0)
+    touch, at = tx.Disc.of_total(PLACES[1], 0.006, 3e-5), np.array([PLACES[1]])
+    chosen, patterns, designs = [], [], []
+    for sensor in (disc, single):
+        every = np.asarray(tx.voltages(sensor, touch))
+        explored = every[tx.paper.exploration(sensor)]
+        names = ("around", "cop_line", "point", "around_each", "boundary", "edge")
+        patterns.append([tx.pattern(sensor, n, explored).tolist() for n in names])
+        objective = tx.design.design_objective(sensor, at, "points", "place")
+        designs.append(tx.design.design(objective, slots=3).grounds.tolist())
+        step = tx.make_step(sensor, "follow", "information", contacts=1, grid=16)
+        state, ground = step.state, int(tx.paper.exploration(sensor)[0])
+        for _ in range(5):
+            state, out = step(state, every[ground], ground)
+            ground = int(out.ground)
+            chosen.append(ground)
+    assert patterns[0] == patterns[1] and designs[0] == designs[1]
+    assert chosen[:5] == chosen[5:] and len(set(chosen)) > 2
+
+
+def test_adaptive_policies_of_pairs(disc) -> None:
+    """Eight conditions of three electrodes each: those about the contact are chosen."""
+    m = disc.electrode_count
+    table = np.zeros((2 * m, m))
+    for k, row in enumerate(table):
+        row[[k % m, (k + 1 + k // m) % m, (k + 3) % m]] = 0.25
+    sensor = replace(disc, conditions=table)
+    every = np.asarray(tx.voltages(sensor, tx.Disc.of_total(PLACES[0], 0.006, 3e-5)))
+    explored = every[tx.paper.exploration(sensor)]
+    around = np.asarray(tx.pattern(sensor, "around", explored))
+    assert len(set(around.tolist())) == 8
+    away = np.linalg.norm(np.asarray(sensor.ground_xy()) - PLACES[0], axis=1)
+    assert away[around].mean() < away.mean()
+    line = np.asarray(tx.pattern(sensor, "cop_line", explored))
+    assert len(set(line.tolist())) == 8 and away[line[0]] <= np.sort(away)[3]
+    step = tx.make_step(sensor, "follow", "around_contacts", contacts=1, grid=16)
+    state, ground = step.state, 0
+    for _ in range(4):
+        state, out = step(state, every[ground], ground)
+        ground = int(out.ground)
+    assert 0 <= ground < 2 * m
+    places = [PLACES[0]]
+    with pytest.raises(ValueError, match="criterion: got 'rigs' of a table"):
+        tx.design.design_objective(sensor, places, "points", "rigs")
 
 
 def test_recordings_tell_outline_and_conditions(paired, tmp_path) -> None:

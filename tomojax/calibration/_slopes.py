@@ -24,7 +24,8 @@ class RigSlopes(NamedTuple):
 def rig_slopes(sensor: Sensor) -> RigSlopes:
     """Computes slopes for nominal values: these hardly depend on the rig's errors.
 
-    **Raises:** `ValueError` for a sensor with a table of conditions.
+    **Raises:** `ValueError` for a sensor with a table of conditions: a ground path's
+    resistance is one unknown of a single ground, which conductances do not tell.
     """
     alone = sensor.conditions is None
     require(alone, "sensor", "a table of conditions", "one grounded electrode a slot")

@@ -82,7 +82,8 @@ def design_policy(
     (`place_lambdas`).
 
     **Arguments:** `method` and `options` are those of `design_objective`. The default
-    criterion of "points" and "linear" is "rigs" (errors that slots share count). `shape` of
+    criterion of "points" and "linear" is "rigs" (errors that slots share count), of a table
+    of conditions "place". `shape` of
     the table is (32, 32) by default; (24, 24) of "linear" and (16, 16) of "source", which
     take longer.
     **Raises:** `ValueError` as `design_objective` does, and for a number of slots outside
@@ -97,7 +98,7 @@ def design_policy(
     (2, 2, 2)
     >>> tx.step.save_policy(found.policy, "table.npz")  # for `make_step` or `tomojax live`
     """
-    m = sensor.electrode_count
+    m = sensor.condition_count
     whole = isinstance(slots, int | np.integer) and 1 <= slots <= m
     require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
     whole = method != "points" and options.get("criterion") == "d"
@@ -105,13 +106,14 @@ def design_policy(
     nx, ny = shape or _SHAPES.get(method, (16, 16))
     size = np.asarray(sensor.size, float)
     places = cell_centres((nx, ny)) * size
-    if method != "source" and options.get("noise") is None:
+    alone = sensor.conditions is None
+    if alone and method != "source" and options.get("noise") is None:
         options.setdefault("criterion", "rigs")
     objective = design_objective(sensor, places, method, **options)
     sets, bound = designs_by_place(objective, int(slots))
     sets, value = _smoothed(objective, sets, (nx, ny))
     # Nearest first: several contacts share the slots, and what is nearest tells most.
-    away = np.linalg.norm(np.asarray(sensor.electrode_xy) - places[:, None], axis=-1)
+    away = np.linalg.norm(np.asarray(sensor.ground_xy()) - places[:, None], axis=-1)
     away = np.where(np.asarray(sets) > 0.5, away, np.inf)
     grounds = np.argsort(away, 1, kind="stable")[:, :slots]
     table = jnp.asarray(grounds.reshape(nx, ny, slots), jnp.int32)

@@ -21,6 +21,7 @@ __all__ = [
     "DOUBT",
     "empty_rows",
     "Estimate",
+    "estimate",
     "fields_of_rows",
     "Frame",
     "ImageShape",

@@ -4,6 +4,7 @@ from ._batch import (
     check_limits as check_limits,
     frames_of as frames_of,
 )
+from ._by_sensor import estimate as estimate
 from ._contract import (
     AbstractMethod as AbstractMethod,
     bits_of as bits_of,
@@ -43,6 +44,7 @@ __all__ = [
     "DOUBT",
     "empty_rows",
     "Estimate",
+    "estimate",
     "fields_of_rows",
     "Frame",
     "ImageShape",

@@ -67,8 +67,9 @@ def pattern(
     **Arguments:** `name`:
 
     - "all"; "boundary": the array's outline, on a sheet with an outline the electrodes next
-      to its edge, a hole's too; "edge": electrodes of least x; "v_line":
-      electrodes nearest to the array's middle in x (a vertical line where x is horizontal);
+      to its edge, a hole's too; "edge": electrodes of least x, within half a
+      pitch; "v_line": the column nearest to the array's middle in x (a vertical line where
+      x is horizontal), half a pitch to each side;
       "random_16", "random_8": so many, drawn with `seed`;
     - of a sensor with `conditions`: those whose current leaves at these places;
     - from exploratory `voltages` (2, M) under the grounds of `exploration`: "around",
@@ -140,8 +141,11 @@ class AdaptiveScan(eqx.Module):
 
     The principal direction is that of `electrode_currents`; the paper takes that of the
     electrodes in contact. On a recorded spanner at 35° the currents give 36°, and the
-    electrodes give 18°. Without a contact, or with NaN voltages, the scan is that around
-    the array's middle, and the region's flags say so.
+    electrodes give 18°. Of a sensor with `conditions` the grounds are those whose current
+    leaves at the places that the pattern asks for (`Sensor.ground_xy`).
+
+    Without a contact, or with NaN voltages, the scan is that around the array's middle, and
+    the region's flags say so.
 
     **Example:**
 
@@ -158,6 +162,8 @@ class AdaptiveScan(eqx.Module):
     """
 
     electrode_xy: Float[Array, "M 2"]
+    ground_xy: Float[Array, "L 2"]  # where each condition's current leaves
+    shares: Float[Array, "L M"] | None  # of a condition's conductance, by electrode
     resistances: Float[Array, "M M"]  # R_ee'
     corners: Int[Array, "4"]
     alpha: Float[Array, ""]
@@ -174,9 +180,8 @@ class AdaptiveScan(eqx.Module):
     ):
         adaptive = get_args(AdaptivePattern)
         require(name in adaptive, "name", repr(name), f"one of {', '.join(adaptive)}")
-        require(sensor.electrode_count >= 6, "sensor", sensor, "six electrodes or more")
-        alone = sensor.conditions is None
-        require(alone, "sensor", "a table of conditions", "one grounded electrode a slot")
+        enough = min(sensor.electrode_count, sensor.condition_count) >= 6
+        require(enough, "sensor", sensor, "six electrodes and ground conditions or more")
         self.alpha = float_array("alpha", alpha, sensor.dtype)
         require_shape("alpha", self.alpha, ())
         if known(self.alpha):
@@ -189,16 +194,22 @@ class AdaptiveScan(eqx.Module):
         )
         self.electrode_xy = sensor.electrode_xy
         self.resistances = resistances(sensor).electrodes
-        self.corners = _corners(sensor.electrode_xy)
+        self.ground_xy = sensor.ground_xy()
+        self.corners = _corners(self.ground_xy)
+        table = sensor.conditions
+        self.shares = None if table is None else table / table.sum(1, keepdims=True)
         self.name = name
 
     def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
         """Returns ground conditions and the region that they come from."""
-        region = self.region(voltages)
+        region, pitch = self.region(voltages), smallest_pitch(self.electrode_xy)
+        centre = self.electrode_xy[region.centre]
         if self.name == "around":
-            return around(region, self.electrode_xy), region
+            return around(region, self.ground_xy, pitch), region
         if self.name == "cop_line":
-            return cop_line(region, self.electrode_xy), region
+            return cop_line(region, self.ground_xy, centre, pitch), region
+        if self.shares is not None:  # a condition's voltage is its electrodes'
+            voltages = jnp.matmul(voltages, self.shares.T, precision="highest")
         return point(voltages, self.corners), region
 
     def region(self, voltages: Float[Array, "E M"]) -> Region:
@@ -216,7 +227,8 @@ class AdaptiveScan(eqx.Module):
         regions = contact_regions(
             voltages, self.electrode_xy, currents, self.threshold, count
         )
-        box = lambda region: around(region, self.electrode_xy)  # noqa: E731
+        pitch = smallest_pitch(self.electrode_xy)
+        box = lambda region: around(region, self.ground_xy, pitch)  # noqa: E731
         return jax.vmap(box)(regions), regions
 
 
@@ -229,18 +241,24 @@ def _corners(xy: Float[Array, "M 2"]) -> Int[Array, "4"]:
 
 def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     xy = np.asarray(sensor.ground_xy(), float)
-    near = 0.1 * float(smallest_pitch(sensor.electrode_xy))
+    # The usual way to the next electrode: two of a rim and a grid may be nearly in touch.
+    places = np.asarray(sensor.electrode_xy, float)
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    pitch = float(np.median(np.sort(apart, 1)[:, 1]))
+    near, half = 0.1 * pitch, 0.5 * pitch
     if name == "all":
         return sensor.all_grounds()
     if name == "edge":
-        return np.flatnonzero(xy[:, 0] <= xy[:, 0].min() + near)
+        # Half a pitch: both columns of a hexagon grid's side, three of a rim.
+        return np.flatnonzero(xy[:, 0] <= xy[:, 0].min() + half * (1 + 1e-3))
     if name == "v_line":
         away = np.abs(xy[:, 0] - (xy[:, 0].min() + xy[:, 0].max()) / 2)
         closest = xy[np.argmin(np.round(away / near)), 0]
-        return np.flatnonzero(np.abs(xy[:, 0] - closest) <= near)
+        # As for *CoP line*: half-way between two lines is neither.
+        return np.flatnonzero(np.abs(xy[:, 0] - closest) <= half * (1 - 1e-3))
     if name == "boundary" and sensor.outline is not None:
         # No other electrode is nearer to the place on the edge that is nearest to it.
-        return _along_edge(sensor.outline, xy)
+        return _along_edge(sensor.outline, sensor.ground_xy(), pitch)
     if name == "boundary":
         # Outermost in some direction: the corners and sides of the convex hull.
         angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
@@ -252,10 +270,13 @@ def _fixed(sensor: Sensor, name: str, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice(m, count, replace=False)
 
 
-def _along_edge(outline: AbstractEdge, xy: Float[np.ndarray, "M 2"]) -> np.ndarray:
+def _along_edge(
+    outline: AbstractEdge, places: Float[Array, "L 2"], pitch: float
+) -> np.ndarray:
     """Lists the electrodes of which no other is nearer to their place on the edge."""
-    places = jnp.asarray(xy)
-    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(places)
-    edge = np.asarray(places - level[:, None] * slope, float)
-    apart = ((edge[:, None] - xy) ** 2).sum(-1)
+    # Half-way between two edges there is no slope: a little aside there is.
+    aside = places + 1e-3 * pitch * jnp.array([0.6, 0.8], places.dtype)
+    level, slope = jax.vmap(jax.value_and_grad(outline.distance))(aside)
+    edge = np.asarray(aside - level[:, None] * slope, float)
+    apart = ((edge[:, None] - np.asarray(places, float)) ** 2).sum(-1)
     return np.flatnonzero(np.diagonal(apart) <= apart.min(1) * (1 + 1e-6) + 1e-12)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax._require import require
 from tomojax.kernels.contacts import in_slot, slot_weights, solve_small, weighed
 from tomojax.kernels.images import Contacts
-from tomojax.kernels.scan import around, Region
+from tomojax.kernels.scan import around, Region, smallest_pitch
 from tomojax.kernels.sheet import cell_centres
 from tomojax.paper import AdaptivePattern, AdaptiveScan, exploration, pattern, PATTERNS
 from tomojax.sensor import Sensor
@@ -36,15 +36,16 @@ class Seen(NamedTuple):
     contacts: Contacts
     doubted: Bool[Array, ""]  # whether they left much of a slot of this stretch unexplained
     ground: Int[Array, ""]  # of the last slot
+    conditions: int  # that there are to choose from
 
     def onwards(self, length: int) -> Int[Array, " L"]:
-        """Returns the electrodes after the last ground, in order.
+        """Returns the ground conditions after the last one, in order.
 
         Grounds next to each other find a further contact: three in a row must show the
         contact at one place. Grounds far from each other find half as many contacts.
         """
         turn = jnp.arange(1, length + 1, dtype=self.ground.dtype)
-        return (self.ground + turn) % self.explored.shape[1]
+        return (self.ground + turn) % self.conditions
 
 
 class Plan(NamedTuple):
@@ -144,7 +145,7 @@ class Information(AbstractPolicy):
 
     explores: ClassVar[bool] = False  # pyright: ignore
     places: Float[Array, "K 2"]
-    information: Float[Array, "K M 3"]  # of a place: xx, yy, xy, 1/m²
+    information: Float[Array, "K L 3"]  # of a place: xx, yy, xy, 1/m²
     idle: Int[Array, ""]  # grounded while there is no contact
 
     def __call__(self, seen: Seen) -> Int[Array, " L"]:
@@ -203,8 +204,6 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
         return Fixed(_grounds(name, sensor.condition_count))
     expected = f"electrodes with commas, or one of {', '.join(POLICIES)}"
     require(name in POLICIES, "policy", repr(name), expected)
-    alone = sensor.conditions is None or name in PATTERNS
-    require(alone, "policy", repr(name), "a pattern or numbers, of a table of conditions")
     if name in ADAPTIVE:
         return Adaptive(AdaptiveScan(sensor, cast(AdaptivePattern, name)))
     if name == "around_contacts":
@@ -212,7 +211,7 @@ def policy(sensor: Sensor, name: str, follow: Any) -> AbstractPolicy:
         idle = jnp.resize(exploration(sensor), table.shape[-1:])
         return Lookup(table, idle, sensor.size)
     if name == "information":
-        told = _information(follow)
+        told = _information(follow, sensor.condition_count)
         return Information(follow.candidates.place, told, exploration(sensor)[0])
     return Fixed(pattern(sensor, name))
 
@@ -240,16 +239,16 @@ def around_table(sensor: Sensor) -> Int[Array, "nx ny L"]:
         zero, direction = jnp.zeros((), int), jnp.zeros((), place.dtype)
         inside = jnp.zeros(len(xy), bool)
         region = Region(zero, inside, place, place, direction, zero, zero)
-        return around(region, xy)
+        return around(region, xy, smallest_pitch(sensor.electrode_xy))
 
     def every(places: Array, xy: Array) -> Array:
         return jax.vmap(one, (0, None))(places, xy).reshape(_PLACES, _PLACES, -1)
 
-    return jax.jit(every)(places, sensor.electrode_xy)
+    return jax.jit(every)(places, sensor.ground_xy())
 
 
-def _information(follow: Any) -> Float[Array, "K M 3"]:
-    """Computes each ground's information on a usual contact's place, 1/m²."""
+def _information(follow: Any, conditions: int) -> Float[Array, "K L 3"]:
+    """Computes each ground condition's information on a usual contact's place, 1/m²."""
     sheet, noise = follow.points.sheet, follow.errors
     tangent, unit = follow.candidates.tangent, sheet.unit
     # A current that makes a tenth of the drive, so that noise is the lesser part.
@@ -263,6 +262,6 @@ def _information(follow: Any) -> Float[Array, "K M 3"]:
         normal = (gram[1:3, 1:3] - gram[1:3, :1] @ inner) / unit**2
         return jnp.stack([normal[0, 0], normal[1, 1], normal[0, 1]])
 
-    grounds = jnp.arange(tangent.shape[-1])
+    grounds = jnp.arange(conditions)
     every = jax.vmap(jax.vmap(one, (None, 0)), (0, None))
     return jax.jit(every)(tangent, grounds)

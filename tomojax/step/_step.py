@@ -65,6 +65,7 @@ class Step:
         calibration: Calibration,
     ):
         self.electrode_count = sensor.electrode_count
+        self.condition_count = sensor.condition_count
         self.policies = tuple(policies)
         self.dtype = np.dtype(sensor.dtype)
         self._method, self._cheaper = method, cheaper
@@ -226,7 +227,11 @@ class Step:
         contacts, bits = self._judged(told, read)
         doubt, doubted = self._doubted(state.doubt, contacts, bits, read.ok)
         seen = Seen(
-            self._explored(state.plan, slot, read), contacts, doubt.stretch, read.ground
+            explored=self._explored(state.plan, slot, read),
+            contacts=contacts,
+            doubted=doubt.stretch,
+            ground=read.ground,
+            conditions=self.condition_count,
         )
         plan, over = self._planned(state.plan, seen)
         more = bits_of(

@@ -59,7 +59,7 @@ def load_policy(path: Path | str, sensor: Sensor) -> Lookup:
     require(whole, f"{path}: table", table.dtype, "numbers of electrodes")
     fits = table.ndim == 3 and idle.shape == table.shape[2:] and table.size > 0
     require(fits, f"{path}: table", f"shape {table.shape}", "(nx, ny, slots)")
-    m = sensor.electrode_count
+    m = sensor.condition_count
     known = 0 <= min(table.min(), idle.min()) and max(table.max(), idle.max()) < m
     require(known, f"{path}: table", f"{table.min()} to {table.max()}", f"0 to {m - 1}")
     same = size.shape == (2,) and np.allclose(size, np.asarray(sensor.size), rtol=1e-4)

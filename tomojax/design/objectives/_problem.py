@@ -148,18 +148,21 @@ def design_objective(
     rigs = criterion == "rigs"
     fits = not rigs or method != "source"
     require(fits, "criterion", "'rigs' of 'source'", "another, or another method")
+    # Simulated rigs know one grounded electrode a slot, by its own path to ground.
+    fits = not rigs or sensor.conditions is None
+    require(fits, "criterion", "'rigs' of a table of conditions", "'place' or another")
     told = noise is None or not rigs
     require(told, "noise", "a value for criterion 'rigs'", "none: rigs'")
     precision = None if noise is None else _precision(sensor, noise)
     metal = 1.0 if rigs and method == "linear" else 1e-4
     conductance = metal if conductance is None else conductance
-    pitch = sensor.mean_pitch
+    pitch, every = sensor.mean_pitch, jnp.asarray(sensor.all_grounds())
     if method == "points":
         contact = Contact.of(sheet_of(sensor), radius, conductance)
         if rigs:
             return simulated_place_error(sensor, contact, where)
         errors = noise_of(sensor) if precision is None else precision
-        information = _information(contact, errors, where)
+        information = _information(contact, errors, where, every)
         return PlaceInformation(criterion, information, contact.sheet.unit)
     found = (Linear if method == "linear" else Source).of(sensor, (grid, grid))
     value = _RELATIVE * found.scale() if lam is None else lam
@@ -170,7 +173,7 @@ def design_objective(
     shares = None
     if method == "source":
         contact = Contact.of(sheet_of(sensor), radius, conductance)
-        current = _currents(contact, where, jnp.arange(sensor.electrode_count))
+        current = _currents(contact, where, every)
         shares = (current / current.mean(1, keepdims=True)) ** 2
     width = _BLOB * pitch if radius is None else radius
     return image_objective(found, where, criterion, value, precision, width, shares)
@@ -227,15 +230,17 @@ def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
 
 @jax.jit
 def _information(
-    contact: Contact, noise: Noise | Float[Array, "M M"], places: Float[Array, "P 2"]
+    contact: Contact,
+    noise: Noise | Float[Array, "M M"],
+    places: Float[Array, "P 2"],
+    grounds: Int[Array, " L"],
 ) -> Float[Array, "P L 3 3"]:
     """Computes `points`' F_l at places; `noise` is that of `points`, or N⁻¹."""
-    grounds = jnp.arange(len(contact.sheet.field.electrodes))
 
     def one(place: Array, ground: Array) -> Float[Array, "3 3"]:
         columns = contact.columns(place, ground)
         if isinstance(noise, Noise):
-            read = jnp.ones(len(grounds), bool)
+            read = jnp.ones(columns.shape[1], bool)
             seen = weighed(slot_weights(noise, columns[0], read), columns)
         else:
             seen = matmul(columns, noise)

@@ -32,6 +32,9 @@ _HOPELESS = 2.0
 # share errors, and more steps would fit those.
 _LAST = 3
 
+# Newton's steps that take an end to the lowest cost, where it is to be `exact`.
+_NEWTON = 6
+
 # More of such steps for a curve, which a few slots hardly tell.
 _LAST_LONG = 10
 
@@ -92,7 +95,22 @@ def best_fit(
 def _lowest(
     scene: Fitting, kind: Kind, starts: Float[Array, "n P"], below: Float[Array, " S"]
 ) -> Float[Array, " P"]:
-    """Finds the parameters of the lowest cost: tries each start, then ends the best fit.
+    """Finds the parameters of the lowest cost, see `_nearly`; to the end for `exact`."""
+    found = _nearly(scene, kind, starts, below)
+    if not scene.method.exact:
+        return found
+
+    def step(_: Array, at: Array) -> Array:
+        downhill = _downhill(scene, kind, at)
+        return at - _solved(jax.jacfwd(downhill)(at, scene), downhill(at, scene), at)
+
+    return lax.fori_loop(0, _NEWTON, step, found)
+
+
+def _nearly(
+    scene: Fitting, kind: Kind, starts: Float[Array, "n P"], below: Float[Array, " S"]
+) -> Float[Array, " P"]:
+    """Tries each start, then ends the best fit where more steps gain next to nothing.
 
     A few of many slots stand for all, until the lowest cost of these few is known.
     """
@@ -151,14 +169,7 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     """
     scene, kind, starts, below = primals
     at = _lowest(scene, kind, starts, below)
-    sheet, cost = scene.method.sheet, _cost_of(kind)
-    highest = _limits(kind, sheet, len(at)).highest
-
-    def downhill(p: Array, scene: Fitting) -> Array:
-        sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
-        slope = cost(p, sheet, scene.frame, tolerance).gradient
-        return jnp.where(at >= highest, p, slope)
-
+    downhill = _downhill(scene, kind, at)
     moving, still = eqx.partition(scene, eqx.is_inexact_array)
     # What does not move has no tangent.
     along = jax.tree.map(
@@ -167,6 +178,21 @@ def _(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     of_scene = lambda moving: downhill(at, eqx.combine(moving, still))  # noqa: E731
     _, moved = jax.jvp(of_scene, (moving,), (along,))
     return at, -_solved(jax.jacfwd(downhill)(at, scene), moved, at)
+
+
+def _downhill(scene: Fitting, kind: Kind, at: Float[Array, " P"]) -> Callable:
+    """Returns the cost's slope as a function of parameters and scene; 0 at the lowest.
+
+    What ends at its highest value near `at` stays there.
+    """
+    highest, cost = _limits(kind, scene.method.sheet, len(at)).highest, _cost_of(kind)
+
+    def downhill(p: Array, scene: Fitting) -> Array:
+        sheet, tolerance = scene.method.sheet, scene.prepared.tolerance
+        slope = cost(p, sheet, scene.frame, tolerance).gradient
+        return jnp.where(at >= highest, p - at, slope)
+
+    return downhill
 
 
 def _solved(bent: Float[Array, "P P"], moved: Float[Array, " P"], at: Array) -> Array:

@@ -65,6 +65,8 @@ class Points(AbstractMethod):
     spacing: Float[Array, ""]  # of the candidates along y, m
     inside: Bool[Array, "nx ny"] | None
     grounded: Bool[np.ndarray, "L M"]
+    # Whether a fit goes on to the lowest cost itself: for differences beside slopes.
+    exact: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Points":
