@@ -32,7 +32,7 @@ from tomojax.cli.rigs._session import session
     default="all",
     show_default=True,
     help="Ground these electrodes in turn, over and over: a pattern's name (all, boundary, "
-    "edge, v_line, random_16, random_8), or electrodes as 0,7,14.",
+    "edge, v_line, random_16, random_8), or electrodes as 0,7,14. Rows of a rig's table.",
 )
 @click.option(
     "--calibrate",
@@ -50,8 +50,8 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
     well each part is known. Ctrl-C ends the rub and makes OUT.calibration.json.
     """
 
-    def check(electrodes: int) -> list[int] | None:
-        return ground_numbers("--pattern", pattern, electrodes)
+    def check(electrodes: int, conditions: int) -> list[int] | None:
+        return ground_numbers("--pattern", pattern, conditions)
 
     if ground_numbers("--pattern", pattern) is None:
         check_name("--pattern", pattern, FIXED, ", or electrodes with commas: 0,7,14")
@@ -61,7 +61,7 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
 
         from tomojax.paper import pattern as pattern_named
 
-        own = check(sensor.electrode_count)
+        own = check(sensor.electrode_count, sensor.condition_count)
         return own or np.asarray(pattern_named(sensor, pattern)).tolist()
 
     made = out.with_name(out.stem + ".calibration.json")
