@@ -28,6 +28,7 @@ from tomojax.methods import (
     centred,
     Estimate,
     grounded_of,
+    masked,
     Points,
     rms,
 )
@@ -171,7 +172,7 @@ class Follow(AbstractStepMethod):
 
     def image(self, memory: Followed, slot: Slot) -> Float[Array, "nx ny"]:
         none = jnp.zeros_like(memory.place)
-        return points_image(
+        image = points_image(
             memory.place,
             none,
             none[:, 0],
@@ -180,6 +181,7 @@ class Follow(AbstractStepMethod):
             self.points.cell,
             self.points.shape,
         )
+        return masked(self.points, image)
 
 
 @jax.jit
@@ -237,7 +239,8 @@ class EachSlot(AbstractStepMethod):
         return (), Told(contacts, estimate.residual, flags)
 
     def image(self, memory: tuple, slot: Slot) -> Float[Array, "nx ny"]:
-        return self._estimate(slot.voltages, slot.ground).image
+        image = self._estimate(slot.voltages, slot.ground).image
+        return masked(self.method, image)
 
     def _estimate(self, voltages: Float[Array, " M"], ground: Int[Array, ""]) -> Estimate:
         prepared = jax.tree.map(lambda a: a[ground], self.prepared)

@@ -82,7 +82,7 @@ class ShownResults:
         forces = self._line.name == "contact_force"
         made = document(
             file.size(), xy, shape, label, self._line.span,
-            "force, N" if forces else "conductance, µS",
+            "force, N" if forces else "conductance, µS", file.outline(),
         )  # fmt: skip
         return made | {
             "live": False,
@@ -141,7 +141,7 @@ class ShownResults:
         if "image" in names:
             found = pixels(one["image"])
             high = found["high"] = found.pop("top")
-            found["pixels"] = [value * high for value in found["pixels"]]
+            found["pixels"] = [v if v is None else v * high for v in found["pixels"]]
             sources["image"] = found
         if "residual_by_electrode" in names:
             each = numbers(1e3 * one["residual_by_electrode"].astype(float))
