@@ -8,7 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
-static uint8_t grounded;
+static int grounded; /* the numbers of all grounded electrodes, added */
 
 void board_begin(void)
 {
@@ -34,7 +34,12 @@ uint64_t micros(void)
     return (uint64_t)now.tv_sec * 1000000u + (uint64_t)now.tv_nsec / 1000u;
 }
 
-void mux_ground(uint8_t ground) { grounded = ground; }
+void mux_ground(const uint8_t *closed)
+{
+    grounded = 0;
+    for (int k = 0; k < ELECTRODES; k++)
+        grounded += closed[k] ? k : 0;
+}
 
 int16_t adc_read(uint16_t channel) { return (int16_t)(100 * grounded + channel - 9000); }
 

@@ -49,13 +49,18 @@ size_t tomojax_description(uint8_t *out, const tomojax_told *told)
 {
     uint8_t *at = out;
     *at++ = TOMOJAX_DESCRIPTION;
-    *at++ = TOMOJAX_VERSION;
+    *at++ = told->version == TOMOJAX_TABLES ? TOMOJAX_TABLES : TOMOJAX_VERSION;
     at = put(at, told->electrodes, 2);
     at = put(at, told->session, 4);
     at = put(at, told->sequence, 4);
     at = put(at, told->rate, 8);
     at = put(at, told->scale, 8);
     at = put(at, told->offset, 8);
+    if (told->version == TOMOJAX_TABLES) {
+        at = put(at, told->table, 4);
+        at = put(at, told->held, 2);
+        at = put(at, 0, 2);
+    }
     return sealed(out, at);
 }
 
@@ -123,34 +128,70 @@ size_t tomojax_decode(tomojax_decoder *line, uint8_t byte)
     return 0;
 }
 
-tomojax_command tomojax_command_of(const uint8_t *message, size_t count,
-                                   uint16_t electrodes)
+static uint64_t get(const uint8_t *from, unsigned bytes)
 {
-    tomojax_command found = {TOMOJAX_NONE, 0, NULL};
-    if (count < 8 || count > TOMOJAX_COMMAND_SIZE((size_t)electrodes))
-        return found;
-    size_t grounds = count - 8;
-    if (message[2] != 0 || message[3] != 0)
-        return found;
-    if (message[0] == TOMOJAX_GROUNDS) {
-        if (grounds == 0 || message[1] != grounds)
-            return found;
-        for (size_t k = 0; k < grounds; k++)
-            if (message[4 + k] >= electrodes)
-                return found;
-    } else if (message[0] == TOMOJAX_START || message[0] == TOMOJAX_STOP) {
-        if (grounds != 0 || message[1] != TOMOJAX_VERSION)
-            return found;
-    } else {
-        return found;
+    uint64_t value = 0;
+    while (bytes-- > 0)
+        value = value << 8 | from[bytes];
+    return value;
+}
+
+uint32_t tomojax_conductance(const tomojax_command *start, uint16_t electrode)
+{
+    return (uint32_t)get(start->conductances + 4u * electrode, 4);
+}
+
+/* A START with a row of a table: finite conductances from 0 up, one of them above. */
+static int is_row(const uint8_t *message, size_t count, uint16_t electrodes,
+                  tomojax_command *found)
+{
+    if (count != TOMOJAX_ROW_SIZE((size_t)electrodes) || message[0] != TOMOJAX_START ||
+        message[1] != TOMOJAX_TABLES)
+        return 0;
+    found->rows = (uint16_t)get(message + 2, 2);
+    found->table = (uint32_t)get(message + 4, 4);
+    found->row = (uint16_t)get(message + 8, 2);
+    found->conductances = message + 12;
+    int grounded = 0;
+    for (uint16_t k = 0; k < electrodes; k++) {
+        uint32_t bits = tomojax_conductance(found, k);
+        if (bits >= 0x7F800000u && bits != 0x80000000u) /* infinite, NaN, or below 0 */
+            return 0;
+        grounded |= (bits & 0x7FFFFFFFu) != 0;
     }
-    uint8_t crc[4];
-    put(crc, tomojax_crc(message, count - 4), 4);
-    for (unsigned k = 0; k < 4; k++)
-        if (crc[k] != message[count - 4 + k])
-            return found;
+    return grounded && found->row < found->rows && found->rows <= TOMOJAX_MOST &&
+           get(message + 10, 2) == 0;
+}
+
+static int is_command(const uint8_t *message, size_t count, uint16_t conditions,
+                      tomojax_command *found)
+{
+    if (count > TOMOJAX_COMMAND_SIZE((size_t)conditions) || get(message + 2, 2) != 0)
+        return 0;
+    size_t grounds = count - 8;
+    found->count = (uint8_t)grounds;
+    if (message[0] != TOMOJAX_GROUNDS)
+        return (message[0] == TOMOJAX_START || message[0] == TOMOJAX_STOP) &&
+               grounds == 0 && message[1] == TOMOJAX_VERSION;
+    for (size_t k = 0; k < grounds; k++)
+        if (message[4 + k] >= conditions)
+            return 0;
+    return grounds != 0 && message[1] == grounds;
+}
+
+tomojax_command tomojax_command_of(const uint8_t *message, size_t count,
+                                   uint16_t electrodes, uint16_t conditions)
+{
+    static const tomojax_command none = {TOMOJAX_NONE, 0, NULL, 0, 0, 0, NULL};
+    tomojax_command found = none;
+    if (count < 8 || get(message + count - 4, 4) != tomojax_crc(message, count - 4))
+        return none;
+    if (!is_command(message, count, conditions, &found)) {
+        found = none;
+        if (!is_row(message, count, electrodes, &found))
+            return none;
+    }
     found.kind = message[0];
-    found.count = (uint8_t)grounds;
     found.grounds = message + 4;
     return found;
 }

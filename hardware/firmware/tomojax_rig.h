@@ -1,4 +1,4 @@
-/* A rig's side of ../PROTOCOL.md, version 1, in C99: no allocation, no floating point.
+/* A rig's side of ../PROTOCOL.md, versions 1 and 2, in C99: no allocation, no floating point.
  *
  * Fits any core with 8-bit bytes and 64-bit integers, of either byte order. The functions
  * write into and read from buffers that the caller owns; none of them keeps state but
@@ -11,12 +11,14 @@
 #include <stdint.h>
 
 #define TOMOJAX_VERSION 1u
+#define TOMOJAX_TABLES 2u /* the version of a START with a table, and of the answer */
 #define TOMOJAX_MOST 256u /* electrodes */
 
 /* Bytes of messages, and of what a serial line carries for n of them, its 0x00 included. */
 #define TOMOJAX_SLOT_SIZE(m) (20u + 2u * (m))
-#define TOMOJAX_DESCRIPTION_SIZE 40u
+#define TOMOJAX_DESCRIPTION_SIZE 48u /* 40 of version 1 */
 #define TOMOJAX_COMMAND_SIZE(m) (8u + (m))
+#define TOMOJAX_ROW_SIZE(m) (16u + 4u * (m)) /* no command is longer, of m > 2 */
 #define TOMOJAX_CODED_SIZE(n) ((n) + (n) / 254u + 2u)
 
 enum { /* kinds of message */
@@ -38,16 +40,24 @@ typedef struct {
     uint64_t rate;     /* slots a second */
     uint64_t scale;    /* V per code */
     uint64_t offset;   /* V */
+    uint16_t version;  /* TOMOJAX_VERSION, or TOMOJAX_TABLES in answer to such a START */
+    uint16_t held;     /* rows of the table that are here, from the first on */
+    uint32_t table;    /* as that START told it */
 } tomojax_told;
 
-/* A command. `grounds` points into the message that it was read from. */
+/* A command. Its pointers go into the message that it was read from. */
 typedef struct {
     uint8_t kind; /* TOMOJAX_NONE: the message was none */
     uint8_t count;
     const uint8_t *grounds;
+    uint16_t rows; /* of a START's table; 0: it has none */
+    uint16_t row;  /* which row this START brings, by tomojax_conductance */
+    uint32_t table;
+    const uint8_t *conductances;
 } tomojax_command;
 
-/* Bytes of a serial line into messages. Its buffer needs TOMOJAX_COMMAND_SIZE(m) bytes. */
+/* Bytes of a serial line into messages. Its buffer needs TOMOJAX_COMMAND_SIZE(m) bytes, or
+ * TOMOJAX_ROW_SIZE(m) where the rig takes tables. */
 typedef struct {
     uint8_t *buffer;
     size_t room, length, coded;
@@ -73,9 +83,13 @@ void tomojax_decoder_begin(tomojax_decoder *line, uint8_t *buffer, size_t room);
  * message is there until the next call. */
 size_t tomojax_decode(tomojax_decoder *line, uint8_t byte);
 
-/* A message to a rig of so many electrodes, from a line or a datagram. */
+/* A message to a rig of so many electrodes, from a line or a datagram. `conditions`: so many
+ * grounds there are, the rows of a table that is here, else as many as electrodes. */
 tomojax_command tomojax_command_of(const uint8_t *message, size_t count,
-                                   uint16_t electrodes);
+                                   uint16_t electrodes, uint16_t conditions);
+
+/* Bits of an IEEE 754 float: an electrode's conductance to ground, S; 0 where it is open. */
+uint32_t tomojax_conductance(const tomojax_command *start, uint16_t electrode);
 
 /* Bits of a double, where the compiler's double is IEEE 754's. */
 #include <float.h>

@@ -52,7 +52,7 @@ def draw(ring: SlotRing, told: dict[str, Any], path: str) -> int:
             under = some["ground"].astype(int)
             found = batch(volts[None].astype(np.float32), under[None])
             if found.touch is not None:
-                ring.head["image"][...] = np.nan_to_num(found.touch[0])
+                ring.head["image"][...] = found.touch[0]
                 drawn += 1
         time.sleep(0 if done else max(0.0, _EVERY - (time.monotonic() - started)))
     return drawn

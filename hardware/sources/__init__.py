@@ -9,7 +9,10 @@ from tomojax.hardware.sources._frames import (
     GROUNDS as GROUNDS,
     pack_command as pack_command,
     pack_description as pack_description,
+    pack_row as pack_row,
     pack_slot as pack_slot,
+    Row as Row,
+    rows_of as rows_of,
     sealed as sealed,
     Slot as Slot,
     slot_size as slot_size,
@@ -17,6 +20,7 @@ from tomojax.hardware.sources._frames import (
     STOP as STOP,
     unpack as unpack,
     unpack_command as unpack_command,
+    unpack_row as unpack_row,
 )
 from tomojax.hardware.sources._open import open_source as open_source
 from tomojax.hardware.sources._ordered import OrderedSource as OrderedSource

@@ -13,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tomojax._require import require
+from tomojax.recordings import check_table
 
 VERSION = 1
+TABLES = 2  # the version of a START with a table, and of the answer
 
 # Kinds of messages: two of the rig, three commands.
 SLOT = 0x01
@@ -25,6 +27,8 @@ GROUNDS = 0x12
 
 _HEAD = struct.Struct("<BBHIQ")  # kind, ground, 0, sequence, µs
 _DESCRIPTION = struct.Struct("<BBHIIddd")
+_HELD = struct.Struct("<IHH")  # table, rows held, 0
+_ROW = struct.Struct("<BBHIHH")  # kind, version, rows, table, row, 0
 _CRC = struct.Struct("<I")
 
 
@@ -46,11 +50,27 @@ class Description(NamedTuple):
     rate: float  # slots a second
     scale: float  # V = scale·code + offset
     offset: float
+    table: int | None = None  # the CRC-32 of the table of conditions that it has
+    held: int = 0  # rows of the table, from the first on
+
+
+class Row(NamedTuple):
+    """A START with one row of a table of ground conditions."""
+
+    rows: int  # of the table
+    table: int  # the CRC-32 of all its rows
+    row: int
+    conductances: np.ndarray  # (M,) float32, S to ground, a view of the message
 
 
 def slot_size(electrodes: int) -> int:
     """Returns the bytes of a slot's message."""
     return _HEAD.size + 2 * electrodes + _CRC.size
+
+
+def longest(electrodes: int) -> int:
+    """Returns the bytes of a rig's longest message."""
+    return max(slot_size(electrodes), _DESCRIPTION.size + _HELD.size + _CRC.size)
 
 
 def sealed(body: bytes) -> bytes:
@@ -68,7 +88,11 @@ def pack_description(told: Description) -> bytes:
     """Packs what a rig says of itself before its first slot."""
     m, session, sequence = told.electrodes, told.session, told.sequence & 0xFFFFFFFF
     numbers = told.rate, told.scale, told.offset
-    return sealed(_DESCRIPTION.pack(DESCRIPTION, VERSION, m, session, sequence, *numbers))
+    version = VERSION if told.table is None else TABLES
+    body = _DESCRIPTION.pack(DESCRIPTION, version, m, session, sequence, *numbers)
+    return sealed(
+        body + (b"" if told.table is None else _HELD.pack(told.table, told.held, 0))
+    )
 
 
 def pack_command(kind: int, grounds: Sequence[int] = ()) -> bytes:
@@ -77,16 +101,38 @@ def pack_command(kind: int, grounds: Sequence[int] = ()) -> bytes:
     return sealed(bytes((kind, count, 0, 0, *grounds)))
 
 
+def pack_row(told: Row) -> bytes:
+    """Packs a START with one row of a table."""
+    head = _ROW.pack(START, TABLES, told.rows, told.table, told.row, 0)
+    return sealed(head + told.conductances.astype("<f4").tobytes())
+
+
+def rows_of(conditions: np.ndarray, electrodes: int) -> list[Row]:
+    """Returns the rows of a table of ground conditions (L, M), S, as they are sent.
+
+    **Raises:** `ValueError` unless there are 1 to 256 rows of M conductances.
+    """
+    table = check_table(np.asarray(conditions, "<f4"), electrodes).astype("<f4")
+    require(len(table) <= 256, "conditions", f"{len(table)} rows", "256 at most")
+    number = zlib.crc32(table.tobytes())
+    return [Row(len(table), number, k, row) for k, row in enumerate(table)]
+
+
 def _sound(message: bytes) -> bool:
     return _CRC.unpack_from(message, len(message) - 4)[0] == zlib.crc32(message[:-4])
 
 
-def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
-    """Unpacks a message of a rig with `electrodes`; returns None for a bad message."""
+def unpack(
+    message: bytes, electrodes: int, conditions: int | None = None
+) -> Slot | Description | None:
+    """Unpacks a message of a rig with `electrodes`; returns None for a bad message.
+
+    `conditions`: how many ground conditions there are; by default one an electrode.
+    """
     # By its kind: of ten electrodes a slot is as long as a description.
     if message[:1] == bytes((SLOT,)) and len(message) == slot_size(electrodes):
         _, ground, zero, sequence, time = _HEAD.unpack_from(message)
-        fits = ground < electrodes and not zero
+        fits = ground < (conditions or electrodes) and not zero
         if not (fits and _sound(message)):
             return None
         codes = np.frombuffer(message, "<i2", electrodes, _HEAD.size)
@@ -95,11 +141,32 @@ def unpack(message: bytes, electrodes: int) -> Slot | Description | None:
         kind, version, *rest = _DESCRIPTION.unpack_from(message)
         fits = kind == DESCRIPTION and version == VERSION
         return Description(*rest) if fits and _sound(message) else None
+    if len(message) == _DESCRIPTION.size + _HELD.size + _CRC.size:
+        kind, version, *rest = _DESCRIPTION.unpack_from(message)
+        table, held, zero = _HELD.unpack_from(message, _DESCRIPTION.size)
+        fits = kind == DESCRIPTION and version == TABLES and not zero
+        return (
+            Description(*rest, table=table, held=held) if fits and _sound(message) else None
+        )
     return None
 
 
+def unpack_row(message: bytes, electrodes: int) -> Row | None:
+    """Unpacks a START with a row of a table; returns None for a bad one."""
+    if len(message) != _ROW.size + 4 * electrodes + _CRC.size or not _sound(message):
+        return None
+    kind, version, rows, table, row, zero = _ROW.unpack_from(message)
+    each = np.frombuffer(message, "<f4", electrodes, _ROW.size)
+    fits = kind == START and version == TABLES and row < rows <= 256 and not zero
+    fine = bool((np.isfinite(each) & (each >= 0)).all() and each.any())
+    return Row(rows, table, row, each) if fits and fine else None
+
+
 def unpack_command(message: bytes, electrodes: int) -> tuple[int, tuple[int, ...]] | None:
-    """Unpacks a command and its grounds; returns None for a bad command."""
+    """Unpacks a command and its grounds; returns None for a bad command.
+
+    `electrodes`: or ground conditions, of a rig with a table.
+    """
     if len(message) < 8 or len(message) > 8 + electrodes:
         return None
     kind, count, zero, nought = message[:4]

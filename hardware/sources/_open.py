@@ -18,7 +18,8 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
 
     **Arguments:** `options` depend on the source: `baud`; `bind`, the address of this
     machine to listen at (by default only this machine reaches it); `speed`, `since` and
-    `until` of a recording; `rate`, `settle` and `convert` of `NiSource`.
+    `until` of a recording; `rate`, `settle` and `convert` of `NiSource`; `conditions`
+    (L, M), S, a table of ground conditions for a rig that takes one.
     **Raises:** `ValueError` for other names and options.
     """
     require(len(where) <= _LONGEST, "source", f"{len(where)} letters", "a name")
@@ -52,6 +53,7 @@ def open_source(where: str, electrodes: int = 64, **options: Any) -> SlotSource:
         expected = "serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording's path, "
         expected += "or virtual in a command"
         require(named, "source", repr(where), expected)
+        options.pop("conditions", None)  # a recording has its own
         stretch = (options.pop(name, None) for name in ("since", "until"))
         return ReplaySource(between(open_recording(where), *stretch), **options)
     except TypeError as error:

@@ -32,12 +32,17 @@ class OrderedSource(SlotSource):
         order = np.arange(m) if channels is None else np.asarray(channels, int)
         whole = order.shape == (m,) and (np.sort(order) == np.arange(m)).all()
         require(whole, "channels", f"{len(order)} of them", f"each of 0 to {m - 1} once")
-        lines = np.arange(m) if grounds is None else np.asarray(grounds, int)
-        fits = lines.shape == (m,) and lines.min() >= -1 and lines.max() < m
-        require(fits, "grounds", f"{len(lines)} of them", f"{m} of -1 to {m - 1}")
+        n = source.condition_count  # M, or the rows of a table
+        lines = np.arange(n) if grounds is None else np.asarray(grounds, int)
+        fits = lines.shape == (n,) and lines.min() >= -1 and lines.max() < n
+        require(fits, "grounds", f"{len(lines)} of them", f"{n} of -1 to {n - 1}")
         self._back, self._lines = np.argsort(order), lines
         self._line = {int(e): g for g, e in reversed(list(enumerate(lines))) if e >= 0}
         self._codes = np.zeros(m, np.int16)
+
+    @property
+    def condition_count(self) -> int:
+        return self._source.condition_count
 
     @property
     def waiting(self) -> int:
@@ -56,9 +61,9 @@ class OrderedSource(SlotSource):
         if got is None:
             return None
         np.take(self._codes, self._back, out=codes)
-        inside = 0 <= got.ground < self.electrodes
+        inside = 0 <= got.ground < len(self._lines)
         ground = int(self._lines[got.ground]) if inside else got.ground
-        return got._replace(ground=ground if ground >= 0 else min(self.electrodes, 255))
+        return got._replace(ground=ground if ground >= 0 else min(len(self._lines), 255))
 
     def set_grounds(self, grounds: Sequence[int]) -> None:
         """Sets grounds, and leaves out electrodes that no line switches.
@@ -67,8 +72,9 @@ class OrderedSource(SlotSource):
         exist.
         """
         wanted = [int(e) for e in grounds]
-        inside = all(0 <= e < self.electrodes for e in wanted)
-        require(inside, "grounds", wanted, f"0 to {self.electrodes - 1}")
+        last = self.condition_count - 1
+        inside = all(0 <= e <= last for e in wanted)
+        require(inside, "grounds", wanted, f"0 to {last}")
         lines = [self._line[e] for e in wanted if e in self._line]
         require(bool(lines), "grounds", wanted, "electrodes that a line switches")
         self._source.set_grounds(lines)

@@ -80,7 +80,11 @@ class ReplaySource(SlotSource):
         return left <= timeout
 
     def set_grounds(self, grounds: Sequence[int]) -> None:
-        check_grounds(grounds, self.electrodes)
+        check_grounds(grounds, self.condition_count)
+
+    @property
+    def condition_count(self) -> int:
+        return self.rig.condition_count
 
     def stop(self) -> None:
         self._stopped = True

@@ -53,7 +53,8 @@ class SlotSource(ABC):
       too: the next slot's `lost` says how many are missing, and its number jumps by as
       many. A source never makes up a slot, repeats none and sorts none in later.
     - **Grounds.** `Got.ground` is the electrode that was grounded, whatever was asked for;
-      a number beyond M − 1 says that none was. Such a slot is flagged.
+      a number beyond M − 1 says that none was. Such a slot is flagged. A source with a
+      table of ground conditions tells rows of the table, `condition_count` of them.
     - **Arrays.** The caller owns `codes`. The source fills all M of them in place, and
       touches the array no more once `read` has returned.
     - **Time.** `read` returns within `timeout` and a little. `set_grounds` waits for
@@ -94,6 +95,11 @@ class SlotSource(ABC):
     @abstractmethod
     def stop(self) -> None:
         """Stops reading; can be called twice."""
+
+    @property
+    def condition_count(self) -> int:
+        """Returns the number of ground conditions: M, or the rows of their table."""
+        return self.electrodes
 
     @property
     def waiting(self) -> int:

@@ -2,9 +2,10 @@
 
 import socket
 import time
+from typing import Any
 
 from tomojax._require import require
-from tomojax.hardware.sources._frames import slot_size
+from tomojax.hardware.sources._frames import longest
 from tomojax.hardware.sources._wire import Link, WireSource
 
 # Messages that wait in the system, bytes.
@@ -16,7 +17,7 @@ class UdpLink(Link):
 
     def __init__(self, host: str, port: int, bind: str, electrodes: int):
         self._rig, self._bind = (host, port), bind
-        self._room = bytearray(slot_size(electrodes) + 1)  # more is no message
+        self._room = bytearray(longest(electrodes) + 1)  # more is no message
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
@@ -62,6 +63,13 @@ class UdpLink(Link):
 class UdpSource(WireSource):
     """A rig at `host` and `port`; listens at `bind`, on this machine alone by default."""
 
-    def __init__(self, host: str, port: int, bind: str = "127.0.0.1", electrodes: int = 64):
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        bind: str = "127.0.0.1",
+        electrodes: int = 64,
+        conditions: Any = None,
+    ):
         require(0 < port < 65536, "port", port, "1 to 65535")
-        super().__init__(UdpLink(host, port, bind, electrodes), electrodes)
+        super().__init__(UdpLink(host, port, bind, electrodes), electrodes, conditions)

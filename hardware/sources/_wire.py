@@ -61,15 +61,24 @@ class WireSource(SlotSource):
     silent rig to start again. If the rig kept running meanwhile, slot numbers count the
     lost slots. If the rig was switched off, the time that went by counts them. `Numbers`
     and `Clock` handle numbers that jump and a clock that falls.
+
+    `conditions` (L, M): a table of conductances to ground, S, for a rig that takes one;
+    grounds are then rows of the table.
     """
 
-    def __init__(self, link: Link, electrodes: int = 64):
+    def __init__(
+        self, link: Link, electrodes: int = 64, conditions: np.ndarray | None = None
+    ):
         require(1 <= electrodes <= 256, "electrodes", electrodes, "1 to 256")
+        # A table goes to the rig row by row, each in a START.
+        rows = [] if conditions is None else frames.rows_of(conditions, electrodes)
+        self._starts = [frames.pack_row(row) for row in rows]
+        self._table, self._held = rows[0].table if rows else None, 0
         self.electrodes, self._link = electrodes, link
         self.rate = self.scale = self.offset = float("nan")
         self.counters = Counters()
         self._told: frames.Description | None = None
-        self._open = False
+        self._open = self._answered = False
         self._grounds: tuple[int, ...] | None = None
         self._unheeded = 0
         self._messages: deque[tuple[bytes, float]] = deque()
@@ -84,12 +93,13 @@ class WireSource(SlotSource):
         self._link.open()
         self._open = True
         self._ask()
-        end = time.perf_counter() + _NO_ANSWER
+        end, held = time.perf_counter() + _NO_ANSWER, 0
         while self._told is None:
+            if self._held > held:
+                end, held = time.perf_counter() + _NO_ANSWER, self._held
             if time.perf_counter() > end:
                 self.stop()
-                seconds = f"{_NO_ANSWER:g} s"
-                raise TimeoutError(f"no rig answers within {seconds}; is it switched on?")
+                raise TimeoutError(self._unanswered())
             self._pull(0.05)
             while self._messages and self._told is None:
                 try:
@@ -97,6 +107,13 @@ class WireSource(SlotSource):
                 except ValueError:  # it is not the rig that was asked for
                     self.stop()
                     raise
+
+    def _unanswered(self) -> str:
+        if self._answered:
+            took = f"the rig took {self._held} of {len(self._starts)} ground conditions"
+            return f"{took}; has it room for them, and such paths to ground?"
+        more = ", and does it know tables of ground conditions" if self._starts else ""
+        return f"no rig answers within {_NO_ANSWER:g} s; is it switched on{more}?"
 
     def read(self, codes: Int[np.ndarray, " M"], timeout: float = 1.0) -> Got | None:
         end = time.perf_counter() + timeout
@@ -113,7 +130,7 @@ class WireSource(SlotSource):
             self._pull(left)
 
     def set_grounds(self, grounds: Sequence[int]) -> None:
-        self._grounds = frames.check_grounds(grounds, self.electrodes)
+        self._grounds = frames.check_grounds(grounds, self.condition_count)
         self._unheeded = 0
         self._send(frames.pack_command(frames.GROUNDS, self._grounds))
 
@@ -124,12 +141,17 @@ class WireSource(SlotSource):
         self._open = False
 
     @property
+    def condition_count(self) -> int:
+        return len(self._starts) or self.electrodes
+
+    @property
     def waiting(self) -> int:
         return len(self._messages) + len(self._ready)
 
     def _ask(self) -> None:
         self._asked = time.perf_counter()
-        self._send(frames.pack_command(frames.START))
+        starts = self._starts or [frames.pack_command(frames.START)]
+        self._send(starts[min(self._held, len(starts) - 1)])
         if self._grounds:
             self._send(frames.pack_command(frames.GROUNDS, self._grounds))
 
@@ -173,11 +195,19 @@ class WireSource(SlotSource):
         self._messages.extend((message, now) for message in found)
 
     def _take(self, message: bytes, arrived: float) -> None:
-        found = frames.unpack(message, self.electrodes)
+        found = frames.unpack(message, self.electrodes, self.condition_count)
         if found is None:
             self.counters.bad += 1
         elif isinstance(found, frames.Description):
-            self._describe(found, arrived)
+            if found.table != self._table:
+                self.counters.bad += 1
+            elif found.held < len(self._starts):
+                self._answered = True
+                if found.held != self._held:  # the next row, else again after a silence
+                    self._held = found.held
+                    self._ask()
+            else:
+                self._describe(found, arrived)
         elif self._told is None:
             # It goes on from before this program: it is asked again what it is.
             self.counters.early += 1

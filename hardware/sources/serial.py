@@ -4,11 +4,12 @@ import os
 import select
 import sys
 import time
+from typing import Any
 
 import serial
 from cobs import cobs
 
-from tomojax.hardware.sources._frames import slot_size
+from tomojax.hardware.sources._frames import longest
 from tomojax.hardware.sources._wire import Link, WireSource
 
 
@@ -41,7 +42,7 @@ class SerialLink(Link):
 
     def __init__(self, port: str, baud: int, electrodes: int):
         self._port, self._baud = port, baud
-        self._longest = slot_size(electrodes)
+        self._longest = longest(electrodes)
         self._line: serial.Serial | None = None
 
     def open(self) -> None:
@@ -88,5 +89,7 @@ class SerialLink(Link):
 class SerialSource(WireSource):
     """A rig at a serial `port`."""
 
-    def __init__(self, port: str, baud: int = 4_000_000, electrodes: int = 64):
-        super().__init__(SerialLink(port, baud, electrodes), electrodes)
+    def __init__(
+        self, port: str, baud: int = 4_000_000, electrodes: int = 64, conditions: Any = None
+    ):
+        super().__init__(SerialLink(port, baud, electrodes), electrodes, conditions)

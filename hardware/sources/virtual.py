@@ -2,10 +2,12 @@
 
     python -m tomojax.hardware.sources.virtual SCENE.npz --link pty|udp [faults]
 
-SCENE.npz has `voltages` (K, M, M) of K moments under each ground, V. `dwell` is how long
-each moment lasts, s. The rig speaks the protocol of PROTOCOL.md on a pseudo-terminal or
-over UDP. It prints one line of JSON with its address. Only the sheet is simulated: slots
-that cannot be sent in time are lost, and slot numbers go on.
+SCENE.npz has `voltages` (K, L, M) of K moments under each of L grounds, V. `dwell` is how
+long each moment lasts, s. With a table of ground `conditions` (L, M), S, in SCENE.npz the
+rig takes this table from the host, and no other. The rig speaks the protocol of
+PROTOCOL.md on a pseudo-terminal or over UDP. It prints one line of JSON with its address.
+Only the sheet is simulated: slots that cannot be sent in time are lost, and slot numbers go
+on.
 """
 
 import argparse
@@ -57,7 +59,7 @@ class Pty:
         self._master, self._slave = os.openpty()
         self._raw(self._slave)
         os.set_blocking(self._master, False)
-        self._decode = self._frames(80)
+        self._decode = self._frames(2048)
         self.name.unlink(missing_ok=True)
         self.name.symlink_to(os.ttyname(self._slave))
 
@@ -112,7 +114,7 @@ class Udp:
         found = []
         try:
             while True:
-                message, self._host = self._socket.recvfrom(512)
+                message, self._host = self._socket.recvfrom(2048)
                 found.append(message)
         except OSError:
             return found
@@ -131,7 +133,7 @@ class Firmware:
     """The rig's state and faults; `run` goes on until the time is up."""
 
     def __init__(self, link: Pty | Udp, options: argparse.Namespace):
-        scene = read_npz(options.scene, "no scene", ("voltages", "dwell"))
+        scene = read_npz(options.scene, "no scene", ("voltages", "dwell"), ("conditions",))
         self._link, self._options = link, options
         self._rng = np.random.default_rng(options.seed)
         full = 32000 / max(5.0, float(np.abs(scene["voltages"]).max()))
@@ -139,13 +141,18 @@ class Firmware:
         self._codes = (scene["voltages"] * full).astype(np.float32)
         self._dwell = float(scene["dwell"])
         self.electrodes = self._codes.shape[-1]
+        table = scene.get("conditions")
+        given = [] if table is None else frames.rows_of(table, self.electrodes)
+        self._rows = [frames.pack_row(row) for row in given]
+        self._table: int | None = None
+        self._held = 0
         size = (4096, self.electrodes)
         # Noise is drawn beforehand too: a slot has 100 µs.
         noise = self._rng.normal(0, options.noise * full, size)
         self._noise = noise.astype(np.float32)
         self._grounds: tuple[int, ...] = (0,)
         self._turn = self.sequence = 0
-        self._running, self._held = False, b""
+        self._running, self._late = False, b""
         self._switch_on()
 
     def _switch_on(self) -> None:
@@ -178,20 +185,25 @@ class Firmware:
 
     def _obey(self) -> None:
         for message in self._link.commands():
-            told = frames.unpack_command(message, self.electrodes)
-            if told is None:
-                continue
-            kind, grounds = told
+            told = frames.unpack_command(message, self._codes.shape[1])
+            kind, grounds = told or (None, ())
             if kind == frames.GROUNDS:
                 self._grounds, self._turn = grounds, 0
-            self._running = kind != frames.STOP and (self._running or kind == frames.START)
-            if kind == frames.START:
-                o = self._options
-                m, session = self.electrodes, self._session
-                numbers = self.sequence, o.rate, self._scale, 0.0
-                self._link.send(
-                    frames.pack_description(frames.Description(m, session, *numbers))
-                )
+            elif kind == frames.STOP:
+                self._running = False
+            elif kind == frames.START and not self._rows:
+                self._describe()
+            elif self._rows and (row := frames.unpack_row(message, self.electrodes)):
+                if row.table != self._table:
+                    self._table, self._held = row.table, 0
+                self._held += message in self._rows[self._held : self._held + 1]
+                self._describe()
+
+    def _describe(self) -> None:
+        o, m, session = self._options, self.electrodes, self._session
+        numbers = self.sequence, o.rate, self._scale, 0.0, self._table, self._held
+        self._link.send(frames.pack_description(frames.Description(m, session, *numbers)))
+        self._running = self._held == len(self._rows)
 
     def _slot(self, when: float) -> None:
         o, rng, sequence = self._options, self._rng, self.sequence
@@ -201,7 +213,7 @@ class Firmware:
         if not self._running:
             return
         if o.contrary and rng.random() < o.contrary:
-            ground = int(rng.integers(self.electrodes))
+            ground = int(rng.integers(self._codes.shape[1]))
         moment = int(when / self._dwell) % len(self._codes)
         codes = self._codes[moment, ground] + self._noise[sequence % 4096]
         if o.dead:
@@ -215,13 +227,13 @@ class Firmware:
             for k in rng.integers(0, len(broken), 4):
                 broken[k] ^= int(rng.integers(1, 256))
             message = bytes(broken)
-        if o.reorder and rng.random() < o.reorder and not self._held:
-            self._held = message
+        if o.reorder and rng.random() < o.reorder and not self._late:
+            self._late = message
             return
         self._link.send(message)
-        if self._held:
-            self._link.send(self._held)
-            self._held = b""
+        if self._late:
+            self._link.send(self._late)
+            self._late = b""
 
     def _stall(self) -> None:
         time.sleep(self._options.away)
@@ -234,7 +246,7 @@ class Firmware:
 
     def _restart(self) -> None:
         self._disconnect()
-        self.sequence = 0
+        self.sequence = self._held = 0
         self._switch_on()
 
 

@@ -65,9 +65,20 @@ class VirtualRig:
             self.slots = json.loads(told.splitlines()[-1])["slots"]
 
 
-def write_scene(path: Path | str, voltages: np.ndarray, dwell: float) -> None:
-    """Writes voltages (K, M, M), V, of K moments under each ground, each `dwell` s long."""
-    np.savez(path, voltages=np.asarray(voltages, np.float32), dwell=dwell)
+def write_scene(
+    path: Path | str,
+    voltages: np.ndarray,
+    dwell: float,
+    conditions: np.ndarray | None = None,
+) -> None:
+    """Writes voltages (K, L, M), V, of K moments under each ground, each `dwell` s long.
+
+    `conditions` (L, M): the table of ground conditions, S, that the rig takes.
+    """
+    arrays: dict[str, Any] = {"voltages": np.asarray(voltages, np.float32), "dwell": dwell}
+    if conditions is not None:
+        arrays["conditions"] = np.asarray(conditions)
+    np.savez(path, **arrays)
 
 
 def draw_eight(
@@ -90,4 +101,5 @@ def draw_eight(
         return tx.voltages(sensor, jnp.where(t > 0.9, 0, g))
 
     each = [np.asarray(moment(jnp.asarray(k / moments))) for k in range(moments)]
-    write_scene(path, np.stack(each), 1 / moments)
+    table = None if sensor.conditions is None else np.asarray(sensor.conditions)
+    write_scene(path, np.stack(each), 1 / moments, table)

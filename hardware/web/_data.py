@@ -14,10 +14,13 @@ def numbers(values: Any) -> list[float | None]:
 
 
 def pixels(image: np.ndarray) -> dict[str, Any]:
-    """Returns an image (nx, ny) row by row upwards, to three digits, and its highest."""
-    shown = np.nan_to_num(np.asarray(image, float), posinf=0.0, neginf=0.0).T
-    high = max(float(shown.max(initial=0)), 1e-30)
-    return {"pixels": np.round(shown.ravel() / high, 3).tolist(), "high": 1.0, "top": high}
+    """Returns an image (nx, ny) row by row upwards, to three digits, and its highest.
+
+    Pixels that are no numbers, as those off the sheet, are None.
+    """
+    shown = np.asarray(image, float).T
+    high = max(float(shown.max(initial=0, where=np.isfinite(shown))), 1e-30)
+    return {"pixels": numbers(np.round(shown / high, 3)), "high": 1.0, "top": high}
 
 
 def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, list]:

@@ -36,6 +36,7 @@ def document(
     image_label: str,
     span: tuple[float, float],
     strength: str,
+    lines: Any = None,
 ) -> dict[str, Any]:
     """Returns what the page embeds: Bokeh's document, and where each figure goes.
 
@@ -43,6 +44,7 @@ def document(
     - `image_shape`: pixels along x and y, or None without an image.
     - `span`: the time line's beginning and end, s.
     - `strength`: the label of the contacts' strength, with the unit.
+    - `lines`: closed lines (n, 2) around the sheet and its holes, m; None: it is a box.
     """
     from bokeh.document import Document
     from bokeh.embed.util import standalone_docs_json_and_render_items
@@ -53,7 +55,7 @@ def document(
     data["image"] = {"image": [np.zeros((ny, nx), np.float32)]}
     sources = {n: ColumnDataSource(columns, name=n) for n, columns in data.items()}
     figures = {
-        "sheet": _sheet(sources, size, electrode_xy, image_shape, image_label),
+        "sheet": _sheet(sources, size, electrode_xy, image_shape, image_label, lines),
         **_lines(sources, span, strength),
         **_electrodes(sources, len(electrode_xy)),
     }
@@ -84,7 +86,7 @@ def _figure(name: str, **given: Any) -> Any:
     return made
 
 
-def _sheet(sources, size, electrode_xy, image_shape, image_label) -> Any:
+def _sheet(sources, size, electrode_xy, image_shape, image_label, lines) -> Any:
     from bokeh.models import ColorBar, LinearColorMapper, Range1d
 
     width, height = (1e3 * float(s) for s in size)
@@ -97,7 +99,9 @@ def _sheet(sources, size, electrode_xy, image_shape, image_label) -> Any:
         y_axis_label="y, mm",
     )
     if image_shape is not None:
-        colours = LinearColorMapper("Greys256", low=0, high=1, name="colours")
+        colours = LinearColorMapper(
+            "Greys256", low=0, high=1, name="colours", nan_color="rgba(0, 0, 0, 0)"
+        )
         colours.palette = colours.palette[::-1]
         sheet.image(
             "image", source=sources["image"], x=0, y=0, dw=width, dh=height,
@@ -111,7 +115,13 @@ def _sheet(sources, size, electrode_xy, image_shape, image_label) -> Any:
         sheet.text(
             x, y, names, text_font_size="8px", text_color="#5f86b3", x_offset=4, y_offset=-2
         )
-    sheet.rect(width / 2, height / 2, width, height, fill_color=None, line_color=_GREY)
+    if lines is None:
+        lines = [np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * np.asarray(size, float)]
+    closed = [1e3 * np.concatenate([line, line[:1]]) for line in lines]
+    sheet.multi_line(
+        [line[:, 0].tolist() for line in closed], [line[:, 1].tolist() for line in closed],
+        line_color=_GREY,
+    )  # fmt: skip
     sheet.scatter(
         "x", "y", source=sources["trails"], size=3, color=_ORANGE, alpha="age",
     )  # fmt: skip

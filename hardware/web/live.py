@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tomojax.hardware.loop import begun, counted_text, latency_text, load_text, SlotRing
+from tomojax.hardware.loop.recorder import rig_of
 from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,
@@ -155,10 +156,10 @@ def main() -> None:
     quiet()
     recorded = given.recorded is not None
     ring, told = SlotRing(given.ring, writable=recorded), json.loads(given.told)
-    shape = ring.head["image"].shape
+    shape, edge = ring.head["image"].shape, rig_of(told).outline
     made = document(
         told["size"], told["electrode_xy"], shape, "image, shares of its highest",
-        (-_SPAN, 0.0), "conductance, µS",
+        (-_SPAN, 0.0), "conductance, µS", edge and edge.lines(told["size"]),
     )  # fmt: skip
     made |= {
         "live": True, "marks": recorded, "electrodes": ring.electrodes,

@@ -13,7 +13,7 @@ function put(sources) {
     const source = model(name);
     if (name === "image") {
       const pixels = source.data.image[0];
-      columns.pixels.forEach((value, k) => { pixels[k] = value; });
+      columns.pixels.forEach((value, k) => { pixels[k] = value ?? NaN; }); // off the sheet
       model("colours").high = columns.high;
       source.change.emit();
     } else {

@@ -58,8 +58,12 @@ def random_frame(rng: np.random.Generator, m: int) -> tuple[bytes, bytes]:
     if rng.random() < 0.1:
         session, sequence = rng.integers(0, 2**32, 2).tolist()
         numbers = struct.unpack("<3d", rng.bytes(24))
-        told = frames.Description(m, session, sequence, *numbers)
-        record = struct.pack("<BHIIddd", 2, *told)
+        table, held = int(rng.integers(2**32)), int(rng.integers(257))
+        has = bool(rng.random() < 0.5)
+        told = frames.Description(
+            m, session, sequence, *numbers, *((table, held) if has else ())
+        )
+        record = struct.pack("<BHIIdddHHI", 2, *told[:6], 1 + has, held, table)
         # Bits of a NaN are kept by `pack` only as far as the platform keeps them.
         if not all(np.isfinite(numbers)):
             return random_frame(rng, m)
@@ -88,6 +92,28 @@ def compare_encoders(peer: Path, count: int, seed: int = 0) -> None:
         assert theirs == ours, f"frames {start} to {start + len(pairs)} differ, seed {seed}"
 
 
+def random_row(rng: np.random.Generator, m: int) -> bytes:
+    """A START with a row of a table, sound or not."""
+    values = rng.uniform(0, 1, m).astype("<f4") * (rng.random(m) < 0.5)
+    if rng.random() < 0.3:
+        values[rng.integers(m)] = rng.choice([-1.0, -0.0, np.nan, np.inf, 1e-45])
+    rows = int(rng.integers(0, 260))
+    table, row = int(rng.integers(2**32)), int(rng.integers(rows + 1))
+    return frames.pack_row(frames.Row(rows, table, row, values.astype("<f4")))
+
+
+def accepted_by(message: bytes, m: int) -> bytes:
+    """What the peer writes for a message that the host's Python takes."""
+    command = frames.unpack_command(message, m)
+    if command is not None:
+        return bytes((command[0], len(command[1]), *command[1]))
+    row = frames.unpack_row(message, m)
+    if row is None:
+        return b""
+    packed = row.rows << 48 | row.row << 32 | row.table
+    return struct.pack("<BBQ", frames.START, 0, packed) + row.conductances.tobytes()
+
+
 def broken_stream(rng: np.random.Generator, m: int, count: int) -> bytes:
     """Commands among pieces of them, random bytes and zeros."""
     out = []
@@ -95,6 +121,8 @@ def broken_stream(rng: np.random.Generator, m: int, count: int) -> bytes:
         grounds = rng.integers(0, m, rng.integers(1, min(m, 255) + 1)).tolist()
         kind = int(rng.choice([frames.START, frames.STOP, frames.GROUNDS]))
         sound = frames.pack_command(kind, grounds if kind == frames.GROUNDS else ())
+        if rng.random() < 0.25:
+            sound = random_row(rng, m)
         way = rng.integers(8)
         if way == 0:  # another number of electrodes, or kind, with a right sum
             body = bytearray(sound[:-4])
@@ -123,11 +151,10 @@ def compare_decoders(peer: Path, count: int, seed: int = 0, each: int = 200) -> 
     for k in range(0, count, each):
         m = (1, 2, 10, 64, 245, 246, 254, 255, 256)[(k // each) % 9]
         stream = broken_stream(rng, m, each)
-        found = [frames.unpack_command(one, m) for one in Frames(8 + m)(stream)]
-        ours = [(kind, len(g), *g) for told in found if told for kind, g in [told]]
+        found = [accepted_by(one, m) for one in Frames(16 + 4 * m)(stream)]
         theirs = run(peer, stream, "decode", str(m))[:-10]
-        assert theirs == b"".join(map(bytes, ours)), f"M {m}, seed {seed}, stream {k}"
-        accepted += len(ours)
+        assert theirs == b"".join(found), f"M {m}, seed {seed}, stream {k}"
+        accepted += sum(map(bool, found))
     return accepted
 
 

@@ -2,7 +2,7 @@
  *
  * `peer encode`: 0x01 m ground sequence µs codes, or 0x02 and a description, each number
  * little-endian; out come coded messages. `peer decode M`: a line's bytes; out come kind,
- * count and grounds of each command, and last the count of what was none.
+ * count, grounds and row of each command, and last the count of what was none.
  * With -DFUZZER it is libFuzzer's target. Buffers are of the size that is promised: a
  * sanitizer sees a byte beyond.
  */
@@ -15,15 +15,16 @@
 static void decode(const uint8_t *bytes, size_t size, uint16_t m, FILE *out)
 {
     tomojax_decoder line;
-    uint8_t *buffer = malloc(TOMOJAX_COMMAND_SIZE(m));
-    tomojax_decoder_begin(&line, buffer, TOMOJAX_COMMAND_SIZE(m));
+    size_t room = 16u + 4u * (size_t)m; /* a row, or two grounds of one electrode */
+    uint8_t *buffer = malloc(room);
+    tomojax_decoder_begin(&line, buffer, room);
     for (size_t k = 0; k < size; k++) {
         size_t length = tomojax_decode(&line, bytes[k]);
         if (length == 0)
             continue;
-        if (length > TOMOJAX_COMMAND_SIZE(m))
+        if (length > room)
             abort();
-        tomojax_command told = tomojax_command_of(buffer, length, m);
+        tomojax_command told = tomojax_command_of(buffer, length, m, m);
         if (told.kind == TOMOJAX_NONE)
             continue;
         for (unsigned g = 0; g < told.count; g++)
@@ -33,6 +34,13 @@ static void decode(const uint8_t *bytes, size_t size, uint16_t m, FILE *out)
             fputc(told.kind, out);
             fputc(told.count, out);
             fwrite(told.grounds, 1, told.count, out);
+            uint64_t row = (uint64_t)told.rows << 48 | (uint64_t)told.row << 32 | told.table;
+            if (told.rows != 0)
+                fwrite(&row, 1, 8, out);
+            for (uint16_t k = 0; told.rows != 0 && k < m; k++) {
+                uint32_t bits = tomojax_conductance(&told, k);
+                fwrite(&bits, 1, 4, out);
+            }
         }
     }
     if (out != NULL)
@@ -46,7 +54,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     if (size == 0)
         return 0;
     decode(data + 1, size - 1, (uint16_t)(data[0] + 1u), NULL);
-    (void)tomojax_command_of(data + 1, size - 1, (uint16_t)(data[0] + 1u));
+    uint16_t m = (uint16_t)(data[0] + 1u);
+    (void)tomojax_command_of(data + 1, size - 1, m, m);
     /* What was encoded has no zero but its last byte, and the promised length. */
     uint8_t *coded = malloc(TOMOJAX_CODED_SIZE(size));
     size_t length = tomojax_coded(coded, data, size);
@@ -86,7 +95,7 @@ static void give(const uint8_t *message, size_t size)
 
 static void encode(void)
 {
-    uint64_t kind, m, a, b, c, d, e, f;
+    uint64_t kind, m, a, b, c, d, e, f, v, h, t;
     while (take(&kind, 1) && take(&m, 2)) {
         if (kind == TOMOJAX_SLOT) {
             take(&a, 1), take(&b, 4), take(&c, 8);
@@ -104,7 +113,9 @@ static void encode(void)
             free(codes);
         } else {
             take(&a, 4), take(&b, 4), take(&d, 8), take(&e, 8), take(&f, 8);
-            tomojax_told told = {(uint16_t)m, (uint32_t)a, (uint32_t)b, d, e, f};
+            take(&v, 2), take(&h, 2), take(&t, 4);
+            tomojax_told told = {(uint16_t)m, (uint32_t)a, (uint32_t)b, d, e, f,
+                                 (uint16_t)v, (uint16_t)h,  (uint32_t)t};
             uint8_t *message = malloc(TOMOJAX_DESCRIPTION_SIZE);
             give(message, tomojax_description(message, &told));
             free(message);

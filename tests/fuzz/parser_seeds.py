@@ -23,7 +23,8 @@ def wire() -> list[bytes]:
 
 def messages() -> list[bytes]:
     return [b"\3" + each[k : k + 45] for each in wire() for k in (2, 44, 72)] + [
-        b"\3\7\x12\3\0\0\0\2\3"
+        b"\3\7\x12\3\0\0\0\2\3",
+        b"\3\x0f\x10\2\2\0\1\2\3\4\1\0\0\0" + b"\0\0\x80\x3e" * 4,
     ]
 
 

@@ -64,7 +64,10 @@ def _message(data: Bytes, electrodes: int) -> bytes:
     from tomojax.hardware import sources as frames
 
     way = data.number()
-    size = {1: frames.slot_size(electrodes) - 4, 2: 36, 3: 4 + electrodes}.get(way & 3)
+    sizes = {1: frames.slot_size(electrodes) - 4, 2: 36, 3: 4 + electrodes}
+    if way & 8:
+        sizes |= {2: 44, 3: 12 + 4 * electrodes}
+    size = sizes.get(way & 3)
     body = data.take(data.number() if size is None else size)
     return frames.sealed(body) if way & 4 else body
 
@@ -88,6 +91,10 @@ def messages(data: bytes) -> None:
     if command is not None:
         assert len(command[1]) <= m and all(g < m for g in command[1])
         assert frames.pack_command(*command) == message
+    row = frames.unpack_row(message, m)
+    if row is not None:
+        assert row.row < row.rows <= 256 and (row.conductances >= 0).all()
+        assert frames.pack_row(row) == message
 
 
 def serial(data: bytes) -> None:

@@ -138,6 +138,35 @@ def test_example_board_is_recorded(board, tmp_path):
     assert np.diff([got.time for got in told]).min() > 0
 
 
+def test_example_board_takes_a_table(board, tmp_path):
+    """Each slot has the row's grounds; without a table the board is as before."""
+    name = tmp_path / "tty"
+    table = np.zeros((3, 64))
+    table[[0, 0, 1, 1, 2], [1, 4, 2, 20, 63]] = 0.25
+    with switched_on(board, name):
+        with open_source(f"serial:{name}", conditions=table) as source:
+            assert source.condition_count == 3
+            source.set_grounds((0, 1, 2))
+            for ground, codes, _ in read(source, 100):
+                first = 100 * np.flatnonzero(table[ground]).sum() - 9000
+                np.testing.assert_array_equal(codes, first + np.arange(64))
+            assert source.counters.bad == 0
+        with open_source(f"serial:{name}", conditions=2 * table[:2]) as source:
+            assert {ground for ground, _, _ in read(source, 20)} == {0}
+        with open_source(f"serial:{name}") as source:
+            source.set_grounds((9,))
+            ground, codes, _ = read(source, 50)[-1]
+            assert ground == 9 and codes[0] == 900 - 9000
+
+
+def test_a_table_that_the_board_has_no_room_for(board, tmp_path):
+    name = tmp_path / "tty"
+    with switched_on(board, name):
+        source = open_source(f"serial:{name}", conditions=np.eye(64)[np.arange(70) % 64])
+        with pytest.raises(TimeoutError, match="the rig took 64 of 70 ground conditions"):
+            source.start()
+
+
 def test_example_board_plugged_out_and_in(board, tmp_path):
     """A restart is a new session, silent until START; the host goes on by itself."""
     name = tmp_path / "tty"

@@ -16,6 +16,10 @@ CODES = np.array([0, -1, 1000, -32768], "i2")
 TOLD = frames.Description(4, 0xA1B2C3D4, 7, 1e4, 2.0**-13, 0.0)
 
 
+TABLE = [[0.25, 0, 0, 0.25], [0, 0.5, 0.125, 0]]
+ROWS = frames.rows_of(np.array(TABLE), 4)
+
+
 def vectors() -> list[tuple[bytes, bytes]]:
     """Message and what a serial line carries, in the page's order."""
     rows = re.findall(r"^    ((?:[0-9a-f]{2} ?)+)$", PAGE.read_text(), re.MULTILINE)
@@ -30,6 +34,8 @@ def test_vectors_of_the_page():
         pack(frames.STOP),
         pack(frames.GROUNDS, (0, 2, 3)),
         frames.pack_description(TOLD),
+        frames.pack_row(ROWS[1]),
+        frames.pack_description(TOLD._replace(table=ROWS[0].table, held=2)),
         frames.pack_slot(2, 300, 123_456_789, CODES),
     ]
     page = vectors()
@@ -42,7 +48,11 @@ def test_vectors_of_the_page():
         (frames.GROUNDS, (0, 2, 3)),
     ]
     assert frames.unpack(ours[3], 4) == TOLD
-    slot = frames.unpack(ours[4], 4)
+    row = frames.unpack_row(ours[4], 4)
+    assert row is not None and row[:3] == (2, 0x7E38813E, 1)
+    np.testing.assert_array_equal(row.conductances, TABLE[1])
+    assert frames.unpack(ours[5], 4) == TOLD._replace(table=0x7E38813E, held=2)
+    slot = frames.unpack(ours[6], 4)
     assert isinstance(slot, frames.Slot)
     assert (slot.ground, slot.sequence, slot.microseconds) == (2, 300, 123_456_789)
     np.testing.assert_array_equal(slot.codes, CODES)
@@ -132,6 +142,34 @@ def test_broken_commands_have_no_effect():
         assert frames.unpack_command(sound[: rng.integers(len(sound))], 64) is None
     beyond = frames.sealed(bytes((frames.GROUNDS, 1, 0, 0, 64)))
     assert frames.unpack_command(beyond, 64) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"conductances": [0, 0, 0, 0]},
+        {"conductances": [0.1, -0.1, 0, 0]},
+        {"conductances": [0.1, np.nan, 0, 0]},
+        {"conductances": [0.1, np.inf, 0, 0]},
+        {"conductances": [0.1, 0, 0]},
+        {"rows": 0},
+        {"rows": 257},
+        {"row": 2},
+    ],
+)
+def test_rows_of_a_table_that_have_no_effect(change):
+    value = np.array(change.get("conductances", TABLE[1]))
+    bad = ROWS[1]._replace(**(change | {"conductances": value}))
+    assert frames.unpack_row(frames.pack_row(bad), 4) is None
+
+
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((2, 4)), np.ones((2, 3)), np.ones(4), -np.ones((2, 4)),
+              np.full((1, 4), np.nan), np.full((1, 4), 1e-60), np.ones((257, 4))],
+)  # fmt: skip
+def test_tables_that_are_none(wrong):
+    with pytest.raises(ValueError, match="conditions.*: got .*, expected"):
+        frames.rows_of(wrong, 4)
 
 
 def test_memory_is_not_taken_by_what_has_no_end():

@@ -17,6 +17,8 @@ import pytest
 import tomojax as tx
 from tomojax.hardware import Got, SlotRing
 from tomojax.hardware.loop.recorder import attributes, Recorder
+from tomojax.hardware.web._data import pixels
+from tomojax.hardware.web._page import document
 
 pytest.importorskip("bokeh")
 RATE, M = 10_000, 64
@@ -100,6 +102,64 @@ def test_the_right_user_gets_the_page_and_marks(live):
     status, content, _ = asked(url, "mark", "POST", b"the spanner falls", Origin=own)
     assert status == 200 and json.loads(content)["t"] >= 0
     assert int(ring.head["marks"]) == before + 1
+
+
+def test_pixels_off_the_sheet_are_none_and_json():
+    image = np.full((3, 2), np.nan)
+    image[1] = 2.0, -1.0
+    image[2, 0] = np.inf
+    said = pixels(image)
+    text = json.dumps(said, allow_nan=False)
+    assert json.loads(text)["pixels"] == [None, 1.0, None, None, -0.5, None]
+    assert said["top"] == 2.0
+    assert pixels(np.full((2, 2), np.nan))["pixels"] == [None] * 4
+
+
+@pytest.mark.parametrize("holed", [False, True])
+def test_the_sheet_is_drawn_by_its_outline(holed):
+    edge = tx.Sensor.polygon(
+        [[0, 0], [0.1, 0], [0.1, 0.06], [0, 0.06]],
+        {"grid": 0.02},
+        holes=[[[0.04, 0.02], [0.06, 0.02], [0.05, 0.04]]],
+    )
+    rig = tx.recordings.Rig.of(edge)
+    assert rig.outline is not None
+    lines = rig.outline.lines(rig.size) if holed else None
+    made = document(rig.size, rig.electrode_xy, (8, 8), "", (0, 1), "", lines)
+    text = json.dumps(made, allow_nan=False)  # no NaN, whatever is drawn
+    drawn = found(json.loads(text), "MultiLine")[0]
+    data = found(json.loads(text), "ColumnDataSource")
+    xs = [dict(one["attributes"]["data"]["entries"]).get("xs") for one in data]
+    (xs,) = [x for x in xs if x]
+    assert drawn["attributes"]["xs"]["field"] == "xs"
+    assert [len(x) for x in xs] == ([5, 4] if holed else [5])
+    assert max(xs[0]) == pytest.approx(100) and xs[0][0] == xs[0][-1]
+    colours = found(json.loads(text), "LinearColorMapper")[0]
+    assert colours["attributes"]["nan_color"] == "rgba(0, 0, 0, 0)"
+
+
+def found(tree, name):
+    """All models of a document of that name."""
+    each = tree.values() if isinstance(tree, dict) else tree
+    some = [tree] if isinstance(tree, dict) and tree.get("name") == name else []
+    some = some if "id" in (some or [{}])[0] else []
+    return some + [
+        m for one in each if isinstance(one, dict | list) for m in found(one, name)
+    ]
+
+
+def test_a_steps_image_is_empty_off_the_sheet():
+    inner = [[0.05, 0.05], [0.03, 0.05], [0.07, 0.05], [0.05, 0.03], [0.05, 0.07]]
+    skin = tx.Sensor.disc(0.1, {"rim": 8, "points": inner}, dtype=np.float32)
+    touch = tx.Disc.of_total([0.06, 0.04], 0.006, 3e-5)
+    volts = np.asarray(tx.voltages(skin, touch, [0]))[0]
+    for method in ("follow", "linear"):
+        step = tx.step.make_step(skin, method, "all", contacts=1)
+        image = np.asarray(step.image(step(step.state, volts, 0)[0]))
+        assert np.isnan(image[0, 0]) and np.isfinite(image[16, 16])
+        x, y = 100 * (np.indices(image.shape) + 0.5) / 32 - 50
+        np.testing.assert_array_equal(np.isnan(image)[np.hypot(x, y) < 47], False)
+        np.testing.assert_array_equal(np.isnan(image)[np.hypot(x, y) > 53], True)
 
 
 def test_strangers_get_nothing_and_change_nothing(live):

@@ -178,6 +178,34 @@ def test_a_rig_that_was_switched_off_goes_on_in_time():
     accounted(source, found)
 
 
+def test_a_table_goes_row_by_row_and_again_after_a_restart():
+    rows = frames.rows_of(np.eye(M)[:3], M)
+
+    def answer(held, session=1, table=rows[0].table):
+        numbers = session, 0, 1e4, 1e-4, 0.0, table, held
+        return frames.pack_description(frames.Description(M, *numbers))
+
+    # A description of another table is bad, a slot before the whole table early.
+    steps = [[answer(3, table=7)], [slot(9)], [answer(1)], [answer(2)], [answer(2)]]
+    steps += [[answer(3)], [slot(0, 2)], [slot(1, 3)], OSError("cut")]
+    steps += [[answer(0, 2)], [answer(3, 2)], [slot(0, 1)]]
+    link, sent, codes = Script(steps), [], np.zeros(M, np.int16)
+    link.send = sent.append
+    source = WireSource(link, M, np.eye(M)[:3])
+    with pytest.raises(ValueError, match="grounds: got .*0 to 2"):
+        source.set_grounds([3])
+    source.start()
+    assert [source.read(codes).ground] == [2]
+    again = None
+    while again is None:  # ground 3 is no row: bad
+        again = source.read(codes, 0.3)
+    assert again.ground == 1 and again.lost
+    told = [frames.unpack_row(message, M).row for message in sent]
+    assert told == [0, 1, 2, 2, 0]
+    count = source.counters
+    assert (count.bad, count.early, count.restarts) == (2, 1, 1)
+
+
 def test_another_rig_is_an_error():
     with pytest.raises(ValueError, match="electrodes: got a rig with 16, expected 8"):
         read([[told(electrodes=16)]])

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -15,6 +16,8 @@ from PIL import Image
 
 import tomojax as tx
 from tomojax.cli import app
+from tomojax.cli.demo import SCENES
+from tomojax.cli.demo._pictures import _on_sheet
 
 
 @pytest.mark.long
@@ -38,10 +41,34 @@ def test_demo_of_a_shape_shares_its_area(tmp_path) -> None:
     assert told and int(told[1]) >= 70
 
 
+@pytest.mark.long
+def test_demo_of_a_round_skin(tmp_path) -> None:
+    result = CliRunner().invoke(app.app, ["demo", "round", "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    told = re.search(r"right in ([\d.]+) % of rows .* ([\d.]+) mm off", result.output)
+    assert told and float(told[1]) >= 98 and float(told[2]) < 0.5
+
+
+@pytest.mark.parametrize("name", ["round", "glove"])
+def test_demo_leaves_empty_what_is_off_the_sheet(name) -> None:
+    """The truth is on the sheet; the pictures' pixels are empty in holes and outside."""
+    path = Path(tx.__file__).with_name(SCENES[name].file)
+    with tx.open_recording(path) as recording, h5py.File(path) as file:
+        sensor, truth = recording.rig.sensor(), np.asarray(file["truth_touched"])
+    inside = _on_sheet(sensor, truth.shape[1])
+    assert truth.any() and not truth[:, ~inside].any()
+    part = float(sensor.area / np.prod(np.asarray(sensor.size)))
+    assert abs(inside.mean() - part) < 0.02
+    if name == "glove":  # the middles of its holes
+        holes = np.array([[0.038, 0.081], [0.0705, 0.026]])
+        cell = np.floor(holes / np.asarray(sensor.size) * 64).astype(int)
+        assert not inside[tuple(cell.T)].any() and inside[32, 32]
+
+
 def test_demo_lists_its_scenes(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     listed = CliRunner().invoke(app.app, ["demo", "--list"])
-    for name in ("fingers", "letters", "spanner", "palm"):
+    for name in ("fingers", "letters", "spanner", "palm", "round", "glove"):
         assert f"tomojax demo {name}" in listed.output
     assert not list(tmp_path.iterdir())
 

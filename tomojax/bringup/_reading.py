@@ -72,9 +72,8 @@ class Reading:
 
     def __init__(self, slots: Slots):
         rig = slots.rig
-        flat = rig.outline is None and rig.conditions is None
-        shape = "an outline or a table of conditions"
-        require(flat, "recording", shape, "a rectangle with one ground a slot, for `check`")
+        alone, table = rig.conditions is None, "a table of conditions"
+        require(alone, "recording", table, "one ground a slot, which `check` needs")
         self.slots, self.plane = slots, Plane(rig)
         self.faults: list[Fault] = []
         self.unjudged: dict[str, str] = {}

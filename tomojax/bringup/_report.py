@@ -128,7 +128,8 @@ def picture(checked: Checked) -> Any:
     figure = Figure(figsize=(7.6, 6.6), layout="compressed")
     axes = figure.subplots()
     xy, radius = 1e3 * plane.xy, 500 * plane.diameter
-    lay_sheet(axes, plane.size, plane.xy, plane.diameter)
+    outline = plane.outline and plane.outline.lines(plane.size)
+    lay_sheet(axes, plane.size, plane.xy, plane.diameter, outline=outline)
     contacts = 1e3 * checked.contacts.T
     axes.plot(*contacts, ".", color="0.75", ms=3, zorder=1, label="contacts")
     look = {"cmap": VALUE, "edgecolors": "0.3", "lw": 0.5, "zorder": 2}

@@ -13,6 +13,7 @@ from ._contract import (
     Frame as Frame,
     grounded_of as grounded_of,
     judge as judge,
+    masked as masked,
     Part as Part,
     rms as rms,
     Rung as Rung,

@@ -264,6 +264,12 @@ def inside_of(method: AbstractMethod) -> Bool[Array, "nx ny"] | None:
     return getattr(method, "inside", None)
 
 
+def masked(method: AbstractMethod, image: Float[Array, "nx ny"]) -> Float[Array, "nx ny"]:
+    """Returns an image of the method's, NaN where no sheet is."""
+    inside = inside_of(method)
+    return image if inside is None else jnp.where(inside, image, jnp.nan)
+
+
 def grounded_of(method: AbstractMethod) -> Bool[np.ndarray, "L M"]:
     """Returns the electrodes of each ground that tell of their path alone.
 
@@ -291,10 +297,7 @@ def judged(
     )
 
     def drawn(image: Array | None) -> Array | None:
-        if image is None or not images:
-            return None
-        inside = inside_of(method)
-        return image if inside is None else jnp.where(inside, image, jnp.nan)
+        return None if image is None or not images else masked(method, image)
 
     return Rows.of(
         contacts,

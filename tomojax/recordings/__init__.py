@@ -13,7 +13,7 @@ from tomojax.recordings._chunks import (
 )
 from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
 from tomojax.recordings._open import open_recording as open_recording
-from tomojax.recordings._outline import Outline as Outline
+from tomojax.recordings._outline import check_table as check_table, Outline as Outline
 from tomojax.recordings._recording import (
     ArrayRecording as ArrayRecording,
     Recording as Recording,
@@ -27,6 +27,7 @@ from tomojax.recordings._stretch import between as between
 __all__ = [
     "ArrayRecording",
     "between",
+    "check_table",
     "Chunk",
     "CHUNK_SLOTS",
     "Faults",

@@ -25,6 +25,7 @@ from tomojax.methods import (
     centred,
     Estimate,
     grounded_of,
+    masked,
     Points,
     rms,
 )
@@ -155,7 +156,8 @@ class Follow(AbstractStepMethod):
         radius = model.radius_of(self.points.sheet, memory.size)
         current = jnp.where(memory.there, memory.current, 0)
         spots = Spots(memory.place, none, none[:, 0], radius, current)
-        return points_image(spots, self.points.cell, self.points.shape)
+        image = points_image(spots, self.points.cell, self.points.shape)
+        return masked(self.points, image)
 
 
 @jax.jit
@@ -204,7 +206,8 @@ class EachSlot(AbstractStepMethod):
         return (), Told(contacts, estimate.residual, flags)
 
     def image(self, memory: tuple, slot: Slot) -> Float[Array, "nx ny"]:
-        return self._estimate(slot.voltages, slot.ground).image
+        image = self._estimate(slot.voltages, slot.ground).image
+        return masked(self.method, image)
 
     def _estimate(self, voltages: Float[Array, " M"], ground: Int[Array, ""]) -> Estimate:
         prepared = jax.tree.map(lambda a: a[ground], self.prepared)

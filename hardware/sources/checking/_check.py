@@ -127,7 +127,7 @@ class _Trial:
         return fine
 
     def _wrong_grounds(self) -> None:
-        m = int(self.source.electrodes)
+        m = int(self.source.condition_count)
         for wrong in ([], [m], [-1]):
             self._enter(f"set_grounds({wrong})", 1.0, "it must not wait")
             try:
@@ -137,7 +137,7 @@ class _Trial:
             self.say(f"set_grounds({wrong}) raised no ValueError; check_grounds does")
 
     def _ask(self) -> None:
-        m = int(self.source.electrodes)
+        m = int(self.source.condition_count)
         asked = self.grounds if self.grounds is not None else sorted({0, m - 1})
         self.asked = [int(g) for g in asked]
         self._enter(f"set_grounds({self.asked})", 1.0, "it must not wait")
@@ -222,7 +222,7 @@ class _Trial:
                 self.say(f"counters.{name} is {told} after {seen}; add to it in read()")
 
     def _grounds_of(self, got: list[Got]) -> str:
-        m = int(self.source.electrodes)
+        m = int(self.source.condition_count)
         out = sorted({int(g.ground) for g in got if not 0 <= g.ground < m})
         if out:
             text = f"ground is {out[:5]} in some slots, expected electrodes from 0 to "

@@ -1,15 +1,18 @@
-"""Computes potentials on an even rectangle between electrodes: NumPy, float64, uncompiled.
+"""Computes potentials on an even sheet between electrodes: NumPy, float64, uncompiled.
 
 The Green's function is that of `tomojax.kernels.rectangle`. A slot's voltages beside a
 source at x and a ground at y are V = I·(G(·, x) − G(·, y)) + C. The contact's and the
-ground's resistances change I and C alone.
+ground's resistances change I and C alone. A sheet of another outline has the Green's
+function of a rectangle around it, and a smooth table of what its edge adds.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import map_coordinates, spline_filter
 
 from tomojax.kernels.rectangle import Series, turned
 from tomojax.recordings import Rig
@@ -27,6 +30,9 @@ _EDGE = 0.1
 # Places nearer than this are one, of the electrodes' diameter.
 _POINT = 0.05
 
+# Step of a slope of what an edge adds, of the table's grid.
+_SLOPE = 0.25
+
 
 class Plane:
     """The sheet of a rig: its electrodes, places for contacts, and potentials of both."""
@@ -36,25 +42,57 @@ class Plane:
         self.size = np.asarray(rig.size, float)
         self.count = len(self.xy)
         self.diameter = float(rig.electrode_diameter)
-        self.pitch = float(np.sqrt(np.prod(self.size) / self.count))
+        self.outline, area, self._among = rig.outline, float(np.prod(self.size)), None
+        self._margin = np.zeros(2)
+        if rig.outline is not None:
+            from tomojax.sensor import make_field  # JAX, which a rectangle does without
+
+            sensor = replace(rig, sheet_resistance=1.0).sensor()
+            self._on_sheet, area = sensor.on_sheet, sensor.area
+            among = make_field(sensor).among
+            assert among is not None
+            self._margin = np.asarray(among.margin, float)
+            # Of cubic splines, so that slopes are smooth.
+            self._among = spline_filter(np.asarray(among.values, float), mode="nearest")
+        self.pitch = float(np.sqrt(area / self.count))
         # Discs in good contact even out the sheet under them (Maxwell, in two dimensions).
-        covered = self.count * np.pi / 4 * self.diameter**2 / np.prod(self.size)
+        covered = self.count * np.pi / 4 * self.diameter**2 / area
         self.least_shunt = float((1 - covered) / (1 + covered))
         self._least = _POINT * self.diameter
 
     def _series(self, one: np.ndarray, other: np.ndarray) -> Series:
-        first, second = (turned(self.size, at, np) for at in (one, other))
-        sides = float(self.size.min()), float(self.size.max())
+        box = self.size + 2 * self._margin
+        first, second = (turned(box, at + self._margin, np) for at in (one, other))
+        sides = float(box.min()), float(box.max())
         return Series(first, second, sides, np, terms=_TERMS)
 
     def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Computes G of two places (…, 2), at 1 Ω per square."""
-        return self._series(one, other).potential(self._least)
+        return self._series(one, other).potential(self._least) + self._more(one, other)
+
+    def _more(self, one: np.ndarray, other: np.ndarray) -> np.ndarray | float:
+        """Computes what the sheet's edge adds to the potential, at 1 Ω per square."""
+        if self._among is None:
+            return 0.0
+        cells = np.array(self._among.shape[:2]) - 1
+        at = np.concatenate(np.broadcast_arrays(one, other), -1) / np.tile(self.size, 2)
+        index = np.moveaxis(at * np.tile(cells, 2), -1, 0)
+        return map_coordinates(self._among, index, prefilter=False, mode="nearest")
 
     def slope(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Computes ∂G/∂x of `green` as the first place moves, (2, …), 1/m."""
         by = self._series(one, other).slope(self._least)
-        return np.stack(by[::-1] if self.size[0] > self.size[1] else by)
+        box = self.size + 2 * self._margin
+        slopes = np.stack(by[::-1] if box[0] > box[1] else by)
+        if self._among is None:
+            return slopes
+        step = np.diag(_SLOPE * self.size / (np.array(self._among.shape[:2]) - 1))
+        return slopes + np.stack(
+            [
+                (self._more(one + by, other) - self._more(one - by, other)) / (2 * by.sum())
+                for by in step
+            ]
+        )
 
     def from_electrodes(self, places: Float[np.ndarray, "n 2"]) -> np.ndarray:
         """Computes potentials at the electrodes of sources at places, (n, M)."""
@@ -66,7 +104,8 @@ class Plane:
         step, edge = _STEP * self.pitch, _EDGE * self.pitch
         axes = [np.linspace(edge, s - edge, round((s - 2 * edge) / step) + 1)
                 for s in self.size]  # fmt: skip
-        return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+        every = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+        return every if self.outline is None else every[np.asarray(self._on_sheet(every))]
 
     @cached_property
     def fields(self) -> Float[np.ndarray, "K M"]:
@@ -78,7 +117,11 @@ class Plane:
         """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
         rim = np.array([self.diameter / 2, 0.0])
         table = self.green(self.xy[:, None], self.xy[None])
-        inward = np.where(self.xy[:, :1] + rim[:1] < self.size[0], 1, -1) * rim
+        right = self.xy + rim
+        inside = right[:, 0] < self.size[0]
+        if self.outline is not None:
+            inside = np.asarray(self._on_sheet(right))
+        inward = np.where(inside, 1, -1)[:, None] * rim
         np.fill_diagonal(table, self.green(self.xy, self.xy + inward))
         return table
 

@@ -23,8 +23,8 @@ from tomojax.cli.entry import Command, OutputFolder, Progress, save_picture
 def demo(scene: str, listed: bool, out: Path) -> None:
     """Reconstruct a recording that comes with the package, beside its truth.
 
-    SCENE is fingers (the default), letters, spanner or palm. The command prints the
-    contacts and leaves a picture, a film and the results in a folder.
+    SCENE is fingers (the default), letters, spanner, palm, round or glove. The command
+    prints the contacts and leaves a picture, a film and the results in a folder.
     """
     if listed:
         for name, told in SCENES.items():
@@ -83,7 +83,8 @@ def _judged(told, xy) -> str:
         )
     side = told.truth.shape[1] // told.found.shape[1]
     blocks = told.truth.reshape(len(told.truth), told.found.shape[1], side, -1, side)
-    truth, found = blocks.mean((2, 4)) > 0.5, told.found > 0.5
+    # Off the sheet both are NaN, and no more than that.
+    truth, found = np.nan_to_num(blocks).mean((2, 4)) > 0.5, told.found > 0.5
     both, either = (truth & found).sum((1, 2)), (truth | found).sum((1, 2))
     rows = truth.any((1, 2))
     overlap = np.median(both[rows] / either[rows])

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.figure import Figure
 
+from tomojax._pictures import draw_outline
 from tomojax.recordings import Recording
 from tomojax.results.loading import LoadedResults
 
@@ -19,7 +21,7 @@ class Told:
     """The truth of a scan, the image of Eq. 3 and what the results say; all 0 to 1."""
 
     def __init__(self, recording: Recording, truth: np.ndarray, results: Path):
-        self.truth, self.paper = truth, _eq3(recording)
+        self.truth, self.paper = truth.astype(float), _eq3(recording)
         self.grounds = np.asarray(recording.read(0, 1).grounds[0])
         side = truth.shape[1]
         with LoadedResults(results) as file:
@@ -27,16 +29,27 @@ class Told:
             self.t, self.count, self.xy, radius = (file.read(name) for name in names)
             self.size, self.electrodes = file.size(), file.electrode_xy()
             touch = file.read("touch") if "touch" in file.names else None
+            self.outline = file.outline()
         if touch is not None:
             self.found = np.nan_to_num(touch)
         else:
             self.found = _discs(self.xy, radius, self.size, side)
+        sensor = recording.rig.sensor()
+        for images in (self.truth, self.paper, self.found):
+            images[:, ~_on_sheet(sensor, images.shape[1])] = np.nan  # stays empty
 
     def moments(self) -> list[int]:
         """Rows that show much, one in each part of the recording."""
         parts = np.array_split(np.arange(len(self.t)), _MOMENTS)
-        much = self.truth.sum((1, 2))
+        much = np.nansum(self.truth, (1, 2))
         return [int(part[much[part].argmax()]) for part in parts]
+
+
+def _on_sheet(sensor: Any, side: int) -> Bool[np.ndarray, "side side"]:
+    """Tells whose middles are on the sheet, of so many pixels a side."""
+    points = np.indices((side, side)).reshape(2, -1).T + 0.5
+    inside = sensor.on_sheet(points / side * np.asarray(sensor.size))
+    return np.asarray(inside).reshape(side, side)
 
 
 def _eq3(recording: Recording) -> Float[np.ndarray, "rows nx ny"]:
@@ -52,6 +65,8 @@ def _eq3(recording: Recording) -> Float[np.ndarray, "rows nx ny"]:
     told = [frames(v, grounds, np.isfinite(v)) for v in np.asarray(some)]
     batch = tx.Batch(method, method.choose_lambda(told))
     image = np.asarray(batch(chunk.voltages, chunk.grounds).image)
+    # Pixels that are hardly on the sheet have noise alone, which is many times as high.
+    image = np.where(_on_sheet(sensor, image.shape[1]), image, np.nan)
     top = np.nanmax(image, (1, 2), keepdims=True)
     # A scan without a contact has noise alone, which is not to be blown up.
     return np.nan_to_num(np.clip(image / np.maximum(top, 0.05 * np.nanmax(top)), 0, 1))
@@ -83,6 +98,7 @@ class _Panels:
             self.shown.append(axes.imshow(told.truth[0].T, extent=extent, **style))
             axes.plot(*(1e3 * told.electrodes.T), ".", color="0.6", ms=2)
             axes.plot(*(1e3 * told.electrodes[told.grounds].T), "v", color="w", ms=3)
+            draw_outline(axes, told.outline)
             axes.set(xlim=(0, width), ylim=(0, height), xlabel="x, mm")
             if titles:
                 axes.set_title(title, fontsize=10)

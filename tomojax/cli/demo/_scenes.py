@@ -27,4 +27,13 @@ SCENES = {
     "palm": DemoScene(
         "fingertips touch, then the whole hand", "demo_palm.h5", "shape", 8.0
     ),
+    "round": DemoScene(
+        "a finger goes round a round skin, another presses its middle",
+        "demo_round.h5",
+        "auto",
+        4.0,
+    ),
+    "glove": DemoScene(
+        "a stick turns in a glove's palm with two holes", "demo_glove.h5", "shape", 8.0
+    ),
 }

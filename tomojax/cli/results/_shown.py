@@ -70,7 +70,7 @@ class ShownResults:
         forces = self._line.name == "contact_force"
         made = web.document(
             file.size(), xy, shape, label, self._line.span,
-            "force, N" if forces else "conductance, µS",
+            "force, N" if forces else "conductance, µS", file.outline(),
         )  # fmt: skip
         return made | {
             "live": False,
@@ -130,7 +130,7 @@ class ShownResults:
         if "image" in names:
             found = web.pixels(one["image"])
             high = found["high"] = found.pop("top")
-            found["pixels"] = [value * high for value in found["pixels"]]
+            found["pixels"] = [v if v is None else v * high for v in found["pixels"]]
             sources["image"] = found
         if "residual_by_electrode" in names:
             each = web.numbers(1e3 * one["residual_by_electrode"].astype(float))

@@ -162,7 +162,7 @@ def _record(source: str, out: Path, corners: Any, options: dict[str, Any]) -> No
         "speed": None, "view": "none", "rrd": None, "since": None, "until": None,
         "seconds": starts[-1], "file_seconds": 1e6,
     }  # fmt: skip
-    prepare = lambda sensor: list(range(sensor.electrode_count))  # noqa: E731
+    prepare = lambda sensor: list(range(sensor.condition_count))  # noqa: E731
     with session(source, out, options, prepare) as (opened, asked):
         opened.source.set_grounds(asked)
         opened.run(None, tell=tell)

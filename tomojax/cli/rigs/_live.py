@@ -28,9 +28,9 @@ _COMPILING = (
 )
 @click.option(
     "--policy",
-    default="around_contacts",
     help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
-    "electrodes as 0,7,14, or a table of `tomojax design --policy`.",
+    "electrodes as 0,7,14, or a table of `tomojax design --policy`. [default: "
+    "around_contacts; of a rig with a table of ground conditions all]",
 )
 @click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(
@@ -82,7 +82,9 @@ _COMPILING = (
     help="Answer sooner: one core, one compiled function, no garbage collection, "
     "SCHED_FIFO where the system allows.",
 )
-def live(source: str, method: str, policy: str, out: Path | None, **options: Any) -> None:
+def live(
+    source: str, method: str, policy: str | None, out: Path | None, **options: Any
+) -> None:
     """Find the contacts in each slot of SOURCE as the slot comes.
 
     SOURCE is serial:PORT, udp://HOST:PORT, ni:INPUTS,LINES, a recording, or virtual, a
@@ -92,12 +94,13 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
 
     for option, name in (("--method", method), ("--cheaper", options["cheaper"])):
         entry.check_name(option, name or method, ("follow", *entry.METHODS))
-    own = policy.endswith(".npz")
-    if own and not Path(policy).is_file():
-        raise ValueError(f"--policy: {policy}: no such file")
-    if not own and entry.ground_numbers("--policy", policy) is None:
+    asked = policy or "around_contacts"
+    own = asked.endswith(".npz")
+    if own and not Path(asked).is_file():
+        raise ValueError(f"--policy: {asked}: no such file")
+    if not own and entry.ground_numbers("--policy", asked) is None:
         more = ", electrodes with commas: 0,7,14, or a table, .npz"
-        entry.check_name("--policy", policy, entry.POLICIES, more)
+        entry.check_name("--policy", asked, entry.POLICIES, more)
     sinks = check_all(options["send"], out)
     # What is read line by line has no pictures of a terminal in between.
     lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)
@@ -105,10 +108,10 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
         raise ValueError("--send jsonl:-: got a view as well, expected --view none")
     path, calibration, law = options["calibration"], None, None
 
-    def check(electrodes: int) -> None:
+    def check(electrodes: int, conditions: int) -> None:
         nonlocal calibration, law
         if not own:
-            entry.ground_numbers("--policy", policy, electrodes)
+            entry.ground_numbers("--policy", asked, conditions)
         if path is not None:
             from tomojax.sensor import Calibration
 
@@ -119,11 +122,12 @@ def live(source: str, method: str, policy: str, out: Path | None, **options: Any
     def compiled(sensor: Any) -> Any:
         from tomojax.step import load_policy, make_step
 
+        table = policy is None and sensor.conditions is not None
         step = make_step(
             sensor,
             method,
-            policy,
-            tables={policy: load_policy(policy, sensor)} if own else None,
+            "all" if table else asked,
+            tables={asked: load_policy(asked, sensor)} if own else None,
             contacts=options["contacts"],
             cheaper=options["cheaper"],
             calibration=calibration,

@@ -25,7 +25,7 @@ from tomojax.cli.rigs._session import session
     "--pattern",
     default="all",
     help="Ground these electrodes in turn, over and over: a pattern's name (all, boundary, "
-    "edge, v_line, random_16, random_8), or electrodes as 0,7,14.",
+    "edge, v_line, random_16, random_8), or electrodes as 0,7,14. Rows of a rig's table.",
 )
 @click.option(
     "--calibrate",
@@ -43,8 +43,8 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
     well each part is known. Ctrl-C ends the rub and makes OUT.calibration.json.
     """
 
-    def check(electrodes: int) -> list[int] | None:
-        return entry.ground_numbers("--pattern", pattern, electrodes)
+    def check(electrodes: int, conditions: int) -> list[int] | None:
+        return entry.ground_numbers("--pattern", pattern, conditions)
 
     if entry.ground_numbers("--pattern", pattern) is None:
         entry.check_name(
@@ -56,7 +56,7 @@ def record(source: str, out: Path, pattern: str, calibrate: bool, **options: Any
 
         from tomojax.paper import pattern as pattern_named
 
-        own = check(sensor.electrode_count)
+        own = check(sensor.electrode_count, sensor.condition_count)
         return own or np.asarray(pattern_named(sensor, pattern)).tolist()
 
     made = out.with_name(out.stem + ".calibration.json")

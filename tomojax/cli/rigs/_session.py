@@ -166,12 +166,12 @@ def session(
     out: Path | None,
     options: dict[str, Any],
     prepare: Callable[[Any], Any],
-    check: Callable[[int], Any] = lambda electrodes: None,
+    check: Callable[[int, int], Any] = lambda electrodes, conditions: None,
 ):
     """Yields a session, and what `prepare` makes of the sensor before the source starts.
 
     A rig that already sends while a step is compiled would lose slots. `check` is told the
-    number of electrodes before JAX is imported, which takes seconds.
+    numbers of electrodes and ground conditions before JAX is imported, which takes seconds.
     """
     names = "baud", "bind", "speed", "since", "until"
     given = {n: options[n] for n in names if options[n] is not None}
@@ -184,6 +184,10 @@ def session(
 
     rig, _, electrodes = entry.sheet_of(options["like"])
     order = options.get("channels"), options.get("grounds")
+    if rig is not None and rig.conditions is not None:
+        if order[1] is not None:
+            raise ValueError("--grounds: got an order, expected none with a table")
+        given["conditions"] = rig.conditions
 
     def opened(where: str) -> Any:
         nonlocal rig
@@ -193,7 +197,10 @@ def session(
         return slots if order == (None, None) else OrderedSource(slots, *order)
 
     slots = None if source == "virtual" else opened(source)
-    check(electrodes if slots is None else slots.electrodes)
+    if slots is None:
+        check(electrodes, electrodes if rig is None else rig.condition_count)
+    else:
+        check(slots.electrodes, slots.condition_count)
 
     import numpy as np
 
