@@ -23,6 +23,7 @@ from tomojax.sensor._forward import (
     sheet_on_mesh as sheet_on_mesh,
     voltages as voltages,
 )
+from tomojax.sensor._grid_surface import GridSurface as GridSurface
 from tomojax.sensor._outline import (
     AbstractOutline as AbstractOutline,
     AbstractShape as AbstractShape,
@@ -58,6 +59,7 @@ __all__ = [
     "converter_of",
     "Disc",
     "Ellipse",
+    "GridSurface",
     "ground_set",
     "jacobian",
     "Mask",
