@@ -39,7 +39,7 @@ class Outline:
 
     @classmethod
     def of(cls, sensor: "tomojax.sensor.Sensor") -> "Outline | None":
-        """Returns a sensor's outline; None of a flat rectangle. **Raises:** `ValueError`."""
+        """Returns a sensor's; None of a flat rectangle. **Raises:** `ValueError`."""
         from tomojax.sensor import GridSurface, PolygonEdge, RoundEdge
 
         edge, surface = sensor.outline, None
@@ -87,7 +87,7 @@ class Outline:
         return {"outline": self.kind} | across
 
     def datasets(self) -> dict[str, np.ndarray]:
-        """Returns a file's datasets: places, corners, and [hole, x, y] of holes' corners."""
+        """Returns a file's datasets: places, corners, and rows of [hole, x, y]."""
         found = {} if self.surface is None else {"surface": self.surface}
         if not self.loops:
             return found

@@ -59,7 +59,7 @@ def unroll(vertices: Any, triangles: Any, uv: Any = None) -> Unrolled:
     # The outer loop is the one that the others are in.
     rims = sorted((chart[loop] for loop in loops), key=lambda rim: -np.ptp(rim, 0).prod())
     rims = [_straightened(rim, _STRAIGHT * chart.max()) for rim in rims]
-    outline = PolygonEdge(rims[0], rims[1:])
+    outline = PolygonEdge(rims[0], tuple(rims[1:]))
     surface = None if flat else gridded(places, corners, chart)
     return Unrolled(places, corners, chart, origin, outline, surface)
 
@@ -168,12 +168,12 @@ def _conformal(
     free[[held, rim[apart.argmax()]]] = False
     chart[free] = held_solve(loss, free, chart)
     # The box with the least area around it, the longer side along x.
-    hull = chart[ConvexHull(np.stack([chart.real, chart.imag], 1)).vertices]
+    hull = chart[ConvexHull(chart.view(float).reshape(-1, 2)).vertices]
     turns = np.exp(-1j * np.angle(np.roll(hull, -1) - hull))
     boxes = np.stack([np.ptp(f(turns[:, None] * hull), 1) for f in (np.real, np.imag)])
     best = boxes.prod(0).argmin()
     chart = chart * turns[best] * (1 if boxes[0, best] >= boxes[1, best] else 1j)
-    found = np.stack([chart.real, chart.imag], 1)
+    found = chart.view(float).reshape(-1, 2)
     area = np.abs(_areas(found, triangles)).sum()
     return found * np.sqrt(_areas(places, triangles).sum() / area)
 
@@ -264,6 +264,6 @@ def _nearest(
     a, b, whole = (one * to).sum(1), (other * to).sum(1), aa * bb - ab**2
     v, w = (bb * a - ab * b) / whole, (aa * b - ab * a) / whole
     within = np.stack([1 - v - w, v, w], 1)
-    inside = (within >= 0).all(1)
-    shares[:, 3] = np.where(inside[:, None], within, shares[:, 0])
+    inside = (within >= 0).all(1, keepdims=True)
+    shares[:, 3] = np.where(inside, within, shares[:, 0])
     return shares
