@@ -6,6 +6,8 @@ import h5py
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.sparse.linalg as spla
+from scipy.interpolate import RegularGridInterpolator
 
 import tomojax as tx
 
@@ -146,3 +148,56 @@ def _two_parts() -> tx.Sensor:
 
     xy = [[0.01, 0.04], [0.07, 0.04]]
     return tx.Sensor([0.08, 0.08], xy, outline=Two(), divisions=(32, 32))
+
+
+@pytest.fixture(scope="module")
+def worn():
+    """A sheet that is worn at a place, as a resistor network; and what is nominal."""
+    from bench.network import Network
+
+    sensor = tx.Sensor.grid(4, 4, divisions=(32, 32), dtype=np.float32)
+    sensor = replace(sensor, electrode_shunt=1.0)
+    m = sensor.electrode_count
+    rig = Network.built(
+        sensor,
+        lambda at: 1e4 * (1 + np.exp(-((at - [0.03, 0.05]) ** 2).sum(1) / 4e-4)),
+        np.asarray(sensor.electrode_xy, float),
+        np.full(m, 2.5e-3),
+        np.zeros(m),
+        np.full(m, 4.0),
+    )
+    return sensor, rig
+
+
+def test_a_sheet_that_another_code_tells(worn) -> None:
+    sensor, rig = worn
+    # Every 4 mm, in the gauge where electrode 3 is the zero; a corner is unknown.
+    m = sensor.electrode_count
+    solve = spla.splu(rig.network[:, np.arange(rig.count) != 3][np.arange(rig.count) != 3])
+    fed = np.delete(np.eye(rig.count, m), 3, 0)
+    potentials = np.insert(solve.solve(fed), 3, 0, 0)  # (nodes, M)
+    nodes = potentials[rig.node].reshape(*rig.shape, m)
+    centres = [np.unique(axis.round(6)) for axis in rig.cells.T]
+    finer = RegularGridInterpolator(centres, nodes, bounds_error=False, fill_value=None)
+    axes = [np.linspace(0, s, 21) for s in np.asarray(sensor.size)]
+    coarse = finer(np.stack(np.meshgrid(*axes, indexing="ij"), -1)).transpose(2, 0, 1)
+    coarse[:, 0, 0] = np.nan
+    told = replace(sensor, told=tx.sensor.ToldSheet(potentials[:m].T, coarse))
+    volts, grounds, places = [], np.array([0, 3, 9, 12]), []
+    for place in ((0.031, 0.044), (0.052, 0.023)):
+        inside = rig.disc(place, 0.006)
+        volts.append(rig.under(grounds, (inside, 3e-5)))
+        places.append(rig.cells[inside].mean(0))
+    off = {}
+    for name, which in (("nominal", sensor), ("told", told)):
+        batch = tx.Batch(tx.method(which, "points", grid=16), contacts=2)
+        rows = batch(np.float32(volts), np.tile(grounds, (2, 1)))
+        off[name] = np.hypot(*(rows.contact_xy[:, 0] - places).T).max()
+    assert off["told"] < 2e-4 < off["nominal"] / 2, off
+    # Eq. 1 by the same numbers, and what a table alone cannot tell is refused.
+    table, nominal = (tx.sensor.resistances(s).electrodes for s in (told, sensor))
+    apart = lambda r: np.diag(r)[:, None] + np.diag(r) - 2 * np.asarray(r)  # noqa: E731
+    np.testing.assert_allclose(apart(table), apart(potentials[:m].T), rtol=1e-3, atol=1)
+    assert np.abs(apart(table) - apart(nominal)).max() > 500
+    with pytest.raises(ValueError, match="told: got resistances of electrodes alone"):
+        tx.voltages(told, tx.Disc([0.03, 0.03], 0.006, 0.5))

@@ -46,6 +46,7 @@ from tomojax.sensor._shapes import (
     Polygon as Polygon,
     Ring as Ring,
 )
+from tomojax.sensor._told import ToldSheet as ToldSheet
 
 # The rest serves other rooms.
 __all__ = [
@@ -74,5 +75,6 @@ __all__ = [
     "Sensor",
     "sheet_on_mesh",
     "Shifted",
+    "ToldSheet",
     "voltages",
 ]

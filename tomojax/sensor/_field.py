@@ -14,6 +14,7 @@ from tomojax.kernels.sheet import disc_mean, rectangle_grid_fields
 from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
+from tomojax.sensor._told import ToldSheet
 
 # Spacing of the radii that potentials are averaged over, of the electrodes' pitch.
 _RADII = 0.05
@@ -50,25 +51,38 @@ def make_field(sensor: Sensor) -> Field:
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
+    told = sensor.told
     sensor, even, cells, every = parts_of(sensor)
     if sensor.flat:
         ee, rows = even_fields(even, cells, np.asarray(sensor.electrode_xy, float))
         if sensor.sheet_resistance.ndim:
             more_ee, more = _variation(sensor, even, cells)
             ee, rows = ee + more_ee, rows + more
-        return averaged_field(sensor, ee, rows, every)
+        return averaged_field(sensor, *_told(told, ee, rows), every)
     cut = cut_of(sensor, even)
-    field = averaged_field(sensor, *cut_fields(sensor, even, cut, cells), every)
+    ee, rows = _told(told, *cut_fields(sensor, even, cut, cells))
+    field = averaged_field(sensor, ee, rows, every)
     x, y = (np.linspace(0, float(s), n // every + 1) for s, n in zip(sensor.size, cells))
     home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
     return field._replace(home=home, among=among_sites(sensor, cut))
 
 
+def _told(
+    told: ToldSheet | None, ee: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Puts what another code or a measurement tells in the place of nominal resistances."""
+    if told is None:
+        return ee, rows
+    dtype = told.electrodes.dtype
+    more_ee, more = told.beside(jnp.asarray(ee, dtype), jnp.asarray(rows, dtype))
+    return ee + np.asarray(more_ee), rows + np.asarray(more)
+
+
 def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
-    """Returns the sensor, an even one, the finer table's cells, and kept cells' stride."""
+    """Returns the nominal sensor, an even one, the finer table's cells, their stride."""
     # Metal discs where the sensor leaves it open.
-    if sensor.electrode_shunt is None:
-        sensor = replace(sensor, electrode_shunt=1.0)
+    shunt = 1.0 if sensor.electrode_shunt is None else sensor.electrode_shunt
+    sensor = replace(sensor, electrode_shunt=shunt, told=None)
     rho = float(np.exp(np.log(np.asarray(sensor.sheet_resistance, float)).mean()))
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
     step = _KEPT * sensor.mean_pitch

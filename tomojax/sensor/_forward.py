@@ -1,6 +1,7 @@
 """Turns a sensor and a scene into resistances, Jacobians and voltages."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import cast, Literal
 
 import equinox as eqx
@@ -74,7 +75,7 @@ def resistances(sensor: Sensor, route: Route = "fem") -> Resistances:
     if route == "series":
         shape = sensor.sheet_resistance.shape
         require(shape == (), "sheet_resistance", f"shape {shape}", "one value for 'series'")
-        require(sensor.flat, "route", repr(route), "'fem' for a sheet that is no rectangle")
+        require(sensor.even, "route", repr(route), "'fem' for a sheet that is no rectangle")
     return compiled_resistances(sensor, route)
 
 
@@ -89,11 +90,20 @@ def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
             sensor.size,
             sensor.electrode_shunt,
         )
-    return fem_resistances(sheet_on_mesh(sensor), sensor.divisions)
+    nominal = replace(sensor, told=None)
+    table = fem_resistances(sheet_on_mesh(nominal), sensor.divisions)
+    if sensor.told is None:
+        return table
+    cells = table.elements.reshape(-1, *sensor.divisions, 2)
+    ee, more = sensor.told.beside(table.electrodes, cells.mean(-1), 0.5)
+    elements = (cells + more[..., None]).reshape(table.elements.shape)
+    return Resistances(table.electrodes + ee, elements, table.own)
 
 
 def sheet_on_mesh(sensor: Sensor) -> FemSheet:
     """Puts the sheet and its electrodes on the sensor's mesh.
+
+    **Raises:** `ValueError` for a `ToldSheet`: no mesh has its resistances.
 
     **Example:**
 
@@ -104,6 +114,8 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
     >>> sheet.local.shape, sheet.feeds.shape  # (K, 3, 3) S and (nodes, M)
     ((512, 3, 3), (289, 16))
     """
+    what = "'linear', 'source', 'points' or 'auto', which ask for no more than is told"
+    require(sensor.told is None, "told", "resistances of electrodes alone", what)
     return fem_sheet(
         1 / element_values(sensor, sensor.sheet_resistance),
         sensor.electrode_xy,

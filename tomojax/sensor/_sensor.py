@@ -40,6 +40,7 @@ from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._mesh_file import read_triangles
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
+from tomojax.sensor._told import ToldSheet
 from tomojax.sensor._triangles import chart_places, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
@@ -73,6 +74,7 @@ class Sensor(eqx.Module):
       None: it fills the box.
     - `surface`: a function from places (…, 2) to places in space (…, 3), m, of a curved
       sheet (`Sensor.mesh`); None: it is flat.
+    - `told`: the sheet's resistances by another code or a measurement, a `ToldSheet`.
 
     All but `divisions` may be differentiated. `dataclasses.replace` makes a changed
     sensor.
@@ -102,6 +104,7 @@ class Sensor(eqx.Module):
     conditions: Float[Array, "L M"] | None
     outline: AbstractEdge | None
     surface: Callable | None
+    told: ToldSheet | None
     divisions: tuple[int, int] = eqx.field(static=True)
 
     def __init__(
@@ -119,6 +122,7 @@ class Sensor(eqx.Module):
         conditions: Numbers | None = None,
         outline: AbstractEdge | None = None,
         surface: Callable | None = None,
+        told: ToldSheet | None = None,
     ):
         xy = float_array("electrode_xy", electrode_xy, dtype)
         self.electrode_xy = xy
@@ -139,9 +143,9 @@ class Sensor(eqx.Module):
         self.conditions = None
         if conditions is not None:
             self.conditions = as_places("conditions", conditions)
-        self.outline, self.surface = (
+        self.outline, self.surface, self.told = (
             jax.tree.map(lambda a: a.astype(xy.dtype) if eqx.is_inexact_array(a) else a, f)
-            for f in (outline, surface)
+            for f in (outline, surface, told)
         )
         self.divisions = _whole_divisions(divisions)
 
@@ -162,6 +166,8 @@ class Sensor(eqx.Module):
             require_not_negative(name, getattr(self, name))
         require_finite("drive_voltage", self.drive_voltage)
         require_finite("electrode_xy", self.electrode_xy)
+        if self.told is not None:
+            require_shape("told", self.told.electrodes, (self.electrode_count,) * 2)
         if self.conditions is not None:
             check_conditions("conditions", self.conditions, self.electrode_count)
         if self.electrode_shunt is not None:
@@ -336,8 +342,8 @@ class Sensor(eqx.Module):
 
     @property
     def even(self) -> bool:
-        """Tells whether the sheet is a flat rectangle of one resistance."""
-        return self.flat and self.sheet_resistance.ndim == 0
+        """Tells whether the sheet is a flat rectangle of one resistance, told by nobody."""
+        return self.flat and self.sheet_resistance.ndim == 0 and self.told is None
 
     @property
     def skin(self) -> Skin | None:
