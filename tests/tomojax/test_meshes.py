@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 import tomojax as tx
 from tomojax.cli.app import app
-from tomojax.sensor._triangles import unroll
 
 RADIUS = 0.04
 SLANT = 0.08
@@ -136,12 +135,11 @@ def test_a_chart_of_a_dome() -> None:
     closed = np.vstack(
         [strips(61, 30) % 1800, [[0, 30 * k + 30, 30 * k] for k in range(1, 59)]]
     )
-    sheet = unroll(dome.reshape(-1, 3), closed)
-    size = sheet.chart.max(0)
+    sensor = tx.Sensor.mesh(dome.reshape(-1, 3), closed, {"grid": 0.02})
+    size = sensor.size
     across = np.sqrt(4 / np.pi * 2 * np.pi * 0.05**2 * (1 - np.cos(1)))
     np.testing.assert_allclose(size, across, rtol=5e-3)  # a disc
-    assert not sheet.outline.loops()[1:] and 20 < len(sheet.outline.start) <= 60
-    sensor = tx.Sensor.mesh(dome.reshape(-1, 3), closed, {"grid": 0.02})
+    assert not sensor.outline.loops()[1:] and 20 < len(sensor.outline.start) <= 60
     assert abs(sensor.area / (2 * np.pi * 0.05**2 * (1 - np.cos(1))) - 1) < 5e-3
 
 

@@ -23,7 +23,6 @@ from tomojax.sensor._forward import (
     sheet_on_mesh as sheet_on_mesh,
     voltages as voltages,
 )
-from tomojax.sensor._grid_surface import GridSurface as GridSurface
 from tomojax.sensor._outline import (
     AbstractOutline as AbstractOutline,
     AbstractShape as AbstractShape,
@@ -47,6 +46,7 @@ from tomojax.sensor._shapes import (
     Ring as Ring,
 )
 from tomojax.sensor._told import ToldSheet as ToldSheet
+from tomojax.sensor.meshes import GridSurface as GridSurface
 
 # The rest serves other rooms.
 __all__ = [

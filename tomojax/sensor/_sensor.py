@@ -38,10 +38,9 @@ from tomojax.kernels.sheet import (
 from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
-from tomojax.sensor._mesh_file import read_triangles
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
 from tomojax.sensor._told import ToldSheet
-from tomojax.sensor._triangles import chart_places, unroll
+from tomojax.sensor.meshes import chart_places, read_triangles, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
 _CELLS = 3
@@ -311,8 +310,9 @@ class Sensor(eqx.Module):
         if points is not None:
             points = chart_places(sheet, points, diameter / 2)
             electrodes = electrodes | {"points": points} if named else points
-        surface, box = sheet.surface, sheet.chart.max(0)
-        return cls.cut(box, sheet.outline, electrodes, surface=surface, **others)
+        edge = PolygonEdge(sheet.loops[0], tuple(sheet.loops[1:]))
+        box, surface = sheet.chart.max(0), sheet.surface
+        return cls.cut(box, edge, electrodes, surface=surface, **others)
 
     @classmethod
     def from_file(

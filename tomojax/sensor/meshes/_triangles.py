@@ -8,8 +8,7 @@ from scipy import sparse
 from scipy.spatial import ConvexHull
 
 from tomojax._require import require
-from tomojax.sensor._edges import PolygonEdge
-from tomojax.sensor._grid_surface import gridded, GridSurface, held_solve
+from tomojax.sensor.meshes._grid_surface import gridded, GridSurface, held_solve
 
 # The finest mesh that a sheet is solved on has 80 000 triangles. Unrolling half a million
 # takes half a minute and 1 GB.
@@ -33,7 +32,7 @@ class Unrolled(NamedTuple):
     triangles: Int[np.ndarray, "k 3"]
     chart: Float[np.ndarray, "n 2"]  # m, from 0 up
     origin: Float[np.ndarray, "2"]  # m, of the chart as it was given
-    outline: PolygonEdge
+    loops: list[Float[np.ndarray, "c 2"]]  # corners of the outline, then of each hole, m
     surface: GridSurface | None  # None: flat
 
 
@@ -59,9 +58,8 @@ def unroll(vertices: Any, triangles: Any, uv: Any = None) -> Unrolled:
     # The outer loop is the one that the others are in.
     rims = sorted((chart[loop] for loop in loops), key=lambda rim: -np.ptp(rim, 0).prod())
     rims = [_straightened(rim, _STRAIGHT * chart.max()) for rim in rims]
-    outline = PolygonEdge(rims[0], tuple(rims[1:]))
     surface = None if flat else gridded(places, corners, chart)
-    return Unrolled(places, corners, chart, origin, outline, surface)
+    return Unrolled(places, corners, chart, origin, rims, surface)
 
 
 def _numbers(name: str, values: Any, *columns: int) -> np.ndarray:
