@@ -301,7 +301,7 @@ class Sensor(eqx.Module):
         >>> triangles = np.concatenate([np.stack(one, 1) for one in two])
         >>> sensor = tx.Sensor.mesh(arch.reshape(-1, 3), triangles, {"grid": 0.02})
         >>> sensor.electrode_count, f"{1e4 * sensor.area:.0f} cm²"
-        (30, '126 cm²')
+        (35, '125 cm²')
         """
         sheet = unroll(vertices, triangles, uv)
         diameter = float(np.asarray(others.get("electrode_diameter", 0.005)))
