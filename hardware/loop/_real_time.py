@@ -75,8 +75,9 @@ def begun(about: str | None, *names: str, nice: int = 0) -> argparse.Namespace:
 
     Ctrl-C is the loop's: the ring says when the loop is done. The process may use any core,
     `nice` steps behind others. A name with dashes is an option, with a word or without.
+    A word @PATH is what that file holds.
     """
-    parser = argparse.ArgumentParser(description=about)
+    parser = argparse.ArgumentParser(description=about, fromfile_prefix_chars="@")
     for name in names:
         if name.startswith("-"):
             parser.add_argument(name, nargs="?", const="yes")

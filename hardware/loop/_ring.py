@@ -4,6 +4,7 @@ The writer never waits. A reader that falls behind by more than the ring's lengt
 oldest slots. That reader is told how many slots are lost, and no other process waits.
 """
 
+import json
 import os
 import tempfile
 import weakref
@@ -22,6 +23,7 @@ LONGEST = 20_000  # µs of the longest latency in the histogram
 SAID = 2048  # bytes of what is said beside the slots
 MARKS = 64  # that wait for the recorder
 MARK = 80  # bytes of a mark's text (UTF-8)
+_TOLD = ".rig"  # ends the name of the file beside a ring
 
 # What a source counts, and slots that were recorded but not worked on: newer ones waited.
 _NAMES = (*Counters().as_dict(), "skipped")
@@ -109,6 +111,10 @@ class SlotRing:
         shared = Path("/dev/shm")
         place = folder or (shared if shared.is_dir() else tempfile.gettempdir())
         sweep(Path(place), "tomojax-*.ring")
+        for path in Path(place).glob(f"tomojax-*{_TOLD}"):
+            with suppress(OSError):  # another user's
+                if not path.with_suffix(".ring").exists():
+                    path.unlink()
         while True:
             number, name = tempfile.mkstemp(prefix="tomojax-", suffix=".ring", dir=place)
             own = claim(Path(name))
@@ -202,7 +208,18 @@ class SlotRing:
         t, text = self.head["mark_t"], self.head["mark_text"]
         return [(float(t[k % MARKS]), bytes(text[k % MARKS])) for k in numbers]
 
+    def beside(self, told: dict[str, Any]) -> str:
+        """Puts a rig's attributes beside the ring; returns the word that `begun` reads.
+
+        A curved sheet's are longer than a word of a command may be.
+        """
+        path = self.path.with_suffix(_TOLD)
+        path.touch(0o600)
+        path.write_text(json.dumps(told))
+        return f"@{path}"
+
     def remove(self) -> None:
         """Removes the ring's file; processes that have it open keep it until they end."""
-        with suppress(PermissionError):  # Windows keeps a file that is open
-            self.path.unlink(missing_ok=True)
+        for path in (self.path, self.path.with_suffix(_TOLD)):
+            with suppress(PermissionError):  # Windows keeps a file that is open
+                path.unlink(missing_ok=True)

@@ -189,7 +189,7 @@ class Recorder:
     ):
         self.path, self.deaths, self._died = path, 0, 0.0
         self._ring = ring
-        words = [str(ring.path), str(path), json.dumps(told), str(file_seconds)]
+        words = [str(ring.path), str(path), ring.beside(told), str(file_seconds)]
         self._command = [sys.executable, "-m", "tomojax.hardware.loop.recorder", *words]
         self.process = self._started()
 

@@ -28,6 +28,7 @@ from tomojax.kernels.contacts._equations import (
 )
 from tomojax.kernels.contacts._field import (
     Among as Among,
+    cubic as cubic,
     Field as Field,
     field_at as field_at,
     rows_at as rows_at,

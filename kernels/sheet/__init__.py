@@ -43,6 +43,7 @@ from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._skin import (
     coverage as coverage,
     element_areas as element_areas,
+    local_cells as local_cells,
     Skin as Skin,
     stretch as stretch,
 )

@@ -24,6 +24,8 @@ WORDS = {
     "contact_xy": "place of a contact",
     "contact_x": "place of a contact along x",
     "contact_y": "place of a contact along y",
+    "contact_xyz": "place of a contact in space",
+    "contact_normal": "normal of the sheet at a contact",
     "contact_radius": "radius of a contact",
     "contact_angle": "direction of a long contact, from x",
     "contact_current": "current through a contact",

@@ -33,6 +33,7 @@ KEYS = {
     "diameter",
     "outline_xy",
     "holes",
+    "surface",
     "to_ground",
 }
 

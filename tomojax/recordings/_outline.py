@@ -1,4 +1,4 @@
-"""Describes the outline of a recording's sheet, and its ground conditions; loads no JAX."""
+"""Describes a recording's sheet, and its ground conditions; loads no JAX by itself."""
 
 from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
@@ -16,11 +16,12 @@ _CORNERS = 180
 
 # More are a mistake.
 _MOST = 20_000
+_MOST_PLACES = 1 << 22  # of a surface
 
 
 @dataclass(frozen=True)
 class Outline:
-    """A sheet that is no rectangle, in its box: a disc, or a polygon with holes.
+    """A sheet that is no flat rectangle, in its box: its outline, and its places in space.
 
     **Example:**
 
@@ -31,40 +32,46 @@ class Outline:
     ('disc', 0.1, 9)
     """
 
-    kind: str  # "disc" or "polygon"
+    kind: str  # "rectangle", "disc" or "polygon"
     diameter: float = 0.0  # of a disc, m
     loops: tuple[Float[np.ndarray, "n 2"], ...] = ()  # a polygon's corners, then holes', m
+    surface: Float[np.ndarray, "nx ny 3"] | None = None  # a curved sheet's places, m
 
     @classmethod
     def of(cls, sensor: "tomojax.sensor.Sensor") -> "Outline | None":
-        """Returns a sensor's outline; None of a rectangle. **Raises:** `ValueError`."""
-        from tomojax.sensor import PolygonEdge, RoundEdge
+        """Returns a sensor's; None of a flat rectangle. **Raises:** `ValueError`."""
+        from tomojax.sensor import GridSurface, PolygonEdge, RoundEdge
 
-        require(sensor.surface is None, "sensor", "a curved sheet", "a flat one, in files")
-        edge = sensor.outline
-        if edge is None:
+        edge, surface = sensor.outline, None
+        if sensor.flat:
             return None
+        if sensor.surface is not None:
+            surface = np.asarray(GridSurface.of(sensor.surface, sensor.size).places, float)
+        if edge is None:
+            return cls("rectangle", surface=surface)
         if isinstance(edge, PolygonEdge):
-            return cls("polygon", loops=tuple(edge.loops()))
+            return cls("polygon", loops=tuple(edge.loops()), surface=surface)
         centred = isinstance(edge, RoundEdge) and bool(
             np.allclose(np.asarray(edge.center), np.asarray(sensor.size) / 2)
         )
         kind = type(edge).__name__
         require(centred, "outline", kind, "a disc in its box's middle, or a polygon")
-        return cls("disc", 2 * float(edge.radius))  # pyright: ignore
+        return cls("disc", 2 * float(edge.radius), surface=surface)  # pyright: ignore
 
     @classmethod
     def read(cls, told: Any, dataset: Any) -> "Outline | None":
         """Reads attributes and datasets of a file, recording version 2."""
         kind = told.get("outline", "rectangle")
         kind = kind.decode(errors="replace") if isinstance(kind, bytes) else str(kind)
+        surface = dataset("surface")
+        surface = None if surface is None else _places(surface)
         if kind == "rectangle":
-            return None
+            return None if surface is None else cls(kind, surface=surface)
         if kind == "disc":
             across = np.asarray(told.get("diameter", np.nan), float)
             fine = across.shape == () and bool(0 < across < np.inf)
             require(fine, "diameter", told.get("diameter"), "m, above 0")
-            return cls("disc", float(across))
+            return cls("disc", float(across), surface=surface)
         known = "'rectangle', 'disc' or 'polygon'"
         require(kind == "polygon", "outline", repr(kind[:40]), known)
         loops = [_corners("outline_xy", dataset("outline_xy"), 2)]
@@ -72,7 +79,7 @@ class Outline:
         if holes is not None and len(holes):
             each = _corners("holes", holes, 3)
             loops += [each[each[:, 0] == k, 1:] for k in np.unique(each[:, 0])]
-        return cls("polygon", loops=tuple(loops))
+        return cls("polygon", loops=tuple(loops), surface=surface)
 
     def attributes(self) -> dict[str, Any]:
         """Returns a file's attributes."""
@@ -80,23 +87,28 @@ class Outline:
         return {"outline": self.kind} | across
 
     def datasets(self) -> dict[str, np.ndarray]:
-        """Returns a file's datasets: corners, and [hole, x, y] of holes' corners."""
+        """Returns a file's datasets: places, corners, and rows of [hole, x, y]."""
+        found = {} if self.surface is None else {"surface": self.surface}
         if not self.loops:
-            return {}
+            return found
         numbered = [
             np.column_stack([np.full(len(hole), k), hole])
             for k, hole in enumerate(self.loops[1:])
         ]
-        first = {"outline_xy": self.loops[0]}
-        return first | ({"holes": np.concatenate(numbered)} if numbered else {})
+        found["outline_xy"] = self.loops[0]
+        return found | ({"holes": np.concatenate(numbered)} if numbered else {})
 
-    def edge(self, size: Any) -> "tomojax.sensor.AbstractEdge":
-        """Makes the outline of a `Sensor` in a box of `size`, m."""
-        from tomojax.sensor import PolygonEdge, RoundEdge
+    def sheet(self, size: Any) -> dict[str, Any]:
+        """Makes the outline and the surface of a `Sensor` in a box of `size`, m."""
+        from tomojax.sensor import GridSurface, PolygonEdge, RoundEdge
 
+        surface = None if self.surface is None else GridSurface(self.surface, size)
+        edge = None
         if self.kind == "disc":
-            return RoundEdge(np.asarray(size) / 2, self.diameter / 2)
-        return PolygonEdge(self.loops[0], list(self.loops[1:]))
+            edge = RoundEdge(np.asarray(size) / 2, self.diameter / 2)
+        if self.kind == "polygon":
+            edge = PolygonEdge(self.loops[0], list(self.loops[1:]))
+        return {"outline": edge, "surface": surface}
 
     def lines(self, size: Any) -> list[Float[np.ndarray, "n 2"]]:
         """Returns closed lines to draw, m."""
@@ -114,6 +126,16 @@ def _corners(name: str, values: Any, columns: int) -> np.ndarray:
     require(fine, name, f"shape {corners.shape}", f"(3 to {_MOST}, {columns})")
     require(bool(np.isfinite(corners).all()), name, "NaN or infinite", "numbers")
     return corners
+
+
+def _places(values: Any) -> np.ndarray:
+    name, places = "surface", np.asarray(values, float)
+    fits = places.ndim == 3 and places.shape[2] == 3 and min(places.shape[:2]) > 1
+    expected = f"(nx, ny, 3), {_MOST_PLACES} numbers at most"
+    fits = fits and places.size <= _MOST_PLACES
+    require(fits, name, f"shape {places.shape}", expected)
+    require(bool(np.isfinite(places).all()), name, "NaN or infinite", "numbers")
+    return places
 
 
 def check_table(table: Any, electrodes: int) -> Float[np.ndarray, "C M"]:

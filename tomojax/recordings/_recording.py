@@ -76,7 +76,7 @@ class Rig:
     rails: tuple[float, float]  # the lowest and highest voltage that can be read
     notes: str = ""
     resolution: float = 0.0  # of one code, V; 0 where it is not known
-    outline: Outline | None = None  # of a sheet that is no rectangle
+    outline: Outline | None = None  # of a sheet that is no flat rectangle
     conditions: np.ndarray | None = None  # (C, M) S to ground; None: an electrode each
 
     @property
@@ -139,20 +139,13 @@ class Rig:
         """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
-        cells = _cells(self) * (1 if self.outline is None else 3)
-        return Sensor(
-            self.size,
-            self.electrode_xy,
-            self.electrode_diameter,
-            self.sheet_resistance,
-            self.ground_resistance,
-            self.drive_voltage,
-            divisions=tuple(int(n) for n in np.maximum(cells, 2)),
-            dtype=dtype,
-            resolution=self.resolution,
-            conditions=self.conditions,
-            outline=None if self.outline is None else self.outline.edge(self.size),
-        )
+        told: dict[str, Any] = {n: getattr(self, n) for n in PAPER if n != "f_switch"}
+        told |= {"resolution": self.resolution, "conditions": self.conditions}
+        told |= {"electrodes": self.electrode_xy, "dtype": dtype}
+        if self.outline is not None:
+            return Sensor.cut(self.size, **self.outline.sheet(self.size), **told)
+        divisions = tuple(int(n) for n in np.maximum(_cells(self), 2))
+        return Sensor(self.size, told.pop("electrodes"), divisions=divisions, **told)
 
 
 class Recording(ABC):

@@ -37,6 +37,9 @@ from tomojax.results._settings import (
 from tomojax.results._solving import AbstractSolver, Chosen, EachAlone
 from tomojax.results.loading import attributes as attributes_of
 
+# What results tell of contacts on a curved sheet, and its units.
+_IN_SPACE = {"contact_xyz": "m", "contact_normal": "1"}
+
 _PATIENCE = 600.0  # s, in which the first process lays the file out
 
 # What a disk says that is full, may hold no larger file, or fails.
@@ -130,6 +133,9 @@ class _Run:
         else:
             sensor, grid = recording.rig.sensor(), settings.pixels
             self._model = methods.method(sensor, settings.method, grid, self._calibration)
+        outline, self._curved = recording.rig.outline, None
+        if outline is not None and outline.surface is not None:
+            self._curved = recording.rig.sensor()
         self._chosen = None
         if settings.policy:
             contacts, method = settings.contacts, settings.method
@@ -209,6 +215,9 @@ class _Run:
                 found[name] = Dataset(shape, field.kind, field.unit or model.image_unit)
             if name == "contact_conductance" and self._calibration.pressure is not None:
                 found["contact_force"] = Dataset((count, settings.contacts), "<f4", "N")
+        if self._curved is not None:
+            for name, unit in _IN_SPACE.items():
+                found[name] = Dataset((count, settings.contacts, 3), "<f4", unit)
         if settings.adapt:
             chunks, m = self._file.chunks, self._recording.electrodes
             found["adapted_t"] = Dataset((chunks,), "<f8", "s")
@@ -268,6 +277,8 @@ class _Run:
                         continue
                     rows, state = solver(chunk, frames)
                     values = {"t": frames.t, **rows._asdict(), **self._forces(rows)}
+                    if self._curved is not None:
+                        values |= zip(_IN_SPACE, self._curved.in_space(rows.contact_xy))
                     start = chunk * self._size * self._rows_of_a_scan
                     if writing:
                         writing.result()

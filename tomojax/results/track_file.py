@@ -32,6 +32,8 @@ _LEFT_OUT = (
     "contact_radius",
     "contact_angle",
     "contact_force",
+    "contact_xyz",
+    "contact_normal",
     "image",
     "residual_by_electrode",
 )

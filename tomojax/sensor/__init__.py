@@ -46,6 +46,7 @@ from tomojax.sensor._shapes import (
     Ring as Ring,
 )
 from tomojax.sensor._told import ToldSheet as ToldSheet
+from tomojax.sensor.meshes import GridSurface as GridSurface
 
 # The rest serves other rooms.
 __all__ = [
@@ -59,6 +60,7 @@ __all__ = [
     "converter_of",
     "Disc",
     "Ellipse",
+    "GridSurface",
     "ground_set",
     "jacobian",
     "Mask",

@@ -3,6 +3,7 @@
 import operator
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -29,6 +30,7 @@ from tomojax.kernels.sheet import (
     coverage,
     element_areas,
     Grounds,
+    local_cells,
     nodes,
     Skin,
     Slots,
@@ -38,6 +40,7 @@ from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
 from tomojax.sensor._told import ToldSheet
+from tomojax.sensor.meshes import chart_places, read_triangles, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
 _CELLS = 3
@@ -260,9 +263,77 @@ class Sensor(eqx.Module):
             electrodes = place_electrodes(outline, size, diameter, **electrodes)
         if "divisions" not in others:
             finest = np.asarray(size, float) / float(np.asarray(diameter))
+            if others.get("surface") is not None:
+                finest = finest * _stretch(others["surface"], electrodes, size).max(1)
             cells = np.ceil(_CELLS * finest * (1 - 1e-5)).astype(int)
             others["divisions"] = tuple(np.clip(cells, 8, _MOST_CELLS).tolist())
         return cls(size, electrodes, outline=outline, **others)
+
+    @classmethod
+    def mesh(
+        cls,
+        vertices: Numbers,
+        triangles: Numbers,
+        electrodes: Electrodes,
+        uv: Numbers | None = None,
+        **others: Any,
+    ) -> "Sensor":
+        """Makes a sensor of a sheet of triangles, flat or curved, with holes or without.
+
+        **Arguments:** `vertices` (n, 2) or (n, 3), m; `triangles` (k, 3), numbers of
+        vertices, all the same way round; `electrodes`: places in space (M, 3), m, within a
+        radius of the mesh, or places in the chart (M, 2), or what `place_electrodes` takes,
+        by name; `uv` (n, 2), m: a chart, of about the sheet's area. By default a flat mesh
+        is its own chart. A curved mesh is unrolled with the least loss of angles, and its
+        area is kept. The sensor's box begins at the chart's lowest x and y.
+        **Raises:** `ValueError` for triangles that are no sheet with an edge, and charts
+        that fold.
+
+        **Example:**
+
+        >>> import numpy as np
+        >>> import tomojax as tx
+        >>> across = np.linspace(0, np.pi, 25)
+        >>> angle, y = np.meshgrid(across, np.linspace(0, 0.1, 11), indexing="ij")
+        >>> arch = np.stack([0.04 * np.cos(angle), y, 0.04 * np.sin(angle)], -1)
+        >>> a = np.arange(24 * 11).reshape(24, 11)[:, :-1].ravel()
+        >>> two = [[a, a + 1, a + 11], [a + 1, a + 12, a + 11]]
+        >>> triangles = np.concatenate([np.stack(one, 1) for one in two])
+        >>> sensor = tx.Sensor.mesh(arch.reshape(-1, 3), triangles, {"grid": 0.02})
+        >>> sensor.electrode_count, f"{1e4 * sensor.area:.0f} cm²"
+        (35, '125 cm²')
+        """
+        sheet = unroll(vertices, triangles, uv)
+        diameter = float(np.asarray(others.get("electrode_diameter", 0.005)))
+        named = isinstance(electrodes, dict)
+        points = electrodes.get("points") if named else electrodes
+        if points is not None:
+            points = chart_places(sheet, points, diameter / 2)
+            electrodes = electrodes | {"points": points} if named else points
+        edge = PolygonEdge(sheet.loops[0], tuple(sheet.loops[1:]))
+        box, surface = sheet.chart.max(0), sheet.surface
+        return cls.cut(box, edge, electrodes, surface=surface, **others)
+
+    @classmethod
+    def from_file(
+        cls, path: str | Path, electrodes: Electrodes, scale: float = 1e-3, **others: Any
+    ) -> "Sensor":
+        """Makes a sensor of a mesh in a file: .stl, .obj, .ply, .msh, …, as `mesh` does.
+
+        `scale`: m per unit of the file; the default is for mm, which STL files mostly have.
+        meshio reads the file: `pip install 'tomojax[mesh]'`.
+
+        **Example:**
+
+        >>> import meshio
+        >>> import tomojax as tx
+        >>> corners = [[0, 0, 0], [80, 0, 0], [80, 80, 0], [0, 80, 0]]
+        >>> plate = meshio.Mesh(corners, [("triangle", [[0, 1, 2], [0, 2, 3]])])
+        >>> plate.write("plate.stl")
+        >>> tx.Sensor.from_file("plate.stl", {"grid": 0.02}).electrode_count
+        16
+        """
+        return cls.mesh(*read_triangles(Path(path), scale), electrodes, **others)
 
     @property
     def flat(self) -> bool:
@@ -310,6 +381,32 @@ class Sensor(eqx.Module):
         at = checked("points", points, require_finite, (None, 2), dtype=self.dtype)
         inside = ((at >= 0) & (at <= self.size)).all(-1)
         return inside if self.outline is None else inside & (self.outline.distance(at) < 0)
+
+    def in_space(
+        self, points: Numbers
+    ) -> tuple[Float[Array, "*n 3"], Float[Array, "*n 3"]]:
+        """Returns where points (…, 2) of the sheet, m, are in space, m, and unit normals.
+
+        The normal is ∂x × ∂y: the side from which x turns to y anticlockwise. A flat sheet
+        lies at z = 0. NaN stays NaN.
+
+        **Example:**
+
+        >>> import tomojax as tx
+        >>> place, normal = tx.Sensor.grid().in_space([0.03, 0.05])
+        >>> print(place, normal)
+        [0.03 0.05 0.  ] [0. 0. 1.]
+        """
+        at = float_array("points", points, self.dtype)
+        require(at.shape[-1:] == (2,), "points", f"shape {at.shape}", "(…, 2)")
+        surface = self.surface or (lambda p: jnp.append(p, 0 * p[..., :1], -1))
+        along = jnp.eye(2, dtype=at.dtype)
+        ways = [
+            jax.jvp(surface, (at,), (jnp.broadcast_to(way, at.shape),)) for way in along
+        ]
+        (place, x), (_, y) = ways
+        normal = jnp.cross(x, y)
+        return place, normal / jnp.sqrt((normal**2).sum(-1, keepdims=True))
 
     @property
     def electrode_count(self) -> int:
@@ -375,6 +472,7 @@ class Sensor(eqx.Module):
             ground_resistance=shown(self.ground_resistance, "Ω"),
             drive_voltage=shown(self.drive_voltage, "V"),
             **({} if self.outline is None else {"outline": repr(self.outline)}),
+            **({} if self.surface is None else {"surface": repr(self.surface)}),
             mesh=f"{nx} × {ny}",
             dtype=str(getattr(self.electrode_xy, "dtype", None)),
         )
@@ -409,7 +507,10 @@ def _check_mesh(sensor: Sensor) -> None:
     size, diameter = (
         np.asarray(a, np.float64) for a in (sensor.size, sensor.electrode_diameter)
     )
-    cell = (size / np.array(sensor.divisions)).max()
+    sides = size / np.array(sensor.divisions)
+    if sensor.surface is not None and known(*jax.tree.leaves(sensor.surface)):
+        sides = sides * _stretch(sensor.surface, sensor.electrode_xy, size).T
+    cell = sides.max()
     enough = np.ceil(size / diameter).astype(int).tolist()
     require(
         cell <= diameter * (1 + 1e-5),
@@ -417,6 +518,13 @@ def _check_mesh(sensor: Sensor) -> None:
         f"{sensor.divisions}, cells of {cell:.3g} m",
         f"cells no wider than an electrode, {diameter:g} m: at least {enough}",
     )
+
+
+def _stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndarray, "2 M"]:
+    """Computes how long steps along x and y of the chart are in space, at places."""
+    at, step = jnp.asarray(places), jnp.asarray(size) / _MOST_CELLS
+    long = local_cells(Skin(jnp.zeros(0), surface), at, step.astype(at.dtype))
+    return np.asarray(long, float) / np.asarray(step, float)[:, None]
 
 
 def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:

@@ -1,6 +1,5 @@
 """A session: a source of slots, a ring, and the processes beside them."""
 
-import json
 import math
 import os
 import subprocess
@@ -36,7 +35,7 @@ class _Session:
         options: dict[str, Any],
     ):
         self.source, self.ring, self.recorder = source, ring, recorder
-        self._told, self._beside = json.dumps(told), []
+        self._told, self._beside = ring.beside(told), []
         self.words = sys.stdout  # where what is said at the end goes
         self._seconds, self._forces = options["seconds"], bool(options.get("radius"))
         self._view = _viewer(options["view"], options["rrd"], str(ring.path))

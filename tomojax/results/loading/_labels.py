@@ -18,6 +18,8 @@ _DIMENSIONS = {
     "image_deviation": ("fine_x", "fine_y"),
     "residual_by_electrode": ("electrode",),
     "contact_covariance": ("contact", "moment"),
+    "contact_xyz": ("contact", "space"),
+    "contact_normal": ("contact", "space"),
 }
 
 # Units as they stand in a column's name.
@@ -27,6 +29,8 @@ _UNITS = {"m^2": "m2", "1": ""}
 _PARTS = {
     "contact_xy": ("x", "y"),
     "contact_covariance": ("covariance_xx", "covariance_yy", "covariance_xy"),
+    "contact_xyz": ("space_x", "space_y", "space_z"),
+    "contact_normal": ("normal_x", "normal_y", "normal_z"),
 }
 
 
