@@ -15,10 +15,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from skins import answers, judged, pixels
+from skins import answers, judged
 
 import tomojax as tx
 from bench.network import Network
+from bench.skins import pixels
 
 RESULTS = Path(__file__).parents[2] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "shape")

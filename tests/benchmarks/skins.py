@@ -24,7 +24,6 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE)]
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "shape")
-RASTER = 160  # pixels of the longer side
 KINDS = ("one", "two", "three", "bar", "letter")
 
 
@@ -70,13 +69,6 @@ def answers(sensor: Any, name: str, volts: np.ndarray, grounds: np.ndarray) -> d
     rows = batch(volts, np.tile(grounds, (len(volts), 1)))
     found = {"count": rows.contact_count, "xy": rows.contact_xy, "flags": rows.flags}
     return found | ({"touch": np.asarray(rows.touch)} if shapes else {})
-
-
-def pixels(size: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
-    """The centres of a raster (n, 2), m, and its shape: shapes' overlap is told on it."""
-    shape = tuple(int(round(RASTER * s / max(size))) for s in size)
-    at = np.stack(np.indices(shape), -1).reshape(-1, 2) + 0.5
-    return at / shape * np.asarray(size), shape
 
 
 def off(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -160,7 +152,7 @@ def measured(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
             continue
         path = folder / f"{name}.npz"
         if not path.exists():
-            from bench.skins import make_scenes
+            from bench.skins.scenes import make_scenes
 
             make_scenes(name, d, folder, options.seed, options.each, options.rigs)
         scenes, sensor = dict(np.load(path)), sensor_of(d)

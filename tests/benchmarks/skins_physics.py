@@ -19,8 +19,8 @@ from skins import sensor_of
 
 import tomojax as tx
 from bench.skins import sheets, SURFACES
-from bench.skins._peer import Peer
-from bench.skins._scenes import draw_contacts
+from bench.skins.peer import Peer
+from bench.skins.scenes import draw_contacts
 from tomojax.sensor import make_field
 
 RESULTS = Path(__file__).parents[2] / "notebooks" / "results"

@@ -32,7 +32,7 @@ _PATH = re.compile(
 # Where an installed package has them.
 INSTALLED = ("tomojax/kernels", "tomojax/hardware")
 # A fuzzer that no extra brings.
-BY_HAND = ("atheris",)
+BY_HAND = ("atheris", "shapely", "triangle")
 ROWS = re.findall(r"^\| `(\S+\.py)`", listed.PAGE.read_text(), re.M)
 
 

@@ -45,8 +45,7 @@ from tomojax.sensor._shapes import (
     Polygon as Polygon,
     Ring as Ring,
 )
-from tomojax.sensor._told import ToldSheet as ToldSheet
-from tomojax.sensor.meshes import GridSurface as GridSurface
+from tomojax.sensor.meshes import GridSurface as GridSurface, ToldSheet as ToldSheet
 
 # The rest serves other rooms.
 __all__ = [

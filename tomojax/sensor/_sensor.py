@@ -39,8 +39,7 @@ from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
-from tomojax.sensor._told import ToldSheet
-from tomojax.sensor.meshes import chart_places, read_triangles, unroll
+from tomojax.sensor.meshes import chart_places, read_triangles, ToldSheet, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
 _CELLS = 3

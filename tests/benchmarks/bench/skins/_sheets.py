@@ -2,6 +2,8 @@
 
 import numpy as np
 
+RASTER = 160  # pixels of the longer side, that shapes' overlap is told on
+
 
 def circle(c, r, n):
     # Sides of equal area with the circle's.
@@ -212,3 +214,10 @@ def sheets():
 
 
 SURFACES = {"cylinder": cylinder, "cone": cone}
+
+
+def pixels(size: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
+    """The centres of a raster (n, 2), m, and its shape: shapes' overlap is told on it."""
+    shape = tuple(int(round(RASTER * s / max(size))) for s in size)
+    at = np.stack(np.indices(shape), -1).reshape(-1, 2) + 0.5
+    return at / shape * np.asarray(size), shape

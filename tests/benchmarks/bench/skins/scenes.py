@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 import shapely
 from shapely.ops import nearest_points
-from skins import pixels
 
 from bench.rigs import draw_strokes, Strokes
-from bench.skins._peer import draw_errors, Peer
-from bench.skins._sheets import SURFACES
+from bench.skins._sheets import pixels, SURFACES
+from bench.skins.peer import draw_errors, Peer
 
 # Contacts' radii, m, and conductances, S; a stroke's width, m, and S/m².
 RADII, SIEMENS = (4e-3, 8e-3), (5e-6, 1e-4)
