@@ -31,6 +31,9 @@ from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 
+# Cells of an electrode's diameter, on the mesh of a sheet that is no rectangle.
+_CELLS = 3
+
 # Rows of the basis that stands for J, for each electrode: an image differs by 7e-3 down to
 # λ/σ₁² of 1e-6 (see `reduce_jacobian`; 64 electrodes).
 _RANK = 4
@@ -92,7 +95,9 @@ class Linear(AbstractMethod):
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
         """Makes the method for an image of `shape` pixels."""
-        pixels = pixels_of(sensor, shape)
+        # An even rectangle has no mesh error. On one cell an electrode J is highest at the
+        # rim, and so are images, wherever the contact is.
+        pixels = pixels_of(sensor, shape, 1 if sensor.flat else _CELLS)
         sensor = pixels.sensor
         table = resistances(sensor, "series" if sensor.even else "fem")
         grounds = jnp.asarray(sensor.all_grounds())

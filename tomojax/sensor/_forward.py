@@ -92,6 +92,11 @@ def compiled_resistances(sensor: Sensor, route: Route) -> Resistances:
         )
     nominal = replace(sensor, told=None)
     table = fem_resistances(sheet_on_mesh(nominal), sensor.divisions)
+    part = sensor.parts()
+    if part is not None:
+        # Off the sheet, and in slivers at its edge, it is of no sheet and without bound.
+        most = jnp.max(table.own, where=part > 0.5, initial=0)
+        table = table._replace(own=jnp.minimum(table.own, most))
     if sensor.told is None:
         return table
     cells = table.elements.reshape(-1, *sensor.divisions, 2)
@@ -214,7 +219,8 @@ def _jacobian(
     sensor: Sensor, grounds: Array, rho: Array, table: Resistances
 ) -> Float[Array, "L M K"]:
     slots, which = law_of(sensor, grounds, table.electrodes)
-    return slot_jacobian(table, slots, which, rho)
+    found, part = slot_jacobian(table, slots, which, rho), sensor.parts()
+    return found if part is None else jnp.where(part > 0, found, 0)
 
 
 def law_of(
