@@ -17,8 +17,7 @@ import pytest
 import tomojax as tx
 from tomojax.hardware import Got, SlotRing
 from tomojax.hardware.loop.recorder import attributes, Recorder
-from tomojax.hardware.web._data import pixels
-from tomojax.hardware.web._page import document
+from tomojax.hardware.web import document, pixels
 
 pytest.importorskip("bokeh")
 RATE, M = 10_000, 64

@@ -10,7 +10,7 @@ import tomojax as tx
 from tomojax.cli.app import app
 from tomojax.hardware import open_source
 from tomojax.hardware.loop.recorder import attributes, File
-from tomojax.hardware.sources import _wire, check_source, OrderedSource, ReplaySource
+from tomojax.hardware.sources import check_source, OrderedSource, ReplaySource
 from tomojax.hardware.sources.virtual_rig import VirtualRig, write_scene
 from tomojax.recordings import open_recording, Rig
 
@@ -55,7 +55,7 @@ def test_a_virtual_rig_takes_its_table(paired, link):
     ],
 )
 def test_another_table_is_one_sentence(paired, table, why, monkeypatch):
-    monkeypatch.setattr(_wire, "_NO_ANSWER", 0.5)
+    monkeypatch.setattr("tomojax.hardware.sources._wire._NO_ANSWER", 0.5)
     with VirtualRig(paired, link="udp", rate=1000) as rig:
         given = {} if table is None else {"conditions": table}
         with pytest.raises(TimeoutError, match=why):
@@ -63,7 +63,7 @@ def test_another_table_is_one_sentence(paired, table, why, monkeypatch):
 
 
 def test_a_rig_without_tables_does_not_answer(scene, monkeypatch):
-    monkeypatch.setattr(_wire, "_NO_ANSWER", 0.5)
+    monkeypatch.setattr("tomojax.hardware.sources._wire._NO_ANSWER", 0.5)
     with VirtualRig(scene, link="udp") as rig:
         source = open_source(rig.where, conditions=np.eye(64))
         with pytest.raises(TimeoutError, match="does it know tables of ground conditions"):

@@ -17,7 +17,6 @@ from PIL import Image
 import tomojax as tx
 from tomojax.cli import app
 from tomojax.cli.demo import SCENES
-from tomojax.cli.demo._pictures import _on_sheet
 
 
 @pytest.mark.long
@@ -55,7 +54,9 @@ def test_demo_leaves_empty_what_is_off_the_sheet(name) -> None:
     path = Path(tx.__file__).with_name(SCENES[name].file)
     with tx.open_recording(path) as recording, h5py.File(path) as file:
         sensor, truth = recording.rig.sensor(), np.asarray(file["truth_touched"])
-    inside = _on_sheet(sensor, truth.shape[1])
+    middles = (np.indices(truth.shape[1:]).reshape(2, -1).T + 0.5) / truth.shape[1:]
+    inside = np.asarray(sensor.on_sheet(middles * np.asarray(sensor.size)))
+    inside = inside.reshape(truth.shape[1:])
     assert truth.any() and not truth[:, ~inside].any()
     part = float(sensor.area / np.prod(np.asarray(sensor.size)))
     assert abs(inside.mean() - part) < 0.02

@@ -139,7 +139,15 @@ def _places(values: Any) -> np.ndarray:
 
 
 def check_table(table: Any, electrodes: int) -> Float[np.ndarray, "C M"]:
-    """Checks a recording's conductances to ground, S. **Raises:** `ValueError`."""
+    """Checks a recording's conductances to ground, S. **Raises:** `ValueError`.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> tx.recordings.check_table([[0.25, 0.0], [0.0, 0.25]], 2).shape
+    (2, 2)
+    """
     name, values = "conditions/to_ground", np.asarray(table, float)
     fits = values.ndim == 2 and values.shape[1] == electrodes and 0 < len(values) < 1 << 16
     require(fits, name, f"shape {values.shape}", f"(conditions, {electrodes})")

@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates, spline_filter
 
 from tomojax.kernels.rectangle import Series, turned
 from tomojax.recordings import Rig
@@ -45,7 +44,10 @@ class Plane:
         self.outline, area, self._among = rig.outline, float(np.prod(self.size)), None
         self._margin = np.zeros(2)
         if rig.outline is not None:
-            from tomojax.sensor import make_field  # JAX, which a rectangle does without
+            # SciPy and JAX, which a rectangle does without.
+            from scipy.ndimage import spline_filter
+
+            from tomojax.sensor import make_field
 
             sensor = replace(rig, sheet_resistance=1.0).sensor()
             self._on_sheet, area = sensor.on_sheet, sensor.area
@@ -74,6 +76,8 @@ class Plane:
         """Computes what the sheet's edge adds to the potential, at 1 Ω per square."""
         if self._among is None:
             return 0.0
+        from scipy.ndimage import map_coordinates
+
         cells = np.array(self._among.shape[:2]) - 1
         at = np.concatenate(np.broadcast_arrays(one, other), -1) / np.tile(self.size, 2)
         index = np.moveaxis(at * np.tile(cells, 2), -1, 0)

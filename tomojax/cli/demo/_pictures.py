@@ -65,8 +65,6 @@ def _eq3(recording: Recording) -> Float[np.ndarray, "rows nx ny"]:
     told = [frames(v, grounds, np.isfinite(v)) for v in np.asarray(some)]
     batch = tx.Batch(method, method.choose_lambda(told))
     image = np.asarray(batch(chunk.voltages, chunk.grounds).image)
-    # Pixels that are hardly on the sheet have noise alone, which is many times as high.
-    image = np.where(_on_sheet(sensor, image.shape[1]), image, np.nan)
     top = np.nanmax(image, (1, 2), keepdims=True)
     # A scan without a contact has noise alone, which is not to be blown up.
     return np.nan_to_num(np.clip(image / np.maximum(top, 0.05 * np.nanmax(top)), 0, 1))
