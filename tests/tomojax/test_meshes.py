@@ -192,6 +192,7 @@ def test_meshio_may_be_missing(monkeypatch) -> None:
         tx.Sensor.from_file("a.stl", {"grid": 0.02})
 
 
+@pytest.mark.long
 def test_recordings_and_results_of_a_curved_sheet(tmp_path) -> None:
     """As the recorder writes it, read, solved, exported: contacts have places in space."""
     from tomojax.hardware.loop import SlotRing

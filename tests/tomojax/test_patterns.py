@@ -159,9 +159,9 @@ OUTLINES = {
     "name, sizes",
     [  # of the boundary, the edge and the vertical line
         ("rim", (16, 3, 2)),
-        ("letter", (20, 6, 6)),
+        pytest.param("letter", (20, 6, 6), marks=pytest.mark.long),
         ("hexagons", (13, 5, 3)),
-        ("hole", (24, 5, 4)),
+        pytest.param("hole", (24, 5, 4), marks=pytest.mark.long),
     ],
 )
 def test_patterns_on_other_outlines(name, sizes) -> None:

@@ -73,6 +73,7 @@ def test_a_step_with_conditions(paired) -> None:
     assert int(out.ground) < 4
 
 
+@pytest.mark.long
 def test_policies_of_a_table(disc) -> None:
     """A table of single grounds has the policies, patterns and designs of these grounds."""
     single = replace(disc, conditions=np.eye(disc.electrode_count) / 4.0)
@@ -216,6 +217,7 @@ def worn():
     return sensor, rig
 
 
+@pytest.mark.long
 def test_a_sheet_that_another_code_tells(worn) -> None:
     sensor, rig = worn
     # Every 4 mm, in the gauge where electrode 3 is the zero; a corner is unknown.
