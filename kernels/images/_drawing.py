@@ -12,7 +12,7 @@ from tomojax.kernels.images._merit import pixel_places
 
 
 class Spots(NamedTuple):
-    """What an image shows of C fitted contacts, as `Fitted` has them."""
+    """Places, sizes and currents of C fitted contacts, which an image shows."""
 
     place: Float[Array, "C 2"]  # m
     extent: Float[Array, "C 2"]  # m

@@ -4,7 +4,7 @@
 
 Voltages come of a resistor network with errors (`bench.network`) that no method is told.
 Each scene is read from ten slots: one electrode grounded; a pair, through 4 Ω each; an
-electrode through 4 Ω with another through 1 kΩ; all four of a corner. Places are judged in
+electrode through 4 Ω with another through 1 kΩ; four neighbours. Places are judged in
 pitches, bars by the overlap where touch is likelier than not. The default seed is for
 judging. Writes conditions.json and conditions.png.
 """

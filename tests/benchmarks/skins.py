@@ -2,7 +2,7 @@
 
     python tests/benchmarks/skins.py [--each 30] [--rigs 6] [--seed N] [--only SKIN ...]
 
-Seven skins beside a rectangle (`bench.skins`): their voltages come of quadratic elements on
+Eight skins beside a rectangle (`bench.skins`): their voltages come of quadratic elements on
 an unstructured mesh, on rigs with errors of the sheet, gains, places, paths and noise that
 no method is told. Scenes have one, two or three contacts, a bar or a letter; each is read
 from ten slots and from two. Places are judged in mean pitches, shapes by the overlap where
@@ -22,9 +22,10 @@ import numpy as np
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE)]
+from bench.skins import KINDS  # noqa: E402
+
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 METHODS = ("points", "source", "auto", "follow", "shape")
-KINDS = ("one", "two", "three", "bar", "letter")
 
 
 def sensor_of(d: dict) -> Any:

@@ -103,7 +103,7 @@ def random_row(rng: np.random.Generator, m: int) -> bytes:
 
 
 def accepted_by(message: bytes, m: int) -> bytes:
-    """What the peer writes for a message that the host's Python takes."""
+    """Returns the line that the peer writes for a message of the host."""
     command = frames.unpack_command(message, m)
     if command is not None:
         return bytes((command[0], len(command[1]), *command[1]))

@@ -194,7 +194,7 @@ def test_meshio_may_be_missing(monkeypatch) -> None:
 
 @pytest.mark.long
 def test_recordings_and_results_of_a_curved_sheet(tmp_path) -> None:
-    """As the recorder writes it, read, solved, exported: contacts have places in space."""
+    """A recording of the recorder is solved and exported: contacts have places in space."""
     from tomojax.hardware.loop import SlotRing
     from tomojax.hardware.loop.recorder import attributes, Recorder
     from tomojax.hardware.sources import Got

@@ -37,7 +37,7 @@ from tomojax.results._settings import (
 from tomojax.results._solving import AbstractSolver, Chosen, EachAlone
 from tomojax.results.loading import attributes as attributes_of
 
-# What results tell of contacts on a curved sheet, and its units.
+# The datasets of contacts on a curved sheet, and their units.
 _IN_SPACE = {"contact_xyz": "m", "contact_normal": "1"}
 
 _PATIENCE = 600.0  # s, in which the first process lays the file out

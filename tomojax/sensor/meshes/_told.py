@@ -46,7 +46,8 @@ class ToldSheet(eqx.Module):
 
     def __init__(self, electrodes: Numbers, potentials: Numbers):
         ee = self.electrodes = float_array("electrodes", electrodes)
-        require_shape("electrodes", ee, (None, len(ee)))
+        require_shape("electrodes", ee, (None, None))
+        require_shape("electrodes", ee, (len(ee), len(ee)))
         require_finite("electrodes", ee)
         rows = float_array("potentials", potentials, ee.dtype)
         require_shape("potentials", rows, (len(ee), None, None))

@@ -17,7 +17,7 @@ _MOST = 500_000
 # A triangle whose height is this part of its longest side has no area.
 _THIN = 1e-7
 
-# What an outline may be off where corners are left out, of the box.
+# A corner is left out where the outline moves by less than this part of the box.
 _STRAIGHT = 5e-5
 
 # A chart that stretches lengths so much more in one place than in another leaves too few

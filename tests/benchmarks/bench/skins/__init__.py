@@ -7,6 +7,7 @@ methods.
 """
 
 from bench.skins._sheets import (
+    KINDS as KINDS,
     pixels as pixels,
     sheets as sheets,
     SURFACES as SURFACES,

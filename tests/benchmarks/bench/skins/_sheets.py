@@ -2,6 +2,7 @@
 
 import numpy as np
 
+KINDS = ("one", "two", "three", "bar", "letter")
 RASTER = 160  # pixels of the longer side, that shapes' overlap is told on
 
 

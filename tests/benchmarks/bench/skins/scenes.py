@@ -8,14 +8,13 @@ import shapely
 from shapely.ops import nearest_points
 
 from bench.rigs import draw_strokes, Strokes
-from bench.skins._sheets import pixels, SURFACES
+from bench.skins._sheets import KINDS, pixels, SURFACES
 from bench.skins.peer import draw_errors, Peer
 
 # Contacts' radii, m, and conductances, S; a stroke's width, m, and S/m².
 RADII, SIEMENS = (4e-3, 8e-3), (5e-6, 1e-4)
 STROKE, PER_AREA = 0.014, (0.05, 1.0)
 LETTERS = "ACEFHLSTU"
-KINDS = ("one", "two", "three", "bar", "letter")
 
 
 def spread(xy: np.ndarray, n: int, surface: Any) -> np.ndarray:
