@@ -12,7 +12,7 @@ from tomojax.recordings._chunks import (
     read_chunk as read_chunk,
 )
 from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
-from tomojax.recordings._open import open_recording as open_recording
+from tomojax.recordings._open import kind_of as kind_of, open_recording as open_recording
 from tomojax.recordings._outline import check_table as check_table, Outline as Outline
 from tomojax.recordings._recording import (
     ArrayRecording as ArrayRecording,
@@ -32,6 +32,7 @@ __all__ = [
     "CHUNK_SLOTS",
     "Faults",
     "find_faults",
+    "kind_of",
     "open_recording",
     "Outline",
     "Rate",

@@ -203,7 +203,7 @@ def _printable(text: str) -> str:
 
 def _open(path: Path) -> OpenContainer:
     with path.open("rb") as raw:
-        require(_is_hdf5(raw), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
+        require(is_hdf5(raw), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
     try:
         return open_container(path)
     except OSError as error:
@@ -215,7 +215,7 @@ def _open(path: Path) -> OpenContainer:
     raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
-def _is_hdf5(raw: BinaryIO) -> bool:
+def is_hdf5(raw: BinaryIO) -> bool:
     """Finds HDF5's signature at the start or behind a user's block (MATLAB's has 512 B)."""
     at = 0
     while len(start := raw.read(8)) == 8:
@@ -268,3 +268,6 @@ def _check_schema(told: dict[str, Any]) -> None:
     version = number("schema_version", told["schema_version"])
     expected = f"{VERSIONS[-1]} or less; a newer tomojax may read it"
     require(version in VERSIONS, "schema_version", f"{version:g}", expected)
+    kind = _text(told.get("kind", "contact"))
+    expected = "'contact'; info, calibrate and reconstruct alone take 'conductivity'"
+    require(kind == "contact", "kind", repr(kind), expected)

@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from tomojax._require import not_installed, require
+from tomojax.files import open_container
 from tomojax.recordings import formats
-from tomojax.recordings._hdf5 import Hdf5Recording
+from tomojax.recordings._hdf5 import Hdf5Recording, is_hdf5
 from tomojax.recordings._recording import Recording
 
 
@@ -49,6 +50,28 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return recording
+
+
+def kind_of(path: Path) -> str:
+    """Tells a recording's kind: "contact", or "conductivity" (`tomojax.ert`).
+
+    A file that cannot be read counts as "contact"; its reader says what is wrong.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> import tomojax as tx
+    >>> tx.recordings.kind_of(Path(tx.__file__).with_name("demo.h5"))
+    'contact'
+    """
+    try:
+        with path.open("rb") as raw:
+            if not is_hdf5(raw):
+                return "contact"
+        with open_container(path) as file:
+            return str(file.attributes.get("kind", "contact"))
+    except (OSError, ValueError, ModuleNotFoundError):
+        return "contact"
 
 
 def _opened(path: Path, suffix: str, options: dict[str, Any]) -> Recording:

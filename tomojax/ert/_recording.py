@@ -1,0 +1,274 @@
+"""Reads and writes recordings of pairs: recording version 2, kind "conductivity"."""
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tomojax._require import require
+from tomojax._shown import named, shown
+from tomojax._whole import whole
+from tomojax.ert._pairs import Pairs
+from tomojax.files import open_container
+from tomojax.recordings import Outline, SCHEMA, VERSIONS
+
+if TYPE_CHECKING:
+    import tomojax.sensor
+
+KIND = "conductivity"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairRecording:
+    """Voltages of pairs of electrodes on a skin whose sheet changes under a press.
+
+    **Arguments:**
+
+    - `voltages` (n, C, R): a frame's readings, in `units`; NaN where a reading is bad.
+    - `pairs`: the electrodes of each condition and reading.
+    - `electrode_xy` (M, 2), `electrode_diameter`: m.
+    - `outline`: where the sheet ends, an `Outline`; None: a rectangle of `size`, m.
+    - `size`: of the box from which places count. Without one the middle of a disc is at
+      (0, 0), and a polygon's corners are where they are told.
+    - `t0` (n,): start of each frame, s; by default of frames that follow each other.
+    - `places` (n, 2): where somebody pressed, m; NaN or None where unknown.
+    - `f_switch`: conditions a second, Hz.
+    - `units`, `notes`: texts. `magnitude`: whether voltages have lost their sign, or are
+      changes of the magnitude; by default where `units` has that word.
+
+    **Raises:** `ValueError` for shapes that disagree, and electrodes that are not there.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    >>> rim = 0.054 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    >>> disc = tx.recordings.Outline("disc", 0.108)
+    >>> volts = np.zeros((5, 16, 12))  # five frames
+    >>> pairs = tx.ert.Pairs.opposite(16)
+    >>> recording = tx.ert.PairRecording(volts, pairs, rim, 0.004, outline=disc)
+    >>> recording.save("skin.h5")
+    >>> tx.ert.load("skin.h5").voltages.shape
+    (5, 16, 12)
+    """
+
+    voltages: Float[np.ndarray, "n C R"]
+    pairs: Pairs
+    electrode_xy: Float[np.ndarray, "M 2"]
+    electrode_diameter: float
+    outline: Outline | None = None
+    size: tuple[float, float] | None = None
+    t0: Float[np.ndarray, " n"] | None = None
+    places: Float[np.ndarray, "n 2"] | None = None
+    f_switch: float = 1000.0
+    units: str = "V"
+    notes: str = ""
+    magnitude: bool | None = None
+    path: Path = Path("arrays")
+
+    def __post_init__(self):
+        shape = (self.pairs.conditions, self.pairs.readings)
+        volts = np.array(self.voltages, float)
+        fits = volts.ndim == 3 and len(volts) > 0 and volts.shape[1:] == shape
+        require(fits, "v", f"shape {volts.shape}", f"(frames, {shape[0]}, {shape[1]})")
+        volts[~np.isfinite(volts)] = np.nan
+        n, xy = len(volts), np.asarray(self.electrode_xy, float)
+        fits = xy.ndim == 2 and xy.shape[1] == 2 and bool(np.isfinite(xy).all())
+        require(fits, "electrode_xy", f"shape {xy.shape}", "(electrodes, 2) m, numbers")
+        self.pairs.within(len(xy))
+        for name in ("electrode_diameter", "f_switch"):
+            value = getattr(self, name)
+            require(0 < value < np.inf, name, value, "a number above 0")
+        told = self.size is not None or (self.outline is not None and self.outline.kind)
+        require(told not in (False, "rectangle"), "size", "none", "the rectangle's, m")
+        times = np.arange(n) * shape[0] / self.f_switch if self.t0 is None else self.t0
+        put: dict[str, Any] = {"voltages": volts, "electrode_xy": xy}
+        put["t0"] = np.asarray(times, float)
+        if self.places is not None:
+            put["places"] = np.asarray(self.places, float)
+            shown = f"shape {put['places'].shape}"
+            require(put["places"].shape == (n, 2), "places", shown, f"({n}, 2) m, as v has")
+        require(put["t0"].shape == (n,), "t0", f"shape {put['t0'].shape}", f"({n},)")
+        if self.magnitude is None:
+            put["magnitude"] = "magnitude" in self.units
+        for name, value in put.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        n, c, r = self.voltages.shape
+        return named(
+            self,
+            path=str(self.path),
+            frames=str(n),
+            readings=f"{c} × {r}",
+            electrodes=str(len(self.electrode_xy)),
+            places=str(int(self.known.sum())),
+            f_switch=shown(self.f_switch, "Hz"),
+        )
+
+    @property
+    def bad(self) -> Bool[np.ndarray, "n C R"]:
+        """Tells which readings are no numbers."""
+        return np.isnan(self.voltages)
+
+    @property
+    def known(self) -> Bool[np.ndarray, " n"]:
+        """Tells of which frames the place is known."""
+        if self.places is None:
+            return np.zeros(len(self.voltages), bool)
+        return np.isfinite(self.places).all(1)
+
+    def knowing(self, count: int) -> "PairRecording":
+        """Returns the recording with the first `count` of its places alone."""
+        rank = np.cumsum(self.known)
+        least = int(rank[-1])
+        require(0 <= count <= least, "places", f"{count}", f"0 to {least}, as it has")
+        hidden = ~self.known | (rank > count)
+        places = None if self.places is None else np.array(self.places)
+        if places is not None:
+            places[hidden] = np.nan
+        return replace(self, places=places)
+
+    @property
+    def origin(self) -> Float[np.ndarray, "2"]:
+        """Returns where the sensor's box begins in the recording's places, m."""
+        if self.size is not None or self.outline is None:
+            return np.zeros(2)
+        if self.outline.loops:
+            return self.outline.loops[0].min(0)
+        return np.full(2, -self.outline.diameter / 2)
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """Returns the sides of the sensor's box, m."""
+        if self.size is not None:
+            return self.size
+        assert self.outline is not None
+        if self.outline.loops:
+            width, height = np.ptp(self.outline.loops[0], 0)
+            return float(width), float(height)
+        return self.outline.diameter, self.outline.diameter
+
+    def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
+        """Makes the sensor, whose places are the recording's less `origin`.
+
+        The sheet has the nominal resistance of `Sensor`.
+        """
+        from tomojax.sensor import Sensor  # needs JAX, which reading does not
+
+        told: dict[str, Any] = {"electrode_diameter": self.electrode_diameter}
+        places = self.electrode_xy - self.origin
+        if self.outline is not None:
+            loops = tuple(loop - self.origin for loop in self.outline.loops)
+            sheet = replace(self.outline, loops=loops).sheet(self.box)
+            return Sensor.cut(self.box, electrodes=places, dtype=dtype, **sheet, **told)
+        return Sensor.cut(self.box, None, places, dtype=dtype, **told)
+
+    def digest(self) -> str:
+        """Computes the SHA-256 of the voltages."""
+        return hashlib.sha256(np.ascontiguousarray(self.voltages).data).hexdigest()
+
+    def save(self, path: Path | str) -> None:
+        """Writes the recording to a file (HDF5)."""
+        import h5py
+
+        told: dict[str, Any] = {"schema": SCHEMA, "schema_version": VERSIONS[-1]}
+        told |= {"kind": KIND, "units": self.units, "notes": self.notes}
+        told |= {"f_switch": self.f_switch, "magnitude": bool(self.magnitude)}
+        told |= {"electrode_diameter": self.electrode_diameter}
+        outline = self.outline or Outline("rectangle")
+        told |= outline.attributes() | ({"size": self.size} if self.size else {})
+        condition = np.broadcast_to(np.arange(self.pairs.conditions), self.bad.shape[:2])
+        arrays = {"v": self.voltages.astype(np.float32), "t0": self.t0}
+        arrays |= {"condition": condition.astype(np.uint16)}
+        arrays |= {"conditions/inject": self.pairs.inject.astype(np.uint16)}
+        arrays |= {"conditions/read": self.pairs.read.astype(np.uint16)}
+        arrays |= {"electrode_xy": self.electrode_xy, "places": self.places}
+        with whole(path) as part, h5py.File(part, "w") as file:
+            file.attrs.update(told)
+            for name, values in (arrays | outline.datasets()).items():
+                if values is not None:
+                    file[name] = values
+
+
+def load(path: Path | str) -> PairRecording:
+    """Reads a recording of kind "conductivity", whole.
+
+    **Raises:** `ValueError`, one line with the file, the field, the value found and the
+    value expected.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.ert.load("none.h5")
+    Traceback (most recent call last):
+    ValueError: none.h5: file: got none, or a folder, expected a recording in HDF5
+    """
+    path = Path(path)
+    try:
+        require(path.is_file(), "file", "none, or a folder", "a recording in HDF5")
+        with open_container(path) as file:
+            return _read(path, file)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _read(path: Path, file: Any) -> PairRecording:
+    told, names = file.attributes, file.names
+    for name, wanted in (("schema", SCHEMA), ("kind", KIND)):
+        require(told.get(name) == wanted, name, repr(told.get(name)), repr(wanted))
+
+    def dataset(name: str, axes: int | None = None) -> Any:
+        if axes is None and name not in names:
+            return None
+        require(name in names, name, f"only {sorted(names)[:20]}", "it")
+        values = file.read_whole(name)
+        fits = values.dtype.kind in "iuf" and axes in (None, values.ndim)
+        require(fits, name, f"{values.dtype} {values.shape}", f"numbers on {axes} axes")
+        return values
+
+    def number(name: str, usual: float) -> float:
+        value = np.asarray(told.get(name, usual))
+        require(value.shape == () and value.dtype.kind in "iuf", name, value, "a number")
+        return float(value)
+
+    pairs = Pairs(dataset("conditions/inject", 2), dataset("conditions/read", 3))
+    volts = number("scale", 1.0) * dataset("v", 3) + number("offset", 0.0)
+    (n, slots, readings), c = volts.shape, pairs.conditions
+    shape = f"shape {volts.shape}"
+    fits = readings == pairs.readings and (slots == c or "condition" in names)
+    require(fits, "v", shape, f"(frames, {c}, {pairs.readings}), as conditions have")
+    if "condition" in names:
+        condition = dataset("condition", 2)
+        fits = condition.shape == (n, slots) and condition.dtype.kind in "iu"
+        require(fits, "condition", f"shape {condition.shape}", f"{(n, slots)}, as v has")
+        inside = bool((condition >= 0).all() and (condition < c).all())
+        require(inside, "condition", int(condition.max(initial=0)), f"0 to {c - 1}")
+        ordered = np.full((n, c, readings), np.nan)
+        ordered[np.arange(n)[:, None], condition] = volts
+        volts = ordered
+    size = None
+    if "size" in told:
+        size = np.asarray(told["size"])
+        fits = size.shape == (2,) and size.dtype.kind in "iuf" and bool((size > 0).all())
+        require(fits, "size", told["size"], "two lengths, m")
+        size = float(size[0]), float(size[1])
+    return PairRecording(
+        voltages=volts,
+        pairs=pairs,
+        electrode_xy=dataset("electrode_xy", 2),
+        electrode_diameter=number("electrode_diameter", np.nan),
+        outline=Outline.read(told, dataset),
+        size=size,
+        t0=dataset("t0", 1),
+        places=dataset("places"),
+        f_switch=number("f_switch", 1000.0),
+        units=str(told.get("units", "V")),
+        notes=str(told.get("notes", "")),
+        magnitude=bool(told["magnitude"]) if "magnitude" in told else None,
+        path=path,
+    )
