@@ -30,7 +30,7 @@ class PairRecording:
     - `voltages` (n, C, R): a frame's readings, in `units`; NaN where a reading is bad.
     - `pairs`: the electrodes of each condition and reading.
     - `electrode_xy` (M, 2), `electrode_diameter`: m.
-    - `outline`: where the sheet ends, an `Outline`; None: a rectangle of `size`, m.
+    - `outline`: where the sheet ends, an `Outline`; by default a rectangle of `size`, m.
     - `size`: of the box from which places count. Without one the middle of a disc is at
       (0, 0), and a polygon's corners are where they are told.
     - `t0` (n,): start of each frame, s; by default of frames that follow each other.
@@ -60,9 +60,9 @@ class PairRecording:
     pairs: Pairs
     electrode_xy: Float[np.ndarray, "M 2"]
     electrode_diameter: float
-    outline: Outline | None = None
+    outline: Outline = Outline("rectangle")
     size: tuple[float, float] | None = None
-    t0: Float[np.ndarray, " n"] | None = None
+    t0: Any = None
     places: Float[np.ndarray, "n 2"] | None = None
     f_switch: float = 1000.0
     units: str = "V"
@@ -83,8 +83,8 @@ class PairRecording:
         for name in ("electrode_diameter", "f_switch"):
             value = getattr(self, name)
             require(0 < value < np.inf, name, value, "a number above 0")
-        told = self.size is not None or (self.outline is not None and self.outline.kind)
-        require(told not in (False, "rectangle"), "size", "none", "the rectangle's, m")
+        told = self.size is not None or self.outline.kind != "rectangle"
+        require(told, "size", "none", "the rectangle's, m")
         times = np.arange(n) * shape[0] / self.f_switch if self.t0 is None else self.t0
         put: dict[str, Any] = {"voltages": volts, "electrode_xy": xy}
         put["t0"] = np.asarray(times, float)
@@ -113,7 +113,7 @@ class PairRecording:
     @property
     def bad(self) -> Bool[np.ndarray, "n C R"]:
         """Tells which readings are no numbers."""
-        return np.isnan(self.voltages)
+        return np.asarray(np.isnan(self.voltages))
 
     @property
     def known(self) -> Bool[np.ndarray, " n"]:
@@ -136,7 +136,7 @@ class PairRecording:
     @property
     def origin(self) -> Float[np.ndarray, "2"]:
         """Returns where the sensor's box begins in the recording's places, m."""
-        if self.size is not None or self.outline is None:
+        if self.size is not None:
             return np.zeros(2)
         if self.outline.loops:
             return self.outline.loops[0].min(0)
@@ -147,7 +147,6 @@ class PairRecording:
         """Returns the sides of the sensor's box, m."""
         if self.size is not None:
             return self.size
-        assert self.outline is not None
         if self.outline.loops:
             width, height = np.ptp(self.outline.loops[0], 0)
             return float(width), float(height)
@@ -160,13 +159,14 @@ class PairRecording:
         """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
-        told: dict[str, Any] = {"electrode_diameter": self.electrode_diameter}
-        places = self.electrode_xy - self.origin
-        if self.outline is not None:
-            loops = tuple(loop - self.origin for loop in self.outline.loops)
-            sheet = replace(self.outline, loops=loops).sheet(self.box)
-            return Sensor.cut(self.box, electrodes=places, dtype=dtype, **sheet, **told)
-        return Sensor.cut(self.box, None, places, dtype=dtype, **told)
+        loops = tuple(loop - self.origin for loop in self.outline.loops)
+        return Sensor.cut(
+            self.box,
+            electrodes=self.electrode_xy - self.origin,
+            electrode_diameter=self.electrode_diameter,
+            dtype=dtype,
+            **replace(self.outline, loops=loops).sheet(self.box),
+        )
 
     def digest(self) -> str:
         """Computes the SHA-256 of the voltages."""
@@ -180,8 +180,7 @@ class PairRecording:
         told |= {"kind": KIND, "units": self.units, "notes": self.notes}
         told |= {"f_switch": self.f_switch, "magnitude": bool(self.magnitude)}
         told |= {"electrode_diameter": self.electrode_diameter}
-        outline = self.outline or Outline("rectangle")
-        told |= outline.attributes() | ({"size": self.size} if self.size else {})
+        told |= self.outline.attributes() | ({"size": self.size} if self.size else {})
         condition = np.broadcast_to(np.arange(self.pairs.conditions), self.bad.shape[:2])
         arrays = {"v": self.voltages.astype(np.float32), "t0": self.t0}
         arrays |= {"condition": condition.astype(np.uint16)}
@@ -190,7 +189,7 @@ class PairRecording:
         arrays |= {"electrode_xy": self.electrode_xy, "places": self.places}
         with whole(path) as part, h5py.File(part, "w") as file:
             file.attrs.update(told)
-            for name, values in (arrays | outline.datasets()).items():
+            for name, values in (arrays | self.outline.datasets()).items():
                 if values is not None:
                     file[name] = values
 
@@ -262,7 +261,7 @@ def _read(path: Path, file: Any) -> PairRecording:
         pairs=pairs,
         electrode_xy=dataset("electrode_xy", 2),
         electrode_diameter=number("electrode_diameter", np.nan),
-        outline=Outline.read(told, dataset),
+        outline=Outline.read(told, dataset) or Outline("rectangle"),
         size=size,
         t0=dataset("t0", 1),
         places=dataset("places"),

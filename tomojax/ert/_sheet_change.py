@@ -63,9 +63,7 @@ def _background(sensor: Sensor, slots: _Slots) -> Float[Array, "C R"]:
     return slots.voltages(fem_fields(sheet_on_mesh(sensor), sensor.divisions)[0])
 
 
-def sensitivities(
-    sensor: Sensor, pairs: Pairs, places: Numbers
-) -> Float[Array, "n C R"]:
+def sensitivities(sensor: Sensor, pairs: Pairs, places: Numbers) -> Float[Array, "n C R"]:
     """Computes what a small change of the sheet at a place adds: −∇u_w·∇u_i, 1/(A·S·m²)·V.
 
     The result times the change's conductance (S per square) and area (m²) is the change of

@@ -1,5 +1,9 @@
 # What the room offers, imported when it is first used.
-from ._file import partial_path as partial_path
+from ._file import (
+    Dataset as Dataset,
+    partial_path as partial_path,
+    write_rows as write_rows,
+)
 from ._outlines import (
     check_outlines as check_outlines,
     Outline as Outline,

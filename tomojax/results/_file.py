@@ -171,6 +171,29 @@ class ResultsFile:
         return RowWriter(self, self._done)
 
 
+def write_rows(
+    out: Path,
+    columns: dict[str, tuple[Dataset, np.ndarray]],
+    attributes: dict[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Writes a whole results file at once: datasets, each with its values.
+
+    **Raises:** `ValueError` where OUT cannot be made, or is there already.
+    """
+    check_output(out, False, overwrite)
+    file = ResultsFile(out, 1)
+    with file.locked(shared=False):
+        file.discard()
+        file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
+        with contextlib.closing(file.writer()) as writer:
+            writer.write(
+                0, 0, {name: values for name, (_, values) in columns.items()}, None
+            )
+            writer.mark()
+        file.finish()
+
+
 class RowWriter:
     """A writer of rows to their places; marks chunks once their rows are on disk."""
 

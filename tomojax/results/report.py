@@ -101,17 +101,7 @@ def text(found: dict, path: Path) -> str:
         "contacts  rows",
         *(f"{k:>8s}  {c}" for k, c in found["rows_by_contacts"].items()),
     ]
-    lines.append(
-        f"{found['rows_doubted']} rows in doubt, {found['rows_without_answer']} without "
-        "an answer"
-    )
-    if found["rows_by_flag"]:
-        lines.append("flag                        rows  what it takes from them")
-    for name, count in found["rows_by_flag"].items():
-        flag = Flag[name]
-        level = flag.level.name.lower().replace("_", " ")
-        lines.append(f"{name:22s}  {count:8d}  {level}")
-        lines.append(f"    {flag.explanation}")
+    lines += flag_lines(found)
     if not found["forces"]:
         lines.append(NO_FORCE)
     if found["rows"]:
@@ -123,3 +113,17 @@ def text(found: dict, path: Path) -> str:
             f"{row['x_mm']:6.1f} {row['y_mm']:6.1f} {row['current_uA']:12.2f}"
         )
     return "\n".join([*lines, f"results: {path}"])
+
+
+def flag_lines(found: dict) -> list[str]:
+    """Formats how many rows are in doubt, and by which flags."""
+    silent = found["rows_without_answer"]
+    lines = [f"{found['rows_doubted']} rows in doubt, {silent} without an answer"]
+    if found["rows_by_flag"]:
+        lines.append("flag                        rows  what it takes from them")
+    for name, count in found["rows_by_flag"].items():
+        flag = Flag[name]
+        level = flag.level.name.lower().replace("_", " ")
+        lines.append(f"{name:22s}  {count:8d}  {level}")
+        lines.append(f"    {flag.explanation}")
+    return lines

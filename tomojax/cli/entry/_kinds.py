@@ -40,6 +40,18 @@ def _is_policy(path: Path) -> bool:
         return False
 
 
+def _is_calibration(path: Path) -> bool:
+    if not _head(path).startswith(b"\x89HDF"):
+        return _json(path).get("schema") == "tomojax-calibration"
+    from tomojax.files import open_container
+
+    try:
+        with open_container(path) as file:
+            return file.attributes.get("schema") == "tomojax-response"
+    except (OSError, ValueError):
+        return False
+
+
 # Kind: what a file of it is called, and whether a file is one.
 KINDS: dict[str, tuple[str, Callable[[Path], bool]]] = {
     "csv": ("a table of export", lambda path: b"t_s," in _head(path)[:20]),
@@ -51,10 +63,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], bool]]] = {
     "netcdf": ("a NetCDF file", lambda path: _head(path).startswith(b"\x89HDF")),
     "parquet": ("a Parquet file", lambda path: _head(path).startswith(b"PAR1")),
     "svg": ("an SVG picture", lambda path: b"<svg" in _head(path)),
-    "calibration": (
-        "a calibration",
-        lambda path: _json(path).get("schema") == "tomojax-calibration",
-    ),
+    "calibration": ("a calibration", _is_calibration),
     "order": ("an order of check", lambda path: b"channels = [" in _head(path)),
     "outlines": ("outlines", lambda path: _head(path).startswith(_OUTLINES)),
     "picture": ("a picture", _is_picture),

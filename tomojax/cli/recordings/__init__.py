@@ -9,5 +9,9 @@ from tomojax.cli.recordings._opened import (
     opened as opened,
     stretch as stretch,
 )
+from tomojax.cli.recordings._pairs import (
+    calibrate_pairs as calibrate_pairs,
+    is_pairs as is_pairs,
+)
 from tomojax.cli.recordings._reconstruct import reconstruct as reconstruct
 from tomojax.cli.recordings._repair import repair as repair

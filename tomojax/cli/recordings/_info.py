@@ -8,6 +8,7 @@ import click
 from tomojax._require import naming
 from tomojax.cli import entry
 from tomojax.cli.recordings._opened import layout_option, opened, stretch
+from tomojax.cli.recordings._pairs import info_pairs, is_pairs
 
 
 @click.command(cls=entry.Command)
@@ -27,6 +28,8 @@ def info(
 
     The command also looks for signs of wrong wiring.
     """
+    if is_pairs(rec):
+        return info_pairs(rec, json_path)
     from tomojax.bringup.signs import find_signs
     from tomojax.recordings import info
 

@@ -21,7 +21,7 @@ _TABLES = (".csv", ".tsv", ".txt")
 _ENDINGS = (".h5", ".hdf5", ".mat", ".tdms", ".npz", ".mcap", *_TABLES)
 
 # What lies beside them and is none.
-_OURS = (".results.h5", ".track.h5", ".adapted.h5")
+_OURS = (".results.h5", ".track.h5", ".adapted.h5", ".response.h5")
 
 # A table names the column of grounds in its first lines; exports and our own table do not.
 _HEAD = 1 << 14

@@ -10,6 +10,7 @@ from tomojax.cli import entry
 from tomojax.cli.recordings._many import reconstruct_all
 from tomojax.cli.recordings._one import reconstruct_one
 from tomojax.cli.recordings._opened import layout_option
+from tomojax.cli.recordings._pairs import is_pairs, reconstruct_pairs
 
 # Where results of several recordings go.
 _FOLDER = Path("tomojax-results")
@@ -119,7 +120,13 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     makes the same file as an unbroken run. To share the work, run one command on each of
     several machines that share a folder. Give each command the same --coordinator and
     --processes. Start a killed command again with --resume.
+
+    Each frame of a recording of kind conductivity gives the place of one press: by the
+    response that `tomojax calibrate` learned, or by the nominal sheet.
     """
+    if not _several(rec) and is_pairs(rec[0]):
+        assert out is not None
+        return reconstruct_pairs(rec[0], out, options)
     method = options["method"]
     entry.check_name("--method", method or entry.METHODS[0], (*entry.METHODS, "follow"))
     if _several(rec):

@@ -5,9 +5,17 @@ from typing import Any
 
 import click
 
-from tomojax._require import naming
+from tomojax._require import naming, require
 from tomojax.cli import entry
-from tomojax.cli.recordings import layout_option, opened, stretch
+from tomojax.cli.recordings import (
+    calibrate_pairs,
+    is_pairs,
+    layout_option,
+    opened,
+    stretch,
+)
+
+_FRAMES = 1000
 
 
 @click.command(cls=entry.Command)
@@ -25,8 +33,21 @@ from tomojax.cli.recordings import layout_option, opened, stretch
 @click.option(
     "--frames",
     type=int,
-    default=1000,
-    help="Use this many frames of ten slots at most.",
+    help="Use this many frames at most, of ten slots each. [default: 1000; all of a "
+    "recording of kind conductivity]",
+)
+@click.option(
+    "--response",
+    is_flag=True,
+    help="Learn the response from place to voltages: what is done with a recording of kind "
+    "conductivity.",
+)
+@click.option(
+    "--places",
+    "known",
+    metavar="N|none|all",
+    help="Use the first N of the places that a recording of kind conductivity has. "
+    "[default: all]",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the calibration that is there.")
 @entry.picture_option("the sheet and electrodes")
@@ -34,7 +55,7 @@ from tomojax.cli.recordings import layout_option, opened, stretch
 @layout_option
 @entry.stretch_options
 def calibrate(
-    rec: Path, places: Path | None, out: Path, frames: int, **options: Any
+    rec: Path, places: Path | None, out: Path, frames: int | None, **options: Any
 ) -> None:
     """Calibrate the rig from REC, a recording of a rub.
 
@@ -45,11 +66,18 @@ def calibrate(
     PLACES, where you have them, gives x and y in metres of each slot or each scan. PLACES
     is a .csv file, or an .npz file that holds `xy`. `tomojax reconstruct --calibration`
     uses the result.
+
+    A recording of kind conductivity teaches its response, with known places or without.
     """
     if out.exists() and not options["overwrite"]:
         raise ValueError(f"{out}: is there already; give another -o, or --overwrite")
-    if frames < 16:
+    if frames is not None and frames < 16:
         raise ValueError(f"frames: got {frames}, expected 16 or more")
+    if is_pairs(rec):
+        return calibrate_pairs(rec, places, out, frames, options)
+    for name in ("response", "known"):
+        wanted = f"{rec}, of kind 'contact'", "a recording of kind 'conductivity'"
+        require(not options[name], f"--{name.replace('known', 'places')}", *wanted)
 
     with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
@@ -62,7 +90,7 @@ def calibrate(
         older = Calibration.load(before, recording.electrodes) if before else None
         with entry.Progress() as progress, naming(rec):
             found = room.calibrated_recording(
-                recording, told, frames, calibration=older, progress=progress.say
+                recording, told, frames or _FRAMES, calibration=older, progress=progress.say
             )
     found.calibration.save(out)
     print(room.text(sensor, found))
@@ -74,4 +102,5 @@ def calibrate(
 
 
 def _calibration_of(rec: Path) -> Path:
-    return rec.with_name(rec.stem + ".calibration.json")
+    ending = ".response.h5" if is_pairs(rec) else ".calibration.json"
+    return rec.with_name(rec.stem + ending)
