@@ -113,7 +113,7 @@ class PairRecording:
     @property
     def bad(self) -> Bool[np.ndarray, "n C R"]:
         """Tells which readings are no numbers."""
-        return np.asarray(np.isnan(self.voltages))
+        return self.voltages != self.voltages
 
     @property
     def known(self) -> Bool[np.ndarray, " n"]:

@@ -9,9 +9,6 @@ from click.core import ParameterSource
 from tomojax._require import naming, require
 from tomojax.cli import entry
 
-# Frames whose stated deviations `calibrate` sums up.
-_SOME = 500
-
 
 def is_pairs(rec: Path) -> bool:
     """Tells whether a file is a recording of current between pairs of electrodes."""
@@ -83,13 +80,13 @@ def calibrate_pairs(
         told = None if places is None else read_places(places)
         given = {"known": told, "frames": frames, "progress": progress.say}
         response = ert.learn(recording, **given)
-        some = response.locate(recording.voltages[:_SOME])
+        found = response.locate(recording.voltages)
     response.save(out)
     known = recording.known if told is None else np.isfinite(told).all(1)
     row = {
         "frames": min(len(recording.voltages), frames or len(recording.voltages)),
         "places_known": int(known.sum()),
-        "deviation_median_mm": ert.summary_located(recording, some)["deviation_median_mm"],
+        "deviation_median_mm": ert.summary_located(recording, found)["deviation_median_mm"],
     }
     told = "not told" if row["deviation_median_mm"] is None else ""
     told = told or f"{row['deviation_median_mm']:.3g} mm in the median"

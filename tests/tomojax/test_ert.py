@@ -1,0 +1,259 @@
+"""Pairs of electrodes: their voltages against closed forms, their recordings and commands."""
+
+from pathlib import Path
+
+import h5py
+import jax
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import tomojax as tx
+from tomojax.cli.app import app
+from tomojax.ert import PairRecording, Pairs
+
+RADIUS = 0.05
+
+
+def rim(count: int) -> np.ndarray:
+    angle = 2 * np.pi * (np.arange(count) + 0.3) / count
+    return RADIUS * np.stack([np.cos(angle), np.sin(angle)], 1)
+
+
+def disc(count: int = 8, diameter: float = 0.005, **others) -> tx.Sensor:
+    given = {"electrode_diameter": diameter, "sheet_resistance": 100.0} | others
+    return tx.Sensor.disc(2 * RADIUS, rim(count) + RADIUS, dtype=float, **given)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> PairRecording:
+    """Presses at known places: frames of the physics itself, some noise."""
+    rng = np.random.default_rng(1)
+    pairs, sensor = Pairs.opposite(8), disc(diameter=0.01)
+    places = 0.03 * rng.uniform(-1, 1, (40, 2))
+    volts = np.asarray(tx.ert.sensitivities(sensor, pairs, places + RADIUS))
+    volts = volts * (1 + 0.01 * rng.normal(size=volts.shape))
+    outline = tx.recordings.Outline("disc", 2 * RADIUS)
+    return PairRecording(volts, pairs, rim(8), 0.01, outline=outline, places=places)
+
+
+def test_opposite_pairs_are_those_of_a_measured_skin(shared_data) -> None:
+    with h5py.File(shared_data / "skin_nopattern.h5") as file:
+        inject, read = file["conditions/inject"][:], file["conditions/read"][:]
+    pairs = Pairs.opposite(16)
+    assert (pairs.inject == inject).all()
+    for ours, theirs in zip(pairs.read.tolist(), read.tolist()):
+        assert sorted(ours) == sorted(theirs)
+
+
+@pytest.mark.parametrize(
+    "inject, read, told",
+    [
+        ([[0, 0]], [[[1, 2]]], "inject: got one electrode twice"),
+        ([[0, 1]], [[[1, 2]], [[1, 2]]], "read: got 2 conditions"),
+        ([[0, 1]], [[1, 2]], "read: got shape"),
+        ([[0, -1]], [[[1, 2]]], "inject: got"),
+        ([[0, 1]], [[[1, 2.5]]], "read: got"),
+    ],
+)
+def test_pairs_that_are_none_are_refused(inject, read, told) -> None:
+    with pytest.raises(ValueError, match=told):
+        Pairs(inject, read)
+    with pytest.raises(ValueError, match="read: got electrode 8, expected 0 to 7"):
+        tx.ert.background(disc(), Pairs([[0, 1]], [[[7, 8]]]))
+
+
+def test_voltages_and_slopes_are_the_closed_form_of_points_on_a_rim() -> None:
+    # u = (ρ/π)·ln(1/|x − e|) of balanced currents: an electrode and its image coincide.
+    sensor, pairs = disc(diameter=0.003), Pairs.opposite(8)
+    apart = np.sqrt(((rim(8)[:, None] - rim(8)) ** 2).sum(-1)) + np.eye(8)
+    table = -100.0 / np.pi * np.log(apart)
+    wanted = np.array(
+        [
+            [
+                table[p, a] - table[p, b] - table[m, a] + table[m, b]
+                for p, m in pairs.read[c]
+            ]
+            for c, (a, b) in enumerate(pairs.inject)
+        ]
+    )
+    got = np.asarray(tx.ert.background(sensor, pairs))
+    assert abs(got - wanted).max() < 0.01 * abs(wanted).max()
+    places = np.array([[0.0, 0.0], [0.02, -0.01], [-0.015, 0.03]])
+    away = places[:, None] - rim(8)
+    slopes = -100.0 / np.pi * away / (away**2).sum(-1, keepdims=True)
+    currents = slopes[:, pairs.inject[:, 0]] - slopes[:, pairs.inject[:, 1]]
+    reads = slopes[:, pairs.read[..., 0]] - slopes[:, pairs.read[..., 1]]
+    wanted = -(reads * currents[:, :, None]).sum(-1)
+    got = np.asarray(tx.ert.sensitivities(sensor, pairs, places + RADIUS))
+    assert abs(got - wanted).max() < 0.02 * abs(wanted).max()
+
+
+@pytest.mark.parametrize("shunt", [None, 0.8])
+def test_the_jacobian_is_the_derivative_of_the_voltages(shunt, rng) -> None:
+    # Readings on driven electrodes too: their own resistances follow the sheet.
+    sensor = disc(4, 0.02, electrode_shunt=shunt)
+    pairs = Pairs([[0, 2], [1, 2]], [[[1, 3], [0, 3]], [[0, 3], [1, 2]]])
+    found = np.asarray(tx.ert.jacobian(sensor, pairs))
+    way = rng.normal(size=sensor.divisions)
+    step = 1e-4 / 100.0
+
+    def volts(part: float) -> np.ndarray:
+        sheet = 1 / 100.0 + part * step * np.repeat(way[..., None], 2, -1).ravel()
+        changed = sensor.on_mesh(sensor.divisions, 1 / sheet)
+        return np.asarray(tx.ert.background(changed, pairs))
+
+    slope = (8 * (volts(1) - volts(-1)) - volts(2) + volts(-2)) / (12 * step)
+    told = (found * way).sum((2, 3))
+    assert abs(told - slope).max() < 1e-6 * abs(slope).max()
+
+
+def test_a_place_counts_as_its_cell_does_and_a_curved_sheet_as_a_flat_one() -> None:
+    pairs, sensor = Pairs.opposite(8), disc()
+    cells = np.array(sensor.divisions)
+    at = np.array([[cells[0] // 2, cells[1] // 3]])
+    side = np.asarray(sensor.size) / cells
+    by_place = np.asarray(tx.ert.sensitivities(sensor, pairs, (at + 0.5) * side))[0]
+    by_cell = np.asarray(tx.ert.jacobian(sensor, pairs))[:, :, at[0, 0], at[0, 1]]
+    assert abs(by_place * side.prod() - by_cell).max() < 0.01 * abs(by_cell).max()
+    # A chart that is twice as long along x as the sheet.
+    places = np.array([[0.02, 0.02], [0.03, 0.05]])
+    electrodes = np.array([[0.01, 0.01], [0.05, 0.01], [0.05, 0.07], [0.01, 0.07]])
+    pairs = Pairs([[0, 2]], [[[1, 3]]])
+    flat = tx.Sensor([0.06, 0.08], electrodes, divisions=(24, 32), dtype=float)
+    long = tx.Sensor(
+        [0.12, 0.08],
+        electrodes * [2, 1],
+        surface=lambda p: jax.numpy.stack([p[..., 0] / 2, p[..., 1], 0 * p[..., 0]], -1),
+        divisions=(24, 32),
+        dtype=float,
+    )
+    one = np.asarray(tx.ert.sensitivities(flat, pairs, places))
+    other = np.asarray(tx.ert.sensitivities(long, pairs, places * [2, 1]))
+    np.testing.assert_allclose(other, one, rtol=1e-6)
+
+
+def test_a_recording_comes_back(recorded, tmp_path) -> None:
+    path = tmp_path / "skin.h5"
+    recorded.save(path)
+    back = tx.ert.load(path)
+    np.testing.assert_allclose(back.voltages, recorded.voltages, rtol=1e-6)
+    np.testing.assert_array_equal(back.places, recorded.places)
+    assert (back.pairs.read == recorded.pairs.read).all() and not back.magnitude
+    assert back.knowing(3).known.sum() == 3 and back.knowing(0).known.sum() == 0
+    sensor = back.sensor()
+    assert np.asarray(sensor.on_sheet(back.places - back.origin)).all()
+    with h5py.File(path, "r+") as file:  # another order of slots, a hole, a word
+        file["v"][0] = file["v"][0][::-1]
+        file["condition"][0] = file["condition"][0][::-1]
+        file["v"][1, 2, 3] = np.inf
+        file.attrs["units"] = "change of the magnitude"
+        del file.attrs["magnitude"]
+    again = tx.ert.load(path)
+    np.testing.assert_array_equal(again.voltages[0], back.voltages[0])
+    assert np.argwhere(again.bad).tolist() == [[1, 2, 3]] and again.magnitude
+
+
+def break_file(file: h5py.File, name: str) -> None:
+    if name == "kind":
+        file.attrs["kind"] = "contact"
+    elif name == "electrode_diameter":
+        del file.attrs[name]
+    elif name == "v":
+        values = file["v"][:, :, 1:]
+        del file["v"]
+        file["v"] = values
+    elif name == "places":
+        values = file["places"][1:]
+        del file["places"]
+        file["places"] = values
+    elif name == "condition":
+        file["condition"][0, 0] = 99
+    else:
+        del file[name]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["kind", "electrode_diameter", "v", "places", "condition", "t0", "conditions/read"],
+)
+def test_bad_files_are_told_in_a_line(recorded, tmp_path, name) -> None:
+    path = tmp_path / "skin.h5"
+    recorded.save(path)
+    with h5py.File(path, "r+") as file:
+        break_file(file, name)
+    with pytest.raises(ValueError, match=f"^{path}: {name}: got .*, expected .*") as told:
+        tx.ert.load(path)
+    assert "\n" not in str(told.value)
+
+
+def test_reciprocity_and_faults_are_told(recorded) -> None:
+    pairs = Pairs.adjacent(8)
+    assert len(pairs.exchanged()) == 8 * 5 / 2
+    assert not len(Pairs.opposite(16).exchanged())
+    volts = np.asarray(tx.ert.background(disc(), pairs))[None] * np.ones((3, 1, 1))
+    volts[:, 0] *= 1.1 + 0.01 * np.arange(3)[:, None]
+    volts[0, 1, 2] = np.nan
+    outline = tx.recordings.Outline("disc", 2 * RADIUS)
+    recording = PairRecording(volts, pairs, rim(8), 0.005, outline=outline)
+    found = tx.ert.summary(recording)
+    assert found["reciprocity"] < 1e-6  # all but five of twenty
+    assert len(found["never_change"]) == 7 * 5 - 1 and found["bad_readings"] == 1
+    text = tx.ert.info_text(Path("skin.h5"), found)
+    assert "8 injections × 5 readings" in text and "34 readings never change" in text
+
+
+def run(*words: str | Path) -> str:
+    done = CliRunner().invoke(app, ["--no-cache", *map(str, words)])
+    if done.exception is not None:
+        raise done.exception
+    return done.output
+
+
+def test_commands_calibrate_and_locate(recorded, tmp_path) -> None:
+    path, out, cal = (tmp_path / f"{n}.h5" for n in ("skin", "out", "cal"))
+    recorded.save(path)
+    assert "40 frames of 8 injections × 4 readings" in run("info", path)
+    told = run("calibrate", path, "-o", cal, "--response", "--places", "30")
+    assert "30 at known places" in told and "stated deviation" in told
+    told = run("reconstruct", path, "--calibration", cal, "-o", out)
+    assert "places known of 40: off by" in told
+    with tx.results.LoadedResults(out) as results:
+        assert results.rows == 40 and results.attributes["method"] == "response"
+        off = results["contact_xy"][:, 0] - recorded.places
+        assert np.isfinite(results["contact_covariance"]).all()
+    assert np.median(np.sqrt((off**2).sum(1))) < 0.005
+    run("export", out)
+    with pytest.raises(ValueError, match="a file, expected a new name, or --overwrite"):
+        run("reconstruct", path, "-o", out)
+    told = run("reconstruct", path, "-o", out, "--overwrite")
+    assert "off by" in told
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (["track", "REC"], "schema"),
+        (["check", "REC"], "kind: got 'conductivity', expected 'contact'; info, cal"),
+        (["repair", "REC", "-o", "new.h5"], "kind: got 'conductivity'"),
+        (["reconstruct", "REC", "--lam", "3"], "--lam: recordings of kind conduct"),
+        (["calibrate", "REC", "--places", "x"], "--places: got 'x', expected a number"),
+        (["calibrate", "REC", "--places", "99"], "places: got 99, expected 0 to 40"),
+    ],
+)
+def test_what_a_command_does_not_take_is_said(recorded, tmp_path, words, told) -> None:
+    path = tmp_path / "skin.h5"
+    recorded.save(path)
+    with pytest.raises(ValueError, match=told):
+        run(*(path if word == "REC" else word for word in words))
+
+
+def test_the_nominal_sheet_places_measured_presses(shared_data, tmp_path) -> None:
+    path = shared_data / "skin_nopattern.h5"
+    with h5py.File(path) as file:
+        places = file["places"][:100]
+        recording = tx.ert.load(path)
+        few = recording.voltages[:100]
+    found = tx.ert.nominal(recording).locate(few)
+    error = np.sqrt(((found.xy - places) ** 2).sum(1))
+    assert np.median(error) < 0.012  # always the centre: 27 mm
