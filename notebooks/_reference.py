@@ -21,6 +21,7 @@ ROOMS = {
     "tomojax.methods": "the ladder of models",
     "tomojax.step": "one slot in, contacts and the next ground out",
     "tomojax.recordings": "files of measured scans",
+    "tomojax.ert": "current between pairs of electrodes, on a sheet that changes",
     "tomojax.results": "recordings to results, tracks, reports, plots",
     "tomojax.calibration": "a rig's true values",
     "tomojax.bringup": "faults of a new rig",

@@ -65,7 +65,7 @@ def test_pairs_that_are_none_are_refused(inject, read, told) -> None:
 
 def test_voltages_and_slopes_are_the_closed_form_of_points_on_a_rim() -> None:
     # u = (ρ/π)·ln(1/|x − e|) of balanced currents: an electrode and its image coincide.
-    sensor, pairs = disc(diameter=0.003), Pairs.opposite(8)
+    sensor, pairs = disc(), Pairs.opposite(8)
     apart = np.sqrt(((rim(8)[:, None] - rim(8)) ** 2).sum(-1)) + np.eye(8)
     table = -100.0 / np.pi * np.log(apart)
     wanted = np.array(
@@ -86,7 +86,7 @@ def test_voltages_and_slopes_are_the_closed_form_of_points_on_a_rim() -> None:
     reads = slopes[:, pairs.read[..., 0]] - slopes[:, pairs.read[..., 1]]
     wanted = -(reads * currents[:, :, None]).sum(-1)
     got = np.asarray(tx.ert.sensitivities(sensor, pairs, places + RADIUS))
-    assert abs(got - wanted).max() < 0.02 * abs(wanted).max()
+    assert abs(got - wanted).max() < 0.01 * abs(wanted).max()
 
 
 @pytest.mark.parametrize("shunt", [None, 0.8])
@@ -108,14 +108,17 @@ def test_the_jacobian_is_the_derivative_of_the_voltages(shunt, rng) -> None:
     assert abs(told - slope).max() < 1e-6 * abs(slope).max()
 
 
-def test_a_place_counts_as_its_cell_does_and_a_curved_sheet_as_a_flat_one() -> None:
-    pairs, sensor = Pairs.opposite(8), disc()
+def test_a_place_counts_as_its_cell_does() -> None:
+    pairs, sensor = Pairs.opposite(8), disc(diameter=0.01)
     cells = np.array(sensor.divisions)
     at = np.array([[cells[0] // 2, cells[1] // 3]])
     side = np.asarray(sensor.size) / cells
     by_place = np.asarray(tx.ert.sensitivities(sensor, pairs, (at + 0.5) * side))[0]
     by_cell = np.asarray(tx.ert.jacobian(sensor, pairs))[:, :, at[0, 0], at[0, 1]]
     assert abs(by_place * side.prod() - by_cell).max() < 0.01 * abs(by_cell).max()
+
+
+def test_a_curved_sheet_is_its_lengths_in_space() -> None:
     # A chart that is twice as long along x as the sheet.
     places = np.array([[0.02, 0.02], [0.03, 0.05]])
     electrodes = np.array([[0.01, 0.01], [0.05, 0.01], [0.05, 0.07], [0.01, 0.07]])
@@ -130,7 +133,7 @@ def test_a_place_counts_as_its_cell_does_and_a_curved_sheet_as_a_flat_one() -> N
     )
     one = np.asarray(tx.ert.sensitivities(flat, pairs, places))
     other = np.asarray(tx.ert.sensitivities(long, pairs, places * [2, 1]))
-    np.testing.assert_allclose(other, one, rtol=1e-6)
+    np.testing.assert_allclose(other, one, rtol=1e-3)
 
 
 def test_a_recording_comes_back(recorded, tmp_path) -> None:
@@ -223,7 +226,7 @@ def test_commands_calibrate_and_locate(recorded, tmp_path) -> None:
         off = results["contact_xy"][:, 0] - recorded.places
         assert np.isfinite(results["contact_covariance"]).all()
     assert np.median(np.sqrt((off**2).sum(1))) < 0.005
-    run("export", out)
+    run("export", out, "--to", "csv", "-o", tmp_path / "out.csv")
     with pytest.raises(ValueError, match="a file, expected a new name, or --overwrite"):
         run("reconstruct", path, "-o", out)
     told = run("reconstruct", path, "-o", out, "--overwrite")
