@@ -1,4 +1,4 @@
-"""Pairs of electrodes: their voltages against closed forms, their recordings and commands."""
+"""Pairs of electrodes: voltages against closed forms, recordings, commands."""
 
 from pathlib import Path
 
