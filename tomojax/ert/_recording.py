@@ -113,14 +113,14 @@ class PairRecording:
     @property
     def bad(self) -> Bool[np.ndarray, "n C R"]:
         """Tells which readings are no numbers."""
-        return self.voltages != self.voltages
+        return ~np.isfinite(self.voltages)
 
     @property
     def known(self) -> Bool[np.ndarray, " n"]:
         """Tells of which frames the place is known."""
         if self.places is None:
             return np.zeros(len(self.voltages), bool)
-        return np.isfinite(self.places).all(1)
+        return np.isfinite(self.places.sum(1))
 
     def knowing(self, count: int) -> "PairRecording":
         """Returns the recording with the first `count` of its places alone."""
