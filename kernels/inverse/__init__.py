@@ -19,5 +19,11 @@ from tomojax.kernels.inverse._lambda import (
     Spectrum as Spectrum,
     spectrum as spectrum,
 )
+from tomojax.kernels.inverse._smooth_map import (
+    place_scores as place_scores,
+    shrunk_covariance as shrunk_covariance,
+    smooth_map as smooth_map,
+    SmoothMap as SmoothMap,
+)
 from tomojax.kernels.inverse._tikhonov import SolveRoute as SolveRoute, tikhonov as tikhonov
 from tomojax.kernels.inverse._variance import variance_components as variance_components

@@ -1,93 +1,367 @@
-"""Stands in for the learned response: the nearest frame that was seen, or column."""
+"""Learns a skin's own response to presses, and places presses by it.
+
+A response is a smooth map from places to readings (`kernels.inverse.smooth_map`), at
+candidate places, with the covariance of what readings scatter about it. Readings v count as
+asinh(v/2s), with s their usual size: errors of large readings grow with the readings.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
 from tomojax._whole import whole
+from tomojax.ert._learning import (
+    by_columns,
+    learn_places,
+    learned,
+    Learned,
+    place,
+    place_by_physics,
+    Posterior,
+)
 from tomojax.ert._recording import PairRecording
+from tomojax.ert._sheet_change import background, sensitivities
 from tomojax.files import open_container
 from tomojax.kernels.flags import Flag
 
 SCHEMA = "tomojax-response"
+
+_CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
+_LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
+_UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
+_LABELLED = 1800  # likewise of places that stay where they are
+_LEAST_KNOWN = 20  # a share of 68 % of fewer is known to no better than 10 %
+_STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
+_QUIET = 0.25  # of a usual press's strength: nothing presses
+# χ² with two degrees of freedom has 68.27 % of its values below this one.
+_WITHIN = 2.298
 
 
 class Located(NamedTuple):
     """Places of n frames, m, as the recording has them."""
 
     xy: Float[np.ndarray, "n 2"]
-    covariance: Float[np.ndarray, "n 2 2"]
-    strength: Float[np.ndarray, " n"]
-    residual: Float[np.ndarray, " n"]
-    flags: Integer[np.ndarray, " n"]
+    covariance: Float[np.ndarray, "n 2 2"]  # m²
+    strength: Float[np.ndarray, " n"]  # of the press, over the usual press's there
+    residual: Float[np.ndarray, " n"]  # rms, in standard deviations of the readings
+    flags: Integer[np.ndarray, " n"]  # bits of `Flag`
 
 
-class Response(NamedTuple):
-    """Unit voltages and their places."""
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What a skin's readings are for a press at each of G candidate places.
 
-    voltages: Float[np.ndarray, "k N"]
-    xy: Float[np.ndarray, "k 2"]
+    - `at` (G, 2): the candidates, m. `readings` (G, K): the map there, of asinh(v/2s) with
+      the usual sizes `scale` s (C·R,); columns of the physics, of frames of norm 1, where
+      `known` is −1. `spread` (G,): the map's variance, over a reading's noise.
+    - `whitener` (K, K): W with WᵀW the inverse of the errors' covariance.
+    - `limit`: the largest χ² of a reading that a lone press leaves.
+    - `widen`: what stated covariances are multiplied by, from known places.
+    - `known`: the number of places that it was learned with.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> recording = tx.ert.load("skin.h5")  # doctest: +SKIP
+    >>> response = tx.ert.learn(recording)  # doctest: +SKIP
+    >>> response.locate(recording.voltages).xy.shape  # doctest: +SKIP
+    (1800, 2)
+    """
+
+    at: Float[np.ndarray, "G 2"]
+    readings: Float[np.ndarray, "G K"]
+    spread: Float[np.ndarray, " G"]
+    whitener: Float[np.ndarray, "K K"]
+    scale: Float[np.ndarray, " N"]
+    limit: float
+    widen: float
+    known: int
+
+    @property
+    def used(self) -> Bool[np.ndarray, " N"]:
+        """Tells which readings count: the others never changed, or are no numbers."""
+        return np.asarray(self.scale > 0)
 
     def save(self, path: Path | str) -> None:
+        """Writes the response to a file (HDF5)."""
         import h5py
 
         with whole(path) as part, h5py.File(part, "w") as file:
             file.attrs["schema"] = SCHEMA
-            for name, values in self._asdict().items():
-                file[name] = values
+            for field in fields(self):
+                file[field.name] = getattr(self, field.name)
 
     @classmethod
     def load(cls, path: Path | str) -> "Response":
+        """Reads what `save` wrote.
+
+        **Raises:** `ValueError` for a file that is no response.
+        """
         with open_container(path) as file:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
-            return cls(file.read_whole("voltages"), file.read_whole("xy"))
+            read = {field.name: file.read_whole(field.name) for field in fields(cls)}
+        numbers = {"limit": float, "widen": float, "known": int}
+        return cls(**read | {name: kind(read[name]) for name, kind in numbers.items()})
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
-        flat = np.nan_to_num(voltages).reshape(len(voltages), -1)
-        size = np.linalg.norm(flat, axis=1)
-        alike = flat / np.maximum(size, 1e-30)[:, None] @ self.voltages.T
-        best = alike.argmax(1)
-        flags = np.where(size > 0, 0, Flag.NO_CONTACT.value).astype(np.uint32)
-        covariance = np.broadcast_to(1e-5 * np.eye(2), (len(flat), 2, 2))
-        left = np.sqrt(np.maximum(1 - alike.max(1) ** 2, 0))
-        return Located(self.xy[best], covariance, size, left, flags)
+        """Places one press a frame: the mean over candidates by their probabilities.
+
+        A frame that no usual press explains is tried as a weaker and as a stronger one;
+        `HIGH_RESIDUAL` then says that no lone press explains it. `PLACE_UNCERTAIN` is on
+        every row where too few places were known to say how far places are off.
+
+        **Raises:** `ValueError` for readings that are not the response's.
+        """
+        flat = np.asarray(voltages, float).reshape(len(voltages), -1)
+        shown = f"{flat.shape[1]} a frame"
+        require(flat.shape[1] == len(self.scale), "v", shown, len(self.scale))
+        flat = flat[:, self.used]
+        missing = ~np.isfinite(flat)
+        filled = np.where(missing, 0.0, flat)
+        found, strength = self._placed(filled)
+        if missing.any():  # a reading that is missing is as the press there has it
+            usual = self._voltages(found, strength, filled)
+            found, strength = self._placed(np.where(missing, usual, filled))
+        flags = np.zeros(len(flat), np.uint32)
+        flags[np.asarray(found.chi2) > self.limit] |= Flag.HIGH_RESIDUAL.value
+        flags[strength < _QUIET] = Flag.NO_CONTACT.value
+        if self.known < _LEAST_KNOWN:
+            flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
+        flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
+        flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
+        covariance = self.widen * np.asarray(found.covariance, float)
+        residual = np.sqrt(np.asarray(found.chi2, float))
+        return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
+
+    def _placed(
+        self, flat: Float[np.ndarray, "n K"]
+    ) -> tuple[Posterior, Float[np.ndarray, " n"]]:
+        if self.known < 0:
+            size = np.linalg.norm(flat, axis=1, keepdims=True)
+            unit = np.asarray(flat / np.where(size > 0, size, 1), self.at.dtype)
+            found, strength = by_columns(unit, self.readings, self.whitener, self.at)
+            usual = self.scale[self.used][0]  # the norm of a usual frame
+            return found, np.asarray(strength[:, 0] > 0) * size[:, 0] / usual
+        found = self._by_map(flat)
+        poor = np.flatnonzero(np.asarray(found.chi2) > self.limit)
+        for strength in _STRENGTHS if len(poor) else ():
+            other = self._by_map(flat[poor] / strength)
+            better = np.asarray(other.chi2) < np.asarray(found.chi2)[poor]
+            put = [np.array(field) for field in found]
+            for mine, new in zip(put, other, strict=True):
+                mine[poor[better]] = np.asarray(new)[better]
+            found = Posterior(*put)
+        usual = self._voltages(found)
+        weight = 1 / self.scale[self.used] ** 2
+        product = np.sum(flat * usual * weight, 1)
+        return found, product / np.maximum(np.sum(usual**2 * weight, 1), 1e-30)
+
+    def _by_map(self, flat: Float[np.ndarray, "n K"]) -> Posterior:
+        values = _compressed(flat, self.scale[self.used]).astype(self.at.dtype)
+        return place(values, self.readings, self.spread, self.whitener, self.at)
+
+    def _voltages(self, found: Posterior, *scaled: np.ndarray) -> np.ndarray:
+        """Returns what the found presses' readings are."""
+        mapped = np.asarray(self.readings, float)[np.asarray(found.best)]
+        if self.known < 0:
+            size = np.linalg.norm(scaled[1], axis=1) if scaled else np.ones(len(mapped))
+            norm = np.linalg.norm(mapped, axis=1)
+            return mapped * (size / np.maximum(norm, 1e-30))[:, None]
+        usual = 2 * self.scale[self.used] * np.sinh(mapped)
+        return usual * scaled[0][:, None] if scaled else usual
+
+
+def nominal(recording: PairRecording) -> Response:
+    """Takes the physics of the sheet for the response; learns the readings' errors alone.
+
+    A press is one local change of the sheet's conductance, of any strength; the change's
+    sign is the likelier one.
+    """
+    return _nominal(recording, _usable(recording))[0]
 
 
 def learn(
     recording: PairRecording,
     *,
-    known: np.ndarray | None = None,
-    frames: int | None = None,
+    places: int | None = None,
     progress: Callable[[str], None] | None = None,
+    dtype: type = np.float32,
 ) -> Response:
-    where = recording.places if known is None else known
-    if where is None or not np.isfinite(where).all(1).any():
-        return nominal(recording)
-    some = np.flatnonzero(np.isfinite(where).all(1))[:frames]
-    return _of(recording.voltages[some], where[some])
+    """Learns a skin's response from presses, one a frame, at known or unknown places.
 
+    Presses without a place are placed by the physics first, then by maps that other presses
+    make, in rounds. Nothing then tells turns, mirrors and smooth warps of the whole from
+    the truth but the physics, and a few known places.
 
-def nominal(recording: PairRecording) -> Response:
-    from tomojax.ert._sheet_change import background, sensitivities
-
-    sensor = recording.sensor()
-    points = np.stack(
-        np.meshgrid(*(np.linspace(0, s, 17)[1:-1] for s in recording.box)), -1
+    **Arguments:** `places`: how many of the recording's places it may use, all by default.
+    `progress` is called with a text, round by round.
+    **Raises:** `ValueError` for fewer than twenty presses.
+    """
+    if places is not None:
+        recording = recording.knowing(places)
+    use = _usable(recording)
+    flat = recording.voltages.reshape(len(recording.voltages), -1)
+    random = np.random.default_rng(0)
+    pressed = use.frames & (_size(flat, use.scale) > _QUIET)
+    known, free = pressed & recording.known, pressed & ~recording.known
+    chosen = np.concatenate(
+        [
+            random.permutation(np.flatnonzero(known))[:_LABELLED],
+            random.permutation(np.flatnonzero(free))[:_UNLABELLED],
+        ]
     )
-    points = points.reshape(-1, 2)
-    points = points[np.asarray(sensor.on_sheet(points))]
-    columns = np.array(sensitivities(sensor, recording.pairs, points))
+    chosen.sort()
+    fewest = 20
+    require(len(chosen) >= fewest, "v", f"{len(chosen)} presses", f"at least {fewest}")
+    told = recording.known[chosen]
+    model, start = _nominal(recording, use, chosen)
+    at, width = model.at.astype(dtype), np.asarray(max(recording.box), dtype)
+    values = _compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
+    values = values.astype(dtype)
+    xy, deviation = np.array(start.xy, dtype), np.asarray(start.deviation, dtype)
+    # Candidates have a spacing: no place is more certain than a cell.
+    deviation = np.maximum(deviation, width / _CANDIDATES)
+    if told.any():
+        xy[told], deviation[told] = recording.places[chosen][told], 0
+    xy, deviation = learn_places(values, xy, deviation, at, width, progress)
+
+    def best(of: np.ndarray) -> Learned:
+        lengths = [np.asarray(share * width, dtype) for share in _LENGTHS]
+        made = [learned(xy[of], values[of], deviation[of], at, one) for one in lengths]
+        return max(made, key=lambda one: float(one.map.evidence))
+
+    everything = np.arange(len(chosen))
+    final = best(everything)
+    response = Response(
+        at=at,
+        readings=np.asarray(final.map.readings),
+        spread=np.asarray(final.map.spread),
+        whitener=np.asarray(final.whitener),
+        scale=use.scale,
+        limit=np.inf,
+        widen=1.0,
+        known=int(told.sum()),
+    )
+    return _judged(response, recording, chosen, told, best)
+
+
+def _judged(
+    response: Response,
+    recording: PairRecording,
+    chosen: np.ndarray,
+    told: np.ndarray,
+    best: Callable[[np.ndarray], Learned],
+) -> Response:
+    """Sets the limits of χ² and the stated covariances by frames that a map has not seen."""
+    found, places = [], []
+    random = np.random.default_rng(1)
+    order = random.permutation(len(chosen))
+    for part in (0, 1):
+        by = best(order[part::2])
+        other = replace(
+            response,
+            readings=np.asarray(by.map.readings),
+            spread=np.asarray(by.map.spread),
+            whitener=np.asarray(by.whitener),
+        )
+        unseen = order[1 - part :: 2]
+        found.append(other.locate(recording.voltages[chosen[unseen]]))
+        places.append(unseen)
+    chi2 = np.concatenate([one.residual for one in found]) ** 2
+    # The half maps are poorer than the whole one; one frame in a hundred is let go.
+    response = replace(response, limit=float(np.quantile(chi2, 0.99)))
+    unseen = np.concatenate(places)
+    if told.sum() < _LEAST_KNOWN:
+        return response
+    xy = np.concatenate([one.xy for one in found])
+    covariance = np.concatenate([one.covariance for one in found])
+    known = told[unseen]
+    away = (xy - recording.places[chosen[unseen]])[known] if known.any() else xy[:0]
+    own = covariance[known] + (np.ptp(response.at[:, 0]) / _CANDIDATES) ** 2 / 12 * np.eye(2)
+    squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(own), away)
+    return replace(response, widen=float(np.quantile(squares, 0.6827) / _WITHIN))
+
+
+class _Usable(NamedTuple):
+    """Which frames are whole, and the usual size of each reading, 0 where it says nothing."""
+
+    frames: Bool[np.ndarray, " n"]
+    scale: Float[np.ndarray, " N"]
+
+
+def _usable(recording: PairRecording) -> _Usable:
+    flat = recording.voltages.reshape(len(recording.voltages), -1)
+    dead = np.isnan(flat).mean(0) > 0.5
+    middle = np.nanmedian(np.where(dead, 0.0, flat), 0)
+    # 1.4826 times this median is a normal variable's deviation.
+    scale = 1.4826 * np.nanmedian(np.abs(np.where(dead, 0.0, flat) - middle), 0)
+    require((scale > 0).any(), "v", "readings that never change", "presses")
+    frames = np.isfinite(flat[:, scale > 0]).all(1)
+    return _Usable(frames, scale)
+
+
+def _size(flat: Float[np.ndarray, "n N"], scale: Float[np.ndarray, " N"]) -> np.ndarray:
+    """Returns how large frames are, over the usual one."""
+    used = scale > 0
+    size = np.sqrt(np.nanmean((flat[:, used] / scale[used]) ** 2, 1))
+    return size / np.nanmedian(size)
+
+
+def _compressed(flat: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    return np.arcsinh(flat / (2 * scale))
+
+
+def _nominal(
+    recording: PairRecording, use: _Usable, chosen: np.ndarray | None = None
+) -> tuple[Response, Posterior]:
+    """Returns the physics as a response, and the places of the chosen frames by it."""
+    used = use.scale > 0
+    if chosen is None:
+        chosen = np.flatnonzero(use.frames)[:_LABELLED]
+    flat = recording.voltages.reshape(len(recording.voltages), -1)[chosen][:, used]
+    at, columns = _physics(recording)
+    columns = columns[:, used]
+    dtype = columns.dtype
+    tried = [place_by_physics(flat.astype(dtype), s * columns, at) for s in (1, -1)]
+    # The wrong sign leaves most of what frames have.
+    left = [float(np.linalg.slogdet(np.asarray(one[1]))[1]) for one in tried]
+    sign = int(np.argmax(left))
+    found, whitener = tried[sign]
+    size = np.median(np.linalg.norm(flat, axis=1))
+    response = Response(
+        at=at,
+        readings=np.asarray((1, -1)[sign] * columns),
+        spread=np.zeros(len(at), dtype),
+        whitener=np.asarray(whitener),
+        scale=np.where(used, size, 0.0),
+        limit=float(np.quantile(np.asarray(found.chi2), 0.99)),
+        widen=1.0,
+        known=-1,
+    )
+    return response, found
+
+
+def _physics(recording: PairRecording) -> tuple[np.ndarray, np.ndarray]:
+    """Returns candidate places, and how readings change by a local change at each."""
+    sensor = recording.sensor()
+    steps = max(recording.box) / _CANDIDATES
+    sides = [np.arange(steps / 2, side, steps) for side in recording.box]
+    at = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
+    # Within two diameters of an edge, a press changes its electrodes more than the sheet.
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = 2 * recording.electrode_diameter * np.stack([np.cos(turn), np.sin(turn)], 1)
+    inside = np.asarray([sensor.on_sheet(jnp.asarray(at + one)) for one in ring]).all(0)
+    require(inside.any(), "outline", "a sheet narrower than its electrodes", "a wider one")
+    at = at[inside].astype(np.float32)
+    columns = np.asarray(sensitivities(sensor, recording.pairs, at))
     if recording.magnitude:
-        columns *= np.sign(np.asarray(background(sensor, recording.pairs)))
-    return _of(-columns, points + recording.origin)
-
-
-def _of(voltages: np.ndarray, xy: np.ndarray) -> Response:
-    flat = np.nan_to_num(voltages).reshape(len(voltages), -1)
-    size = np.linalg.norm(flat, axis=1, keepdims=True)
-    return Response(flat / np.maximum(size, 1e-30), xy)
+        columns = columns * np.sign(np.asarray(background(sensor, recording.pairs)))
+    return (at + recording.origin).astype(np.float32), columns.reshape(len(at), -1)
