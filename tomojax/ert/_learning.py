@@ -133,13 +133,17 @@ def learn_places(
     width: float,
     progress: Callable[[str], None] | None = None,
     seed: int = 0,
-) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"]]:
-    """Moves places whose deviation is above 0 to where maps of other frames put them."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moves places whose deviation is above 0 to where maps of other frames put them.
+
+    Returns places, deviations along an axis, and covariances.
+    """
     random = np.random.default_rng(seed)
     free, fixed = np.flatnonzero(deviation > 0), np.flatnonzero(deviation == 0)
     places, deviation = np.array(places), np.array(deviation)
+    covariance = np.zeros((len(places), 2, 2))
     if len(free) < 2:
-        return places, deviation
+        return places, deviation, covariance
     for step, length in enumerate(width * np.geomspace(_LONGEST, _SHORTEST, _ROUNDS)):
         if progress is not None:
             progress(f"round {step + 1} of {_ROUNDS}")
@@ -150,5 +154,6 @@ def learn_places(
             by = learned(places[of], readings[of], deviation[of], at, length)
             found = place(readings[half], by.map.readings, by.map.spread, by.whitener, at)
             moved[half], wide[half] = found.xy, found.deviation
+            covariance[half] = found.covariance
         places, deviation = moved, wide
-    return places, deviation
+    return places, deviation, covariance

@@ -6,7 +6,7 @@ asinh(v/2s), with s their usual size: errors of large readings grow with the rea
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,8 +36,9 @@ _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presse
 _LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
 _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
 _LABELLED = 1800  # likewise of places that stay where they are
-_LEAST_KNOWN = 20  # a share of 68 % of fewer is known to no better than 10 %
+_LEAST_KNOWN = 40  # half of them judge the map: a share of 68 % of 20 is known to 10 %
 _STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
+_CLEARLY = 1.5  # more of the frames' squares
 _QUIET = 0.25  # of a usual press's strength: nothing presses
 # χ² with two degrees of freedom has 68.27 % of its values below this one.
 _WITHIN = 2.298
@@ -62,7 +63,7 @@ class Response:
       `known` is −1. `spread` (G,): the map's variance, over a reading's noise.
     - `whitener` (K, K): W with WᵀW the inverse of the errors' covariance.
     - `limit`: the largest χ² of a reading that a lone press leaves.
-    - `widen`: what stated covariances are multiplied by, from known places.
+    - `own`: the deviation of the map itself, from known places that it had not seen, m.
     - `known`: the number of places that it was learned with.
 
     **Example:**
@@ -81,7 +82,7 @@ class Response:
     whitener: Float[np.ndarray, "K K"]
     scale: Float[np.ndarray, " N"]
     limit: float
-    widen: float
+    own: float
     known: int
 
     @property
@@ -108,7 +109,7 @@ class Response:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
             read = {field.name: file.read_whole(field.name) for field in fields(cls)}
-        numbers = {"limit": float, "widen": float, "known": int}
+        numbers = {"limit": float, "own": float, "known": int}
         return cls(**read | {name: kind(read[name]) for name, kind in numbers.items()})
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
@@ -137,7 +138,7 @@ class Response:
             flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
         flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
         flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
-        covariance = self.widen * np.asarray(found.covariance, float)
+        covariance = np.asarray(found.covariance, float) + self.own**2 * np.eye(2)
         residual = np.sqrt(np.asarray(found.chi2, float))
         return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
 
@@ -226,68 +227,59 @@ def learn(
     at, width = model.at.astype(dtype), np.asarray(max(recording.box), dtype)
     values = _compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
     values = values.astype(dtype)
-    xy, deviation = np.array(start.xy, dtype), np.asarray(start.deviation, dtype)
-    # Candidates have a spacing: no place is more certain than a cell.
-    deviation = np.maximum(deviation, width / _CANDIDATES)
-    if told.any():
-        xy[told], deviation[told] = recording.places[chosen][told], 0
-    xy, deviation = learn_places(values, xy, deviation, at, width, progress)
+    true = np.zeros((len(chosen), 2)) if recording.places is None else recording.places
+    true = true[chosen] if recording.places is not None else true
+
+    def placed(fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        xy = np.where(fixed[:, None], true, start.xy).astype(dtype)
+        # Candidates have a spacing: no place is more certain than a cell.
+        wide = np.maximum(start.deviation, width / _CANDIDATES)
+        wide = np.where(fixed, 0, wide).astype(dtype)
+        return learn_places(values, xy, wide, at, width, progress)
+
+    own = 0.0
+    if told.sum() >= _LEAST_KNOWN:  # every second one is found as if it were not known
+        hidden = np.flatnonzero(told)[::2]
+        fixed = told.copy()
+        fixed[hidden] = False
+        xy, _, moments = placed(fixed)
+        own = _own_deviation((xy - true)[hidden], moments[hidden], float(width))
+    xy, deviation, _ = placed(told)
 
     def best(of: np.ndarray) -> Learned:
         lengths = [np.asarray(share * width, dtype) for share in _LENGTHS]
         made = [learned(xy[of], values[of], deviation[of], at, one) for one in lengths]
         return max(made, key=lambda one: float(one.map.evidence))
 
-    everything = np.arange(len(chosen))
-    final = best(everything)
-    response = Response(
-        at=at,
-        readings=np.asarray(final.map.readings),
-        spread=np.asarray(final.map.spread),
-        whitener=np.asarray(final.whitener),
-        scale=use.scale,
-        limit=np.inf,
-        widen=1.0,
-        known=int(told.sum()),
-    )
-    return _judged(response, recording, chosen, told, best)
-
-
-def _judged(
-    response: Response,
-    recording: PairRecording,
-    chosen: np.ndarray,
-    told: np.ndarray,
-    best: Callable[[np.ndarray], Learned],
-) -> Response:
-    """Sets the limits of χ² and the stated covariances by frames that a map has not seen."""
-    found, places = [], []
-    random = np.random.default_rng(1)
-    order = random.permutation(len(chosen))
-    for part in (0, 1):
-        by = best(order[part::2])
-        other = replace(
-            response,
+    def response(by: Learned, limit: float = np.inf) -> Response:
+        return Response(
+            at=at,
             readings=np.asarray(by.map.readings),
             spread=np.asarray(by.map.spread),
             whitener=np.asarray(by.whitener),
+            scale=use.scale,
+            limit=limit,
+            own=own,
+            known=int(told.sum()),
         )
-        unseen = order[1 - part :: 2]
-        found.append(other.locate(recording.voltages[chosen[unseen]]))
-        places.append(unseen)
-    chi2 = np.concatenate([one.residual for one in found]) ** 2
-    # The half maps are poorer than the whole one; one frame in a hundred is let go.
-    response = replace(response, limit=float(np.quantile(chi2, 0.99)))
-    unseen = np.concatenate(places)
-    if told.sum() < _LEAST_KNOWN:
-        return response
-    xy = np.concatenate([one.xy for one in found])
-    covariance = np.concatenate([one.covariance for one in found])
-    known = told[unseen]
-    away = (xy - recording.places[chosen[unseen]])[known] if known.any() else xy[:0]
-    own = covariance[known] + (np.ptp(response.at[:, 0]) / _CANDIDATES) ** 2 / 12 * np.eye(2)
-    squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(own), away)
-    return replace(response, widen=float(np.quantile(squares, 0.6827) / _WITHIN))
+
+    # A map of half the presses says what χ² the other half has; one in a hundred is let go.
+    order = random.permutation(len(chosen))
+    half, rest = order[::2], order[1::2]
+    unseen = response(best(half)).locate(recording.voltages[chosen[rest]])
+    return response(best(order), float(np.quantile(unseen.residual**2, 0.99)))
+
+
+def _own_deviation(
+    away: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"], width: float
+) -> float:
+    """Returns the least deviation of the map itself by which 68 % of places are in 1 σ, m."""
+    for own in np.linspace(0, width / 4, 500):
+        total = covariance + own**2 * np.eye(2)
+        squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(total), away)
+        if np.mean(squares < _WITHIN) >= 0.6827:
+            break
+    return float(own)
 
 
 class _Usable(NamedTuple):
@@ -330,23 +322,33 @@ def _nominal(
     at, columns = _physics(recording)
     columns = columns[:, used]
     dtype = columns.dtype
-    tried = [place_by_physics(flat.astype(dtype), s * columns, at) for s in (1, -1)]
-    # The wrong sign leaves most of what frames have.
-    left = [float(np.linalg.slogdet(np.asarray(one[1]))[1]) for one in tried]
-    sign = int(np.argmax(left))
-    found, whitener = tried[sign]
+    sign = _sign(flat, columns)
+    columns = (sign * columns).astype(dtype)
+    found, whitener = place_by_physics(flat.astype(dtype), columns, at)
     size = np.median(np.linalg.norm(flat, axis=1))
     response = Response(
         at=at,
-        readings=np.asarray((1, -1)[sign] * columns),
+        readings=columns,
         spread=np.zeros(len(at), dtype),
         whitener=np.asarray(whitener),
         scale=np.where(used, size, 0.0),
         limit=float(np.quantile(np.asarray(found.chi2), 0.99)),
-        widen=1.0,
+        own=0.0,
         known=-1,
     )
     return response, found
+
+
+def _sign(flat: Float[np.ndarray, "n K"], columns: Float[np.ndarray, "G K"]) -> int:
+    """Tells whether presses lower (−1) or raise the sheet's conductance.
+
+    A press thins most sheets: it raises the conductance only where that explains clearly
+    more of the frames, by one local change each.
+    """
+    unit = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+    alike = unit @ (columns / np.linalg.norm(columns, axis=1, keepdims=True)).T
+    lower, higher = (np.mean(np.maximum(s * alike, 0).max(1) ** 2) for s in (-1, 1))
+    return 1 if higher > _CLEARLY * lower else -1
 
 
 def _physics(recording: PairRecording) -> tuple[np.ndarray, np.ndarray]:
