@@ -156,7 +156,7 @@ class _Run:
             require_same(self._config, attributes, file.partial)
             solver = self._solver(float(attributes["lam"]))
             solver.resume(file.kept(solver.remembered()))
-            with closing(file.writer()) as writer:
+            with closing(RowWriter(file)) as writer:
                 work = partial(self._work, solver, writer, progress)
                 if self._settings.in_order:
                     work(range(solver.start, file.chunks))
