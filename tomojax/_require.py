@@ -1,5 +1,6 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -24,7 +25,7 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
 def require_whole(name: str, value: Any, low: int = 1, high: int | None = None) -> None:
     """Requires a whole number from `low` on, up to `high` where that is told."""
     expected = f"{low} or more" if high is None else f"from {low} to {high}"
-    fine = isinstance(value, Integral) and low <= value <= (high or value)
+    fine = isinstance(value, Integral) and low <= int(value) <= (high or math.inf)
     require(fine, name, repr(value), f"a whole number {expected}")
 
 

@@ -87,8 +87,8 @@ class Linear(AbstractMethod):
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
-    noise: Float[Array, ""]
-    drive_sign: Float[Array, ""]  # of the drive: 1 or −1
+    reading_noise: Float[Array, ""]
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
     grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
@@ -130,13 +130,21 @@ class Linear(AbstractMethod):
             basis=matmul(turn.T, reduced.basis),
             factors=matmul(reduced.factors, turn),
             conductance=conductance,
-            noise=jnp.asarray(noise, cell.dtype),
-            drive_sign=jnp.asarray(polarity, cell.dtype),
+            reading_noise=jnp.asarray(noise, cell.dtype),
+            polarity=jnp.asarray(polarity, cell.dtype),
             grounded=np.eye(*maps.shape[:2], dtype=bool),
         )
 
     def calibrated(self, calibration: Calibration) -> "Linear":
-        return replace(self, noise=noise_as(calibration, self.noise))
+        return replace(self, reading_noise=noise_as(calibration, self.noise))
+
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     def scale(self) -> float:
         rows = np.asarray(self.factors, float)

@@ -94,9 +94,9 @@ class Source(AbstractMethod):
     factors: Float[Array, "L M r"]  # T^l Bᵀ
     drawn_factors: Float[Array, "L M r"]  # the same of TG, in a basis of its own
     smoothed: Float[Array, "r pixels"]  # each row of that basis times G
-    noise: Float[Array, ""]
+    reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
-    drive_sign: Float[Array, ""]  # of the drive: 1 or −1
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
     grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
@@ -158,16 +158,24 @@ class Source(AbstractMethod):
             factors=jnp.asarray(maps @ basis.T, dtype),
             drawn_factors=jnp.asarray(smooth @ drawn.T, dtype),
             smoothed=jnp.asarray(smoothed.reshape(drawn.shape), dtype),
-            noise=jnp.asarray(noise, dtype),
+            reading_noise=jnp.asarray(noise, dtype),
             error=jnp.ones((), dtype),
-            drive_sign=jnp.asarray(polarity, dtype),
+            polarity=jnp.asarray(polarity, dtype),
             grounded=np.eye(*maps.shape[:2], dtype=bool) if grounded is None else grounded,
         )
 
     def calibrated(self, calibration: Calibration) -> "Source":
         noise = noise_as(calibration, self.noise)
         error = jnp.asarray(calibration.error, self.error.dtype)
-        return replace(self, noise=noise, error=error)
+        return replace(self, reading_noise=noise, error=error)
+
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     def scale(self) -> float:
         return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)

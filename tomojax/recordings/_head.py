@@ -45,7 +45,7 @@ def rig_of(told: dict[str, Any]) -> Rig:
     tables = {name: np.asarray(rows) for name, rows in told.get("tables", {}).items()}
     scale = float(told["scale"])
     return Rig(
-        **{name: float(told[name]) for name in PAPER},
+        **{name: float(told[name]) for name in PAPER},  # pyright: ignore
         size=tuple(told["size"]),
         electrode_xy=np.asarray(told["electrode_xy"], float),
         rails=rails_of(np.dtype(np.int16), scale, told["offset"]),
