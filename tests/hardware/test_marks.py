@@ -84,7 +84,7 @@ def test_repair_and_results_keep_marks(recorded, tmp_path):
         assert recording.marks == marks
     with tx.open_recording(part) as recording:
         assert recording.marks == marks[1:2]
-        settings = tx.results.Settings(method="linear", contacts=1, tare=False)
+        settings = tx.results.Settings("linear", grid=8, contacts=1, tare=False)
         out = tx.reconstruct_recording(recording, tmp_path / "out.h5", settings)
     with h5py.File(out) as file:
         assert json.loads(file.attrs["marks"]) == [list(marks[1])]

@@ -1,6 +1,7 @@
 """Skins of other outlines and ground conditions, in the rooms that people use."""
 
 from dataclasses import replace
+from functools import cache
 
 import h5py
 import jax
@@ -40,14 +41,26 @@ def frames(sensor: tx.Sensor) -> tuple[np.ndarray, np.ndarray]:
     return (volts + noise).astype(np.float32), np.tile(grounds, (len(PLACES), 1))
 
 
+@pytest.fixture(scope="module")
+def read(disc, paired):
+    """A method and its rows of `frames`, made once for each name and number of grounds."""
+
+    @cache
+    def read(name: str, grounds: str):
+        sensor = disc if grounds == "one" else paired
+        volts, which = frames(sensor)
+        # `source` reads peaks off an image, of which 16 electrodes leave some.
+        most = {"points": 2, "source": 1}[name]
+        method = tx.method(sensor, name, grid=24)
+        return method, tx.Batch(method, contacts=most)(volts, which)
+
+    return read
+
+
 @pytest.mark.parametrize("grounds", ["one", "several"])
 @pytest.mark.parametrize("name, off", [("points", 0.2e-3), ("source", 4e-3)])
-def test_a_contact_is_found(disc, paired, grounds, name, off) -> None:
-    sensor = disc if grounds == "one" else paired
-    volts, which = frames(sensor)
-    # `source` reads peaks off an image, of which 16 electrodes leave some.
-    most = {"points": 2, "source": 1}[name]
-    rows = tx.Batch(tx.method(sensor, name, grid=24), contacts=most)(volts, which)
+def test_a_contact_is_found(read, grounds, name, off) -> None:
+    rows = read(name, grounds)[1]
     np.testing.assert_array_equal(rows.contact_count, 1)
     apart = np.hypot(*(rows.contact_xy[:, 0] - np.array(PLACES)).T)
     assert apart.max() < off
@@ -57,9 +70,8 @@ def test_a_contact_is_found(disc, paired, grounds, name, off) -> None:
     assert (outside == outside[0]).all()
 
 
-def test_conductance_with_several_grounds(paired) -> None:
-    volts, which = frames(paired)
-    rows = tx.Batch(tx.method(paired, "points", grid=24), contacts=2)(volts, which)
+def test_conductance_with_several_grounds(read) -> None:
+    rows = read("points", "several")[1]
     np.testing.assert_allclose(rows.contact_conductance[:, 0], 3e-5, rtol=0.03)
 
 
@@ -252,8 +264,8 @@ def test_a_sheet_that_another_code_tells(worn) -> None:
         tx.voltages(told, tx.Disc([0.03, 0.03], 0.006, 0.5))
 
 
-def test_no_peak_is_off_the_sheet(disc) -> None:
-    method = tx.method(disc, "source", grid=24)
+def test_no_peak_is_off_the_sheet(read) -> None:
+    method = read("source", "one")[0]
     outside = ~np.asarray(method.inside).ravel()
     assert outside.any() and (np.asarray(method.basis)[:, outside] == 0).all()
 

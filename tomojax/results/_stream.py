@@ -81,7 +81,8 @@ def reconstruct_recording(
     """
     settings, out = settings or Settings(), Path(out)
     settings.check()
-    _check_share(settings, share)
+    fits, why = share[1] == 1 or not settings.in_order, settings.in_order
+    require(fits, "--processes", share[1], f"one process: {why}")
     goes_on = resume or share[0] > 0
     check_output(out, goes_on, overwrite)
     size = chunk_scans(recording, settings)
@@ -103,15 +104,6 @@ def reconstruct_recording(
                 f"{out}: {error.strerror}; make room, then --resume goes on with it"
             ) from None
     return out
-
-
-def _check_share(settings: Settings, share: tuple[int, int]) -> None:
-    """Refuses several processes where each chunk needs the chunk before it."""
-    why = "--adapt follows a recording in order"
-    if settings.method == "follow":
-        why = "follow goes from slot to slot"
-    fits = share[1] == 1 or not settings.in_order
-    require(fits, "--processes", share[1], f"one process: {why}")
 
 
 class _Run:
