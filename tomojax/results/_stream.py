@@ -90,7 +90,10 @@ def reconstruct_recording(
     config = configuration(recording, settings, size)
     with file.locked(shared=share[1] > 1):
         check_output(out, goes_on, overwrite)  # as another run has left it
-        if goes_on and out.exists() and not file.partial.exists():
+        begun = file.partial.exists()
+        if begun and resume and not overwrite:
+            require_same(config, attributes_of(file.partial), file.partial)
+        if goes_on and out.exists() and not begun:
             require_same(config, attributes_of(out), out)
             if share == (0, 1):
                 file.discard()  # the marks of a run that was killed as it ended
