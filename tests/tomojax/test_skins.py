@@ -194,11 +194,45 @@ def test_patterns_of_a_sheet_with_a_hole() -> None:
         (lambda: _two_parts(), "another part"),
         (lambda: tx.Sensor.grid(conditions=np.zeros((1, 64))), "ungrounded"),
         (lambda: tx.Sensor.polygon([[0, 0], [1, 1]], {"rim": 4}), "2 vertices"),
+        (lambda: tx.Sensor.polygon(_fork(1e-4), FINGERS), "a gap or a neck 0.0001 m"),
     ],
 )
 def test_mistakes_are_named(make, said) -> None:
     with pytest.raises(ValueError, match=said):
         make()
+
+
+FINGERS = np.array([[0.005, 0.026], [0.025, 0.026], [0.015, 0.005]])
+
+
+def _fork(gap: float) -> np.ndarray:
+    """Two fingers of 25 mm on a palm, and the gap between them."""
+    low, high = (30 - 1e3 * gap) / 2, (30 + 1e3 * gap) / 2
+    corners = [[0, 0], [30, 0], [30, 35], [high, 35], [high, 10], [low, 10]]
+    return 1e-3 * np.array([*corners, [low, 35], [0, 35]])
+
+
+def test_a_gap_between_fingers_stays_open() -> None:
+    """A mesh that suits electrodes alone would join them, and be two thirds off."""
+
+    def between(sensor: tx.Sensor) -> float:
+        ee = np.asarray(tx.sensor.resistances(sensor).electrodes)
+        return ee[0, 0] + ee[1, 1] - 2 * ee[0, 1]
+
+    fork = tx.Sensor.polygon(_fork(1.2e-3), FINGERS, electrode_shunt=1.0)
+    assert (np.asarray(fork.size) / fork.divisions < 0.4e-3 + 1e-6).all()
+    assert abs(between(fork) / 31653.5 - 1) < 5e-3
+
+
+@pytest.mark.long
+def test_a_corner_that_points_inwards_costs_no_digit() -> None:
+    """Both tests' figures are those of quadratic elements on an unstructured mesh."""
+    corners = 1e-3 * np.array([[0, 0], [40, 0], [40, 20], [20, 20], [20, 40], [0, 40]])
+    xy = 1e-3 * np.array([[14, 14], [32, 10], [10, 32]])
+    letter = tx.Sensor.polygon(corners, xy, electrode_shunt=1.0)
+    ee = np.asarray(tx.sensor.make_field(letter).electrodes, float)
+    found = ee[[0, 1], [0, 1]] + ee[[1, 2], [1, 2]] - 2 * ee[[0, 1], [1, 2]]
+    np.testing.assert_allclose(found, [9477.55, 17236.4], rtol=8e-4)
 
 
 def _two_parts() -> tx.Sensor:

@@ -253,10 +253,20 @@ class Sensor(eqx.Module):
         if isinstance(electrodes, dict):
             electrodes = place_electrodes(outline, size, diameter, **electrodes)
         if "divisions" not in others:
-            finest = np.asarray(size, float) / float(np.asarray(diameter))
+            least = float(np.asarray(diameter))
+            if isinstance(outline, PolygonEdge) and known(outline.start):
+                least = outline.narrowest(least)  # as many cells across a gap
+            finest = np.asarray(size, float) / least
             if others.get("surface") is not None:
                 finest = finest * _stretch(others["surface"], electrodes, size).max(1)
             cells = np.ceil(_CELLS * finest * (1 - 1e-5)).astype(int)
+            coarsest = float(np.max(size)) / _MOST_CELLS
+            require(
+                least >= min(coarsest, float(np.asarray(diameter))),
+                "outline",
+                f"a gap or a neck {least:.2g} m wide",
+                f"{coarsest:.2g} m, a cell, or `divisions` of your own: it may close",
+            )
             others["divisions"] = tuple(np.clip(cells, 8, _MOST_CELLS).tolist())
         return cls(size, electrodes, outline=outline, **others)
 
