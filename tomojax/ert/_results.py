@@ -17,8 +17,7 @@ def write_results(
     recording: PairRecording,
     found: Located,
     out: Path,
-    method: str,
-    calibration: str | None = None,
+    response: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Writes a row for each frame: place, covariance, strength, residual and flags.
@@ -45,9 +44,9 @@ def write_results(
     lines = recording.outline.lines(recording.box)
     if not recording.outline.loops:
         lines = [line + origin for line in lines]
-    told = {"method": method, "calibration": calibration, "frames": len(found.xy)}
+    told = {"calibration": response and str(response), "frames": len(found.xy)}
     attributes = {
-        "method": method,
+        "method": "response" if response else "nominal",
         "rate": "scan",
         "kind": "conductivity",
         "size": recording.box,

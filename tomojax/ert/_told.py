@@ -17,7 +17,6 @@ def summary(recording: PairRecording) -> dict[str, Any]:
     """Describes a recording, with units in the keys."""
     volts, times = recording.voltages, recording.t0
     n, c, r = volts.shape
-    bad = recording.bad
     still = (volts == volts[:1]).all(0) & (n > 1)
     return {
         "frames": n,
@@ -34,8 +33,7 @@ def summary(recording: PairRecording) -> dict[str, Any]:
         "magnitude": bool(recording.magnitude),
         "notes": recording.notes,
         "never_change": np.argwhere(still).tolist(),
-        "bad_readings": int(bad.sum()),
-        "bad_frames": int(bad.any((1, 2)).sum()),
+        "bad_readings": int(recording.bad.sum()),
         "reciprocity": _reciprocity(recording),
     }
 
@@ -56,34 +54,30 @@ def _reciprocity(recording: PairRecording) -> float | None:
 def info_text(path: Path, found: dict[str, Any]) -> str:
     """Formats the description for people."""
     width, height = (1e3 * side for side in found["size_m"])
-    signs = ", of the magnitude" if found["magnitude"] else ""
+    again = "magnitude" in found["units"] or not found["magnitude"]
+    apart, still = found["reciprocity"], [f"{c}/{r}" for c, r in found["never_change"]]
     lines = [
         f"{path}: can be read; current between pairs of electrodes",
         f"  {found['frames']} frames of {found['conditions']} injections × "
         f"{found['readings']} readings, {found['electrodes']} electrodes, "
         f"{found['duration_s']:.6g} s at {found['f_switch_Hz']:g} injections/s",
         f"  sheet: {found['outline']} of {width:g} mm × {height:g} mm; readings in "
-        f"{found['units']}" + ("" if "magnitude" in found["units"] else signs),
+        f"{found['units']}" + ("" if again else ", of the magnitude"),
         f"  places are known of {found['places_known']} frames",
+        f"  notes: {found['notes']}" if found["notes"] else "",
+        "  no readings have exchanged roles: reciprocity is not told"
+        if apart is None
+        else f"  readings with exchanged roles are {100 * apart:.3g} % apart in the median",
     ]
-    if found["notes"]:
-        lines.append(f"  notes: {found['notes']}")
-    if found["reciprocity"] is None:
-        lines.append("  no readings with exchanged roles: reciprocity is not told")
-    else:
-        told = f"{100 * found['reciprocity']:.3g} % apart in the median"
-        lines.append(f"  readings with exchanged roles are {told}")
     if found["bad_readings"]:
-        told = f"{found['bad_readings']} in {found['bad_frames']} frames"
-        lines.append(f"  readings that are no numbers: {told}")
-    still = [f"{c}/{r}" for c, r in found["never_change"]]
+        lines.append(f"  {found['bad_readings']} readings are no numbers")
     if still:
         more = " …" if len(still) > _TOLD else ""
         told = ", ".join(still[:_TOLD]) + more
         lines.append(f"  {len(still)} readings never change (injection/reading): {told}")
     if not still and not found["bad_readings"]:
         lines.append("  no faults")
-    return "\n".join(lines)
+    return "\n".join(filter(None, lines))
 
 
 def summary_located(recording: PairRecording, found: Located) -> dict[str, Any]:

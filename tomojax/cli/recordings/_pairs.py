@@ -42,22 +42,13 @@ def reconstruct_pairs(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """Locates the press of each frame, by a response or by the nominal sheet."""
     from tomojax import ert
 
-    names = "rec", "out", "method", "calibration", "overwrite", "json_path"
-    only(*names)
-    method, calibration = options["method"] or "response", options["calibration"]
-    expected = "'response', of a recording of kind conductivity"
-    require(method == "response", "--method", repr(method), expected)
-    recording = ert.load(rec)
-    if calibration is None:
-        response = ert.nominal(recording)
-    else:
-        with naming(calibration):
-            response = ert.Response.load(calibration)
+    only("rec", "out", "calibration", "overwrite", "json_path")
+    recording, given = ert.load(rec), options["calibration"]
+    with naming(given or rec):
+        response = ert.Response.load(given) if given else ert.nominal(recording)
     with naming(rec):
         found = response.locate(recording.voltages)
-    name = None if calibration is None else str(calibration)
-    method = "nominal" if calibration is None else method
-    ert.write_results(recording, found, out, method, name, options["overwrite"])
+    ert.write_results(recording, found, out, given, options["overwrite"])
     told = ert.summary_located(recording, found)
     print(ert.located_text(told, out))
     entry.write_report(options["json_path"], rows=[told], summary=told)
