@@ -224,20 +224,16 @@ def _read(path: Path, file: Any) -> PairRecording:
         return values
 
     pairs = Pairs(dataset("conditions/inject", 2), dataset("conditions/read", 3))
-    given = {name: number(name, told[name]) for name in _NUMBERS if name in told}
+    given: dict[str, Any] = {n: number(n, told[n]) for n in _NUMBERS if n in told}
     volts = given.pop("scale", 1.0) * dataset("v", 3) + given.pop("offset", 0.0)
-    (n, slots, readings), c = volts.shape, pairs.conditions
-    shape = f"shape {volts.shape}"
-    fits = readings == pairs.readings and (slots == c or "condition" in names)
-    require(fits, "v", shape, f"(frames, {c}, {pairs.readings}), as conditions have")
     if "condition" in names:
-        condition = dataset("condition", 2)
-        fits = condition.shape == (n, slots) and condition.dtype.kind in "iu"
-        require(fits, "condition", f"shape {condition.shape}", f"{(n, slots)}, as v has")
-        inside = bool((condition >= 0).all() and (condition < c).all())
+        condition, c = dataset("condition", 2), pairs.conditions
+        fits, shape = condition.shape == volts.shape[:2], f"shape {condition.shape}"
+        require(fits, "condition", shape, f"{volts.shape[:2]}, as v has")
+        inside = np.isin(condition, np.arange(c)).all()
         require(inside, "condition", int(condition.max(initial=0)), f"0 to {c - 1}")
-        ordered = np.full((n, c, readings), np.nan)
-        ordered[np.arange(n)[:, None], condition] = volts
+        ordered = np.full((len(volts), c, volts.shape[2]), np.nan)
+        ordered[np.arange(len(volts))[:, None], condition.astype(int)] = volts
         volts = ordered
     given |= {name: str(told[name]) for name in ("units", "notes") if name in told}
     require("electrode_diameter" in given, "electrode_diameter", "none", "a number, m")
