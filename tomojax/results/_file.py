@@ -177,7 +177,7 @@ def write_rows(
     with file.locked(shared=False):
         file.discard()
         file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
-        with contextlib.closing(file.writer()) as writer:
+        with contextlib.closing(RowWriter(file)) as writer:
             writer.write(
                 0, 0, {name: values for name, (_, values) in columns.items()}, None
             )
