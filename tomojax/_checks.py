@@ -77,6 +77,17 @@ def checked(
     return array
 
 
+def checking(
+    name: str, check: Callable[[str, jax.Array], None], *shapes: tuple[int | None, ...]
+) -> Callable[[Numbers], jax.Array]:
+    """Makes `checked` of this name: the converter of a module's field."""
+
+    def converted(value: Numbers) -> jax.Array:
+        return checked(name, value, check, *shapes)
+
+    return converted
+
+
 def require_shape(name: str, value: jax.Array, *shapes: tuple[int | None, ...]) -> None:
     """Checks the value's shape against any of `shapes`; None stands for any length."""
 

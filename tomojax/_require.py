@@ -1,9 +1,11 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
+from numbers import Integral
 from typing import Any
 
 # Methods that are no more, and what took their places.
@@ -18,6 +20,13 @@ def require(condition: Any, name: str, got: Any, expected: str) -> None:
         text = " ".join(str(got).split())
         text = text if len(text) <= _SHOWN else text[:_SHOWN] + "…"
         raise ValueError(f"{name}: got {text}, expected {expected}")
+
+
+def require_whole(name: str, value: Any, low: int = 1, high: int | None = None) -> None:
+    """Requires a whole number from `low` on, up to `high` where that is told."""
+    expected = f"{low} or more" if high is None else f"from {low} to {high}"
+    fine = isinstance(value, Integral) and low <= int(value) <= (high or math.inf)
+    require(fine, name, repr(value), f"a whole number {expected}")
 
 
 @contextmanager

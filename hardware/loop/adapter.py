@@ -16,7 +16,7 @@ import numpy as np
 
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
-from tomojax.hardware.loop.recorder import rig_of
+from tomojax.recordings import rig_of
 
 _EVERY = 1.0  # s between looks at the ring
 _LOG = 60.0  # s between entries of the log

@@ -15,7 +15,7 @@ import numpy as np
 
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SIDE, SlotRing
-from tomojax.hardware.loop.recorder import rig_of
+from tomojax.recordings import rig_of
 
 _EVERY = 0.2  # s between looks
 _SLOTS = 10  # that tell of a place together

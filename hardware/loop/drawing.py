@@ -12,7 +12,7 @@ import numpy as np
 
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SIDE, SlotRing
-from tomojax.hardware.loop.recorder import rig_of
+from tomojax.recordings import rig_of
 
 _EVERY = 0.1  # s between images
 _SLOTS = 10, 2, 1  # of an image: as many as there are grounds

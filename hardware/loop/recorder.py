@@ -22,53 +22,12 @@ import numpy as np
 
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import MARK, SlotRing
-from tomojax.recordings import Outline, Rig, SCHEMA
+from tomojax.recordings import write_attributes
 
 _EVERY = 0.25  # s between flushes
 _AGAIN = 1.0  # s until a recorder that died is started again
 _CHUNK = 2048  # rows of a chunk of the file
 _MOST = 1 << 14  # rows at once, so that a late recorder flushes as it goes
-_NUMBERS = (
-    "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance",
-    "electrode_diameter",
-)  # fmt: skip
-
-
-def attributes(rig: Rig, scale: float, offset: float) -> dict[str, Any]:
-    """Returns the attributes of a recording, and its tables as lists."""
-    tables = {name: table.tolist() for name, table in rig.tables().items()}
-    outline = {} if rig.outline is None else rig.outline.attributes()
-    return {
-        "schema": SCHEMA,
-        "schema_version": rig.version,
-        **{name: getattr(rig, name) for name in _NUMBERS},
-        "size": list(rig.size),
-        "scale": scale,
-        "offset": offset,
-        # The rig does not tell these.
-        "settle_delay": float("nan"),
-        "convert_period": float("nan"),
-        "units": "V",
-        "notes": rig.notes,
-        **outline,
-        "electrode_xy": np.asarray(rig.electrode_xy, float).tolist(),
-        **({"tables": tables} if tables else {}),
-    }
-
-
-def rig_of(told: dict[str, Any]) -> Rig:
-    """Returns the rig that a recording's attributes describe."""
-    tables = {name: np.asarray(rows) for name, rows in told.get("tables", {}).items()}
-    rails = sorted(told["offset"] + told["scale"] * np.array([-32768.0, 32767.0]))
-    return Rig(
-        **{name: float(told[name]) for name in _NUMBERS},
-        size=tuple(told["size"]),
-        electrode_xy=np.asarray(told["electrode_xy"], float),
-        rails=tuple(rails),
-        resolution=abs(float(told["scale"])),
-        outline=Outline.read(told, tables.get),
-        conditions=tables.get("conditions/to_ground"),
-    )
 
 
 class File:
@@ -82,11 +41,7 @@ class File:
         # What is measured is its owner's alone.
         os.close(os.open(self._new, os.O_CREAT | os.O_WRONLY, 0o600))
         self._file = h5py.File(self._new, "w", libver="latest")
-        names = dict(told)
-        self._file["electrode_xy"] = np.asarray(names.pop("electrode_xy"), float)
-        for name, rows in names.pop("tables", {}).items():
-            self._file[name] = np.asarray(rows, float)
-        self._file.attrs.update(names)
+        write_attributes(self._file, told)
         make, m = self._file.create_dataset, electrodes
         packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
         v = make(

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tomojax.hardware.loop import begun, counted_text, latency_text, load_text, SlotRing
-from tomojax.hardware.loop.recorder import rig_of
 from tomojax.hardware.web._data import (
     chosen_electrode,
     contact_columns,
@@ -22,6 +21,7 @@ from tomojax.hardware.web._data import (
 )
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
+from tomojax.recordings import rig_of
 
 _SPAN = 30.0  # s of the time line
 _PART = 0.1  # s of one of its parts

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import (
@@ -92,7 +93,9 @@ def node_parts(skin: Skin, shape: Shape, size: Float[Array, "2"]) -> Float[Array
     vertices = triangles(shape)
     zero = jnp.zeros_like(skin.level)
     each = jnp.broadcast_to(part[:, None], vertices.shape)
-    mean = zero.at[vertices].add(each) / zero.at[vertices].add(1.0)
+    mean = zero.at[vertices].add(each) / jnp.asarray(
+        np.bincount(vertices.ravel()), part.dtype
+    )
     return mean * node_areas(shape, size)
 
 

@@ -35,8 +35,9 @@ def one(step, sensor, name: str, seconds: float, rate: float, folder: Path) -> d
     """The loop for some seconds beside one companion."""
     import tomojax as tx
     from tomojax.hardware import open_source, run, SlotRing
-    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.hardware.loop.recorder import Recorder
     from tomojax.hardware.sources.virtual_rig import VirtualRig
+    from tomojax.recordings import attributes
 
     ring = SlotRing.create(64)
     with (

@@ -49,8 +49,9 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
 
     import tomojax as tx
     from tomojax.hardware import open_source, real_time, run, SlotRing
-    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.hardware.loop.recorder import Recorder
     from tomojax.hardware.sources.virtual_rig import VirtualRig
+    from tomojax.recordings import attributes
 
     with real_time() as settings:
         places = scene(folder / "scene.npz")

@@ -36,10 +36,10 @@ def centred(rows: np.ndarray) -> np.ndarray:
     return rows - rows.mean(0) - rows.mean(1)[:, None] + rows.mean()
 
 
-def worst(table: np.ndarray, right: np.ndarray, some: np.ndarray) -> float:
+def worst(table: np.ndarray, right: np.ndarray, some: np.ndarray) -> float | None:
     off = np.abs(table / np.where(right == 0, 1, right) - 1)
     np.fill_diagonal(off, 0)
-    return float(off[np.ix_(some, some)].max()) if some.sum() > 1 else float("nan")
+    return float(off[np.ix_(some, some)].max()) if some.sum() > 1 else None
 
 
 def compared(d: dict) -> dict:

@@ -19,9 +19,10 @@ from cobs import cobs
 
 import tomojax as tx
 from tomojax.hardware import run, SlotRing, sources as frames
-from tomojax.hardware.loop.recorder import attributes, write
+from tomojax.hardware.loop.recorder import write
 from tomojax.hardware.sources import Link, WireSource
 from tomojax.hardware.sources.serial import Frames
+from tomojax.recordings import attributes
 
 M, RATE, N = 16, 10_000, 1200
 START = frames.pack_command(frames.START)

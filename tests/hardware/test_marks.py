@@ -10,9 +10,10 @@ from click.testing import CliRunner
 import tomojax as tx
 from tomojax.cli.app import app
 from tomojax.hardware import Got, SlotRing
-from tomojax.hardware.loop.recorder import attributes, Recorder
+from tomojax.hardware.loop.recorder import Recorder
+from tomojax.recordings import attributes
 
-RATE, M = 10_000, 64
+RATE, M = 10_000, 16
 NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 
 
@@ -23,7 +24,7 @@ def recorded(tmp_path_factory):
     ring = SlotRing.create(M, length=1 << 12, folder=folder)
     with pytest.raises(ValueError, match="mark: got no slot yet"):
         ring.mark("early")
-    sensor = tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+    sensor = tx.Sensor.grid(4, 4, dtype=np.float32, divisions=(32, 32))
     told = attributes(tx.recordings.Rig.of(sensor, float(RATE)), 5 / 32768, 0.0)
     path = folder / "push.h5"
     for number in range(1000):
@@ -83,7 +84,7 @@ def test_repair_and_results_keep_marks(recorded, tmp_path):
         assert recording.marks == marks
     with tx.open_recording(part) as recording:
         assert recording.marks == marks[1:2]
-        settings = tx.results.Settings(method="linear", contacts=1, tare=False)
+        settings = tx.results.Settings("linear", contacts=1, tare=False)
         out = tx.reconstruct_recording(recording, tmp_path / "out.h5", settings)
     with h5py.File(out) as file:
         assert json.loads(file.attrs["marks"]) == [list(marks[1])]

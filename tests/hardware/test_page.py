@@ -16,8 +16,9 @@ import pytest
 
 import tomojax as tx
 from tomojax.hardware import Got, SlotRing
-from tomojax.hardware.loop.recorder import attributes, Recorder
+from tomojax.hardware.loop.recorder import Recorder
 from tomojax.hardware.web import document, pixels
+from tomojax.recordings import attributes
 
 pytest.importorskip("bokeh")
 RATE, M = 10_000, 64

@@ -12,7 +12,8 @@ import pytest
 
 import tomojax as tx
 from tomojax.hardware import Got, SlotRing
-from tomojax.hardware.loop.recorder import attributes, Recorder
+from tomojax.hardware.loop.recorder import Recorder
+from tomojax.recordings import attributes
 
 RATE, M = 10_000, 64
 NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}

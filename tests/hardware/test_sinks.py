@@ -17,7 +17,6 @@ import pytest
 import tomojax.hardware
 from tomojax.events import Event
 from tomojax.hardware import SlotRing
-from tomojax.hardware.loop.recorder import attributes
 from tomojax.hardware.sinks import (
     check,
     check_all,
@@ -28,7 +27,7 @@ from tomojax.hardware.sinks import (
     parse,
 )
 from tomojax.hardware.sinks.run import open_sink
-from tomojax.recordings import Rig
+from tomojax.recordings import attributes, Rig
 
 SLOTS = 60
 

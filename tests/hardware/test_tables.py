@@ -9,10 +9,10 @@ import pytest
 import tomojax as tx
 from tomojax.cli.app import app
 from tomojax.hardware import open_source
-from tomojax.hardware.loop.recorder import attributes, File
+from tomojax.hardware.loop.recorder import File
 from tomojax.hardware.sources import check_source, OrderedSource, ReplaySource
 from tomojax.hardware.sources.virtual_rig import VirtualRig, write_scene
-from tomojax.recordings import open_recording, Rig
+from tomojax.recordings import attributes, open_recording, Rig
 
 TABLE = np.zeros((6, 4))  # more rows than electrodes
 TABLE[np.arange(6), [0, 0, 0, 1, 1, 2]] = 0.25

@@ -50,6 +50,8 @@ def test_resistances_of_a_disc(disc) -> None:
     np.testing.assert_allclose(got, want, rtol=2e-3)
     field = tx.sensor.make_field(disc)
     np.testing.assert_allclose(pairs(np.asarray(field.electrodes)), want, rtol=3e-4)
+    alone = tx.sensor.make_among(disc)
+    jax.tree.map(np.testing.assert_array_equal, alone, field.among)
 
 
 def test_potentials_on_a_disc(disc) -> None:

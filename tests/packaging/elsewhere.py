@@ -14,8 +14,8 @@ import tomojax.kernels
 from tomojax.cli import main as command
 from tomojax.hardware import open_source, run, SlotRing
 from tomojax.hardware.loop import real_time
-from tomojax.hardware.loop.recorder import attributes, Recorder
-from tomojax.recordings import open_recording
+from tomojax.hardware.loop.recorder import Recorder
+from tomojax.recordings import attributes, open_recording
 from tomojax.results.loading import LoadedResults
 
 DEMO = Path(tomojax.__file__).with_name("demo.h5")

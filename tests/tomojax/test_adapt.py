@@ -222,7 +222,7 @@ def test_a_gap_or_nonsense_does_no_harm(sensor, touches):
 
 def saved(sensor, day, path):
     """A recording's file of a day."""
-    from tomojax.hardware.loop.recorder import attributes
+    from tomojax.recordings import attributes
 
     told = attributes(tx.recordings.Rig.of(sensor), 1.5e-4, 0.0)
     xy = told.pop("electrode_xy")

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 import tomojax as tx
 from tomojax._whole import whole, write_text
 from tomojax.cli import app
-from tomojax.cli.entry import Command, InputFile, OutputFile, OutputFolder
+from tomojax.cli.entry import Command, InputFile, OutputFile, OutputFolder, write_report
 
 
 def run(monkeypatch, capsys, *words) -> tuple[int, str]:
@@ -35,6 +35,15 @@ def rec(tmp_path):
     return recordings.write(
         tmp_path / "rec.h5", recordings.noise(np.random.default_rng(0), 40)
     )
+
+
+def test_a_report_has_null_where_a_number_is_missing(tmp_path) -> None:
+    """JSON has no NaN: other readers than Python's refuse it."""
+    row = {"g": float("nan"), "x": float("inf"), "n": 1.5}
+    write_report(tmp_path / "a.json", rows=[row])
+    text = (tmp_path / "a.json").read_text()
+    (row,) = json.loads(text, parse_constant=int)["rows"]
+    assert row == {"g": None, "x": None, "n": 1.5}
 
 
 def test_every_path_says_whether_it_is_read_or_written() -> None:

@@ -8,6 +8,7 @@ import recordings
 import tomojax as tx
 from tomojax import cli, Flag
 from tomojax.results import partial_path, Settings
+from tomojax.results._file import ResultsFile
 
 SCANS, SLOTS = 220, 2
 FIELDS = ("contact_count", "flags", "contact_xy", "contact_current", "residual")
@@ -119,12 +120,14 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rows(path, out, chunk=80, progress=stop)
+        rows(path, out, chunk=16, progress=stop)
     partial = partial_path(out)
     state = partial.with_name(partial.name + ".state")
     content = state.read_bytes()
-    with np.load(state) as file:
-        kept = dict(file)
+    with np.load(state) as arrays:
+        kept = dict(arrays)
+    marks = partial.with_name(partial.name + ".done").read_bytes()
+    file, own = ResultsFile(out, len(marks)), {k: kept[k] for k in ("numbers", "whole")}
     for name, value in (
         ("chunk", None),
         ("chunk", np.array(2.5)),
@@ -133,13 +136,15 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
         ("whole", None),
     ):
         wrong = {k: v for k, v in (kept | {name: value}).items() if v is not None}
-        with state.open("wb") as file:
-            np.savez(file, **wrong)
+        with state.open("wb") as raw:
+            np.savez(raw, **wrong)
         said = f"o.h5.partial.state: {name}: got .*; begin anew with --overwrite$"
         with pytest.raises(ValueError, match=said):
-            rows(path, out, chunk=80, resume=True)
+            file.kept(own)
+    with pytest.raises(ValueError, match=said):  # of the last, as a run says it
+        rows(path, out, chunk=16, resume=True)
     state.write_bytes(content)
-    same(rows(path, out, chunk=80, resume=True), whole)
+    same(rows(path, out, chunk=16, resume=True), whole)
 
 
 @pytest.mark.parametrize(

@@ -196,8 +196,9 @@ def test_meshio_may_be_missing(monkeypatch) -> None:
 def test_recordings_and_results_of_a_curved_sheet(tmp_path) -> None:
     """A recording of the recorder is solved and exported: contacts have places in space."""
     from tomojax.hardware.loop import SlotRing
-    from tomojax.hardware.loop.recorder import attributes, Recorder
+    from tomojax.hardware.loop.recorder import Recorder
     from tomojax.hardware.sources import Got
+    from tomojax.recordings import attributes
 
     flat, triangles = half_cylinder()
     places = grid_of(4, 4, 0.033, 0.02)

@@ -8,6 +8,9 @@ from rig import NOMINAL, Rig
 
 import tomojax as tx
 from tomojax import Flag
+from tomojax.kernels.contacts import NOT_ROUND
+from tomojax.methods.points._found import Found
+from tomojax.methods.points._ladder import _asked, Ladder
 
 CORNERS = [0, 63]
 
@@ -73,6 +76,20 @@ def test_how_many_and_where(scenes, rows):
     assert max(errors.values()) < 3e-3
     high = (rows.flags & (Flag.HIGH_RESIDUAL | Flag.SOLVE_FAILED)) > 0
     assert not high.any()
+
+
+def test_frames_together_ask_for_a_curve_as_each_alone():
+    """Two round discs that explain a frame ask for no bar; two long ones do."""
+    parameters = np.zeros((3, 3, 6), np.float32)
+    parameters[1:, :2, 3] = 2 * NOT_ROUND
+    parameters[2, 1, 3] = 0  # one is round
+    zero = np.zeros(3, np.float32)
+    discs = Found(*[zero] * len(Found._fields))
+    discs = discs._replace(parameters=parameters, count=np.full(3, 2))
+    ladder = Ladder(*[discs] * 3, *[zero] * 3, asked=np.ones(3, bool))
+    each = [bool(_asked(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(3)]
+    assert each == [False, True, False]
+    assert np.asarray(_asked(ladder)).tolist() == each
 
 
 def test_shapes(scenes, rows):

@@ -1,6 +1,7 @@
 """Skins of other outlines and ground conditions, in the rooms that people use."""
 
 from dataclasses import replace
+from functools import cache
 
 import h5py
 import jax
@@ -40,14 +41,26 @@ def frames(sensor: tx.Sensor) -> tuple[np.ndarray, np.ndarray]:
     return (volts + noise).astype(np.float32), np.tile(grounds, (len(PLACES), 1))
 
 
+@pytest.fixture(scope="module")
+def read(disc, paired):
+    """A method and its rows of `frames`, made once for each name and number of grounds."""
+
+    @cache
+    def read(name: str, grounds: str):
+        sensor = disc if grounds == "one" else paired
+        volts, which = frames(sensor)
+        # `source` reads peaks off an image, of which 16 electrodes leave some.
+        most = {"points": 2, "source": 1}[name]
+        method = tx.method(sensor, name, grid=24)
+        return method, tx.Batch(method, contacts=most)(volts, which)
+
+    return read
+
+
 @pytest.mark.parametrize("grounds", ["one", "several"])
 @pytest.mark.parametrize("name, off", [("points", 0.2e-3), ("source", 4e-3)])
-def test_a_contact_is_found(disc, paired, grounds, name, off) -> None:
-    sensor = disc if grounds == "one" else paired
-    volts, which = frames(sensor)
-    # `source` reads peaks off an image, of which 16 electrodes leave some.
-    most = {"points": 2, "source": 1}[name]
-    rows = tx.Batch(tx.method(sensor, name, grid=24), contacts=most)(volts, which)
+def test_a_contact_is_found(read, grounds, name, off) -> None:
+    rows = read(name, grounds)[1]
     np.testing.assert_array_equal(rows.contact_count, 1)
     apart = np.hypot(*(rows.contact_xy[:, 0] - np.array(PLACES)).T)
     assert apart.max() < off
@@ -57,9 +70,8 @@ def test_a_contact_is_found(disc, paired, grounds, name, off) -> None:
     assert (outside == outside[0]).all()
 
 
-def test_conductance_with_several_grounds(paired) -> None:
-    volts, which = frames(paired)
-    rows = tx.Batch(tx.method(paired, "points", grid=24), contacts=2)(volts, which)
+def test_conductance_with_several_grounds(read) -> None:
+    rows = read("points", "several")[1]
     np.testing.assert_allclose(rows.contact_conductance[:, 0], 3e-5, rtol=0.03)
 
 
@@ -182,11 +194,45 @@ def test_patterns_of_a_sheet_with_a_hole() -> None:
         (lambda: _two_parts(), "another part"),
         (lambda: tx.Sensor.grid(conditions=np.zeros((1, 64))), "ungrounded"),
         (lambda: tx.Sensor.polygon([[0, 0], [1, 1]], {"rim": 4}), "2 vertices"),
+        (lambda: tx.Sensor.polygon(_fork(1e-4), FINGERS), "a gap or a neck 0.0001 m"),
     ],
 )
 def test_mistakes_are_named(make, said) -> None:
     with pytest.raises(ValueError, match=said):
         make()
+
+
+FINGERS = np.array([[0.005, 0.026], [0.025, 0.026], [0.015, 0.005]])
+
+
+def _fork(gap: float) -> np.ndarray:
+    """Two fingers of 25 mm on a palm, and the gap between them."""
+    low, high = (30 - 1e3 * gap) / 2, (30 + 1e3 * gap) / 2
+    corners = [[0, 0], [30, 0], [30, 35], [high, 35], [high, 10], [low, 10]]
+    return 1e-3 * np.array([*corners, [low, 35], [0, 35]])
+
+
+def test_a_gap_between_fingers_stays_open() -> None:
+    """A mesh that suits electrodes alone would join them, and be two thirds off."""
+
+    def between(sensor: tx.Sensor) -> float:
+        ee = np.asarray(tx.sensor.resistances(sensor).electrodes)
+        return ee[0, 0] + ee[1, 1] - 2 * ee[0, 1]
+
+    fork = tx.Sensor.polygon(_fork(1.2e-3), FINGERS, electrode_shunt=1.0)
+    assert (np.asarray(fork.size) / fork.divisions < 0.4e-3 + 1e-6).all()
+    assert abs(between(fork) / 31653.5 - 1) < 5e-3
+
+
+@pytest.mark.long
+def test_a_corner_that_points_inwards_costs_no_digit() -> None:
+    """Both tests' figures are those of quadratic elements on an unstructured mesh."""
+    corners = 1e-3 * np.array([[0, 0], [40, 0], [40, 20], [20, 20], [20, 40], [0, 40]])
+    xy = 1e-3 * np.array([[14, 14], [32, 10], [10, 32]])
+    letter = tx.Sensor.polygon(corners, xy, electrode_shunt=1.0)
+    ee = np.asarray(tx.sensor.make_field(letter).electrodes, float)
+    found = ee[[0, 1], [0, 1]] + ee[[1, 2], [1, 2]] - 2 * ee[[0, 1], [1, 2]]
+    np.testing.assert_allclose(found, [9477.55, 17236.4], rtol=8e-4)
 
 
 def _two_parts() -> tx.Sensor:
@@ -252,8 +298,8 @@ def test_a_sheet_that_another_code_tells(worn) -> None:
         tx.voltages(told, tx.Disc([0.03, 0.03], 0.006, 0.5))
 
 
-def test_no_peak_is_off_the_sheet(disc) -> None:
-    method = tx.method(disc, "source", grid=24)
+def test_no_peak_is_off_the_sheet(read) -> None:
+    method = read("source", "one")[0]
     outside = ~np.asarray(method.inside).ravel()
     assert outside.any() and (np.asarray(method.basis)[:, outside] == 0).all()
 

@@ -1,6 +1,5 @@
 """`tomojax design`: chooses grounds for the places where contacts may be."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +112,7 @@ def design(
         places = _places(sensor, region, spots, options["contacts"])
         rows, summary, figures = _designed(sensor, places, own, options)
         print(text(rows, summary))
-        told = {"rows": rows, "summary": summary}
-        entry.write_report(json_path, **json.loads(json.dumps(told).replace("NaN", "null")))
+        entry.write_report(json_path, rows=rows, summary=summary)
         if out:
             figure = draw(sensor, rows, summary, places, figures)
             entry.save_picture(figure, out / "design.png")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax._require import require
+from tomojax._require import require, require_whole
 from tomojax.design._search import exchange, greedy, relax
 from tomojax.design.objectives._image_error import ImageError
 from tomojax.design.objectives._information import AbstractObjective
@@ -98,9 +98,7 @@ def design_policy(
     (2, 2, 2)
     >>> tx.step.save_policy(found.policy, "table.npz")  # for `make_step` or `tomojax live`
     """
-    m = sensor.condition_count
-    whole = isinstance(slots, int | np.integer) and 1 <= slots <= m
-    require(whole, "slots", repr(slots), f"a whole number from 1 to {m}")
+    require_whole("slots", slots, 1, sensor.condition_count)
     whole = method != "points" and options.get("criterion") == "d"
     require(not whole, "criterion", "'d' of an image", "one with a figure for each place")
     nx, ny = shape or _SHAPES.get(method, (16, 16))

@@ -17,6 +17,7 @@ from tomojax import paper
 from tomojax._custom_types import Numbers
 from tomojax._require import library, require
 from tomojax._shown import html_table
+from tomojax.design._design import grounds_of_each
 from tomojax.design.objectives import design_places, simulate_scenes
 from tomojax.kernels.images import half_width, image_place
 from tomojax.sensor import ground_set, jacobian, Sensor
@@ -155,7 +156,7 @@ def compare_patterns(
     images = _Images.of(sensor, np.asarray(scenes.voltages, float))
     rows = []
     for name, one in checked.items():
-        sets = _sets(sensor, one, explored, seed)
+        sets = grounds_of_each(sensor, one, explored, seed)
         lam, width_m, off = _at_width(sensor, images, sets, wide, places)
         slots = sets.shape[1]
         rows.append(
@@ -193,20 +194,6 @@ def _checked(sensor: Sensor, name: str, one: str | Numbers) -> str | np.ndarray:
     whole = grounds.ndim == 1 and len(np.unique(grounds)) == len(grounds)
     require(whole, argument, one, "numbers of electrodes, each at most once")
     return grounds
-
-
-def _sets(
-    sensor: Sensor, one: str | np.ndarray, explored: Float[Array, "P 2 M"], seed: int
-) -> Integer[np.ndarray, "P L"]:
-    """Returns the grounds of each contact."""
-    if not isinstance(one, str):
-        grounds = one
-    elif one in ADAPTIVE:
-        scan = paper.AdaptiveScan(sensor, one)  # pyright: ignore
-        return np.asarray(jax.jit(jax.vmap(lambda v: scan(v)[0]))(explored))
-    else:
-        grounds = np.asarray(paper.pattern(sensor, one, seed=seed))
-    return np.broadcast_to(grounds, (len(explored), len(grounds)))
 
 
 class _Images(NamedTuple):

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Integer
 
-from tomojax._require import require
+from tomojax._require import require_whole
 from tomojax._shown import html_table, named, shown
 from tomojax.design._search import exchange, greedy, relax, Relaxed
 from tomojax.design.objectives._information import AbstractObjective
@@ -74,9 +74,7 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     >>> found.grounds.shape, found.bound <= found.value
     ((2,), True)
     """
-    most = objective.slots
-    whole = isinstance(slots, int | np.integer) and 1 <= slots <= most
-    require(whole, "slots", repr(slots), f"a whole number from 1 to {most}")
+    require_whole("slots", slots, 1, objective.slots)
     n = int(slots)
     best, values, relaxed = _search(objective, n)
     return Design(
@@ -155,11 +153,7 @@ def patterns_beside(
     rows = []
     for name in PATTERNS:
         adaptive = name in ADAPTIVE
-        if adaptive:
-            scan = AdaptiveScan(sensor, name)  # pyright: ignore
-            sets = np.asarray(jax.jit(jax.vmap(lambda v, s=scan: s(v)[0]))(explored))
-        else:
-            sets = np.asarray(pattern(sensor, name))[None]
+        sets = grounds_of_each(sensor, name, explored)
         chosen = np.zeros((len(sets), objective.slots))
         np.put_along_axis(chosen, sets, 1, 1)
         weights = jnp.asarray(chosen, objective.dtype)
@@ -171,6 +165,17 @@ def patterns_beside(
         slots = sets.shape[1]
         rows.append({"name": name, "slots": slots, "value": value, "adaptive": adaptive})
     return rows
+
+
+def grounds_of_each(
+    sensor: Sensor, one: str | np.ndarray, explored: Float[Array, "P 2 M"], seed: int = 0
+) -> Integer[np.ndarray, "P L"]:
+    """Returns the grounds of each contact: a pattern's by its name, or those given."""
+    if isinstance(one, str) and one in ADAPTIVE:
+        scan = AdaptiveScan(sensor, one)  # pyright: ignore
+        return np.asarray(jax.jit(jax.vmap(lambda v: scan(v)[0]))(explored))
+    grounds = np.asarray(pattern(sensor, one, seed=seed) if isinstance(one, str) else one)
+    return np.broadcast_to(grounds, (len(explored), len(grounds)))
 
 
 @jax.jit

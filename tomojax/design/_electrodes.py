@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import float_array, require, require_positive, require_shape
 from tomojax._custom_types import Numbers
+from tomojax._require import require_whole
 from tomojax.kernels.sheet import (
     cell_centres,
     centroids,
@@ -48,7 +49,8 @@ _JITTER = 0.075
 _EDGE = 0.6
 _APART = 1.4
 
-# What less than that costs; and the most that a design may cost.
+# How strongly the search is pushed off places nearer than that, times the square of what
+# is missing in diameters; and the most that a design may be pushed.
 _COST = 1e2
 _HELD = 0.1
 
@@ -114,8 +116,7 @@ def design_electrodes(
     """
     if places is None:
         places = _everywhere(sensor)
-    positive = isinstance(starts, int) and starts >= 1
-    require(positive, "starts", repr(starts), "a whole number above 0")
+    require_whole("starts", starts)
     where = float_array("places", places, sensor.dtype)
     require_shape("places", where, (None, 2))
     require(len(where) > 0, "places", "none", "one place at least")

@@ -7,18 +7,17 @@ from ._response import (
     nominal as nominal,
     Response as Response,
 )
-from ._results import write_results as write_results
+from ._results import (
+    located_text as located_text,
+    summary_located as summary_located,
+    write_results as write_results,
+)
 from ._sheet_change import (
     background as background,
     jacobian as jacobian,
     sensitivities as sensitivities,
 )
-from ._told import (
-    info_text as info_text,
-    located_text as located_text,
-    summary as summary,
-    summary_located as summary_located,
-)
+from ._told import info_text as info_text, summary as summary
 
 # The rest serves other rooms.
 __all__ = [

@@ -122,17 +122,11 @@ class Pairs:
         >>> tx.ert.Pairs([[0, 2], [3, 1]], [[[1, 3]], [[2, 0]]]).exchanged().tolist()
         [[0, 0, 1, 0, 1]]
         """
-        known: dict[Any, tuple[int, int, bool]] = {}
-        found = []
-        for c, r in np.ndindex(*self.read.shape[:2]):
-            one, other = self.inject[c], self.read[c, r]
-            rising = bool((one[0] < one[1]) == (other[0] < other[1]))
-            own, exchanged = (
-                (tuple(sorted(a)), tuple(sorted(b)))
-                for a, b in ((one, other), (other, one))
-            )
-            if exchanged in known:
-                *there, same = known[exchanged]
-                found.append([*there, c, r, 1 if same == rising else -1])
-            known.setdefault(own, (c, r, rising))
-        return np.array(found, int).reshape(-1, 5)
+        driven = np.broadcast_to(self.inject[:, None], self.read.shape)
+        both = np.stack([driven, self.read], 2).reshape(-1, 2, 2)
+        names = np.sort(both, -1) @ np.array([_MOST, 1])
+        same = (names[:, None] == names[None, :, ::-1]).all(-1)
+        one, other = np.nonzero(np.triu(same, 1))
+        sign = np.sign(both[..., 1] - both[..., 0]).prod(-1)
+        at = [*np.divmod(one, self.readings), *np.divmod(other, self.readings)]
+        return np.stack([*at, sign[one] * sign[other]], 1)

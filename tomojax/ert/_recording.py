@@ -9,16 +9,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tomojax._require import require
-from tomojax._shown import named, shown
+from tomojax._shown import named
 from tomojax._whole import whole
 from tomojax.ert._pairs import Pairs
 from tomojax.files import open_container
-from tomojax.recordings import Outline, SCHEMA, VERSIONS
+from tomojax.recordings import number, Outline, SCHEMA, size_of, VERSIONS
 
 if TYPE_CHECKING:
     import tomojax.sensor
 
 KIND = "conductivity"
+_NUMBERS = "scale", "offset", "electrode_diameter", "f_switch"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,12 +72,11 @@ class PairRecording:
     path: Path = Path("arrays")
 
     def __post_init__(self):
-        shape = (self.pairs.conditions, self.pairs.readings)
-        volts = np.array(self.voltages, float)
+        volts, xy = np.array(self.voltages, float), np.asarray(self.electrode_xy, float)
+        volts[~np.isfinite(volts)] = np.nan
+        shape = self.pairs.read.shape[:2]
         fits = volts.ndim == 3 and len(volts) > 0 and volts.shape[1:] == shape
         require(fits, "v", f"shape {volts.shape}", f"(frames, {shape[0]}, {shape[1]})")
-        volts[~np.isfinite(volts)] = np.nan
-        n, xy = len(volts), np.asarray(self.electrode_xy, float)
         fits = xy.ndim == 2 and xy.shape[1] == 2 and bool(np.isfinite(xy).all())
         require(fits, "electrode_xy", f"shape {xy.shape}", "(electrodes, 2) m, numbers")
         self.pairs.within(len(xy))
@@ -85,30 +85,22 @@ class PairRecording:
             require(0 < value < np.inf, name, value, "a number above 0")
         told = self.size is not None or self.outline.kind != "rectangle"
         require(told, "size", "none", "the rectangle's, m")
+        n = len(volts)
         times = np.arange(n) * shape[0] / self.f_switch if self.t0 is None else self.t0
         put: dict[str, Any] = {"voltages": volts, "electrode_xy": xy}
-        put["t0"] = np.asarray(times, float)
-        if self.places is not None:
-            put["places"] = np.asarray(self.places, float)
-            shown = f"shape {put['places'].shape}"
-            require(put["places"].shape == (n, 2), "places", shown, f"({n}, 2) m, as v has")
-        require(put["t0"].shape == (n,), "t0", f"shape {put['t0'].shape}", f"({n},)")
+        for name, value, wanted in (("t0", times, (n,)), ("places", self.places, (n, 2))):
+            if value is not None:
+                put[name] = found = np.asarray(value, float)
+                told = f"shape {found.shape}"
+                require(found.shape == wanted, name, told, f"{wanted}, as v has frames")
         if self.magnitude is None:
             put["magnitude"] = "magnitude" in self.units
         for name, value in put.items():
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
-        n, c, r = self.voltages.shape
-        return named(
-            self,
-            path=str(self.path),
-            frames=str(n),
-            readings=f"{c} × {r}",
-            electrodes=str(len(self.electrode_xy)),
-            places=str(int(self.known.sum())),
-            f_switch=shown(self.f_switch, "Hz"),
-        )
+        shape = " × ".join(map(str, self.voltages.shape))
+        return named(self, path=str(self.path), voltages=shape, units=self.units)
 
     @property
     def bad(self) -> Bool[np.ndarray, "n C R"]:
@@ -127,30 +119,28 @@ class PairRecording:
         rank = np.cumsum(self.known)
         least = int(rank[-1])
         require(0 <= count <= least, "places", f"{count}", f"0 to {least}, as it has")
-        hidden = ~self.known | (rank > count)
-        places = None if self.places is None else np.array(self.places)
-        if places is not None:
-            places[hidden] = np.nan
-        return replace(self, places=places)
+        if self.places is None:
+            return self
+        return replace(self, places=np.where((rank > count)[:, None], np.nan, self.places))
 
     @property
     def origin(self) -> Float[np.ndarray, "2"]:
         """Returns where the sensor's box begins in the recording's places, m."""
-        if self.size is not None:
-            return np.zeros(2)
-        if self.outline.loops:
-            return self.outline.loops[0].min(0)
-        return np.full(2, -self.outline.diameter / 2)
+        return self._ends()[0]
 
     @property
     def box(self) -> tuple[float, float]:
         """Returns the sides of the sensor's box, m."""
+        width, height = np.ptp(self._ends(), 0)
+        return float(width), float(height)
+
+    def _ends(self) -> Float[np.ndarray, "n 2"]:
+        """Returns the box's lowest and highest corner, m."""
         if self.size is not None:
-            return self.size
+            return np.array([(0.0, 0.0), self.size])
         if self.outline.loops:
-            width, height = np.ptp(self.outline.loops[0], 0)
-            return float(width), float(height)
-        return self.outline.diameter, self.outline.diameter
+            return np.stack([self.outline.loops[0].min(0), self.outline.loops[0].max(0)])
+        return self.outline.diameter * np.array([[-0.5, -0.5], [0.5, 0.5]])
 
     def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
         """Makes the sensor, whose places are the recording's less `origin`.
@@ -176,22 +166,25 @@ class PairRecording:
         """Writes the recording to a file (HDF5)."""
         import h5py
 
-        told: dict[str, Any] = {"schema": SCHEMA, "schema_version": VERSIONS[-1]}
-        told |= {"kind": KIND, "units": self.units, "notes": self.notes}
-        told |= {"f_switch": self.f_switch, "magnitude": bool(self.magnitude)}
-        told |= {"electrode_diameter": self.electrode_diameter}
+        names = "units", "notes", "f_switch", "magnitude", "electrode_diameter"
+        told = {name: getattr(self, name) for name in names}
+        told |= {"schema": SCHEMA, "schema_version": VERSIONS[-1], "kind": KIND}
         told |= self.outline.attributes() | ({"size": self.size} if self.size else {})
         condition = np.broadcast_to(np.arange(self.pairs.conditions), self.bad.shape[:2])
-        arrays = {"v": self.voltages.astype(np.float32), "t0": self.t0}
-        arrays |= {"condition": condition.astype(np.uint16)}
-        arrays |= {"conditions/inject": self.pairs.inject.astype(np.uint16)}
-        arrays |= {"conditions/read": self.pairs.read.astype(np.uint16)}
-        arrays |= {"electrode_xy": self.electrode_xy, "places": self.places}
+        arrays = {
+            "v": self.voltages.astype(np.float32),
+            "t0": self.t0,
+            "condition": condition.astype(np.uint16),
+            "conditions/inject": self.pairs.inject.astype(np.uint16),
+            "conditions/read": self.pairs.read.astype(np.uint16),
+            "electrode_xy": self.electrode_xy,
+        } | self.outline.datasets()
         with whole(path) as part, h5py.File(part, "w") as file:
             file.attrs.update(told)
-            for name, values in (arrays | self.outline.datasets()).items():
-                if values is not None:
-                    file[name] = values
+            for name, values in arrays.items():
+                file[name] = values
+            if self.places is not None:
+                file["places"] = self.places
 
 
 def load(path: Path | str) -> PairRecording:
@@ -230,44 +223,29 @@ def _read(path: Path, file: Any) -> PairRecording:
         require(fits, name, f"{values.dtype} {values.shape}", f"numbers on {axes} axes")
         return values
 
-    def number(name: str, usual: float) -> float:
-        value = np.asarray(told.get(name, usual))
-        require(value.shape == () and value.dtype.kind in "iuf", name, value, "a number")
-        return float(value)
-
     pairs = Pairs(dataset("conditions/inject", 2), dataset("conditions/read", 3))
-    volts = number("scale", 1.0) * dataset("v", 3) + number("offset", 0.0)
-    (n, slots, readings), c = volts.shape, pairs.conditions
-    shape = f"shape {volts.shape}"
-    fits = readings == pairs.readings and (slots == c or "condition" in names)
-    require(fits, "v", shape, f"(frames, {c}, {pairs.readings}), as conditions have")
+    given: dict[str, Any] = {n: number(n, told[n]) for n in _NUMBERS if n in told}
+    volts = given.pop("scale", 1.0) * dataset("v", 3) + given.pop("offset", 0.0)
     if "condition" in names:
-        condition = dataset("condition", 2)
-        fits = condition.shape == (n, slots) and condition.dtype.kind in "iu"
-        require(fits, "condition", f"shape {condition.shape}", f"{(n, slots)}, as v has")
-        inside = bool((condition >= 0).all() and (condition < c).all())
+        condition, c = dataset("condition", 2), pairs.conditions
+        fits, shape = condition.shape == volts.shape[:2], f"shape {condition.shape}"
+        require(fits, "condition", shape, f"{volts.shape[:2]}, as v has")
+        inside = np.isin(condition, np.arange(c)).all()
         require(inside, "condition", int(condition.max(initial=0)), f"0 to {c - 1}")
-        ordered = np.full((n, c, readings), np.nan)
-        ordered[np.arange(n)[:, None], condition] = volts
+        ordered = np.full((len(volts), c, volts.shape[2]), np.nan)
+        ordered[np.arange(len(volts))[:, None], condition.astype(int)] = volts
         volts = ordered
-    size = None
-    if "size" in told:
-        size = np.asarray(told["size"])
-        fits = size.shape == (2,) and size.dtype.kind in "iuf" and bool((size > 0).all())
-        require(fits, "size", told["size"], "two lengths, m")
-        size = float(size[0]), float(size[1])
+    given |= {name: str(told[name]) for name in ("units", "notes") if name in told}
+    require("electrode_diameter" in given, "electrode_diameter", "none", "a number, m")
     return PairRecording(
         voltages=volts,
         pairs=pairs,
         electrode_xy=dataset("electrode_xy", 2),
-        electrode_diameter=number("electrode_diameter", np.nan),
         outline=Outline.read(told, dataset) or Outline("rectangle"),
-        size=size,
+        size=size_of(told["size"]) if "size" in told else None,
         t0=dataset("t0", 1),
         places=dataset("places"),
-        f_switch=number("f_switch", 1000.0),
-        units=str(told.get("units", "V")),
-        notes=str(told.get("notes", "")),
         magnitude=bool(told["magnitude"]) if "magnitude" in told else None,
         path=path,
+        **given,
     )

@@ -1,24 +1,25 @@
-"""Writes located presses as results, version 1."""
+"""Writes located presses as results, version 1, and sums them up."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tomojax._environment import environment
 from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import Located
-from tomojax.kernels.flags import Flag, NO_ANSWER
+from tomojax.ert._told import quantile
+from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
 from tomojax.methods import empty_rows, fields_of_rows
-from tomojax.results import Dataset, write_rows
+from tomojax.results import Dataset, report, write_rows
 
 
 def write_results(
     recording: PairRecording,
     found: Located,
     out: Path,
-    method: str,
-    calibration: str | None = None,
+    response: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Writes a row for each frame: place, covariance, strength, residual and flags.
@@ -45,9 +46,9 @@ def write_results(
     lines = recording.outline.lines(recording.box)
     if not recording.outline.loops:
         lines = [line + origin for line in lines]
-    told = {"method": method, "calibration": calibration, "frames": len(found.xy)}
+    told = {"calibration": response and str(response), "frames": len(found.xy)}
     attributes = {
-        "method": method,
+        "method": "response" if response else "nominal",
         "rate": "scan",
         "kind": "conductivity",
         "size": recording.box,
@@ -66,3 +67,50 @@ def found_contact(found: Located) -> np.ndarray:
     """Tells which frames have a contact and a place."""
     none = (found.flags & int(Flag.NO_CONTACT | NO_ANSWER)) > 0
     return ~none & np.isfinite(found.xy).all(1)
+
+
+def summary_located(recording: PairRecording, found: Located) -> dict[str, Any]:
+    """Counts contacts and flags; with known places, tells how far off they are.
+
+    Numbers without a row to tell them are None.
+    """
+    there, flags = found_contact(found), np.asarray(found.flags)
+    silent = (flags & int(NO_ANSWER)) > 0
+    by_flag = {f.name: int(((flags & f.value) > 0).sum()) for f in Flag}
+    deviations = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))  # of x and y
+    places = np.nan * found.xy if recording.places is None else recording.places
+    off = (found.xy - places)[judged := there & recording.known]
+    error = 1e3 * np.sqrt((off**2).sum(1))
+    stated = 1e3 * np.sqrt((deviations[there] ** 2).mean(1))
+    return {
+        "rows_in_all": len(there),
+        "rows_with_contact": int(there.sum()),
+        "rows_doubted": int((((flags & int(DOUBT)) > 0) & ~silent).sum()),
+        "rows_without_answer": int(silent.sum()),
+        "rows_by_flag": {name: count for name, count in by_flag.items() if count},
+        "deviation_median_mm": quantile(stated, 0.5),
+        "residual_median": quantile(found.residual[there], 0.5),
+        "places_judged": int(judged.sum()),
+        "place_error_median_mm": quantile(error, 0.5),
+        "place_error_p90_mm": quantile(error, 0.9),
+        "within_deviation": float((abs(off) <= deviations[judged]).mean())
+        if len(off)
+        else None,
+    }
+
+
+def located_text(told: dict[str, Any], out: Path) -> str:
+    """Formats the summary for people."""
+    lines = [f"{told['rows_in_all']} rows, {told['rows_with_contact']} with a contact"]
+    if told["rows_with_contact"]:
+        mm, left = told["deviation_median_mm"], told["residual_median"]
+        stated = f"stated deviation {mm:.3g} mm, residual {left:.3g} deviations"
+        lines.append(f"in the median: {stated}")
+    if told["places_judged"]:
+        median, most = told["place_error_median_mm"], told["place_error_p90_mm"]
+        lines.append(
+            f"places known of {told['places_judged']}: off by {median:.2f} mm in the "
+            f"median, 90 % within {most:.2f} mm; {100 * told['within_deviation']:.0f} % "
+            "of coordinates within their deviation"
+        )
+    return "\n".join([*lines, *report.flag_lines(told), f"results: {out}"])

@@ -1,4 +1,4 @@
-"""Describes recordings of pairs, and what was located, in a few lines."""
+"""Describes recordings of pairs in a few lines; loads no JAX."""
 
 from pathlib import Path
 from typing import Any
@@ -6,137 +6,54 @@ from typing import Any
 import numpy as np
 
 from tomojax.ert._recording import PairRecording
-from tomojax.ert._response import Located
-from tomojax.ert._results import found_contact
-from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
 
-_TOLD = 20  # readings of a fault that are named
+_TOLD = 20  # readings that never change, by name
 
 
 def summary(recording: PairRecording) -> dict[str, Any]:
     """Describes a recording, with units in the keys."""
     volts, times = recording.voltages, recording.t0
     n, c, r = volts.shape
-    bad = recording.bad
-    still = (volts == volts[:1]).all(0) & (n > 1)
+    still = np.argwhere((volts == volts[:1]).all(0) & (n > 1)).tolist()
     return {
         "frames": n,
-        "conditions": c,
-        "readings": r,
+        "injections": c,
+        "readings_of_each": r,
         "electrodes": len(recording.electrode_xy),
         "places_known": int(recording.known.sum()),
         "duration_s": float(times[-1] - times[0] + c / recording.f_switch),
-        "f_switch_Hz": recording.f_switch,
         "outline": recording.outline.kind,
         "size_m": list(recording.box),
-        "electrode_diameter_m": recording.electrode_diameter,
         "units": recording.units,
         "magnitude": bool(recording.magnitude),
         "notes": recording.notes,
-        "never_change": np.argwhere(still).tolist(),
-        "bad_readings": int(bad.sum()),
-        "bad_frames": int(bad.any((1, 2)).sum()),
-        "reciprocity": _reciprocity(recording),
+        "readings_that_are_no_numbers": int(recording.bad.sum()),
+        "readings_that_never_change": len(still),
+        "injection_and_reading_of_these": still[:_TOLD],
+        "apart_with_exchanged_roles_percent": _reciprocity(recording),
     }
 
 
 def _reciprocity(recording: PairRecording) -> float | None:
-    """Computes the median relative disagreement of readings with exchanged roles."""
+    """Computes the median disagreement of readings with exchanged roles, %."""
     c, r, d, s, sign = recording.pairs.exchanged().T
-    if not len(c):
-        return None
     one, other = recording.voltages[:, c, r], recording.voltages[:, d, s] * sign
     if recording.magnitude:
         one, other = abs(one), abs(other)
     size = (abs(one) + abs(other)) / 2
-    fine = np.isfinite(size) & (size > 0)
-    return float(np.median(abs(one - other)[fine] / size[fine])) if fine.any() else None
+    return quantile(100 * abs(one - other)[size > 0] / size[size > 0], 0.5)
 
 
 def info_text(path: Path, found: dict[str, Any]) -> str:
-    """Formats the description for people."""
-    width, height = (1e3 * side for side in found["size_m"])
-    signs = ", of the magnitude" if found["magnitude"] else ""
-    lines = [
-        f"{path}: can be read; current between pairs of electrodes",
-        f"  {found['frames']} frames of {found['conditions']} injections × "
-        f"{found['readings']} readings, {found['electrodes']} electrodes, "
-        f"{found['duration_s']:.6g} s at {found['f_switch_Hz']:g} injections/s",
-        f"  sheet: {found['outline']} of {width:g} mm × {height:g} mm; readings in "
-        f"{found['units']}" + ("" if "magnitude" in found["units"] else signs),
-        f"  places are known of {found['places_known']} frames",
-    ]
-    if found["notes"]:
-        lines.append(f"  notes: {found['notes']}")
-    if found["reciprocity"] is None:
-        lines.append("  no readings with exchanged roles: reciprocity is not told")
-    else:
-        told = f"{100 * found['reciprocity']:.3g} % apart in the median"
-        lines.append(f"  readings with exchanged roles are {told}")
-    if found["bad_readings"]:
-        told = f"{found['bad_readings']} in {found['bad_frames']} frames"
-        lines.append(f"  readings that are no numbers: {told}")
-    still = [f"{c}/{r}" for c, r in found["never_change"]]
-    if still:
-        more = " …" if len(still) > _TOLD else ""
-        told = ", ".join(still[:_TOLD]) + more
-        lines.append(f"  {len(still)} readings never change (injection/reading): {told}")
-    if not still and not found["bad_readings"]:
-        lines.append("  no faults")
+    """Formats the description for people: a line for each entry."""
+    lines = [f"{path}: can be read; current between pairs of electrodes"]
+    for name, value in found.items():
+        if value not in (None, "", []):
+            shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+            lines.append(f"  {name.replace('_', ' ')}: {shown}")
     return "\n".join(lines)
 
 
-def summary_located(recording: PairRecording, found: Located) -> dict[str, Any]:
-    """Counts contacts and flags; with known places, tells how far off they are."""
-    there = found_contact(found)
-    silent = (found.flags & int(NO_ANSWER)) > 0
-    doubted = ((found.flags & int(DOUBT)) > 0) & ~silent
-    variance = np.trace(found.covariance, axis1=1, axis2=2) / 2
-    by_flag = {f.name: int(((found.flags & f.value) > 0).sum()) for f in Flag}
-    told = {
-        "rows_in_all": len(there),
-        "rows_with_contact": int(there.sum()),
-        "rows_doubted": int(doubted.sum()),
-        "rows_without_answer": int(silent.sum()),
-        "rows_by_flag": {name: count for name, count in by_flag.items() if count},
-        "deviation_median_mm": _quantile(1e3 * np.sqrt(variance[there]), 0.5),
-        "residual_median": _quantile(found.residual[there], 0.5),
-    }
-    judged = there & recording.known
-    if not judged.any():
-        return told
-    assert recording.places is not None
-    off = found.xy[judged] - recording.places[judged]
-    axes = np.sqrt(np.diagonal(found.covariance[judged], axis1=1, axis2=2))
-    error = 1e3 * np.sqrt((off**2).sum(1))
-    return told | {
-        "places_judged": int(judged.sum()),
-        "place_error_median_mm": _quantile(error, 0.5),
-        "place_error_p90_mm": _quantile(error, 0.9),
-        "within_deviation": float((abs(off) <= axes).mean()),
-    }
-
-
-def _quantile(values: np.ndarray, part: float) -> float | None:
+def quantile(values: np.ndarray, part: float) -> float | None:
+    """Returns a quantile, or None of no values."""
     return float(np.quantile(values, part)) if len(values) else None
-
-
-def located_text(told: dict[str, Any], out: Path) -> str:
-    """Formats the summary for people."""
-    from tomojax.results import report
-
-    lines = [f"{told['rows_in_all']} rows, {told['rows_with_contact']} with a contact"]
-    if told["rows_with_contact"]:
-        lines[0] += (
-            f", stated deviation {told['deviation_median_mm']:.3g} mm, "
-            f"residual {told['residual_median']:.3g} deviations (medians)"
-        )
-    lines += report.flag_lines(told)
-    if "places_judged" in told:
-        lines.append(
-            f"places known of {told['places_judged']}: off by "
-            f"{told['place_error_median_mm']:.2f} mm in the median, 90 % within "
-            f"{told['place_error_p90_mm']:.2f} mm; {100 * told['within_deviation']:.0f} % "
-            "of coordinates within their deviation"
-        )
-    return "\n".join([*lines, f"results: {out}"])

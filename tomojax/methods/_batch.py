@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Integer
 
-from tomojax._require import require
+from tomojax._require import require, require_whole
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import (
@@ -254,8 +254,7 @@ class Batch:
 
 def check_limits(lam: float, contacts: int, threshold: float) -> None:
     """Checks a `Batch`'s numbers. **Raises:** `ValueError` for numbers out of range."""
-    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 16
-    require(whole, "contacts", repr(contacts), "a whole number from 1 to 16")
+    require_whole("contacts", contacts, 1, 16)
     require(np.isfinite(lam) and lam > 0, "lam", lam, "a number above 0")
     fine = np.isfinite(threshold) and threshold >= 0
     require(fine, "threshold", threshold, "volts, 0 or more")

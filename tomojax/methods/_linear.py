@@ -147,8 +147,8 @@ class Linear(AbstractMethod):
         return self.reading_noise
 
     def scale(self) -> float:
-        rows = np.asarray(self.factors, float)
-        return float(np.linalg.norm(rows.reshape(-1, rows.shape[-1]), 2) ** 2)
+        rows = np.asarray(self.factors, float).reshape(-1, self.factors.shape[-1])
+        return float(np.linalg.eigvalsh(rows.T @ rows)[-1])
 
     def choose_lambda(self, frames: list[Frame]) -> float:
         """Returns Table I's λ for any frames: this λ makes *All* as wide as the paper's.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tomojax._require import one_of, require
+from tomojax._require import one_of, require, require_whole
 from tomojax.methods._auto import Auto
 from tomojax.methods._contract import AbstractMethod
 from tomojax.methods._linear import Linear
@@ -74,5 +74,4 @@ def method(
 
 def check_grid(grid: int) -> None:
     """Checks the pixels along a side. **Raises:** `ValueError` for another number."""
-    whole = isinstance(grid, int | np.integer) and 8 <= grid <= 512
-    require(whole, "grid", repr(grid), "a whole number from 8 to 512")
+    require_whole("grid", grid, 8, 512)

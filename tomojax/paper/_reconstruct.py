@@ -21,6 +21,7 @@ from tomojax._checks import (
     require_within,
 )
 from tomojax._custom_types import Numbers
+from tomojax._require import require_whole
 from tomojax._shown import tuple_shown
 from tomojax.kernels import inverse
 from tomojax.kernels.flags import Flag
@@ -71,9 +72,7 @@ def reduce_jacobian(jacobian: Numbers, rank: int = 256) -> inverse.ReducedSlots:
     """
     array = float_array("jacobian", jacobian)
     require_shape("jacobian", array, (None, None, None))
-    most = min(array.shape[0] * array.shape[1], array.shape[2])
-    whole = isinstance(rank, int | np.integer) and 1 <= rank <= most
-    require(whole, "rank", repr(rank), f"a whole number from 1 to {most}")
+    require_whole("rank", rank, 1, min(array.shape[0] * array.shape[1], array.shape[2]))
     return _reduce(array, rank)
 
 

@@ -11,7 +11,13 @@ from tomojax.recordings._chunks import (
     Rate as Rate,
     read_chunk as read_chunk,
 )
+from tomojax.recordings._described import number as number, size_of as size_of
 from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
+from tomojax.recordings._head import (
+    attributes as attributes,
+    rig_of as rig_of,
+    write_attributes as write_attributes,
+)
 from tomojax.recordings._open import kind_of as kind_of, open_recording as open_recording
 from tomojax.recordings._outline import check_table as check_table, Outline as Outline
 from tomojax.recordings._recording import (

@@ -269,5 +269,5 @@ def _check_schema(told: dict[str, Any]) -> None:
     expected = f"{VERSIONS[-1]} or less; a newer tomojax may read it"
     require(version in VERSIONS, "schema_version", f"{version:g}", expected)
     kind = _text(told.get("kind", "contact"))
-    expected = "'contact'; info, calibrate and reconstruct take others, one at a time"
+    expected = "'contact'; info, calibrate and reconstruct take others, file by file"
     require(kind == "contact", "kind", repr(kind), expected)

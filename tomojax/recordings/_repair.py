@@ -11,7 +11,7 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.recordings._chunks import CHUNK_SLOTS, Progress
 from tomojax.recordings._hdf5 import Hdf5Recording
-from tomojax.recordings._recording import SCHEMA
+from tomojax.recordings._head import attributes, write_attributes
 
 
 def repair_recording(
@@ -66,7 +66,7 @@ def repair_recording(
     require(len(starts), "join", join, "so many scans in a row, of which none is lost")
     total, together = len(starts), np.arange(join)
     with whole(Path(out)) as part, h5py.File(part, "w") as file:
-        _describe(file, recording, join)
+        write_attributes(file, _told(recording, join))
         shape = total, join * recording.slots
         packed: dict[str, Any] = {"compression": "gzip", "shuffle": True}
         v = file.create_dataset("v", (*shape, m), recording.code_type, **packed)
@@ -93,29 +93,11 @@ def repair_recording(
     return Path(out)
 
 
-def _describe(file: h5py.File, recording: Hdf5Recording, join: int) -> None:
-    rig = recording.rig
-    names = "f_switch", "drive_voltage", "ground_resistance", "sheet_resistance"
-    file.attrs.update({name: getattr(rig, name) for name in names})
+def _told(recording: Hdf5Recording, join: int) -> dict[str, Any]:
     joined = (f"each {join} scans joined",) if join > 1 else ()
     said = "; ".join((f"repaired from {recording.path.name}", *joined, *recording.mended))
-    scale, offset = recording.codes_to_volts
-    file.attrs.update(
-        schema=SCHEMA,
-        schema_version=rig.version,
-        scale=scale,
-        offset=offset,
-        size=list(rig.size),
-        electrode_diameter=rig.electrode_diameter,
-        settle_delay=np.nan,
-        convert_period=np.nan,
-        units="V",
-        notes="\n".join(filter(None, (rig.notes, said))),
-        **({} if rig.outline is None else rig.outline.attributes()),
-    )
-    for name, values in rig.tables().items():
-        file[name] = values
-    file["electrode_xy"] = np.asarray(rig.electrode_xy, float)
+    told = attributes(recording.rig, *recording.codes_to_volts)
+    return told | {"notes": "\n".join(filter(None, (recording.rig.notes, said)))}
 
 
 def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> None:

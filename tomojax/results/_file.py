@@ -53,13 +53,12 @@ class ResultsFile:
     def partial(self) -> Path:
         return partial_path(self.out)
 
-    @property
-    def _done(self) -> Path:
-        return partial_path(self.out, ".done")
+    def beside(self, ending: str) -> Path:
+        return partial_path(self.out, ending)
 
     def create(self, datasets: dict[str, Dataset], attributes: dict[str, Any]) -> None:
         """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
-        building = partial_path(self.out, ".new")
+        building = self.beside(".new")
         try:
             with h5py.File(building, "w") as file:
                 for name, dataset in datasets.items():
@@ -82,11 +81,11 @@ class ResultsFile:
             if hasattr(os, "posix_fallocate"):
                 with building.open("r+b") as raw:
                     os.posix_fallocate(raw.fileno(), 0, os.path.getsize(building))
-            self._done.write_bytes(bytes(self.chunks))
+            self.beside(".done").write_bytes(bytes(self.chunks))
             building.replace(self.partial)
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
             building.unlink(missing_ok=True)
-            self._done.unlink(missing_ok=True)
+            self.beside(".done").unlink(missing_ok=True)
             size = sum(
                 np.dtype(one.kind).itemsize * math.prod(one.shape)
                 for one in datasets.values()
@@ -98,30 +97,26 @@ class ResultsFile:
     def done(self) -> np.ndarray:
         """Returns the chunks that are written; all, once any process finished the file."""
         try:
-            marks = self._done.read_bytes()
+            marks = (path := self.beside(".done")).read_bytes()
         except FileNotFoundError:
             return np.ones(self.chunks, bool)
         fits = len(marks) == self.chunks
-        require(fits, f"{self._done}", f"{len(marks)} marks", f"{self.chunks}: --overwrite")
+        require(fits, f"{path}", f"{len(marks)} marks", f"{self.chunks}: --overwrite")
         return np.frombuffer(marks, np.uint8) == 1
 
     def finished(self, chunk: int) -> bool:
         """Tells whether that chunk is written by now."""
         return bool(self.done()[chunk])
 
-    @property
-    def _state(self) -> Path:
-        return partial_path(self.out, ".state")
-
     def keep(self, **arrays: Any) -> None:
         """Puts arrays beside the rows, replacing earlier arrays: at once or not at all."""
-        new = partial_path(self.out, ".state.new")
+        new = self.beside(".state.new")
         try:
             with open(new, "wb") as file:
                 np.savez(file, **arrays)
                 file.flush()
                 os.fsync(file.fileno())
-            new.replace(self._state)
+            new.replace(self.beside(".state"))
         except OSError:
             new.unlink(missing_ok=True)
             raise
@@ -131,13 +126,13 @@ class ResultsFile:
 
         **Raises:** `ValueError` for the state of another kind of run.
         """
-        if not self._state.exists():
+        where, again = self.beside(".state"), "; begin anew with --overwrite"
+        if not where.exists():
             return {}
         try:
-            kept = read_npz(self._state, "no state of a run", (), None)
+            kept = read_npz(where, "no state of a run", (), None)
         except ValueError as error:
-            raise ValueError(f"{error}; begin anew with --overwrite") from None
-        where, again = f"{self._state}", "; begin anew with --overwrite"
+            raise ValueError(f"{error}{again}") from None
         for name, own in now.items():
             found = kept.get(name)
             told = "none" if found is None else f"{found.dtype} {found.shape}"
@@ -152,23 +147,19 @@ class ResultsFile:
 
     def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
         """Keeps other runs from this file; `shared` admits runs that share the work."""
-        return held(partial_path(self.out, ".lock"), shared)
+        return held(self.beside(".lock"), shared)
 
     def discard(self) -> None:
         """Removes the files that an earlier run left."""
         for ending in (".new", ".done", "", ".state", ".state.new"):
-            partial_path(self.out, ending).unlink(missing_ok=True)
+            self.beside(ending).unlink(missing_ok=True)
 
     def finish(self) -> None:
         """Renames OUT.partial to OUT."""
         with contextlib.suppress(FileNotFoundError):  # another process was first
             self.partial.replace(self.out)
-            self._done.unlink()
-        self._state.unlink(missing_ok=True)
-
-    def writer(self) -> "RowWriter":
-        """Returns a writer into OUT.partial."""
-        return RowWriter(self, self._done)
+            self.beside(".done").unlink()
+        self.beside(".state").unlink(missing_ok=True)
 
 
 def write_rows(
@@ -186,7 +177,7 @@ def write_rows(
     with file.locked(shared=False):
         file.discard()
         file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
-        with contextlib.closing(file.writer()) as writer:
+        with contextlib.closing(RowWriter(file)) as writer:
             writer.write(
                 0, 0, {name: values for name, (_, values) in columns.items()}, None
             )
@@ -197,12 +188,12 @@ def write_rows(
 class RowWriter:
     """A writer of rows to their places; marks chunks once their rows are on disk."""
 
-    def __init__(self, file: ResultsFile, done: Path):
+    def __init__(self, file: ResultsFile):
         self._file = file
         self._place = places(file.partial)
         # Without buffers; bytes as they are, where Windows' `os.open` changes line ends.
         self._data = open(file.partial, "r+b", buffering=0)
-        self._marks = open(done, "r+b", buffering=0)
+        self._marks = open(file.beside(".done"), "r+b", buffering=0)
         self._unmarked: list[int] = []
         self._marked = monotonic()
         self._state: dict[str, Any] | None = None

@@ -192,7 +192,7 @@ def _geojson(rows: _Found, size: np.ndarray, out: Path) -> int:
                     "centroid_m": one.centroid.tolist(),
                     "half_axes_m": list(one.axes),
                     "angle_rad": one.angle,
-                    "conductance_S": one.conductance,
+                    "conductance_S": None if np.isnan(one.conductance) else one.conductance,
                 }
                 shape = {
                     "type": "Polygon",

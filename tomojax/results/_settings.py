@@ -92,9 +92,11 @@ class Settings:
         return (24 if self.rate == "slot" else 32) if self.grid is None else self.grid
 
     @property
-    def in_order(self) -> bool:
-        """Tells whether each chunk needs the chunk before it."""
-        return self.adapt or self.method == "follow"
+    def in_order(self) -> str:
+        """Says why a row needs the rows before it; an empty text where no row does."""
+        if self.method == "follow":
+            return "follow goes from slot to slot"
+        return "--adapt goes in order" if self.adapt else ""
 
     def check(self) -> None:
         """Checks the settings. **Raises:** `ValueError` naming the setting."""

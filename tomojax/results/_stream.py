@@ -81,7 +81,8 @@ def reconstruct_recording(
     """
     settings, out = settings or Settings(), Path(out)
     settings.check()
-    _check_share(settings, share)
+    fits, why = share[1] == 1 or not settings.in_order, settings.in_order
+    require(fits, "--processes", share[1], f"one process: {why}")
     goes_on = resume or share[0] > 0
     check_output(out, goes_on, overwrite)
     size = chunk_scans(recording, settings)
@@ -89,7 +90,10 @@ def reconstruct_recording(
     config = configuration(recording, settings, size)
     with file.locked(shared=share[1] > 1):
         check_output(out, goes_on, overwrite)  # as another run has left it
-        if goes_on and out.exists() and not file.partial.exists():
+        begun = file.partial.exists()
+        if begun and resume and not overwrite:
+            require_same(config, attributes_of(file.partial), file.partial)
+        if goes_on and out.exists() and not begun:
             require_same(config, attributes_of(out), out)
             if share == (0, 1):
                 file.discard()  # the marks of a run that was killed as it ended
@@ -103,15 +107,6 @@ def reconstruct_recording(
                 f"{out}: {error.strerror}; make room, then --resume goes on with it"
             ) from None
     return out
-
-
-def _check_share(settings: Settings, share: tuple[int, int]) -> None:
-    """Refuses several processes where each chunk needs the chunk before it."""
-    why = "--adapt follows a recording in order"
-    if settings.method == "follow":
-        why = "follow goes from slot to slot"
-    fits = share[1] == 1 or not settings.in_order
-    require(fits, "--processes", share[1], f"one process: {why}")
 
 
 class _Run:
@@ -156,7 +151,7 @@ class _Run:
             require_same(self._config, attributes, file.partial)
             solver = self._solver(float(attributes["lam"]))
             solver.resume(file.kept(solver.remembered()))
-            with closing(file.writer()) as writer:
+            with closing(RowWriter(file)) as writer:
                 work = partial(self._work, solver, writer, progress)
                 if self._settings.in_order:
                     work(range(solver.start, file.chunks))

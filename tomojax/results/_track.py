@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer
 
-from tomojax._require import require
+from tomojax._require import require, require_whole
 from tomojax._shown import tuple_shown
 from tomojax.kernels.algebra import filter_levels, Levels, Measured, smooth_levels
 from tomojax.methods import Rows
@@ -145,9 +145,8 @@ def _check(rows, drive_voltage, sheet_resistance, hold, least, drift, pitch) -> 
     require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
     fine = np.isfinite(sheet_resistance) and sheet_resistance > 0
     require(fine, "sheet_resistance", sheet_resistance, "ohms, above 0")
-    for name, value, low in (("hold", hold, 0), ("least", least, 1)):
-        whole = isinstance(value, int | np.integer) and value >= low
-        require(whole, name, repr(value), f"a whole number of rows, {low} or more")
+    require_whole("hold", hold, 0)
+    require_whole("least", least)
     if drift is not None:
         numbers = len(drift) == 2 and np.isfinite(drift).all() and min(drift) >= 0
         require(numbers, "drift", drift, "two numbers, 0 or more: m and ln g per row")

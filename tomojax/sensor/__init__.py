@@ -11,7 +11,7 @@ from tomojax.sensor._edges import (
     PolygonEdge as PolygonEdge,
     RoundEdge as RoundEdge,
 )
-from tomojax.sensor._field import make_field as make_field
+from tomojax.sensor._field import make_among as make_among, make_field as make_field
 from tomojax.sensor._field_slopes import make_moves as make_moves, make_waves as make_waves
 from tomojax.sensor._forward import (
     compiled_resistances as compiled_resistances,

@@ -6,13 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tomojax._checks import (
-    checked,
+    checking,
     known,
     require,
     require_not_negative,
     require_positive,
 )
-from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
 
 # A reading of the paper's converter, rms, of the drive: 0.3 mV of noise and zeros of as
@@ -39,21 +38,17 @@ class Converter(eqx.Module):
     (16,)
     """
 
-    noise: Float[Array, ""]
-    full_scale: Float[Array, ""]
-    bits: int | None = eqx.field(static=True)
+    noise: Float[Array, ""] = eqx.field(
+        converter=checking("noise", require_not_negative, ()), default=0.3e-3
+    )
+    full_scale: Float[Array, ""] = eqx.field(
+        converter=checking("full_scale", require_positive, ()), default=5.0
+    )
+    bits: int | None = eqx.field(static=True, default=16)
 
-    def __init__(
-        self,
-        noise: Numbers = 0.3e-3,
-        full_scale: Numbers = 5.0,
-        bits: int | None = 16,
-    ):
-        self.noise = checked("noise", noise, require_not_negative, ())
-        self.full_scale = checked("full_scale", full_scale, require_positive, ())
-        whole = bits is None or (isinstance(bits, int) and 1 <= bits <= 32)
-        require(whole, "bits", repr(bits), "a whole number from 1 to 32, or None")
-        self.bits = bits
+    def __check_init__(self) -> None:
+        whole = self.bits is None or (isinstance(self.bits, int) and 1 <= self.bits <= 32)
+        require(whole, "bits", repr(self.bits), "a whole number from 1 to 32, or None")
 
     def __call__(
         self, volts: Float[Array, "*shape"], key: Array | None = None

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.spatial import cKDTree
 
 from tomojax._checks import (
     checked,
@@ -20,6 +21,11 @@ from tomojax.sensor._outline import checked_center, Density, norm, Points
 
 # Sides of an outline, or nodes of a surface: more are a mistake, and would take minutes.
 _MOST = 20_000
+
+# Samples of an outline that gaps are looked for between; and how much farther than across
+# it the way along the edge is, past a gap or a neck.
+_SAMPLES = 2000
+_AROUND = 3.0
 
 
 class AbstractEdge(eqx.Module):
@@ -104,6 +110,29 @@ class PolygonEdge(AbstractEdge):
 
     def distance(self, points: Points) -> Density:
         return polygon_distance(points, self.start, self.end)
+
+    def narrowest(self, wide: float) -> float:
+        """Returns the width of the narrowest gap or neck, at most `wide`, m (host).
+
+        Two places of the edge are its sides if the way between them along the edge is
+        longer than two `wide`, and three times as long as across.
+        """
+        loops, samples = self.loops(), []
+        rounds = [np.concatenate([loop, loop[:1]]) for loop in loops]
+        ways = [np.hypot(*np.diff(r, axis=0).T).cumsum() for r in rounds]
+        total = sum(way[-1] for way in ways)
+        for k, (ring, way) in enumerate(zip(rounds, ways)):
+            at = np.arange(0, way[-1], max(total / _SAMPLES, wide / 20))
+            x, y = (np.interp(at, np.append(0, way), ring[:, c]) for c in (0, 1))
+            samples.append(np.stack([x, y, at, np.full_like(at, way[-1]), 0 * at + k]))
+        x, y, at, whole, loop = np.concatenate(samples, 1)
+        one, other = cKDTree(np.stack([x, y], 1)).query_pairs(wide, output_type="ndarray").T
+        across = np.hypot(x[one] - x[other], y[one] - y[other])
+        along = np.abs(at[one] - at[other])
+        along = np.minimum(along, whole[one] - along)
+        sides = along > np.maximum(_AROUND * across, 2 * wide)
+        sides |= loop[one] != loop[other]
+        return float(across[sides].min(initial=wide))
 
     def __repr__(self) -> str:
         return named(self, sides=shown(len(self.start)))

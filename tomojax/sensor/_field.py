@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy import fft
 
 from tomojax._require import require
-from tomojax.kernels.contacts import Field
+from tomojax.kernels.contacts import Among, Field
 from tomojax.kernels.sheet import disc_mean, rectangle_grid_fields
 from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes
 from tomojax.sensor._forward import resistances
@@ -65,6 +65,12 @@ def make_field(sensor: Sensor) -> Field:
     x, y = (np.linspace(0, float(s), n // every + 1) for s, n in zip(sensor.size, cells))
     home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
     return field._replace(home=home, among=among_sites(sensor, cut))
+
+
+def make_among(sensor: Sensor) -> Among:
+    """Makes the part of `make_field` that a cut or curved sheet adds to a rectangle."""
+    sensor, even, *_ = parts_of(sensor)
+    return among_sites(sensor, cut_of(sensor, even))
 
 
 def _told(

@@ -17,7 +17,6 @@ from tomojax._checks import (
     float_array,
     require_finite,
     require_not_negative,
-    require_positive,
 )
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
@@ -103,10 +102,6 @@ def checked_angle(value: Numbers) -> Array:
     angle = float_array("angle", value)
     require_finite("angle", angle)
     return angle
-
-
-def checked_length(name: str, value: Numbers) -> Array:
-    return checked(name, value, require_positive, ())
 
 
 def checked_conductance(value: Numbers, name: str = "conductance") -> Array:

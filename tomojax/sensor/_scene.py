@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import (
     checked,
+    checking,
     require,
     require_finite,
     require_not_negative,
@@ -34,11 +35,9 @@ class Mask(AbstractShape):
     400 µS
     """
 
-    conductance: Float[Array, "nx ny"]
-
-    def __init__(self, conductance: Numbers):
-        shape = (None, None)
-        self.conductance = checked("conductance", conductance, require_not_negative, shape)
+    conductance: Float[Array, "nx ny"] = eqx.field(
+        converter=checking("conductance", require_not_negative, (None, None))
+    )
 
     def density(
         self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]

@@ -23,7 +23,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax._require import check_electrodes
+from tomojax._require import check_electrodes, require_whole
 from tomojax._shown import named, shown
 from tomojax.kernels.sheet import (
     conditions_of,
@@ -122,25 +122,21 @@ class Sensor(eqx.Module):
         surface: Callable | None = None,
         told: ToldSheet | None = None,
     ):
-        xy = float_array("electrode_xy", electrode_xy, dtype)
-        self.electrode_xy = xy
-
+        xy = self.electrode_xy = float_array("electrode_xy", electrode_xy, dtype)
         # One dtype throughout: the electrodes' places decide.
-        def as_places(name: str, value: Numbers) -> Array:
-            return float_array(name, value, xy.dtype)
-
-        self.size = as_places("size", size)
-        self.electrode_diameter = as_places("electrode_diameter", electrode_diameter)
-        self.sheet_resistance = as_places("sheet_resistance", sheet_resistance)
-        self.ground_resistance = as_places("ground_resistance", ground_resistance)
-        self.drive_voltage = as_places("drive_voltage", drive_voltage)
-        self.electrode_shunt = None
-        if electrode_shunt is not None:
-            self.electrode_shunt = as_places("electrode_shunt", electrode_shunt)
-        self.resolution = as_places("resolution", resolution)
-        self.conditions = None
-        if conditions is not None:
-            self.conditions = as_places("conditions", conditions)
+        for name, value in {
+            "size": size,
+            "electrode_diameter": electrode_diameter,
+            "sheet_resistance": sheet_resistance,
+            "ground_resistance": ground_resistance,
+            "drive_voltage": drive_voltage,
+            "electrode_shunt": electrode_shunt,
+            "resolution": resolution,
+            "conditions": conditions,
+        }.items():
+            setattr(
+                self, name, None if value is None else float_array(name, value, xy.dtype)
+            )
         self.outline, self.surface, self.told = (
             jax.tree.map(lambda a: a.astype(xy.dtype) if eqx.is_inexact_array(a) else a, f)
             for f in (outline, surface, told)
@@ -148,32 +144,29 @@ class Sensor(eqx.Module):
         self.divisions = _whole_divisions(divisions)
 
     def __check_init__(self) -> None:
-        require_shape("size", self.size, (2,))
         require_shape("electrode_xy", self.electrode_xy, (None, 2))
-        require(self.electrode_count >= 2, "electrode_xy", self.electrode_count, "two")
-        require_shape("electrode_diameter", self.electrode_diameter, ())
-        require_shape("sheet_resistance", self.sheet_resistance, (), (self.element_count,))
-        require_shape(
-            "ground_resistance", self.ground_resistance, (), (self.electrode_count,)
-        )
-        require_shape("drive_voltage", self.drive_voltage, ())
-        for name in ("size", "electrode_diameter", "sheet_resistance"):
-            require_positive(name, getattr(self, name))
-        require_shape("resolution", self.resolution, ())
-        for name in ("ground_resistance", "resolution"):
-            require_not_negative(name, getattr(self, name))
-        require_finite("drive_voltage", self.drive_voltage)
-        require_finite("electrode_xy", self.electrode_xy)
+        m, above, least = self.electrode_count, require_positive, require_not_negative
+        require(m >= 2, "electrode_xy", m, "two")
+        for name, check, *shapes in (
+            ("electrode_xy", require_finite, (None, 2)),
+            ("size", above, (2,)),
+            ("electrode_diameter", above, ()),
+            ("sheet_resistance", above, (), (self.element_count,)),
+            ("ground_resistance", least, (), (m,)),
+            ("drive_voltage", require_finite, ()),
+            ("resolution", least, ()),
+            ("electrode_shunt", above, ()),
+        ):
+            if (value := getattr(self, name)) is not None:
+                require_shape(name, value, *shapes)
+                check(name, value)
         if self.told is not None:
-            require_shape("told", self.told.electrodes, (self.electrode_count,) * 2)
+            require_shape("told", self.told.electrodes, (m, m))
         if self.conditions is not None:
-            check_conditions("conditions", self.conditions, self.electrode_count)
-        if self.electrode_shunt is not None:
-            require_shape("electrode_shunt", self.electrode_shunt, ())
-            require_positive("electrode_shunt", self.electrode_shunt)
-            if known(self.electrode_shunt):
-                shunt = float(self.electrode_shunt)
-                require(shunt <= 1, "electrode_shunt", shunt, "1 or less")
+            check_conditions("conditions", self.conditions, m)
+        if self.electrode_shunt is not None and known(self.electrode_shunt):
+            shunt = float(self.electrode_shunt)
+            require(shunt <= 1, "electrode_shunt", shunt, "1 or less")
         if known(self.size, self.electrode_xy, self.electrode_diameter):
             if self.flat:
                 check_electrodes(self.electrode_xy, self.size, self.electrode_diameter)
@@ -197,8 +190,7 @@ class Sensor(eqx.Module):
         paper's sensor: 8 × 8 electrodes on 160 mm × 160 mm.
         """
         for name, count in (("rows", rows), ("columns", columns)):
-            whole = isinstance(count, int | np.integer) and count >= 1
-            require(whole, name, repr(count), "a whole number of 1 or more")
+            require_whole(name, count)
         dtype = others.get("dtype")
         step = jnp.broadcast_to(float_array("pitch", pitch, dtype), 2)
         rim = jnp.broadcast_to(float_array("margin", margin, dtype), 2)
@@ -261,10 +253,20 @@ class Sensor(eqx.Module):
         if isinstance(electrodes, dict):
             electrodes = place_electrodes(outline, size, diameter, **electrodes)
         if "divisions" not in others:
-            finest = np.asarray(size, float) / float(np.asarray(diameter))
+            least = float(np.asarray(diameter))
+            if isinstance(outline, PolygonEdge) and known(outline.start):
+                least = outline.narrowest(least)  # as many cells across a gap
+            finest = np.asarray(size, float) / least
             if others.get("surface") is not None:
                 finest = finest * _stretch(others["surface"], electrodes, size).max(1)
             cells = np.ceil(_CELLS * finest * (1 - 1e-5)).astype(int)
+            coarsest = float(np.max(size)) / _MOST_CELLS
+            require(
+                least >= min(coarsest, float(np.asarray(diameter))),
+                "outline",
+                f"a gap or a neck {least:.2g} m wide",
+                f"{coarsest:.2g} m, a cell, or `divisions` of your own: it may close",
+            )
             others["divisions"] = tuple(np.clip(cells, 8, _MOST_CELLS).tolist())
         return cls(size, electrodes, outline=outline, **others)
 

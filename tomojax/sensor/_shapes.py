@@ -3,11 +3,12 @@
 from dataclasses import replace
 from typing import TypeVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax._checks import checked, require, require_finite, require_positive
+from tomojax._checks import checking, require, require_finite, require_positive
 from tomojax._custom_types import Numbers
 from tomojax.sensor._edges import polygon_distance
 from tomojax.sensor._outline import (
@@ -15,7 +16,6 @@ from tomojax.sensor._outline import (
     checked_angle,
     checked_center,
     checked_conductance,
-    checked_length,
     Density,
     norm,
     Points,
@@ -51,14 +51,9 @@ class Disc(AbstractOutline):
     0.50 S/m²
     """
 
-    center: Float[Array, "2"]
-    radius: Float[Array, ""]
-    conductance: Float[Array, ""]
-
-    def __init__(self, center: Numbers, radius: Numbers, conductance: Numbers):
-        self.center = checked_center(center)
-        self.radius = checked_length("radius", radius)
-        self.conductance = checked_conductance(conductance)
+    center: Float[Array, "2"] = eqx.field(converter=checked_center)
+    radius: Float[Array, ""] = eqx.field(converter=checking("radius", require_positive, ()))
+    conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
     @classmethod
     def of_total(cls, center: Numbers, radius: Numbers, siemens: Numbers) -> "Disc":
@@ -83,22 +78,12 @@ class Ellipse(AbstractOutline):
     0.94 mS
     """
 
-    center: Float[Array, "2"]
-    semi_axes: Float[Array, "2"]
-    angle: Float[Array, ""]
-    conductance: Float[Array, ""]
-
-    def __init__(
-        self,
-        center: Numbers,
-        semi_axes: Numbers,
-        angle: Numbers,
-        conductance: Numbers,
-    ):
-        self.center = checked_center(center)
-        self.semi_axes = checked("semi_axes", semi_axes, require_positive, (2,))
-        self.angle = checked_angle(angle)
-        self.conductance = checked_conductance(conductance)
+    center: Float[Array, "2"] = eqx.field(converter=checked_center)
+    semi_axes: Float[Array, "2"] = eqx.field(
+        converter=checking("semi_axes", require_positive, (2,))
+    )
+    angle: Float[Array, ""] = eqx.field(converter=checked_angle)
+    conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
     @classmethod
     def of_total(
@@ -134,25 +119,11 @@ class Bar(AbstractOutline):
     600 µS
     """
 
-    center: Float[Array, "2"]
-    length: Float[Array, ""]
-    width: Float[Array, ""]
-    angle: Float[Array, ""]
-    conductance: Float[Array, ""]
-
-    def __init__(
-        self,
-        center: Numbers,
-        length: Numbers,
-        width: Numbers,
-        angle: Numbers,
-        conductance: Numbers,
-    ):
-        self.center = checked_center(center)
-        self.length = checked_length("length", length)
-        self.width = checked_length("width", width)
-        self.angle = checked_angle(angle)
-        self.conductance = checked_conductance(conductance)
+    center: Float[Array, "2"] = eqx.field(converter=checked_center)
+    length: Float[Array, ""] = eqx.field(converter=checking("length", require_positive, ()))
+    width: Float[Array, ""] = eqx.field(converter=checking("width", require_positive, ()))
+    angle: Float[Array, ""] = eqx.field(converter=checked_angle)
+    conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
     @classmethod
     def of_total(
@@ -186,23 +157,13 @@ class Ring(AbstractOutline):
     (0.0, True)
     """
 
-    center: Float[Array, "2"]
-    inner: Float[Array, ""]
-    outer: Float[Array, ""]
-    conductance: Float[Array, ""]
+    center: Float[Array, "2"] = eqx.field(converter=checked_center)
+    inner: Float[Array, ""] = eqx.field(converter=checking("inner", require_positive, ()))
+    outer: Float[Array, ""] = eqx.field(converter=checking("outer", require_positive, ()))
+    conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
-    def __init__(
-        self,
-        center: Numbers,
-        inner: Numbers,
-        outer: Numbers,
-        conductance: Numbers,
-    ):
-        self.center = checked_center(center)
-        self.inner = checked_length("inner", inner)
-        self.outer = checked_length("outer", outer)
+    def __check_init__(self) -> None:
         require_positive("outer − inner", self.outer - self.inner)
-        self.conductance = checked_conductance(conductance)
 
     @classmethod
     def of_total(
@@ -232,13 +193,13 @@ class Polygon(AbstractOutline):
     800 µS
     """
 
-    vertices: Float[Array, "n 2"]
-    conductance: Float[Array, ""]
+    vertices: Float[Array, "n 2"] = eqx.field(
+        converter=checking("vertices", require_finite, (None, 2))
+    )
+    conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
-    def __init__(self, vertices: Numbers, conductance: Numbers):
-        self.vertices = checked("vertices", vertices, require_finite, (None, 2))
+    def __check_init__(self) -> None:
         require(len(self.vertices) >= 3, "vertices", len(self.vertices), "3 or more")
-        self.conductance = checked_conductance(conductance)
 
     def distance(self, points: Points) -> Density:
         return polygon_distance(points, self.vertices, jnp.roll(self.vertices, -1, 0))

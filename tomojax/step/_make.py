@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array
 
-from tomojax._require import one_of, require
+from tomojax._require import one_of, require, require_whole
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
@@ -100,5 +100,4 @@ def make_step(
 
 def check_followed(contacts: int) -> None:
     """Checks how many contacts a step follows. **Raises:** `ValueError` but for 1 to 8."""
-    whole = isinstance(contacts, int | np.integer) and 1 <= contacts <= 8
-    require(whole, "contacts", repr(contacts), "a whole number from 1 to 8")
+    require_whole("contacts", contacts, 1, 8)

@@ -47,12 +47,11 @@ class Plane:
             # SciPy and JAX, which a rectangle does without.
             from scipy.ndimage import spline_filter
 
-            from tomojax.sensor import make_field
+            from tomojax.sensor import make_among
 
             sensor = replace(rig, sheet_resistance=1.0).sensor()
             self._on_sheet, area = sensor.on_sheet, sensor.area
-            among = make_field(sensor).among
-            assert among is not None
+            among = make_among(sensor)
             self._margin = np.asarray(among.margin, float)
             # Of cubic splines, so that slopes are smooth.
             self._among = spline_filter(np.asarray(among.values, float), mode="nearest")

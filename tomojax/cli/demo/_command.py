@@ -45,9 +45,9 @@ def _demo(name: str, out: Path) -> None:
             f"{recording.scans} scans of {recording.slots} slots, {recording.electrodes} "
             f"electrodes, {recording.scans * recording.interval:.3g} s: {scene.words}"
         )
+        touched, xy = _truth(path)
         settings = Settings(method=scene.method, grid=32)
         reconstruct_recording(recording, results, settings, overwrite=True)
-        touched, xy = _truth(path)
         told = _pictures.Told(recording, touched, results)
     save_picture(_pictures.still(told, scene.words), out / "demo.png")
     print(report.text(report.summary(results), results))

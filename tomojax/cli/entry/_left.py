@@ -32,8 +32,9 @@ def write_report(path: Path | None, **report: Any) -> None:
         return
     from tomojax._environment import environment
 
-    told = {**report, "environment": environment()}
-    write_text(path, json.dumps(told, indent=1) + "\n")
+    told = json.dumps({**report, "environment": environment()})
+    known = json.loads(told, parse_constant=lambda nan: None)  # JSON has no NaN
+    write_text(path, json.dumps(known, indent=1) + "\n")
 
 
 def save_picture(figure: Any, path: Path) -> None:

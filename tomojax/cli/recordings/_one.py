@@ -23,10 +23,6 @@ def settings_of(options: dict[str, Any]) -> Any:
 
     shared = any(options[n] is not None for n in ("coordinator", "processes", "process"))
     follows = options["method"] == "follow"
-    if follows and shared:
-        raise ValueError("--coordinator: follow goes from slot to slot; use one process")
-    if options["adapt"] and shared:
-        raise ValueError("--coordinator: --adapt goes in order; use one process")
     names = "method", "rate", "images", "lam", "grid", "contacts", "threshold", "chunk"
     given = {name: options[name] for name in (*names, "tare", "adapt")}
     if given["images"] is None:
@@ -34,6 +30,8 @@ def settings_of(options: dict[str, Any]) -> Any:
     files = ("calibration", "policy")
     given |= {name: str(options[name]) if options[name] else None for name in files}
     settings = Settings(**given)
+    if shared and settings.in_order:
+        raise ValueError(f"--coordinator: {settings.in_order}; use one process")
     if options["outlines"]:
         check_outlines(options["outlines"], settings.method, settings.images)
     return settings

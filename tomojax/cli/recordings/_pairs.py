@@ -1,5 +1,7 @@
 """What the commands do with recordings of pairs: kind "conductivity"."""
 
+from dataclasses import replace
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -34,30 +36,20 @@ def info_pairs(rec: Path, json_path: Path | None) -> None:
     only("rec", "json_path")
     found = ert.summary(ert.load(rec))
     print(ert.info_text(rec, found))
-    rows = [{"fault": "never changes", "reading": cr} for cr in found["never_change"]]
-    entry.write_report(json_path, rows=rows, summary=found)
+    entry.write_report(json_path, rows=[found], summary=found)
 
 
 def reconstruct_pairs(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """Locates the press of each frame, by a response or by the nominal sheet."""
     from tomojax import ert
 
-    names = "rec", "out", "method", "calibration", "overwrite", "json_path"
-    only(*names)
-    method, calibration = options["method"] or "response", options["calibration"]
-    expected = "'response', of a recording of kind conductivity"
-    require(method == "response", "--method", repr(method), expected)
-    recording = ert.load(rec)
-    if calibration is None:
-        response = ert.nominal(recording)
-    else:
-        with naming(calibration):
-            response = ert.Response.load(calibration)
+    only("rec", "out", "calibration", "overwrite", "json_path")
+    recording, given = ert.load(rec), options["calibration"]
+    with naming(given or rec):
+        response = ert.Response.load(given) if given else ert.nominal(recording)
     with naming(rec):
         found = response.locate(recording.voltages)
-    name = None if calibration is None else str(calibration)
-    method = "nominal" if calibration is None else method
-    ert.write_results(recording, found, out, method, name, options["overwrite"])
+    ert.write_results(recording, found, out, given, options["overwrite"])
     told = ert.summary_located(recording, found)
     print(ert.located_text(told, out))
     entry.write_report(options["json_path"], rows=[told], summary=told)
@@ -67,37 +59,27 @@ def calibrate_pairs(
     rec: Path, places: Path | None, out: Path, frames: int | None, options: dict[str, Any]
 ) -> None:
     """Learns a rig's response from presses, and writes the response."""
-    import numpy as np
-
     from tomojax import ert
     from tomojax.calibration import read_places
 
     only("rec", "places", "out", "frames", "known", "response", "overwrite", "json_path")
-    recording = ert.load(rec)
+    recording, known = ert.load(rec), options["known"] or "all"
     with naming(rec), entry.Progress("calibrate") as progress:
-        if options["known"] not in (None, "all"):
-            recording = recording.knowing(_count(options["known"]))
-        told = None if places is None else read_places(places)
-        given = {"known": told, "frames": frames, "progress": progress.say}
-        response = ert.learn(recording, **given)
-        found = response.locate(recording.voltages)
+        if places is not None:
+            recording = replace(recording, places=read_places(places))
+        if known != "all":
+            fits = known == "none" or known.isdecimal()
+            require(fits, "--places", repr(known), "a number, none or all")
+            recording = recording.knowing(0 if known == "none" else int(known))
+        response = ert.learn(recording, frames=frames, progress=progress.say)
+        found = ert.summary_located(recording, response.locate(recording.voltages))
     response.save(out)
-    known = recording.known if told is None else np.isfinite(told).all(1)
     row = {
-        "frames": min(len(recording.voltages), frames or len(recording.voltages)),
-        "places_known": int(known.sum()),
-        "deviation_median_mm": ert.summary_located(recording, found)["deviation_median_mm"],
+        "frames": min(found["rows_in_all"], frames or found["rows_in_all"]),
+        "places_known": int(recording.known.sum()),
+        "deviation_median_mm": found["deviation_median_mm"],
     }
-    told = "not told" if row["deviation_median_mm"] is None else ""
-    told = told or f"{row['deviation_median_mm']:.3g} mm in the median"
     print(f"response of {row['frames']} frames, {row['places_known']} at known places")
-    print(f"stated deviation of a place: {told}")
+    print(f"stated deviation of a place: {row['deviation_median_mm'] or nan:.3g} mm")
     print(f"calibration: {out}")
     entry.write_report(options["json_path"], rows=[row], summary=row)
-
-
-def _count(text: str) -> int:
-    if text == "none":
-        return 0
-    require(text.isdecimal(), "--places", repr(text), "a number, none or all")
-    return int(text)

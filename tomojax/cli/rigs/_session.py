@@ -203,8 +203,8 @@ def session(
 
     import numpy as np
 
-    from tomojax.hardware.loop.recorder import attributes, Recorder
-    from tomojax.recordings import Rig
+    from tomojax.hardware.loop.recorder import Recorder
+    from tomojax.recordings import attributes, Rig
     from tomojax.sensor import Sensor
 
     with ExitStack() as stack:

@@ -17,6 +17,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
+from tomojax._require import require_whole
 from tomojax.design.objectives._contacts import blobs, Contact, without_current
 from tomojax.design.objectives._images import simulated_image
 from tomojax.design.objectives._information import (
@@ -64,8 +65,7 @@ def design_places(
     >>> places.shape, bool((places > 0.02).all())  # m
     ((4, 2), True)
     """
-    whole = isinstance(count, int | np.integer) and count >= 1
-    require(whole, "count", repr(count), "a whole number above 0")
+    require_whole("count", count)
     size = np.asarray(sensor.size, float)
     margin = sensor.mean_pitch / 2
     given = [margin, margin, *(size - margin)] if region is None else region

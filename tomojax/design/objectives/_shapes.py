@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax._require import require
+from tomojax._require import require_whole
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import matmul
 from tomojax.methods import ImageShape
@@ -73,7 +73,7 @@ def shape_objective(sensor: Sensor, shapes: int = 8, seed: int = 0) -> ShapeInfo
     >>> found.grounds.shape, found.bound <= found.value
     ((3,), True)
     """
-    require(isinstance(shapes, int) and shapes >= 1, "shapes", repr(shapes), "1 or more")
+    require_whole("shapes", shapes)
     pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
     side = max(8, round(_PIXELS * pitches))
     model = ImageShape.of(sensor, (side, side))

@@ -82,8 +82,8 @@ def _asked(ladder: Ladder) -> Any:
     Two long discs may stand for a bar, which is then tried.
     """
     two = (ladder.discs.count == 2) & _explains(ladder.discs)
-    square = (ladder.discs.parameters[:2, 3:5] ** 2).sum(-1)
-    return ladder.asked & ~(two & (square < model.NOT_ROUND**2).any())
+    square = (ladder.discs.parameters[..., :2, 3:5] ** 2).sum(-1)
+    return ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
 
 
 def _explains(found: Found) -> Any:
