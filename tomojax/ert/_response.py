@@ -192,7 +192,7 @@ def nominal(recording: PairRecording) -> Response:
 def learn(
     recording: PairRecording,
     *,
-    places: int | None = None,
+    frames: int | None = None,
     progress: Callable[[str], None] | None = None,
     dtype: type = np.float32,
 ) -> Response:
@@ -202,13 +202,12 @@ def learn(
     make, in rounds. Nothing then tells turns, mirrors and smooth warps of the whole from
     the truth but the physics, and a few known places.
 
-    **Arguments:** `places`: how many of the recording's places it may use, all by default.
-    `progress` is called with a text, round by round.
+    **Arguments:** `frames`: how many of the first frames it takes, all by default. Fewer
+    places are `recording.knowing`. `progress` is called with a text, round by round.
     **Raises:** `ValueError` for fewer than twenty presses.
     """
-    if places is not None:
-        recording = recording.knowing(places)
     use = _usable(recording)
+    use.frames[frames:] = False
     flat = recording.voltages.reshape(len(recording.voltages), -1)
     random = np.random.default_rng(0)
     pressed = use.frames & (_size(flat, use.scale) > _QUIET)
@@ -227,8 +226,8 @@ def learn(
     at, width = model.at.astype(dtype), np.asarray(max(recording.box), dtype)
     values = _compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
     values = values.astype(dtype)
-    true = np.zeros((len(chosen), 2)) if recording.places is None else recording.places
-    true = true[chosen] if recording.places is not None else true
+    nowhere = np.full((len(flat), 2), np.nan)
+    true = (nowhere if recording.places is None else recording.places)[chosen]
 
     def placed(fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         xy = np.where(fixed[:, None], true, start.xy).astype(dtype)
