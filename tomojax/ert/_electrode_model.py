@@ -1,4 +1,4 @@
-"""Computes voltages of a flat body with electrodes on its rim: the complete electrode model.
+"""Computes voltages between electrodes on a flat body's rim: complete electrode model.
 
 ∇·(σ∇u) = 0 inside. Under electrode e, z·σ∂u/∂n = U_e − u: the contact's layer resists by z.
 The currents of the electrodes are ∫σ∂u/∂n, and nothing flows elsewhere on the rim. Linear
@@ -18,12 +18,16 @@ from scipy.spatial import Delaunay
 from tomojax._require import require
 from tomojax.sensor import PolygonEdge
 
-# Sides of the mesh along the rim, of the spacing inside: currents crowd at electrodes' ends.
+# Sides of the mesh along the rim, of the spacing inside: current is densest at electrodes'
+# ends.
 _SIDE = 0.7
 
-# Nodes inside are as far from the rim as this, of the spacing: every side of the rim is
-# then a side of a triangle.
+# Nodes inside are as far from the rim as this, of the spacing. Every side of the rim is then
+# a side of a triangle.
 _APART = 0.6
+
+# Triangles whose middle is nearer to the rim, of the spacing, are none.
+_SLIVER = 1e-3
 
 # Sides under an electrode, at least.
 _UNDER = 3
@@ -106,15 +110,15 @@ class ElectrodeModel(NamedTuple):
         return Transfer(table, fields)
 
     def slopes(self, fields: Float[np.ndarray, "T 2 E"]) -> Float[np.ndarray, "P T"]:
-        """Computes ∂R_ab/∂σ_k = −area_k·∇u_a·∇u_b of the pairs a ≤ b (`np.triu_indices`)."""
+        """Computes ∂R_ab/∂σ_k = −area_k·∇u_a·∇u_b; pairs a ≤ b as of `np.triu_indices`."""
         a, b = np.triu_indices(fields.shape[2])
         return -(np.einsum("txp,txp->pt", fields[:, :, a], fields[:, :, b]) * self.areas)
 
     def waves(self, count: int, length: float) -> Float[np.ndarray, "N K"]:
         """Computes a random field's longest waves: eigenfunctions of the Laplacian.
 
-        Weights that are normal make them a Matérn 3/2 field of this length, m, of variance 1
-        in the mean.
+        Weights that are normal make them a Matérn 3/2 field of this length, m. Its mean
+        variance is 1.
         """
         mass = np.bincount(self.triangles.ravel(), np.repeat(self.areas / 3, 3))
         unit = self.stiffness(np.ones(len(self.areas)))
@@ -179,14 +183,17 @@ def rim_model(
     gaps = np.roll(ends[order, 0], -1) - ends[order, 1]
     gaps[-1] += around
     apart = bool((ends[:, 1] > ends[:, 0]).all() and (gaps > 0).all())
-    require(apart, "spans", "electrodes that overlap or have no length", "gaps between them")
+    require(
+        apart, "spans", "electrodes that overlap or have no length", "gaps between them"
+    )
     places, owner = _rim_places(ring, along, ends % around, spacing)
     rim = np.stack([np.interp(places, along, ring[:, k]) for k in (0, 1)], 1)
     nodes = np.concatenate([rim, _inside(rim, spacing)])
     triangles = Delaunay(nodes).simplices.astype(np.int64)
-    middle = nodes[triangles].mean(1)
-    edge = PolygonEdge(rim)
-    triangles = triangles[np.asarray(edge.distance(jnp.asarray(middle))) < 0]
+    middle = jnp.asarray(nodes[triangles].mean(1))
+    # Slivers of nodes on one straight line of the rim lie on the line.
+    inside = np.asarray(PolygonEdge(rim).distance(middle)) < -_SLIVER * spacing
+    triangles = triangles[inside]
     corner = nodes[triangles]
     across = np.roll(corner, -1, 1) - np.roll(corner, 1, 1)  # the side opposite each corner
     (ax, ay), (bx, by) = across[:, 0].T, across[:, 1].T
@@ -210,7 +217,7 @@ def rim_model(
 def _rim_places(
     ring: np.ndarray, along: np.ndarray, ends: np.ndarray, spacing: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places nodes along the rim, and tells the electrode over the side after each, or −1."""
+    """Places nodes along the rim; tells the electrode over the side after each, or −1."""
     side = np.diff(ring, axis=0)
     heading = np.arctan2(side[:, 1], side[:, 0])
     turn = (heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) - np.pi
