@@ -32,15 +32,15 @@ def test_disc_is_its_series() -> None:
     series = each[np.subtract.outer(np.arange(COUNT), np.arange(COUNT)) % COUNT] / np.pi
     gauge = np.eye(COUNT) - 1 / COUNT
     errors = []
-    for spacing in (0.016, 0.008, 0.004):
+    for spacing in (0.02, 0.006):
         model = disc_model(0.1, COUNT, spacing, first=0.3)
         table = model.transfer(even(model), 100.0).table
         ends = model.nodes[model.sides]
         long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         contact = np.diag(100.0 / np.bincount(model.under, long))
         errors.append(abs(table - gauge @ (series + contact) @ gauge).max() / series.max())
-    assert errors[2] < 8e-3
-    assert errors[2] < errors[0] / 3  # it converges
+    assert errors[1] < 0.012
+    assert errors[1] < errors[0] / 2.5  # it converges
 
 
 def test_voltages_are_scikit_fems() -> None:

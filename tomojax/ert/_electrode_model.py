@@ -22,8 +22,8 @@ from tomojax.sensor import PolygonEdge
 # ends.
 _SIDE = 0.7
 
-# Nodes inside are as far from the rim as this, of the spacing. Every side of the rim is then
-# a side of a triangle.
+# Nodes inside are as far from the rim as this, of the spacing: the rim's sides are then sides
+# of triangles.
 _APART = 0.6
 
 # Triangles whose middle is nearer to the rim, of the spacing, are none.
@@ -100,7 +100,10 @@ class ElectrodeModel(NamedTuple):
         inside = self.stiffness(conductance)
         inside.resize(size, size)
         factor = sparse.linalg.splu(
-            (matrix + inside).tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True}
+            (matrix + inside).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
         )
         currents = np.zeros((size, electrodes))
         currents[count:] = np.eye(electrodes) - 1 / electrodes

@@ -7,8 +7,9 @@ and Newton's steps with the exact model find the likeliest fields. A reference, 
 objects, takes the model's own errors away. Host code, float64.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
@@ -58,7 +59,7 @@ class LevelsFound(NamedTuple):
     more: Float[np.ndarray, " N"]  # and more
     conductance: Float[np.ndarray, " N"]  # of the rest's in the reference
     rest: float  # the rest's conductance, of that in the reference
-    misfit: float  # of the readings' errors, rms
+    misfit: float  # rms, of the readings' errors
 
     def classes(self) -> Float[np.ndarray, " N"]:
         """Returns 1 where it likelier than not conducts less, 2 where more, 0 elsewhere."""
@@ -66,17 +67,7 @@ class LevelsFound(NamedTuple):
         return np.where(np.maximum(self.less, self.more) > 0.5, either, 0.0)
 
 
-class _State(NamedTuple):
-    """The model at some weights."""
-
-    rest: Float[np.ndarray, " W"]  # misfit, of the errors
-    volts: Float[np.ndarray, " W"]
-    transfer: Transfer
-    part: Float[np.ndarray, " T"]  # p
-    cost: float
-
-
-class Levels:
+class Levels(eqx.Module):
     """Finds two kinds of objects from one frame of readings, beside a reference.
 
     **Arguments:** `model`; `inject` (C, E), A into each electrode under each condition;
@@ -104,6 +95,14 @@ class Levels:
     (True, True)
     """
 
+    model: ElectrodeModel
+    reference: Float[np.ndarray, "C R"]  # V
+    contact: float  # contact resistance times the rest's conductance, m
+    rest_conductance: float  # σ₀, S per square, in the reference
+    readings: Float[np.ndarray, "W P"]  # of the pairs of `slopes`, at σ₀
+    modelled: Float[np.ndarray, " W"]  # the reference by the model, V
+    waves: Float[np.ndarray, "N K"]
+
     def __init__(
         self,
         model: ElectrodeModel,
@@ -112,134 +111,164 @@ class Levels:
         reference: Float[np.ndarray, "C R"],
     ):
         inject, reference = np.asarray(inject, float), np.asarray(reference, float)
-        electrodes = model.electrode_count
-        shape = (*reference.shape, electrodes)
-        count = (len(reference), electrodes)
-        require(inject.shape == count, "inject", inject.shape, f"{count}")
-        read = np.broadcast_to(np.asarray(read, float), shape)
+        shape = (*reference.shape, model.electrode_count)
+        require(inject.shape == shape[::2], "inject", inject.shape, f"{shape[::2]}")
         even = bool((abs(inject.sum(1)) <= 1e-6 * abs(inject).max()).all())
         require(even, "inject", "currents left over", "as much out as in")
-        a, b = np.triu_indices(electrodes)
-        readings = read[:, :, a] * inject[:, None, b] + read[:, :, b] * inject[:, None, a]
+        require(np.isfinite(reference).any(), "reference", "no readings", "voltages")
+        read = np.broadcast_to(np.asarray(read, float), shape)
+        a, b = np.triu_indices(model.electrode_count)
+        pairs = read[:, :, a] * inject[:, None, b] + read[:, :, b] * inject[:, None, a]
+        pairs = (pairs / np.where(a == b, 2, 1)).reshape(-1, len(a))
         self.model = model
-        self.readings = (readings / np.where(a == b, 2, 1)).reshape(-1, len(a))
         self.reference = reference
-        size = np.sqrt(model.areas.sum())
-        self.waves = model.waves(_WAVES, _LENGTH * size)
-        self._waves = self.waves[model.triangles].mean(1)  # of each triangle
-        self._pairs = a, b
-        self.contact, self.rest_conductance = self._of_reference()
-        transfer = model.transfer(np.ones(len(model.areas)), self.contact)
-        self.modelled = self._volts(transfer)
-
-    def _of_reference(self) -> tuple[float, float]:
-        """Fits the contact resistance, Ω·m at σ = 1, and then σ₀, S per square."""
-        self.rest_conductance = 1.0
-        known = np.isfinite(self.reference.ravel())
-        require(known.any(), "reference", "no readings", "voltages")
-        told = self.reference.ravel()[known]
-        even = np.ones(len(self.model.areas))
-        (a, b), under = self.model.sides.T, self.model.under
-        long = np.linalg.norm(self.model.nodes[a] - self.model.nodes[b], axis=1)
-        width = long.sum() / (under.max() + 1)
-
-        def fit(exponent: float) -> tuple[float, float]:
-            transfer = self.model.transfer(even, width * np.exp(exponent))
-            volts = self._volts(transfer)[known]
-            rest = (volts @ volts) / (volts @ told)
-            return ((told - volts / rest) ** 2).sum(), rest
-
-        found = minimize_scalar(
-            lambda x: fit(x)[0], bounds=np.log(_CONTACT), method="bounded",
-            options={"xatol": 0.1},
-        )  # fmt: skip
-        return float(width * np.exp(found.x)), float(fit(found.x)[1])
-
-    def _volts(self, transfer: Transfer) -> Float[np.ndarray, " W"]:
-        return self.readings @ transfer.table[self._pairs] / self.rest_conductance
+        self.contact, modelled = _contact_of(model, pairs, reference.ravel())
+        told = np.isfinite(reference.ravel())
+        self.rest_conductance = _over(modelled[told], reference.ravel()[told])
+        self.readings = pairs / self.rest_conductance
+        self.modelled = modelled / self.rest_conductance
+        self.waves = model.waves(_WAVES, _LENGTH * np.sqrt(model.areas.sum()))
 
     def __call__(self, volts: Float[np.ndarray, "C R"]) -> LevelsFound:
         """Finds the objects of one frame, V. Takes seconds to a minute."""
         shape = self.reference.shape
         require(np.shape(volts) == shape, "volts", np.shape(volts), f"{shape}")
-        known = np.isfinite(volts) & np.isfinite(self.reference)
-        require(known.any(), "volts", "no readings", "voltages")
-        fit = _Fit(self, np.asarray(volts, float).ravel(), known.ravel())
-        w, state, covariance = fit.likeliest()
-        both = np.split(w[:-1], 2)
-        field = [_MEAN + _WIDTH * self.waves @ each for each in both]
-        count = len(both[0])
-        probability = []
-        for k, f in enumerate(field):
-            part = slice(k * count, (k + 1) * count)
-            spread = ((self.waves @ covariance[part, part]) * self.waves).sum(1)
-            probability.append(ndtr(f / (_WIDTH * np.sqrt(spread))))
-        part = _CONTRAST * (expit(field[1]) - expit(field[0]))
-        rest, misfit = float(np.exp(w[-1])), float(np.sqrt((state.rest**2).mean()))
-        return LevelsFound(*probability, rest * (1 + part) / (1 - part), rest, misfit)
-
-
-class _Fit:
-    """The likeliest weights of a frame: of the waves of f₋ and f₊, and ln σ₀'s change."""
-
-    def __init__(self, levels: Levels, volts: np.ndarray, known: np.ndarray):
-        self.levels, self.known = levels, known
-        reference = levels.reference.ravel()
-        self.told = volts[known]
-        # What the model lacks without objects, it lacks with them.
-        self.lacks = (reference - levels.modelled)[known]
-        before = reference[known]
-        changed = self.told - (self.told @ before) / (before @ before) * before
-        parts = _CHANGED * changed, _LACKING * self.lacks, _LEAST * abs(before).max()
-        self.error = np.sqrt(sum(part**2 for part in parts))
-        scale = levels.rest_conductance * self.error[:, None]
-        self.readings = levels.readings[known] / scale
-        self.precision = np.ones(2 * levels.waves.shape[1] + 1)
-        self.precision[-1] = _DRIFT**-2
-
-    def _parts(self, w: np.ndarray) -> list[np.ndarray]:
-        """Computes the parts of each triangle that conduct less, and more."""
-        return [expit(_MEAN + _WIDTH * self.levels._waves @ x) for x in np.split(w[:-1], 2)]
-
-    def _state(self, w: np.ndarray) -> _State:
-        less, more = self._parts(w)
-        part = _CONTRAST * (more - less)
-        levels = self.levels
-        transfer = levels.model.transfer((1 + part) / (1 - part), levels.contact)
-        volts = (levels._volts(transfer)[self.known] + self.lacks) * np.exp(-w[-1])
-        rest = (volts - self.told) / self.error
-        return _State(rest, volts, transfer, part, rest @ rest + self.precision @ w**2)
-
-    def _slopes(self, w: np.ndarray, state: _State) -> Float[np.ndarray, "W K"]:
-        steep = 2 * _CONTRAST * _WIDTH / (1 - state.part) ** 2 * np.exp(-w[-1])
-        slopes = self.levels.model.slopes(state.transfer.fields)
-        columns = [
-            slopes @ ((sign * steep * x * (1 - x))[:, None] * self.levels._waves)
-            for sign, x in zip((-1, 1), self._parts(w))
-        ]
-        return np.column_stack(
-            [self.readings @ np.hstack(columns), -state.volts / self.error]
+        require(
+            np.isfinite(volts + self.reference).any(), "volts", "no readings", "voltages"
+        )
+        w, state, covariance = _likeliest(_told(self, np.asarray(volts, float).ravel()))
+        count = self.waves.shape[1]
+        less, more = (_MEAN + _WIDTH * self.waves @ x for x in np.split(w[:-1], 2))
+        both = covariance[:count, :count], covariance[count:-1, count:-1]
+        spread = [_WIDTH * np.sqrt(((self.waves @ c) * self.waves).sum(1)) for c in both]
+        part, rest = _CONTRAST * (expit(more) - expit(less)), np.exp(w[-1])
+        return LevelsFound(
+            less=ndtr(less / spread[0]),
+            more=ndtr(more / spread[1]),
+            conductance=rest * (1 + part) / (1 - part),
+            rest=float(rest),
+            misfit=float(np.sqrt((state.rest**2).mean())),
         )
 
-    def likeliest(self) -> tuple[np.ndarray, _State, np.ndarray]:
-        """Finds the weights, the model there, and the weights' covariance."""
-        w = np.zeros(len(self.precision))
-        state, damping = self._state(w), _DAMPING
-        for _ in range(_STEPS):
-            slopes = self._slopes(w, state)
-            curvature = slopes.T @ slopes
-            uphill = slopes.T @ state.rest + self.precision * w
-            before = state
-            for _ in range(_TRIES):
-                damped = curvature + np.diag(self.precision * (1 + damping))
-                step = -np.linalg.solve(damped, uphill)
-                moves = _WIDTH * self.levels._waves @ step[:-1].reshape(2, -1).T
-                step *= min(1.0, _FARTHEST / np.abs(moves).max())
-                there = self._state(w + step)
-                if there.cost < state.cost:
-                    w, state, damping = w + step, there, damping / 4
-                    break
-                damping = max(8 * damping, _MORE)
-            if before.cost - state.cost < _ENOUGH * before.cost:
+
+def _over(modelled: np.ndarray, told: np.ndarray) -> float:
+    """Tells by how much conductance is larger than the model's, from voltages."""
+    return float((modelled @ modelled) / (modelled @ told))
+
+
+def _contact_of(
+    model: ElectrodeModel, pairs: np.ndarray, reference: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Fits contact resistance times conductance, m, to a reference; V of 1 S per square."""
+    (a, b), told = model.sides.T, np.isfinite(reference)
+    long = np.linalg.norm(model.nodes[a] - model.nodes[b], axis=1).sum()
+    width = long / model.electrode_count
+    even, upper = np.ones(len(model.areas)), np.triu_indices(model.electrode_count)
+
+    def volts(exponent: float) -> np.ndarray:
+        return pairs @ model.transfer(even, float(width * np.exp(exponent))).table[upper]
+
+    def misfit(exponent: float) -> float:
+        modelled = volts(exponent)[told]
+        rest = reference[told] - modelled / _over(modelled, reference[told])
+        return float(rest @ rest)
+
+    found: Any = minimize_scalar(
+        misfit, bounds=np.log(_CONTACT), method="bounded", options={"xatol": 0.1}
+    )
+    return float(width * np.exp(found.x)), volts(found.x)
+
+
+class _Told(NamedTuple):
+    """One frame's readings, and what the fit needs of the model."""
+
+    model: ElectrodeModel
+    contact: float
+    waves: Float[np.ndarray, "T K"]  # in the middle of each triangle
+    pairs: Float[np.ndarray, "W P"]
+    volts: Float[np.ndarray, " W"]
+    lacks: Float[np.ndarray, " W"]  # V that the model lacks, without objects and with them
+    error: Float[np.ndarray, " W"]  # V
+    precision: Float[np.ndarray, " n"]  # of the weights beforehand
+
+
+class _State(NamedTuple):
+    """The model at some weights."""
+
+    rest: Float[np.ndarray, " W"]  # misfit, of the errors
+    volts: Float[np.ndarray, " W"]
+    transfer: Transfer
+    part: Float[np.ndarray, " T"]  # p
+    cost: float
+
+
+def _told(levels: Levels, volts: np.ndarray) -> _Told:
+    reference = levels.reference.ravel()
+    known = np.isfinite(volts + reference)
+    volts, reference = volts[known], reference[known]
+    lacks = reference - levels.modelled[known]
+    changed = volts - reference / _over(reference, volts)
+    parts = _CHANGED * changed, _LACKING * lacks, _LEAST * abs(reference).max()
+    waves = levels.waves[levels.model.triangles].mean(1)
+    return _Told(
+        model=levels.model,
+        contact=levels.contact,
+        waves=waves,
+        pairs=levels.readings[known],
+        volts=volts,
+        lacks=lacks,
+        error=np.sqrt(sum(part**2 for part in parts)),
+        precision=np.r_[np.ones(2 * waves.shape[1]), _DRIFT**-2],
+    )
+
+
+def _parts(told: _Told, w: np.ndarray) -> list[np.ndarray]:
+    """Computes the parts of each triangle that conduct less, and more."""
+    return [expit(_MEAN + _WIDTH * told.waves @ x) for x in np.split(w[:-1], 2)]
+
+
+def _state(told: _Told, w: np.ndarray) -> _State:
+    less, more = _parts(told, w)
+    part = _CONTRAST * (more - less)
+    transfer = told.model.transfer((1 + part) / (1 - part), told.contact)
+    upper = np.triu_indices(told.model.electrode_count)
+    volts = (told.pairs @ transfer.table[upper] + told.lacks) * np.exp(-w[-1])
+    rest = (volts - told.volts) / told.error
+    return _State(rest, volts, transfer, part, rest @ rest + told.precision @ w**2)
+
+
+def _slopes(told: _Told, w: np.ndarray, state: _State) -> Float[np.ndarray, "W n"]:
+    steep = 2 * _CONTRAST * _WIDTH / (1 - state.part) ** 2 * np.exp(-w[-1])
+    slopes = told.model.slopes(state.transfer.fields)
+    columns = [
+        slopes @ ((sign * steep * x * (1 - x))[:, None] * told.waves)
+        for sign, x in zip((-1, 1), _parts(told, w))
+    ]
+    fields = told.pairs @ np.hstack(columns)
+    return np.column_stack([fields, -state.volts]) / told.error[:, None]
+
+
+def _likeliest(told: _Told) -> tuple[np.ndarray, _State, np.ndarray]:
+    """Finds weights (of the waves of f₋ and f₊, and ln of the rest's change).
+
+    Returns the model there, and the weights' covariance, too.
+    """
+    w, damping = np.zeros(len(told.precision)), _DAMPING
+    state = _state(told, w)
+    for _ in range(_STEPS):
+        slopes, before = _slopes(told, w, state), state.cost
+        uphill = slopes.T @ state.rest + told.precision * w
+        for _ in range(_TRIES):
+            damped = slopes.T @ slopes + np.diag(told.precision * (1 + damping))
+            step = -np.linalg.solve(damped, uphill)
+            moves = _WIDTH * told.waves @ step[:-1].reshape(2, -1).T
+            step *= min(1.0, _FARTHEST / np.abs(moves).max())
+            there = _state(told, w + step)
+            if there.cost < state.cost:
+                w, state, damping = w + step, there, damping / 4
                 break
-        return w, state, np.linalg.inv(curvature + np.diag(self.precision))
+            damping = max(8 * damping, _MORE)
+        if before - state.cost < _ENOUGH * before:
+            break
+    slopes = _slopes(told, w, state)
+    return w, state, np.linalg.inv(slopes.T @ slopes + np.diag(told.precision))
