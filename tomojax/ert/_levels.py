@@ -18,15 +18,15 @@ from scipy.special import expit, ndtr
 from tomojax._require import require
 from tomojax.ert._electrode_model import ElectrodeModel, Transfer
 
-# β = (κ − 1)/(κ + 1) of objects: 100 times as much as the rest, or a hundredth. Nothing
-# beyond can be told from it.
+# β = (κ − 1)/(κ + 1) of objects that conduct 100 times as much as the rest, or a hundredth:
+# no voltage tells metal or plastic from these.
 _CONTRAST = 0.98
 
 # The fields' deviation, and their mean: objects are few.
 _WIDTH, _MEAN = 4.0, -8.0
 
-# A field's correlation length, and a mesh's spacing, of a body's square root of area.
-_LENGTH = 0.2
+# A field's correlation length, of the square root of the body's area.
+_LENGTH = 0.15
 
 # Waves of each field.
 _WAVES = 150
@@ -34,7 +34,7 @@ _WAVES = 150
 # A reading's error: parts of its change by objects, of what the model lacks of its
 # reference, and of the largest reference. Errors of the model are like in many readings, so
 # they count for more than their own sizes: the first and last came out at 0.1 and 0.0015.
-# These three and the fields' mean were set on four tanks that were measured.
+# These three, the fields' mean and their length were set on four measured tanks.
 _CHANGED, _LACKING, _LEAST = 0.15, 0.3, 0.003
 
 # How much the rest may have changed since the reference: the deviation of ln σ₀.
