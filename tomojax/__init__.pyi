@@ -3,7 +3,6 @@ from . import (
     bringup as bringup,
     calibration as calibration,
     design as design,
-    ert as ert,
     methods as methods,
     paper as paper,
     recordings as recordings,

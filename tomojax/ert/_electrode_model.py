@@ -22,8 +22,8 @@ from tomojax.sensor import PolygonEdge
 # ends.
 _SIDE = 0.7
 
-# Nodes inside are as far from the rim as this, of the spacing: each side of the rim is then a
-# side of a triangle.
+# Nodes inside are as far from the rim as this, of the spacing: the rim is then made of
+# sides of triangles.
 _APART = 0.6
 
 # Triangles whose middle is nearer to the rim, of the spacing, are none.

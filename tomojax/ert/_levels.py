@@ -23,7 +23,7 @@ from tomojax.ert._electrode_model import ElectrodeModel, Transfer
 _CONTRAST = 0.98
 
 # The fields' deviation, and their mean: objects are few.
-_WIDTH, _MEAN = 4.0, -8.0
+_WIDTH, _MEAN = 4.0, -10.0
 
 # A field's correlation length, of the square root of the body's area.
 _LENGTH = 0.15
@@ -43,6 +43,9 @@ _DRIFT = 0.1
 # Contact resistance is told from the reference within this range of what a square of the
 # body as wide as an electrode resists, times its width.
 _CONTACT = (1e-3, 10.0)
+
+# Both fields where the fit begins: at their mean, no voltage would show them.
+_START = -4.0
 
 # Steps, the part of the cost that a step has to gain, and how far a field may move in one.
 _STEPS, _ENOUGH, _FARTHEST = 40, 3e-3, 3.0
@@ -254,6 +257,8 @@ def _likeliest(told: _Told) -> tuple[np.ndarray, _State, np.ndarray]:
     Returns the model there, and the weights' covariance, too.
     """
     w, damping = np.zeros(len(told.precision)), _DAMPING
+    # The first wave of each field is even: both begin where they can be seen.
+    w[: len(w) - 1 : told.waves.shape[1]] = (_START - _MEAN) / _WIDTH / told.waves[0, 0]
     state = _state(told, w)
     for _ in range(_STEPS):
         slopes, before = _slopes(told, w, state), state.cost
@@ -262,13 +267,15 @@ def _likeliest(told: _Told) -> tuple[np.ndarray, _State, np.ndarray]:
             damped = slopes.T @ slopes + np.diag(told.precision * (1 + damping))
             step = -np.linalg.solve(damped, uphill)
             moves = _WIDTH * told.waves @ step[:-1].reshape(2, -1).T
-            step *= min(1.0, _FARTHEST / np.abs(moves).max())
+            whole = _FARTHEST / np.abs(moves).max()
+            step *= min(1.0, whole)
             there = _state(told, w + step)
             if there.cost < state.cost:
                 w, state, damping = w + step, there, damping / 4
                 break
             damping = max(8 * damping, _MORE)
-        if before - state.cost < _ENOUGH * before:
+        # A field that starts far from where it shows anything gains little at first.
+        if before - state.cost < _ENOUGH * before and whole >= 1:
             break
     slopes = _slopes(told, w, state)
     return w, state, np.linalg.inv(slopes.T @ slopes + np.diag(told.precision))
