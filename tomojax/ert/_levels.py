@@ -261,7 +261,7 @@ def _likeliest(told: _Told) -> tuple[np.ndarray, _State, np.ndarray]:
     w[: len(w) - 1 : told.waves.shape[1]] = (_START - _MEAN) / _WIDTH / told.waves[0, 0]
     state = _state(told, w)
     for _ in range(_STEPS):
-        slopes, before = _slopes(told, w, state), state.cost
+        slopes, before, whole = _slopes(told, w, state), state.cost, 1.0
         uphill = slopes.T @ state.rest + told.precision * w
         for _ in range(_TRIES):
             damped = slopes.T @ slopes + np.diag(told.precision * (1 + damping))
