@@ -8,13 +8,14 @@ import docstrings
 import pytest
 
 import tomojax as tx
+import tomojax.ert
 import tomojax.events
 import tomojax.exports
 import tomojax.plots
 
 ROOMS = [name for name in tx.__all__ if inspect.ismodule(getattr(tx, name))]
 # Rooms that are imported by their own names.
-BESIDE = [tomojax.events, tomojax.exports, tomojax.plots]
+BESIDE = [tomojax.ert, tomojax.events, tomojax.exports, tomojax.plots]
 
 
 @pytest.mark.parametrize("example", docstrings.share(""))

@@ -17,13 +17,19 @@ __getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 # The rest serves other rooms.
 __all__ = [
     "background",
+    "disc_model",
+    "ElectrodeModel",
     "jacobian",
     "learn",
+    "Levels",
+    "LevelsFound",
     "load",
     "Located",
     "nominal",
     "PairRecording",
     "Pairs",
     "Response",
+    "rim_model",
     "sensitivities",
+    "Transfer",
 ]

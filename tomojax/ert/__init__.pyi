@@ -1,4 +1,11 @@
 # What the room offers, imported when it is first used.
+from ._electrode_model import (
+    disc_model as disc_model,
+    ElectrodeModel as ElectrodeModel,
+    rim_model as rim_model,
+    Transfer as Transfer,
+)
+from ._levels import Levels as Levels, LevelsFound as LevelsFound
 from ._pairs import Pairs as Pairs
 from ._recording import load as load, PairRecording as PairRecording
 from ._response import (
@@ -22,13 +29,19 @@ from ._told import info_text as info_text, summary as summary
 # The rest serves other rooms.
 __all__ = [
     "background",
+    "disc_model",
+    "ElectrodeModel",
     "jacobian",
     "learn",
+    "Levels",
+    "LevelsFound",
     "load",
     "Located",
     "nominal",
     "PairRecording",
     "Pairs",
     "Response",
+    "rim_model",
     "sensitivities",
+    "Transfer",
 ]

@@ -272,7 +272,7 @@ def learn(
 def _own_deviation(
     away: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"], width: float
 ) -> float:
-    """Returns the least deviation of the map itself by which 68 % of places are in 1 σ, m."""
+    """Returns the least deviation of the map by which 68 % of places are within 1 σ, m."""
     for own in np.linspace(0, width / 4, 500):
         total = covariance + own**2 * np.eye(2)
         squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(total), away)
@@ -282,7 +282,7 @@ def _own_deviation(
 
 
 class _Usable(NamedTuple):
-    """Which frames are whole, and the usual size of each reading, 0 where it says nothing."""
+    """Which frames are whole; the usual size of each reading, 0 where it says nothing."""
 
     frames: Bool[np.ndarray, " n"]
     scale: Float[np.ndarray, " N"]
