@@ -12,11 +12,10 @@ from tomojax.ert._electrode_model import (
 )
 from tomojax.ert._levels import Levels as Levels, LevelsFound as LevelsFound
 
+# The rest is what these return.
 __all__ = [
     "disc_model",
     "ElectrodeModel",
     "Levels",
-    "LevelsFound",
     "rim_model",
-    "Transfer",
 ]
