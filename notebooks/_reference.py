@@ -27,7 +27,6 @@ ROOMS = {
     "tomojax.bringup": "faults of a new rig",
     "tomojax.bringup.signs": "signs of wrong wiring in any recording",
     "tomojax.design": "ground sets, λ, electrodes",
-    "tomojax.ert": "conductance between electrodes on a rim",
     "tomojax.events": "touch-down, lift-off, marks",
     "tomojax.exports": "results for other programs",
     "tomojax.plots": "drawing on your own axes",

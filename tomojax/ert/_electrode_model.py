@@ -150,6 +150,13 @@ def disc_model(
 
     **Arguments:** `count` electrodes, even, anticlockwise from the angle `first`, rad, on
     the part `cover` of the rim; `radius` and `spacing` of the mesh, m.
+
+    **Example:**
+
+    >>> from tomojax.ert import disc_model
+    >>> model = disc_model(radius=0.1, count=8, spacing=0.02)
+    >>> print(f"{1e4 * model.areas.sum():.0f} cm²")
+    313 cm²
     """
     require(0 < cover < 1, "cover", cover, "a part of the rim between 0 and 1")
     turn = first + 2 * np.pi * np.arange(_ROUND) / _ROUND

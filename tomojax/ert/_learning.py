@@ -144,7 +144,8 @@ def learn_places(
     covariance = np.zeros((len(places), 2, 2))
     if len(free) < 2:
         return places, deviation, covariance
-    for step, length in enumerate(width * np.geomspace(_LONGEST, _SHORTEST, _ROUNDS)):
+    lengths = width * np.geomspace(_LONGEST, _SHORTEST, _ROUNDS).astype(readings.dtype)
+    for step, length in enumerate(lengths):
         if progress is not None:
             progress(f"round {step + 1} of {_ROUNDS}")
         moved, wide = np.array(places), np.array(deviation)

@@ -8,7 +8,7 @@ asinh(v/2s), with s their usual size: errors of large readings grow with the rea
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,8 +19,8 @@ from tomojax._whole import whole
 from tomojax.ert._learning import (
     by_columns,
     learn_places,
-    learned,
     Learned,
+    learned,
     place,
     place_by_physics,
     Posterior,
@@ -110,7 +110,8 @@ class Response:
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
             read = {field.name: file.read_whole(field.name) for field in fields(cls)}
         numbers = {"limit": float, "own": float, "known": int}
-        return cls(**read | {name: kind(read[name]) for name, kind in numbers.items()})
+        told: dict[str, Any] = {name: kind(read[name]) for name, kind in numbers.items()}
+        return cls(**(read | told))
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
         """Places one press a frame: the mean over candidates by their probabilities.
@@ -123,7 +124,7 @@ class Response:
         """
         flat = np.asarray(voltages, float).reshape(len(voltages), -1)
         shown = f"{flat.shape[1]} a frame"
-        require(flat.shape[1] == len(self.scale), "v", shown, len(self.scale))
+        require(flat.shape[1] == len(self.scale), "v", shown, f"{len(self.scale)}")
         flat = flat[:, self.used]
         missing = ~np.isfinite(flat)
         filled = np.where(missing, 0.0, flat)
@@ -159,7 +160,7 @@ class Response:
             put = [np.array(field) for field in found]
             for mine, new in zip(put, other, strict=True):
                 mine[poor[better]] = np.asarray(new)[better]
-            found = Posterior(*put)
+            found = Posterior(*(jnp.asarray(one) for one in put))
         usual = self._voltages(found)
         weight = 1 / self.scale[self.used] ** 2
         product = np.sum(flat * usual * weight, 1)
@@ -206,9 +207,9 @@ def learn(
     places are `recording.knowing`. `progress` is called with a text, round by round.
     **Raises:** `ValueError` for fewer than twenty presses.
     """
-    use = _usable(recording)
-    use.frames[frames:] = False
     flat = recording.voltages.reshape(len(recording.voltages), -1)
+    use = _usable(recording)
+    use.frames[len(flat) if frames is None else frames :] = False
     random = np.random.default_rng(0)
     pressed = use.frames & (_size(flat, use.scale) > _QUIET)
     known, free = pressed & recording.known, pressed & ~recording.known
@@ -223,7 +224,7 @@ def learn(
     require(len(chosen) >= fewest, "v", f"{len(chosen)} presses", f"at least {fewest}")
     told = recording.known[chosen]
     model, start = _nominal(recording, use, chosen)
-    at, width = model.at.astype(dtype), np.asarray(max(recording.box), dtype)
+    at, width = model.at.astype(dtype), max(recording.box)
     values = _compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
     values = values.astype(dtype)
     nowhere = np.full((len(flat), 2), np.nan)
@@ -242,7 +243,7 @@ def learn(
         fixed = told.copy()
         fixed[hidden] = False
         xy, _, moments = placed(fixed)
-        own = _own_deviation((xy - true)[hidden], moments[hidden], float(width))
+        own = _own_deviation((xy - true)[hidden], moments[hidden], width)
     xy, deviation, _ = placed(told)
 
     def best(of: np.ndarray) -> Learned:
@@ -273,12 +274,14 @@ def _own_deviation(
     away: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"], width: float
 ) -> float:
     """Returns the least deviation of the map by which 68 % of places are within 1 σ, m."""
-    for own in np.linspace(0, width / 4, 500):
-        total = covariance + own**2 * np.eye(2)
-        squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(total), away)
-        if np.mean(squares < _WITHIN) >= 0.6827:
-            break
-    return float(own)
+    tried = np.linspace(0, width / 4, 500)
+
+    def within(own: float) -> bool:
+        inverse = np.linalg.inv(covariance + own**2 * np.eye(2))
+        squares = np.einsum("ni,nij,nj->n", away, inverse, away)
+        return bool(np.mean(squares < _WITHIN) >= 0.6827)
+
+    return float(next(filter(within, tried), tried[-1]))
 
 
 class _Usable(NamedTuple):
@@ -295,7 +298,7 @@ def _usable(recording: PairRecording) -> _Usable:
     # 1.4826 times this median is a normal variable's deviation.
     scale = 1.4826 * np.nanmedian(np.abs(np.where(dead, 0.0, flat) - middle), 0)
     require((scale > 0).any(), "v", "readings that never change", "presses")
-    frames = np.isfinite(flat[:, scale > 0]).all(1)
+    frames = np.asarray(np.isfinite(flat[:, scale > 0]).all(1))
     return _Usable(frames, scale)
 
 
