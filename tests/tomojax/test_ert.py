@@ -6,11 +6,15 @@ import h5py
 import jax
 import numpy as np
 import pytest
+import references
 from click.testing import CliRunner
+from pyeit.eit.fem import Forward
+from pyeit.mesh import PyEITMesh
 
 import tomojax as tx
 from tomojax.cli.app import app
 from tomojax.ert import PairRecording, Pairs
+from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
 
 RADIUS = 0.05
 
@@ -106,6 +110,27 @@ def test_the_jacobian_is_the_derivative_of_the_voltages(shunt, rng) -> None:
     slope = (8 * (volts(1) - volts(-1)) - volts(2) + volts(-2)) / (12 * step)
     told = (found * way).sum((2, 3))
     assert abs(told - slope).max() < 1e-6 * abs(slope).max()
+
+
+def test_the_jacobian_is_of_pyeits_stiffness(rng) -> None:
+    # Its solution and its elements, with our electrodes: its own are single nodes.
+    places = [[0.01, 0.01], [0.05, 0.01], [0.05, 0.03], [0.01, 0.03], [0.03, 0.02]]
+    sheet = 100.0 * np.exp(0.3 * rng.standard_normal(2 * 18 * 12))
+    given = {"sheet_resistance": sheet, "divisions": (18, 12), "dtype": float}
+    sensor = tx.Sensor([0.06, 0.04], places, **given)
+    pairs = Pairs([[0, 2], [1, 4]], [[[3, 1], [1, 4]], [[2, 0], [3, 2]]])
+    nodes = np.asarray(mesh_nodes(sensor.divisions, sensor.size))
+    vertices = references.counterclockwise(nodes, triangles(sensor.divisions))
+    theirs = Forward(PyEITMesh(nodes, vertices, 1 / sheet, np.arange(5), 0))
+    feeds = np.asarray(jax.jit(tx.sensor.sheet_on_mesh)(sensor).feeds)
+    feeds = feeds - feeds[:, :1]  # balanced: their node at 0 V takes nothing
+    rows = np.linalg.solve(theirs.kg.toarray(), feeds)[vertices]  # (K, 3, M)
+    drive = rows[..., pairs.inject[:, 0]] - rows[..., pairs.inject[:, 1]]
+    read = rows[..., pairs.read[..., 0]] - rows[..., pairs.read[..., 1]]
+    wanted = -np.einsum("kicr,kij,kjc->crk", read, theirs.se, drive)
+    wanted = wanted.reshape(2, 2, 18, 12, 2).sum(-1)
+    got = np.asarray(tx.ert.jacobian(sensor, pairs))
+    assert abs(got - wanted).max() < 1e-6 * abs(wanted).max()
 
 
 def test_a_place_counts_as_its_cell_does() -> None:

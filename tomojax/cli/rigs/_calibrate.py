@@ -25,7 +25,8 @@ _FRAMES = 1000
     "-o",
     "--out",
     type=entry.OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
-    help="Write the calibration here. [default: REC.calibration.json]",
+    help="Write the calibration here. [default: REC.calibration.json; "
+    "REC.response.h5 of a recording of kind conductivity]",
 )
 @click.option(
     "--older", "before", type=entry.InputFile(), help="Begin with this older calibration."
