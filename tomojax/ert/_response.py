@@ -31,6 +31,7 @@ from tomojax.files import open_container
 from tomojax.kernels.flags import Flag
 
 SCHEMA = "tomojax-response"
+_NUMBERS = {"limit": float, "own": float, "known": int}  # attributes of a file
 
 _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
 _LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
@@ -97,7 +98,8 @@ class Response:
         with whole(path) as part, h5py.File(part, "w") as file:
             file.attrs["schema"] = SCHEMA
             for field in fields(self):
-                file[field.name] = getattr(self, field.name)
+                where = file.attrs if field.name in _NUMBERS else file
+                where[field.name] = getattr(self, field.name)
 
     @classmethod
     def load(cls, path: Path | str) -> "Response":
@@ -108,10 +110,10 @@ class Response:
         with open_container(path) as file:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
-            read = {field.name: file.read_whole(field.name) for field in fields(cls)}
-        numbers = {"limit": float, "own": float, "known": int}
-        told: dict[str, Any] = {name: kind(read[name]) for name, kind in numbers.items()}
-        return cls(**(read | told))
+            arrays = [field.name for field in fields(cls) if field.name not in _NUMBERS]
+            read: dict[str, Any] = {name: file.read_whole(name) for name in arrays}
+            told = {name: kind(file.attributes[name]) for name, kind in _NUMBERS.items()}
+        return cls(**read, **told)
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
         """Places one press a frame: the mean over candidates by their probabilities.

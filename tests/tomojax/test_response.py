@@ -1,0 +1,126 @@
+"""Responses that a skin learns: places without a truth, with some, and what is doubted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tomojax as tx
+from tomojax.ert import PairRecording, Pairs, Response
+
+RADIUS = 0.05
+
+
+def some(recording: PairRecording, rows) -> PairRecording:
+    places = None if recording.places is None else recording.places[rows]
+    volts, t0 = recording.voltages[rows], recording.t0[rows]
+    return replace(recording, voltages=volts, t0=t0, places=places)
+
+
+def far(found: tx.ert.Located, recording: PairRecording) -> np.ndarray:
+    return np.linalg.norm(found.xy - recording.places, axis=1)
+
+
+@pytest.fixture(scope="module")
+def skin() -> PairRecording:
+    """A skin whose readings have gains and a part that the physics does not know."""
+    rng = np.random.default_rng(2)
+    angle = 2 * np.pi * np.arange(8) / 8
+    rim = RADIUS * np.stack([np.cos(angle), np.sin(angle)], 1)
+    outline = tx.recordings.Outline("disc", 2 * RADIUS)
+    pairs = Pairs.opposite(8)
+    shape = (pairs.conditions, pairs.readings)
+    sensor = tx.Sensor.disc(2 * RADIUS, rim + RADIUS, electrode_diameter=0.01)
+    places = rng.uniform(-1, 1, (400, 2))
+    places = 0.035 * places[np.linalg.norm(places, axis=1) < 1][:260]
+    columns = -np.asarray(tx.ert.sensitivities(sensor, pairs, places + RADIUS))
+    size = np.sqrt(np.mean(columns**2))
+    waves = rng.normal(size=(2, *shape)) / 0.03
+    other = np.sin(np.einsum("ni,icr->ncr", places, waves) + rng.normal(size=shape))
+    volts = columns * (1 + 0.3 * rng.normal(size=shape)) + 0.4 * size * other
+    volts = volts * (1 + 0.05 * rng.normal(size=(len(places), 1, 1)))
+    volts = volts + 0.03 * size * rng.normal(size=volts.shape)
+    return PairRecording(volts, pairs, rim, 0.01, outline=outline, places=places)
+
+
+@pytest.fixture(scope="module")
+def response(skin) -> Response:
+    return tx.ert.learn(some(skin, slice(200)).knowing(60))
+
+
+def test_places_are_nearer_than_by_the_nominal_sheet(skin, response) -> None:
+    test = some(skin, slice(200, None))
+    nominal = tx.ert.nominal(some(skin, slice(200))).locate(test.voltages)
+    found = response.locate(test.voltages)
+    assert np.median(far(found, test)) < 0.0025
+    assert np.median(far(found, test)) < 0.7 * np.median(far(nominal, test))
+    wide = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2) / 2)
+    assert 0.5 < np.mean(far(found, test) < 1.515 * wide) < 0.95
+    assert np.mean(found.flags == 0) > 0.9 and abs(np.median(found.strength) - 1) < 0.1
+
+
+def test_without_places_every_row_is_doubted(skin) -> None:
+    test = some(skin, slice(200, None))
+    found = tx.ert.learn(some(skin, slice(200)).knowing(0)).locate(test.voltages)
+    assert (found.flags & tx.Flag.PLACE_UNCERTAIN.value).all()
+    nominal = tx.ert.nominal(some(skin, slice(200))).locate(test.voltages)
+    assert np.median(far(found, test)) < np.median(far(nominal, test))
+
+
+def test_what_no_lone_press_explains_is_flagged(skin, response) -> None:
+    test = some(skin, slice(200, 240))
+    one, other = test.voltages[:20], test.voltages[20:]
+    apart = np.linalg.norm(test.places[:20] - test.places[20:], axis=1) > 0.03
+    both = response.locate(one + other)
+    assert (both.flags[apart] & tx.Flag.HIGH_RESIDUAL.value > 0).mean() > 0.8
+    twice = response.locate(2 * test.voltages)
+    assert np.median(far(twice, test)) < 0.003 and abs(np.median(twice.strength) - 2) < 0.2
+    nothing = response.locate(0 * test.voltages)
+    assert (nothing.flags & tx.Flag.NO_CONTACT.value).all()
+
+
+def test_readings_that_are_missing_are_left_out(skin, response) -> None:
+    test = some(skin, slice(200, 240))
+    volts = test.voltages.copy()
+    volts[:, 1, 2] = np.nan
+    volts[0] = np.nan
+    found = response.locate(volts)
+    assert np.median(far(found, test)[1:]) < 0.003
+    assert (found.flags & tx.Flag.DEAD_CHANNEL.value).all()
+    assert found.flags[0] & tx.Flag.NO_DATA.value
+
+
+def test_a_response_comes_back(skin, response, tmp_path) -> None:
+    path = tmp_path / "skin.response.h5"
+    response.save(path)
+    one, other = (r.locate(skin.voltages[:9]) for r in (response, Response.load(path)))
+    for mine, read in zip(one, other):
+        np.testing.assert_array_equal(mine, read)
+    skin.save(tmp_path / "skin.h5")
+    with pytest.raises(ValueError, match="schema: got 'tomojax-recording'"):
+        Response.load(tmp_path / "skin.h5")
+    with pytest.raises(ValueError, match="v: got 3 a frame"):
+        response.locate(np.zeros((2, 1, 3)))
+
+
+def test_too_few_presses_are_refused(skin) -> None:
+    with pytest.raises(ValueError, match="v: got 12 presses, expected at least 20"):
+        tx.ert.learn(skin, frames=12)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "name, places, bar",
+    [
+        ("nopattern", 0, 5.0),
+        ("nopattern", 200, 2.8),
+        ("radial", 20, 4.8),
+        ("radial", 200, 2.7),
+    ],
+)
+def test_measured_presses_are_placed(shared_data, name, places, bar) -> None:
+    recording = tx.ert.load(shared_data / f"skin_{name}.h5")
+    rows = np.random.default_rng(0).choice(1200, 600, replace=False)
+    test = some(recording, slice(1200, None))
+    found = tx.ert.learn(some(recording, rows).knowing(places)).locate(test.voltages)
+    assert 1e3 * np.median(far(found, test)) < bar
