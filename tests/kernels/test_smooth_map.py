@@ -24,7 +24,7 @@ def test_a_map_is_the_direct_solution(frames, rng, dtype, near) -> None:
     places, readings = frames
     blur, at = 0.1 * rng.uniform(size=30), rng.uniform(0, 1, (7, 2))
     given = (a.astype(dtype) for a in (places, readings, blur, at))
-    found = smooth_map(*(jnp.asarray(a) for a in given), dtype(0.5))
+    found = smooth_map(*(jnp.asarray(a) for a in given), jnp.asarray(0.5, dtype))
     middle, scale = readings.mean(0), readings.std(0)
     scaled = (readings - middle) / scale
 

@@ -63,8 +63,7 @@ def test_without_places_every_row_is_doubted(skin) -> None:
     test = some(skin, slice(200, None))
     found = tx.ert.learn(some(skin, slice(200)).knowing(0)).locate(test.voltages)
     assert (found.flags & tx.Flag.PLACE_UNCERTAIN.value).all()
-    nominal = tx.ert.nominal(some(skin, slice(200))).locate(test.voltages)
-    assert np.median(far(found, test)) < np.median(far(nominal, test))
+    assert np.median(far(found, test)) < 0.004
 
 
 def test_what_no_lone_press_explains_is_flagged(skin, response) -> None:

@@ -46,7 +46,14 @@ _WITHIN = 2.298
 
 
 class Located(NamedTuple):
-    """Places of n frames, m, as the recording has them."""
+    """Places of n frames, m, as the recording has them.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> tx.ert.Located._fields
+    ('xy', 'covariance', 'strength', 'residual', 'flags')
+    """
 
     xy: Float[np.ndarray, "n 2"]
     covariance: Float[np.ndarray, "n 2 2"]  # m²
@@ -71,10 +78,18 @@ class Response:
 
     >>> import numpy as np
     >>> import tomojax as tx
-    >>> recording = tx.ert.load("skin.h5")  # doctest: +SKIP
-    >>> response = tx.ert.learn(recording)  # doctest: +SKIP
-    >>> response.locate(recording.voltages).xy.shape  # doctest: +SKIP
-    (1800, 2)
+    >>> one = tx.ert.Response(
+    ...     at=np.array([[0.0, 0.0], [0.01, 0.0]]),
+    ...     readings=np.array([[1.0, 0.1, 0.2], [0.1, 1.0, 0.2]]),
+    ...     spread=np.zeros(2),
+    ...     whitener=100 * np.eye(3),
+    ...     scale=np.ones(3),
+    ...     limit=4.0,
+    ...     own=0.001,
+    ...     known=100,
+    ... )
+    >>> one.locate(2 * np.sinh(one.readings)[:, None]).xy.round(3).tolist()
+    [[0.0, 0.0], [0.01, 0.0]]
     """
 
     at: Float[np.ndarray, "G 2"]
@@ -188,6 +203,22 @@ def nominal(recording: PairRecording) -> Response:
 
     A press is one local change of the sheet's conductance, of any strength; the change's
     sign is the likelier one.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    >>> rim = 0.05 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    >>> disc = tx.recordings.Outline("disc", 0.1)
+    >>> sensor = tx.Sensor.disc(0.1, rim + 0.05, electrode_diameter=0.01)
+    >>> pairs = tx.ert.Pairs.opposite(8)
+    >>> places = np.random.default_rng(0).uniform(-0.02, 0.02, (30, 2))
+    >>> volts = -np.asarray(tx.ert.sensitivities(sensor, pairs, places + 0.05))
+    >>> recording = tx.ert.PairRecording(volts, pairs, rim, 0.01, outline=disc)
+    >>> found = tx.ert.nominal(recording).locate(volts)
+    >>> bool(np.abs(found.xy - places).max() < 0.002)
+    True
     """
     return _nominal(recording, _usable(recording))[0]
 
@@ -207,7 +238,26 @@ def learn(
 
     **Arguments:** `frames`: how many of the first frames it takes, all by default. Fewer
     places are `recording.knowing`. `progress` is called with a text, round by round.
+    Where the physics is right, and no place is known, `nominal` is nearer to the truth.
+
     **Raises:** `ValueError` for fewer than twenty presses.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rng = np.random.default_rng(0)
+    >>> angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    >>> rim = 0.05 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    >>> places = rng.uniform(-0.02, 0.02, (60, 2))
+    >>> waves = rng.normal(size=(2, 8, 4)) / 0.03  # readings no sheet would give
+    >>> volts = np.sin(np.einsum("ni,icr->ncr", places, waves))
+    >>> told = {"outline": tx.recordings.Outline("disc", 0.1), "places": places}
+    >>> pairs = tx.ert.Pairs.opposite(8)
+    >>> recording = tx.ert.PairRecording(volts, pairs, rim, 0.01, **told)
+    >>> found = tx.ert.learn(recording).locate(volts)
+    >>> bool(np.median(np.abs(found.xy - places)) < 0.003)
+    True
     """
     flat = recording.voltages.reshape(len(recording.voltages), -1)
     use = _usable(recording)
