@@ -7,8 +7,7 @@ import recordings
 
 import tomojax as tx
 from tomojax import cli, Flag
-from tomojax.results import partial_path, Settings
-from tomojax.results._file import ResultsFile
+from tomojax.results import partial_path, ResultsFile, Settings
 
 SCANS, SLOTS = 220, 2
 FIELDS = ("contact_count", "flags", "contact_xy", "contact_current", "residual")

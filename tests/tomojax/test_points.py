@@ -9,8 +9,7 @@ from rig import NOMINAL, Rig
 import tomojax as tx
 from tomojax import Flag
 from tomojax.kernels.contacts import NOT_ROUND
-from tomojax.methods.points._found import Found
-from tomojax.methods.points._ladder import _asked, Ladder
+from tomojax.methods.points import Found, Ladder, wants_curve
 
 CORNERS = [0, 63]
 
@@ -87,9 +86,9 @@ def test_frames_together_ask_for_a_curve_as_each_alone():
     discs = Found(*[zero] * len(Found._fields))
     discs = discs._replace(parameters=parameters, count=np.full(3, 2))
     ladder = Ladder(*[discs] * 3, *[zero] * 3, asked=np.ones(3, bool))
-    each = [bool(_asked(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(3)]
+    each = [bool(wants_curve(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(3)]
     assert each == [False, True, False]
-    assert np.asarray(_asked(ladder)).tolist() == each
+    assert np.asarray(wants_curve(ladder)).tolist() == each
 
 
 def test_shapes(scenes, rows):

@@ -2,6 +2,7 @@
 from ._file import (
     Dataset as Dataset,
     partial_path as partial_path,
+    ResultsFile as ResultsFile,
     write_rows as write_rows,
 )
 from ._outlines import (

@@ -76,7 +76,7 @@ def _enough_for(size: int) -> float:
     return _PROMISE * GAIN * (size - 1)
 
 
-def _asked(ladder: Ladder) -> Any:
+def wants_curve(ladder: Ladder) -> Any:
     """Tells whether a bar or a ring is worth a try: neither one disc nor two will do.
 
     Two long discs may stand for a bar, which is then tried.
@@ -189,7 +189,7 @@ def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
     for size in range(2, count + 1):
         found.append((partial(_due, size=size), partial(_larger, size=size)))
         if size == 2:
-            found.append((_asked, _longer))
+            found.append((wants_curve, _longer))
     return found
 
 
