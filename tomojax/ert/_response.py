@@ -37,7 +37,8 @@ _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presse
 _LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
 _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
 _LABELLED = 1800  # likewise of places that stay where they are
-_LEAST_KNOWN = 40  # half of them judge the map: a share of 68 % of 20 is known to 10 %
+_HIDDEN = 20  # known places that judge the map: a share of 68 % of 20 is known to 10 %
+_LEAST_KNOWN = 2 * _HIDDEN
 _STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
 _CLEARLY = 1.5  # more of the frames' squares
 _QUIET = 0.25  # of a usual press's strength: nothing presses
@@ -290,8 +291,10 @@ def learn(
         return learn_places(values, xy, wide, at, width, progress)
 
     own = 0.0
-    if told.sum() >= _LEAST_KNOWN:  # every second one is found as if it were not known
-        hidden = np.flatnonzero(told)[::2]
+    if told.sum() >= _LEAST_KNOWN:  # some are found as if they were not known
+        # Twenty or more, a fifth of many: what is judged is nearly the whole.
+        every = np.clip(told.sum() // _HIDDEN, 2, 5)
+        hidden = np.flatnonzero(told)[::every]
         fixed = told.copy()
         fixed[hidden] = False
         xy, _, moments = placed(fixed)
