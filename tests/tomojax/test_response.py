@@ -89,6 +89,17 @@ def test_readings_that_are_missing_are_left_out(skin, response) -> None:
     assert found.flags[0] & tx.Flag.NO_DATA.value
 
 
+def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:
+    # Errors of the last condition's readings are large, and tell of no others.
+    noisy = replace(response, whitener=np.diag(np.repeat([10.0, 1e-3], [28, 4])))
+    order = tx.ert.choose(noisy, skin.pairs, 8)
+    assert sorted(order) == list(range(8)) and order[-1] == 7
+    with pytest.raises(ValueError, match="count: got 9, expected 1 to 8"):
+        tx.ert.choose(response, skin.pairs, 9)
+    with pytest.raises(ValueError, match="response: got the nominal sheet"):
+        tx.ert.choose(tx.ert.nominal(skin), skin.pairs, 1)
+
+
 def test_a_response_comes_back(skin, response, tmp_path) -> None:
     path = tmp_path / "skin.response.h5"
     response.save(path)

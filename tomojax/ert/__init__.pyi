@@ -1,4 +1,5 @@
 # What the room offers, imported when it is first used.
+from ._choice import choose as choose
 from ._electrode_model import (
     disc_model as disc_model,
     ElectrodeModel as ElectrodeModel,
@@ -29,6 +30,7 @@ from ._told import info_text as info_text, summary as summary
 # The rest serves other rooms.
 __all__ = [
     "background",
+    "choose",
     "disc_model",
     "ElectrodeModel",
     "jacobian",

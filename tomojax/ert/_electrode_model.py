@@ -40,7 +40,16 @@ _ROUND = 2000
 
 
 class Transfer(NamedTuple):
-    """Potentials for 1 A into each electrode, out of all electrodes in equal parts."""
+    """Potentials for 1 A into each electrode, out of all electrodes in equal parts.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.ert import disc_model
+    >>> model = disc_model(radius=0.1, count=8, spacing=0.02)
+    >>> model.transfer(np.ones(len(model.areas)), contact=0.01).table.shape
+    (8, 8)
+    """
 
     table: Float[np.ndarray, "E E"]  # Ω, of the electrodes
     fields: Float[np.ndarray, "T 2 E"]  # −E in each triangle, V/m

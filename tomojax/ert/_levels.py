@@ -56,7 +56,16 @@ _DAMPING, _MORE, _TRIES = 1e-2, 0.1, 8
 
 
 class LevelsFound(NamedTuple):
-    """What is found at each node of the model's mesh."""
+    """What is found at each node of the model's mesh.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.ert import LevelsFound
+    >>> less, more = np.array([0.9, 0.2, 0.0]), np.array([0.0, 0.1, 0.8])
+    >>> LevelsFound(less, more, 1 + more - less, rest=1.0, misfit=1.0).classes().tolist()
+    [1.0, 0.0, 2.0]
+    """
 
     less: Float[np.ndarray, " N"]  # the probability that it conducts less than the rest
     more: Float[np.ndarray, " N"]  # and more
