@@ -87,6 +87,9 @@ def test_readings_that_are_missing_are_left_out(skin, response) -> None:
     assert np.median(far(found, test)[1:]) < 0.003
     assert (found.flags & tx.Flag.DEAD_CHANNEL.value).all()
     assert found.flags[0] & tx.Flag.NO_DATA.value
+    nominal = tx.ert.nominal(some(skin, slice(200)))
+    whole, holed = (nominal.locate(v).xy[1:] for v in (test.voltages, volts))
+    assert np.median(np.linalg.norm(whole - holed, axis=1)) < 0.002
 
 
 def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:

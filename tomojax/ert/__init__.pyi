@@ -9,12 +9,7 @@ from ._electrode_model import (
 from ._levels import Levels as Levels, LevelsFound as LevelsFound
 from ._pairs import Pairs as Pairs
 from ._recording import load as load, PairRecording as PairRecording
-from ._response import (
-    learn as learn,
-    Located as Located,
-    nominal as nominal,
-    Response as Response,
-)
+from ._response import Located as Located, Response as Response
 from ._results import (
     located_text as located_text,
     summary_located as summary_located,
@@ -25,6 +20,7 @@ from ._sheet_change import (
     jacobian as jacobian,
     sensitivities as sensitivities,
 )
+from ._teaching import learn as learn, nominal as nominal
 from ._told import info_text as info_text, summary as summary
 
 # The rest serves other rooms.

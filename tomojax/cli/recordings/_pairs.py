@@ -76,10 +76,11 @@ def calibrate_pairs(
     response.save(out)
     row = {
         "frames": min(found["rows_in_all"], frames or found["rows_in_all"]),
-        "places_known": int(recording.known.sum()),
+        "places_known": response.known,
         "deviation_median_mm": found["deviation_median_mm"],
     }
-    print(f"response of {row['frames']} frames, {row['places_known']} at known places")
+    known = f"{row['places_known']} at known places"
+    print(f"response of the presses of {row['frames']} frames, {known}")
     print(f"stated deviation of a place: {row['deviation_median_mm'] or nan:.3g} mm")
     print(f"calibration: {out}")
     entry.write_report(options["json_path"], rows=[row], summary=row)

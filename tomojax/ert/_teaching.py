@@ -1,0 +1,250 @@
+"""Teaches responses: from the physics of the sheet, and from presses."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tomojax._require import require
+from tomojax.ert._learning import (
+    learn_places,
+    Learned,
+    learned,
+    place_by_physics,
+    Posterior,
+)
+from tomojax.ert._recording import PairRecording
+from tomojax.ert._response import compressed, HIDDEN, LEAST_KNOWN, QUIET, Response
+from tomojax.ert._sheet_change import background, sensitivities
+
+_CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
+_LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
+_UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
+_LABELLED = 1800  # likewise of places that stay where they are
+_CLEARLY = 1.5  # more of the frames' squares
+# χ² with two degrees of freedom has 68.27 % of its values below this one.
+_WITHIN = 2.298
+
+
+def nominal(recording: PairRecording) -> Response:
+    """Takes the physics of the sheet for the response; learns the readings' errors alone.
+
+    A press is one local change of the sheet's conductance, of any strength; the change's
+    sign is the likelier one.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    >>> rim = 0.05 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    >>> disc = tx.recordings.Outline("disc", 0.1)
+    >>> sensor = tx.Sensor.disc(0.1, rim + 0.05, electrode_diameter=0.01)
+    >>> pairs = tx.ert.Pairs.opposite(8)
+    >>> places = np.random.default_rng(0).uniform(-0.02, 0.02, (30, 2))
+    >>> volts = -np.asarray(tx.ert.sensitivities(sensor, pairs, places + 0.05))
+    >>> recording = tx.ert.PairRecording(volts, pairs, rim, 0.01, outline=disc)
+    >>> found = tx.ert.nominal(recording).locate(volts)
+    >>> bool(np.abs(found.xy - places).max() < 0.002)
+    True
+    """
+    return _nominal(recording, _usable(recording))[0]
+
+
+def learn(
+    recording: PairRecording,
+    *,
+    frames: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Response:
+    """Learns a skin's response from presses, one a frame, at known or unknown places.
+
+    Presses without a place are placed by the physics first, then by maps that other presses
+    make, in rounds. Nothing then tells turns, mirrors and smooth warps of the whole from
+    the truth but the physics, and a few known places.
+
+    **Arguments:** `frames`: how many of the first frames it takes, all by default. Fewer
+    places are `recording.knowing`. `progress` is called with a text, round by round.
+    Where the physics is right, and no place is known, `nominal` is nearer to the truth.
+
+    **Raises:** `ValueError` for fewer than twenty presses.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> rng = np.random.default_rng(0)
+    >>> angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    >>> rim = 0.05 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    >>> places = rng.uniform(-0.02, 0.02, (60, 2))
+    >>> waves = rng.normal(size=(2, 8, 4)) / 0.03  # readings no sheet would give
+    >>> volts = np.sin(np.einsum("ni,icr->ncr", places, waves))
+    >>> told = {"outline": tx.recordings.Outline("disc", 0.1), "places": places}
+    >>> pairs = tx.ert.Pairs.opposite(8)
+    >>> recording = tx.ert.PairRecording(volts, pairs, rim, 0.01, **told)
+    >>> found = tx.ert.learn(recording).locate(volts)
+    >>> bool(np.median(np.abs(found.xy - places)) < 0.003)
+    True
+    """
+    flat = recording.voltages.reshape(len(recording.voltages), -1)
+    use = _usable(recording)
+    use.frames[len(flat) if frames is None else frames :] = False
+    random = np.random.default_rng(0)
+    pressed = use.frames & (_size(flat, use.scale) > QUIET)
+    known, free = pressed & recording.known, pressed & ~recording.known
+    chosen = np.concatenate(
+        [
+            random.permutation(np.flatnonzero(known))[:_LABELLED],
+            random.permutation(np.flatnonzero(free))[:_UNLABELLED],
+        ]
+    )
+    chosen.sort()
+    fewest = 20  # errors of fewer say nothing of how readings go together
+    require(len(chosen) >= fewest, "v", f"{len(chosen)} presses", f"at least {fewest}")
+    told = recording.known[chosen]
+    model, start = _nominal(recording, use, chosen)
+    at, width, dtype = model.at, max(recording.box), model.at.dtype
+    values = compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
+    values = values.astype(dtype)
+    nowhere = np.full((len(flat), 2), np.nan)
+    true = (nowhere if recording.places is None else recording.places)[chosen]
+
+    def placed(fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        xy = np.where(fixed[:, None], true, start.xy).astype(dtype)
+        # Candidates have a spacing: no place is more certain than a cell.
+        wide = np.maximum(start.deviation, width / _CANDIDATES)
+        wide = np.where(fixed, 0, wide).astype(dtype)
+        return learn_places(values, xy, wide, at, width, progress)
+
+    own = 0.0
+    if told.sum() >= LEAST_KNOWN:  # some are found as if they were not known
+        # Twenty or more, a fifth of many: what is judged is nearly the whole.
+        every = np.clip(told.sum() // HIDDEN, 2, 5)
+        hidden = np.flatnonzero(told)[::every]
+        fixed = told.copy()
+        fixed[hidden] = False
+        xy, _, moments = placed(fixed)
+        own = _own_deviation((xy - true)[hidden], moments[hidden], width)
+    xy, deviation, _ = placed(told)
+
+    def best(of: np.ndarray) -> Learned:
+        lengths = [np.asarray(share * width, dtype) for share in _LENGTHS]
+        made = [learned(xy[of], values[of], deviation[of], at, one) for one in lengths]
+        return max(made, key=lambda one: float(one.map.evidence))
+
+    def response(by: Learned, limit: float = np.inf) -> Response:
+        return Response(
+            at=at,
+            readings=np.asarray(by.map.readings),
+            spread=np.asarray(by.map.spread),
+            whitener=np.asarray(by.whitener),
+            scale=use.scale,
+            limit=limit,
+            own=own,
+            known=int(told.sum()),
+        )
+
+    # A map of half the presses says what χ² the other half has; one in a hundred is let go.
+    order = random.permutation(len(chosen))
+    half, rest = order[::2], order[1::2]
+    unseen = response(best(half)).locate(recording.voltages[chosen[rest]])
+    return response(best(order), float(np.quantile(unseen.residual**2, 0.99)))
+
+
+def _own_deviation(
+    away: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"], width: float
+) -> float:
+    """Returns the least deviation of the map by which 68 % of places are within 1 σ, m."""
+    tried = np.linspace(0, width / 4, 500)
+
+    def within(own: float) -> bool:
+        inverse = np.linalg.inv(covariance + own**2 * np.eye(2))
+        squares = np.einsum("ni,nij,nj->n", away, inverse, away)
+        return bool(np.mean(squares < _WITHIN) >= 0.6827)
+
+    return float(next(filter(within, tried), tried[-1]))
+
+
+class _Usable(NamedTuple):
+    """Which frames are whole; the usual size of each reading, 0 where it says nothing."""
+
+    frames: Bool[np.ndarray, " n"]
+    scale: Float[np.ndarray, " N"]
+
+
+def _usable(recording: PairRecording) -> _Usable:
+    flat = recording.voltages.reshape(len(recording.voltages), -1)
+    dead = np.isnan(flat).mean(0) > 0.5
+    middle = np.nanmedian(np.where(dead, 0.0, flat), 0)
+    # 1.4826 times this median is a normal variable's deviation.
+    scale = 1.4826 * np.nanmedian(np.abs(np.where(dead, 0.0, flat) - middle), 0)
+    require((scale > 0).any(), "v", "readings that never change", "presses")
+    frames = np.asarray(np.isfinite(flat[:, scale > 0]).all(1))
+    return _Usable(frames, scale)
+
+
+def _size(flat: Float[np.ndarray, "n N"], scale: Float[np.ndarray, " N"]) -> np.ndarray:
+    """Returns how large frames are, over the usual one."""
+    used = scale > 0
+    size = np.sqrt(np.nanmean((flat[:, used] / scale[used]) ** 2, 1))
+    return size / np.nanmedian(size)
+
+
+def _nominal(
+    recording: PairRecording, use: _Usable, chosen: np.ndarray | None = None
+) -> tuple[Response, Posterior]:
+    """Returns the physics as a response, and the places of the chosen frames by it."""
+    used = use.scale > 0
+    if chosen is None:
+        chosen = np.flatnonzero(use.frames)[:_LABELLED]
+    flat = recording.voltages.reshape(len(recording.voltages), -1)[chosen][:, used]
+    at, columns = _physics(recording)
+    columns = columns[:, used]
+    dtype = columns.dtype
+    sign = _sign(flat, columns)
+    columns = (sign * columns).astype(dtype)
+    found, whitener = place_by_physics(flat.astype(dtype), columns, at)
+    size = np.median(np.linalg.norm(flat, axis=1))
+    response = Response(
+        at=at,
+        readings=columns,
+        spread=np.zeros(len(at), dtype),
+        whitener=np.asarray(whitener),
+        scale=np.where(used, size, 0.0),
+        limit=float(np.quantile(np.asarray(found.chi2), 0.99)),
+        own=0.0,
+        known=-1,
+    )
+    return response, found
+
+
+def _sign(flat: Float[np.ndarray, "n K"], columns: Float[np.ndarray, "G K"]) -> int:
+    """Tells whether presses lower (−1) or raise the sheet's conductance.
+
+    A press thins most sheets: it raises the conductance only where that explains clearly
+    more of the frames, by one local change each.
+    """
+    unit = flat / np.linalg.norm(flat, axis=1, keepdims=True)
+    alike = unit @ (columns / np.linalg.norm(columns, axis=1, keepdims=True)).T
+    lower, higher = (np.mean(np.maximum(s * alike, 0).max(1) ** 2) for s in (-1, 1))
+    return 1 if higher > _CLEARLY * lower else -1
+
+
+def _physics(recording: PairRecording) -> tuple[np.ndarray, np.ndarray]:
+    """Returns candidate places, and how readings change by a local change at each."""
+    sensor = recording.sensor()
+    steps = max(recording.box) / _CANDIDATES
+    sides = [np.arange(steps / 2, side, steps) for side in recording.box]
+    at = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
+    # Within two diameters of an edge, a press changes its electrodes more than the sheet.
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = 2 * recording.electrode_diameter * np.stack([np.cos(turn), np.sin(turn)], 1)
+    inside = np.asarray([sensor.on_sheet(jnp.asarray(at + one)) for one in ring]).all(0)
+    require(inside.any(), "outline", "a sheet narrower than its electrodes", "a wider one")
+    at = at[inside].astype(np.float32)
+    columns = np.asarray(sensitivities(sensor, recording.pairs, at))
+    if recording.magnitude:
+        columns = columns * np.sign(np.asarray(background(sensor, recording.pairs)))
+    return (at + recording.origin).astype(np.float32), columns.reshape(len(at), -1)
