@@ -156,36 +156,6 @@ def measure(path: Path, seeds: int) -> list[dict]:
     return rows
 
 
-def fewer(path: Path) -> None:
-    """Prints place errors from 4, 2 and 1 injections: chosen, even, and two random sets."""
-    from tomojax import ert
-
-    whole = ert.load(path)
-    n, c = len(whole.voltages), whole.pairs.conditions
-    drawn = np.random.default_rng(0).choice(2 * n // 3, PRESSES, replace=False)
-    train, test = some(whole, drawn), some(whole, slice(2 * n // 3, n))
-    order = ert.choose(ert.learn(train), whole.pairs, 4)
-
-    def of(recording, conditions):
-        pairs = ert.Pairs(
-            *(one[conditions] for one in (whole.pairs.inject, whole.pairs.read))
-        )
-        return replace(recording, voltages=recording.voltages[:, conditions], pairs=pairs)
-
-    for count in (c, 4, 2, 1):
-        sets = {"all": range(c)} if count == c else {"chosen": order[:count]}
-        if count < c:
-            sets["even"] = [k * c // count for k in range(count)]
-            for seed in (0, 1):
-                random = np.random.default_rng(seed).choice(c, count, replace=False)
-                sets[f"random {seed}"] = random
-        for name, conditions in sets.items():
-            mine = sorted(int(one) for one in conditions)
-            response = ert.learn(of(train, mine))
-            found = response.locate(of(test, mine).voltages)
-            print(path.stem, count, name, mine, figures(found.xy, test, found), flush=True)
-
-
 def draw(rows: list[dict], path: Path) -> None:
     """Draws the median place error by the number of known places."""
     from matplotlib.figure import Figure
@@ -221,17 +191,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--fewer", action="store_true", help="print errors by injections")
     parser.add_argument("--output", type=Path, default=RESULTS)
     told = parser.parse_args()
     from tomojax._environment import environment
 
     warnings.simplefilter("ignore")
     rows = []
-    if told.fewer:
-        for path in sorted(told.folder.glob("skin_*.h5")):
-            fewer(path)
-        return
     for path in sorted(told.folder.glob("skin_*.h5")):
         rows += measure(path, told.seeds)
     written = {"rows": rows, "summary": {}, "environment": environment()}

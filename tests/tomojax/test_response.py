@@ -97,10 +97,41 @@ def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:
     noisy = replace(response, whitener=np.diag(np.repeat([10.0, 1e-3], [28, 4])))
     order = tx.ert.choose(noisy, skin.pairs, 8)
     assert sorted(order) == list(range(8)) and order[-1] == 7
-    with pytest.raises(ValueError, match="count: got 9, expected 1 to 8"):
+    order = tx.ert.choose(noisy, skin.pairs, 2, after=[7], near=(0.01, 0.02))
+    assert len(order) == 2 and 7 not in order
+    with pytest.raises(ValueError, match="slots: got 9, expected a whole number from 1 to 8"):
         tx.ert.choose(response, skin.pairs, 9)
+    with pytest.raises(ValueError, match="after: got \\[8\\], expected conditions, 0 to 7"):
+        tx.ert.choose(response, skin.pairs, 1, after=[8])
     with pytest.raises(ValueError, match="response: got the nominal sheet"):
         tx.ert.choose(tx.ert.nominal(skin), skin.pairs, 1)
+
+
+def test_a_set_of_conditions_has_its_own_information(skin, response) -> None:
+    told = tx.ert.press_information(response, skin.pairs)
+    some_of = np.isin(told.of, [1, 6])
+    covariance = np.asarray(told.covariance, float)[np.ix_(some_of, some_of)]
+    slopes = np.asarray(told.slopes, float)[:, some_of]
+    both = np.swapaxes(slopes, 1, 2) @ np.linalg.solve(covariance, slopes)
+    want = np.sqrt(np.trace(np.linalg.inv(both + told.known * np.eye(2)), axis1=1, axis2=2))
+    weights = np.isin(np.arange(8), [1, 6]).astype(np.float32)
+    np.testing.assert_allclose(told(weights), want, rtol=2e-3)
+    # Conditions that are measured anyway need no weight.
+    after = tx.ert.press_information(response, skin.pairs, after=[6])
+    np.testing.assert_allclose(after(np.eye(7, dtype=np.float32)[1]), want, rtol=2e-3)
+    # No set beats the relaxed problem's bound.
+    found = tx.design.design(told, 2)
+    assert found.bound <= found.value <= told.value(weights)
+
+
+def test_a_response_places_by_some_of_its_conditions(skin, response) -> None:
+    test = some(skin, slice(200, 240))
+    volts = np.where(np.isin(np.arange(8), [1, 6])[:, None], test.voltages, np.nan)
+    found = tx.ert.restrict(response, skin.pairs, [1, 6]).locate(volts)
+    assert np.median(far(found, test)) < 0.006
+    assert not (found.flags & tx.Flag.DEAD_CHANNEL.value).any()
+    with pytest.raises(ValueError, match="conditions: got \\[9\\]"):
+        tx.ert.restrict(response, skin.pairs, [9])
 
 
 def test_a_response_comes_back(skin, response, tmp_path) -> None:

@@ -1,5 +1,10 @@
 # What the room offers, imported when it is first used.
-from ._choice import choose as choose
+from ._choice import (
+    choose as choose,
+    press_information as press_information,
+    PressInformation as PressInformation,
+    restrict as restrict,
+)
 from ._electrode_model import (
     disc_model as disc_model,
     ElectrodeModel as ElectrodeModel,
@@ -38,7 +43,10 @@ __all__ = [
     "nominal",
     "PairRecording",
     "Pairs",
+    "press_information",
+    "PressInformation",
     "Response",
+    "restrict",
     "rim_model",
     "sensitivities",
     "Transfer",

@@ -1,25 +1,142 @@
 """Chooses the conditions that tell most of a press's place, by a learned response."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from tomojax._require import require
+from tomojax.design import AbstractObjective, design
 from tomojax.ert._pairs import Pairs
 from tomojax.ert._response import Response
 
+_PLACES = 200  # that figures are computed for: a mean over more does not differ
+# Of a condition's weight. The information is smooth at 0; the slope of its root is not.
+_LEAST = 1e-6
 
-def choose(response: Response, pairs: Pairs, count: int) -> list[int]:
-    """Chooses `count` of the conditions one by one, each the best beside those before.
 
-    The best has the largest mean log det(JᵀΣ⁻¹J + P) over the candidate places, D-optimal:
-    J are the map's slopes, Σ is the covariance of what readings scatter about the map, both
-    of the chosen conditions' readings. P is what is known of a place without any, a quarter
-    of the sheet's width. The criterion is Bayesian D-optimality: Chaloner and Verdinelli,
-    Bayesian experimental design: a review, 1995.
+class PressInformation(AbstractObjective):
+    """The least error of a press's place by some of the conditions, after Cramér and Rao.
 
-    **Returns:** the conditions' numbers, the best first.
-    **Raises:** `ValueError` for pairs that the response was not learned with, for counts
-    that are none, and for `nominal` responses, whose frames have no size.
+    F = JᵀD(DΣD + ε(I − D²))⁻¹DJ + P, with the map's slopes J at a place, the covariance Σ
+    of what readings scatter about the map, D² = diag(w) of each reading's condition, and ε
+    the least eigenvalue of Σ. Weights of 0 and 1 are sets of conditions, exactly; between
+    them F is concave in w, so that `tomojax.design.relax` gives a bound. P is what is known
+    of a place without a reading: a quarter of the sheet's width. Figures √(tr F⁻¹), m.
+    Source: Chaloner and Verdinelli, Bayesian experimental design: a review, 1995.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> slopes = jnp.array([[[1.0, 0.0], [1.0, 0.0], [0.0, 3.0]]])  # of one place
+    >>> free = np.arange(3)  # each reading is a condition
+    >>> none = jnp.zeros(3)
+    >>> told = tx.ert.PressInformation(slopes, jnp.eye(3), 1.0, free, free, none, 1.0)
+    >>> print(f"{float(told(jnp.array([1.0, 0.0, 1.0]))[0]):.3f} m")  # √(1/2 + 1/10)
+    0.775 m
+    >>> sorted(tx.design.design(told, slots=2).grounds.tolist())[-1]  # the third and one
+    2
+    """
+
+    convex: ClassVar[bool] = True
+    slopes: Float[Array, "P K 2"]
+    covariance: Float[Array, "K K"]
+    least: float  # ε
+    of: Int[np.ndarray, " K"]  # the condition of each reading
+    free: Int[np.ndarray, " L"]  # the conditions to choose from
+    given: Float[Array, " C"]  # 1 for the conditions that are measured anyway
+    known: float  # P, 1/m²
+
+    @property
+    def unit(self) -> str:
+        return "m"
+
+    @property
+    def slots(self) -> int:
+        return len(self.free)
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        return self.slopes.dtype
+
+    def alone(self, k: Array) -> "PressInformation":
+        return replace(self, slopes=self.slopes[k][None])
+
+    def __call__(self, weights: Float[Array, " L"]) -> Float[Array, " P"]:
+        each = self.given.at[self.free].set(weights)[self.of]
+        root = jnp.sqrt(_LEAST + (1 - _LEAST) * each)
+        rest = jnp.diag(self.least * (1 - root**2))
+        low = jnp.linalg.cholesky(root[:, None] * self.covariance * root + rest)
+        count = len(self.slopes)
+        slopes = jnp.moveaxis(self.slopes, 1, 0).reshape(len(root), -1)
+        white = solve_triangular(low, root[:, None] * slopes, lower=True)
+        white = white.reshape(-1, count, 2)
+        told = jnp.einsum("kpi,kpj->pij", white, white, precision="highest")
+        told = told + self.known * jnp.eye(2, dtype=told.dtype)
+        # Of a 2 × 2 matrix, tr F⁻¹ = tr F / det F.
+        return jnp.sqrt(jnp.trace(told, axis1=1, axis2=2) / jnp.linalg.det(told))
+
+
+def press_information(
+    response: Response,
+    pairs: Pairs,
+    *,
+    after: Sequence[int] = (),
+    near: Any = None,
+) -> PressInformation:
+    """Makes the objective that rates conditions by a learned response.
+
+    **Arguments:** `after`: conditions that are measured anyway; the others are to choose
+    from. `near`: a place (2,), m, alone, say where the first conditions found a press; all
+    places by default.
+    **Raises:** `ValueError` for pairs that the response was not learned with, conditions
+    that are not there, and `nominal` responses, whose frames have no size.
+
+    **Example:** see `tomojax.ert.choose`.
+    """
+    of = _conditions(response, pairs)
+    count = pairs.conditions
+    given = np.isin(np.arange(count), after)
+    require(given.sum() == len(after), "after", after, f"conditions, 0 to {count - 1}")
+    at, dtype = np.asarray(response.at, float), response.readings.dtype
+    here, slopes = _slopes(at, np.asarray(response.readings, float))
+    some = np.arange(len(here))[:: -(-len(here) // _PLACES)]
+    if near is not None:
+        near = np.asarray(near, float)
+        require(near.shape == (2,), "near", f"shape {near.shape}", "(2,), m")
+        some = np.argmin(np.linalg.norm(at[here] - near, axis=1), keepdims=True)
+    covariance = _covariance(response)
+    return PressInformation(
+        slopes=jnp.asarray(slopes[some], dtype),
+        covariance=jnp.asarray(covariance, dtype),
+        least=float(np.linalg.eigvalsh(covariance)[0]),
+        of=of[response.used],
+        free=np.flatnonzero(~given),
+        given=jnp.asarray(given, dtype),
+        known=float((4 / np.ptp(at[:, 0])) ** 2),
+    )
+
+
+def choose(
+    response: Response,
+    pairs: Pairs,
+    count: int,
+    *,
+    after: Sequence[int] = (),
+    near: Any = None,
+) -> list[int]:
+    """Chooses `count` conditions that place a press best: `tomojax.design.design`.
+
+    `press_information` has the objective, the arguments and the errors.
+
+    **Returns:** the conditions' numbers; each adds most to those before.
 
     **Example:**
 
@@ -40,40 +157,76 @@ def choose(response: Response, pairs: Pairs, count: int) -> list[int]:
     >>> pairs = tx.ert.Pairs([[0, 1], [1, 2]], [[[2, 3], [3, 4]], [[3, 4], [4, 5]]])
     >>> tx.ert.choose(response, pairs, 1)
     [1]
+    >>> tx.ert.choose(response, pairs, 1, after=[1], near=(0.01, 0.02))
+    [0]
     """
+    objective = press_information(response, pairs, after=after, near=near)
+    found = design(objective, count).grounds
+    return [int(objective.free[one]) for one in found]
+
+
+def restrict(response: Response, pairs: Pairs, conditions: Sequence[int]) -> Response:
+    """Returns the response of some conditions alone; frames keep all readings' shape.
+
+    The readings of the other conditions do not count, be they measured or NaN.
+
+    **Raises:** `ValueError` as `choose` does.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> at = np.array([[0.0, 0.0], [0.01, 0.0]])
+    >>> response = tx.ert.Response(
+    ...     at=at,
+    ...     readings=np.array([[1.0, 0.1], [0.1, 1.0]]),
+    ...     spread=np.zeros(2),
+    ...     whitener=100 * np.eye(2),
+    ...     scale=np.ones(2),
+    ...     limit=4.0,
+    ...     own=0.0,
+    ...     known=100,
+    ... )
+    >>> pairs = tx.ert.Pairs([[0, 1], [1, 2]], [[[2, 3]], [[3, 0]]])
+    >>> one = tx.ert.restrict(response, pairs, [0])
+    >>> one.locate(np.array([[[2.1], [np.nan]]])).xy.round(3).tolist()
+    [[0.0, 0.0]]
+    """
+    of, used = _conditions(response, pairs), response.used
+    some = np.isin(of, conditions)
+    fits = len(conditions) and set(conditions) <= set(of.tolist()) and (some & used).any()
+    require(fits, "conditions", conditions, f"some of 0 to {of.max()} that tell anything")
+    keep = some[used]
+    low = np.linalg.cholesky(_covariance(response)[np.ix_(keep, keep)])
+    return replace(
+        response,
+        readings=response.readings[:, keep],
+        whitener=np.linalg.inv(low).astype(response.whitener.dtype),
+        scale=np.where(some, response.scale, 0.0),
+    )
+
+
+def _conditions(response: Response, pairs: Pairs) -> Int[np.ndarray, " N"]:
+    """Returns the condition of each reading; refuses what does not go together."""
     shape = pairs.conditions, pairs.readings
     told = f"{shape[0]} × {shape[1]} readings"
     require(np.prod(shape) == len(response.scale), "pairs", told, f"{len(response.scale)}")
-    require(1 <= count <= shape[0], "count", f"{count}", f"1 to {shape[0]}")
     require(response.known >= 0, "response", "the nominal sheet", "a learned one")
-    of = np.repeat(np.arange(shape[0]), shape[1])[response.used]
-    at = np.asarray(response.at, float)
-    slopes = _slopes(at, np.asarray(response.readings, float))
+    return np.repeat(np.arange(shape[0]), shape[1])
+
+
+def _covariance(response: Response) -> Float[np.ndarray, "K K"]:
     white = np.asarray(response.whitener, float)
-    covariance = np.linalg.inv(white.T @ white)
-    before = (4 / np.ptp(at[:, 0])) ** 2 * np.eye(2)
-    chosen: list[int] = []
-
-    def told_by(conditions: list[int]) -> float:
-        some = np.isin(of, conditions)
-        if not some.any():
-            return -np.inf
-        low = np.linalg.cholesky(covariance[np.ix_(some, some)])
-        mine = np.linalg.solve(low, slopes[:, some])
-        return float(np.mean(np.linalg.slogdet(np.swapaxes(mine, 1, 2) @ mine + before)[1]))
-
-    for _ in range(count):
-        left = [one for one in range(shape[0]) if one not in chosen]
-        chosen.append(max(left, key=lambda one: told_by([*chosen, one])))
-    return chosen
+    return np.linalg.inv(white.T @ white)
 
 
-def _slopes(at: np.ndarray, mapped: np.ndarray) -> np.ndarray:
-    """Returns ∂f/∂x and ∂f/∂y (G', K, 2) at candidates that have neighbours along both."""
+def _slopes(
+    at: Float[np.ndarray, "G 2"], mapped: Float[np.ndarray, "G K"]
+) -> tuple[Int[np.ndarray, " H"], Float[np.ndarray, "H K 2"]]:
+    """Returns the candidates that have neighbours along both axes, and ∂f/∂(x, y) there."""
     tree = KDTree(at)
     spacing = tree.query(at[:1], 2)[0][0, 1]
-    steps = spacing * np.eye(2)
-    apart, ahead = tree.query(at[:, None] + steps)
-    here = (apart < 0.1 * spacing).all(1)
+    apart, ahead = tree.query(at[:, None] + spacing * np.eye(2))
+    here = np.flatnonzero((apart < 0.1 * spacing).all(1))
     each = (mapped[np.asarray(ahead)[here]] - mapped[here][:, None]) / spacing
-    return np.swapaxes(each, 1, 2)
+    return here, np.swapaxes(each, 1, 2)
