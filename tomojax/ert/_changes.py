@@ -26,6 +26,7 @@ from tomojax.kernels.algebra import solve_positive
 from tomojax.kernels.contacts import thin_rows_at
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.inverse import shrunk_covariance
+from tomojax.sensor import Sensor
 
 _STEPS = 64  # of the table of S along the sheet's longer side; each second is a candidate
 _MARGIN = 3  # steps from an edge: slopes within two are rough, and a cubic reaches two
@@ -82,7 +83,7 @@ def changes(
     recording: PairRecording,
     most: int = 2,
     noise: float | np.ndarray | None = None,
-    model: ElectrodeModel | None = None,
+    sheet: Sensor | ElectrodeModel | None = None,
     contact: float = 1e-3,
 ) -> Changes:
     """Finds one or two local changes in each frame, as dipoles in the sheet's field.
@@ -94,9 +95,9 @@ def changes(
     **Arguments:** `most` changes in a frame, 1 or 2. `noise`: the deviation of a reading,
     in the recording's units, one number or (C, R). Without `noise` the errors of readings,
     as parts of a frame's size, are learned from what the changes leave of all frames.
-    `model`: a complete electrode model, its places the recording's, in place of the nominal
-    sheet: a rim's electrodes are then arcs. `contact`: resistance of the model's contacts,
-    times the sheet's conductance, m.
+    `sheet`: what stands for `recording.sensor()`. It is another sensor, its box at 0, or a
+    complete electrode model, its places the recording's: a rim's electrodes are then arcs.
+    `contact`: resistance of that model's contacts, times the sheet's conductance, m.
 
     **Raises:** `ValueError` for other `most`, `noise` that is not above 0, and fewer than
     20 frames without `noise`.
@@ -129,7 +130,7 @@ def changes(
     if noise is not None:
         each = np.broadcast_to(noise, recording.voltages.shape[1:]).ravel()[used]
         require(bool((each > 0).all()), "noise", np.min(each), "deviations above 0")
-    maps, unit = _maps(recording, used, each, model, contact)
+    maps, unit = _maps(recording, used, each, sheet, contact)
     size = np.linalg.norm(flat := flat / each, axis=1, keepdims=True)
     scale = np.where((size > 0) & (noise is None), size, 1.0)
     frames = (flat / scale).astype(maps.table.dtype)
@@ -145,30 +146,38 @@ def changes(
         found = _best(frames, maps, most, further)
     if noise is not None:
         found = _best(frames, maps, most, further)
-    xy, there = np.array(found.xy, float), np.asarray(found.strength != 0)
-    strength = np.asarray(found.strength, float) * scale / unit
-    spread = np.asarray(found.covariance, float)
-    order = np.argsort(-np.abs(strength), 1)
-    strength, xy, spread, there = (
-        np.take_along_axis(v, order.reshape(order.shape + (1,) * (v.ndim - 2)), 1)
-        for v in (strength, xy, spread, there)
-    )
-    residual = np.sqrt(np.asarray(found.chi2, float) / frames.shape[1])
-    quiet = ~there.any(1)
-    if noise is None:
-        quiet |= size[:, 0] < QUIET * np.median(size)
-    there &= ~quiet[:, None]
-    pitch = recording.sensor().mean_pitch
-    wide = np.sqrt(np.trace(spread, axis1=2, axis2=3) / 2) > pitch / 2
-    flags = np.zeros(len(flat), np.uint32)
-    flags[residual > _DOUBTED] |= Flag.HIGH_RESIDUAL.value
-    flags[(wide & there).any(1)] |= Flag.PLACE_UNCERTAIN.value
-    flags[quiet] |= Flag.NO_CONTACT.value
+    quiet = (noise is None) & (size[:, 0] < QUIET * np.median(size))
+    flags = np.where(quiet, Flag.NO_CONTACT.value, 0).astype(np.uint32)
+    if noise is None:  # errors that all frames share move places, and are not in sight
+        flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
     flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
     flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
+    return _told(recording, found, scale / unit, flags)
+
+
+def _told(
+    recording: PairRecording,
+    found: _Fit,
+    scale: Float[np.ndarray, "n 1"],
+    flags: Integer[np.ndarray, " n"],
+) -> Changes:
+    """Puts the strongest first, NaN where none is, and flags in their places."""
+    strength = np.asarray(found.strength, float) * scale
+    order = np.argsort(-np.abs(strength), 1)
+    strength = np.take_along_axis(strength, order, 1)
+    xy = np.take_along_axis(np.asarray(found.xy, float), order[..., None], 1)
+    moments = np.asarray(found.covariance, float)
+    moments = np.take_along_axis(moments, order[..., None, None], 1)
+    flags[(strength == 0).all(1)] |= Flag.NO_CONTACT.value
+    there = (strength != 0) & (flags & Flag.NO_CONTACT.value == 0)[:, None]
+    residual = np.sqrt(np.asarray(found.chi2, float) / found.left.shape[1])
+    flags[residual > _DOUBTED] |= Flag.HIGH_RESIDUAL.value
+    own = np.diagonal(moments, axis1=2, axis2=3)
+    sure = (own > 0).all(2) & (own.mean(2) <= (recording.sensor().mean_pitch / 2) ** 2)
+    flags[(there & ~sure).any(1)] |= Flag.PLACE_UNCERTAIN.value
     return Changes(
         np.where(there[..., None], xy + recording.origin, np.nan),
-        np.where(there[..., None, None], spread, np.nan),
+        np.where(there[..., None, None], moments, np.nan),
         np.where(there, strength, np.nan),
         residual,
         flags,
@@ -179,11 +188,11 @@ def _maps(
     recording: PairRecording,
     used: Bool[np.ndarray, " N"],
     each: Float[np.ndarray, " K"],
-    model: ElectrodeModel | None,
+    sheet: Sensor | ElectrodeModel | None,
     contact: float,
 ) -> tuple[_Maps, float]:
     """Returns S over the box, over the readings' deviations and a unit; and the unit."""
-    sensor = recording.sensor()
+    sensor = sheet if isinstance(sheet, Sensor) else recording.sensor()
     step = max(recording.box) / _STEPS
     counts = [max(round(side / step), 4) for side in recording.box]
     # The table's nodes are nodes of the mesh: slopes between two nodes are rough.
@@ -191,17 +200,14 @@ def _maps(
     sensor = sensor.on_mesh((fine[0], fine[1]), sensor.sheet_resistance)
     lines = [np.linspace(0, s, n + 1) for s, n in zip(recording.box, counts)]
     at = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
-    if model is None:
+    if isinstance(sheet, ElectrodeModel):
+        even = np.full(len(sheet.areas), 1 / float(sensor.sheet_resistance))
+        transfer = sheet.transfer(even, contact / even[0])
+        given = recording.pairs, at + recording.origin
+        columns, usual = _of_model(sheet, transfer, *given)
+    else:
         columns = np.asarray(sensitivities(sensor, recording.pairs, at))
         usual = np.asarray(background(sensor, recording.pairs))
-    else:
-        sheet = np.full(len(model.areas), 1 / float(sensor.sheet_resistance))
-        columns, usual = _of_model(
-            model,
-            model.transfer(sheet, contact / sheet[0]),
-            recording.pairs,
-            at + recording.origin,
-        )
     if recording.magnitude:
         columns = columns * np.sign(usual)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
@@ -225,7 +231,6 @@ def _of_model(
     model: ElectrodeModel, transfer: Transfer, pairs: Pairs, at: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n C R"], Float[np.ndarray, "C R"]]:
     """Returns S at places, 0 off the mesh, and the voltages of no change."""
-
     weight = np.repeat(model.areas, 3)
     corner = model.triangles.ravel()
     nodes = np.zeros((len(model.nodes), 2, model.electrode_count))

@@ -19,13 +19,18 @@ class Skin:
     """
 
     def __init__(
-        self, across, rim=0, inner=(), diameter=0.005, round=True, fine=5, resist=0.1
+        self, across, rim=0, inner=(), diameter=0.005, round=True, fine=5, resist=100.0
     ):
         if round:
             mesh = skfem.MeshTri.init_circle(fine, smoothed=True).scaled(across / 2)
         else:
             line = np.linspace(0, across, 2 ** (fine + 1) + 1)
             mesh = skfem.MeshTri.init_tensor(line, line)
+        inner = np.reshape(inner, (-1, 2))
+        for far in (0.9,) if len(inner) else ():  # diameters
+            middle = mesh.p[:, mesh.t].mean(1).T
+            away = np.linalg.norm(middle[:, None] - inner, axis=-1).min(1)
+            mesh = mesh.refined(np.flatnonzero(away < far * diameter))
         self.basis = skfem.Basis(mesh, skfem.ElementTriP2(), intorder=4)
         self.cell = float(
             np.sqrt(np.abs(mesh.p[:, mesh.t[0]] - mesh.p[:, mesh.t[1]]) ** 2).max()
@@ -45,7 +50,7 @@ class Skin:
                 parts.append(contact(basis, self.basis.N, lambda x: 1 + 0 * x[0], z))
             turn = 2 * np.pi * np.arange(rim) / rim
             self.xy = across / 2 * np.stack([np.cos(turn), np.sin(turn)], 1)
-        for place in np.reshape(inner, (-1, 2)):
+        for place in inner:
             z = resist * diameter**2 / 4
             parts.append(
                 contact(
