@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 from scipy.interpolate import LinearNDInterpolator
+from scipy.ndimage import convolve
 
 from tomojax._checks import require
 from tomojax._programs import kept
@@ -40,6 +41,7 @@ _ROUNDS = 3  # that learn the noise
 _FILLED = 2  # rounds that put the model's readings where some are missing
 _TOGETHER = 8  # frames that are fitted side by side: each looks at all pairs
 _FEWEST = 20  # frames: what fewer leave says nothing of how readings go together
+_PARTS = 16  # of a step, that tell how much of the step is in a disc
 _DOUBTED = 2.0  # rms misfit, in deviations
 
 
@@ -85,6 +87,7 @@ def changes(
     noise: float | np.ndarray | None = None,
     sheet: Sensor | ElectrodeModel | None = None,
     contact: float = 1e-3,
+    radius: float = 0.0,
 ) -> Changes:
     """Finds one or two local changes in each frame, as dipoles in the sheet's field.
 
@@ -98,6 +101,8 @@ def changes(
     `sheet`: what stands for `recording.sensor()`. It is another sensor, its box at 0, or a
     complete electrode model, its places the recording's: a rim's electrodes are then arcs.
     `contact`: resistance of that model's contacts, times the sheet's conductance, m.
+    `radius` of the discs, m: near electrodes fields bend within a disc, and S is then the
+    mean over it. That is exact for any field, but for what a disc's own field moves.
 
     **Raises:** `ValueError` for other `most`, `noise` that is not above 0, and fewer than
     20 frames without `noise`.
@@ -130,7 +135,7 @@ def changes(
     if noise is not None:
         each = np.broadcast_to(noise, recording.voltages.shape[1:]).ravel()[used]
         require(bool((each > 0).all()), "noise", np.min(each), "deviations above 0")
-    maps, unit = _maps(recording, used, each, sheet, contact)
+    maps, unit = _maps(recording, used, each, sheet, contact, radius)
     size = np.linalg.norm(flat := flat / each, axis=1, keepdims=True)
     scale = np.where((size > 0) & (noise is None), size, 1.0)
     frames = (flat / scale).astype(maps.table.dtype)
@@ -190,6 +195,7 @@ def _maps(
     each: Float[np.ndarray, " K"],
     sheet: Sensor | ElectrodeModel | None,
     contact: float,
+    radius: float,
 ) -> tuple[_Maps, float]:
     """Returns S over the box, over the readings' deviations and a unit; and the unit."""
     sensor = sheet if isinstance(sheet, Sensor) else recording.sensor()
@@ -198,6 +204,7 @@ def _maps(
     # The table's nodes are nodes of the mesh: slopes between two nodes are rough.
     fine = [n * -(-own // n) for n, own in zip(counts, sensor.divisions)]
     sensor = sensor.on_mesh((fine[0], fine[1]), sensor.sheet_resistance)
+    shape = counts[0] + 1, counts[1] + 1
     lines = [np.linspace(0, s, n + 1) for s, n in zip(recording.box, counts)]
     at = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
     if isinstance(sheet, ElectrodeModel):
@@ -213,9 +220,9 @@ def _maps(
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = _MARGIN * step * np.stack([np.cos(turn), np.sin(turn)], 1)
     inside = np.asarray([sensor.on_sheet(at + one) for one in ring]).all(0)
-    table = columns.reshape(len(at), -1)[:, used] / each
+    table = columns.reshape(*shape, -1)[..., used] / each
+    table = _mean_over_disc(table, radius / step).reshape(len(at), -1)
     unit = float(np.sqrt((table[inside] ** 2).mean()))
-    shape = counts[0] + 1, counts[1] + 1
     inside = inside.reshape(shape)
     even = (np.indices(shape) % 2 == 0).all(0)
     require(bool((inside & even).any()), "outline", "too narrow a sheet", "a wider one")
@@ -225,6 +232,19 @@ def _maps(
         jnp.asarray(np.argwhere(inside & even)),
         jnp.asarray(recording.box, sensor.dtype),
     ), unit
+
+
+def _mean_over_disc(
+    table: Float[np.ndarray, "nx ny K"], radius: float
+) -> Float[np.ndarray, "nx ny K"]:
+    """Averages a table over discs of a radius, in steps; a step counts by its part."""
+    if radius == 0:
+        return table
+    reach = int(np.ceil(radius + 0.5))
+    fine = (np.arange((2 * reach + 1) * _PARTS) + 0.5) / _PARTS - reach - 0.5
+    within = np.hypot(*np.meshgrid(fine, fine)) < radius
+    part = within.reshape(2 * reach + 1, _PARTS, -1, _PARTS).mean((1, 3))
+    return np.stack([convolve(one, part / part.sum()) for one in table.T]).T
 
 
 def _of_model(
@@ -271,15 +291,16 @@ def _best(
         found = _fitted(told, maps, count)
         # Before the noise is known, it is what the changes leave.
         noise = jnp.maximum(0.0 if further is None else 1.0, found.chi2 / (k - 3 * count))
-        price = 3 * np.log(k) * (count - (best.strength != 0).sum(1))
+        more = count - np.asarray(best.strength != 0).sum(1)
+        price = (3 * np.log(k) * more).astype(frames.dtype)
         fits = best.chi2 - found.chi2 > price * noise
         if count > 1 and further is not None:
             fits &= further
-        more = [(0, 0), (0, most - count)]
+        wide = [(0, 0), (0, most - count)]
         found = found._replace(
-            xy=jnp.pad(found.xy, [*more, (0, 0)]),
-            covariance=jnp.pad(found.covariance, [*more, (0, 0), (0, 0)]),
-            strength=jnp.pad(found.strength, more),
+            xy=jnp.pad(found.xy, [*wide, (0, 0)]),
+            covariance=jnp.pad(found.covariance, [*wide, (0, 0), (0, 0)]),
+            strength=jnp.pad(found.strength, wide),
         )
         best = jax.tree.map(
             lambda new, old, fits=fits: jnp.where(
@@ -311,7 +332,7 @@ def _fitted(frames: Float[Array, "n K"], maps: _Maps, count: int) -> _Fit:
             signs = (one - alike * other) * (other - alike * one) > 0
             best = jnp.argmax(jnp.where(signs & (alike < _ALIKE), gain, 0))
             best = jnp.stack(jnp.divmod(best, len(columns)))
-        return maps.starts[best] * step
+        return maps.starts[best].astype(frame.dtype) * step
 
     def look(frame: Float[Array, " K"], xy: Float[Array, "c 2"]) -> "_Look":
         rows = jax.vmap(thin_rows_at, (None, None, 0))(maps.table, maps.size, xy)
@@ -351,7 +372,10 @@ def _fitted(frames: Float[Array, "n K"], maps: _Maps, count: int) -> _Fit:
         blocks = blocks * jnp.maximum(1, chi2 / (len(frame) - 3 * count))
         return _Fit(at.xy, blocks, at.strength, chi2, at.left)
 
-    return jax.lax.map(one, frames, batch_size=_TOGETHER)
+    n = len(frames)
+    every = jnp.pad(frames, ((0, -n % _TOGETHER), (0, 0)), mode="edge")
+    found = jax.lax.map(jax.vmap(one), every.reshape(-1, _TOGETHER, frames.shape[1]))
+    return jax.tree.map(lambda v: v.reshape(-1, *v.shape[2:])[:n], found)
 
 
 class _Look(NamedTuple):
