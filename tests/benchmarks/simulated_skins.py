@@ -198,11 +198,7 @@ def ours(name: str, scenes: dict, frames: np.ndarray, noise: float) -> list[dict
     rows, recording = [], recording_of(name, scenes["xy"], frames)
     given = {"radius": RADIUS}
     sheets = {"nominal": given}
-    if name == "rim":
-        levels = levels_of(scenes)
-        model = {"sheet": levels.model, "contact": levels.contact}
-        sheets["electrode model"] = given | model
-    else:  # electrodes inside conduct a little along the sheet
+    if name != "rim":  # electrodes inside conduct a little along the sheet
         sensor = replace(recording.sensor(), electrode_shunt=np.float32(SHUNT))
         sheets[f"shunt {SHUNT}"] = given | {"sheet": sensor}
     for (sheet, given), (how, deviation) in itertools.product(
@@ -380,7 +376,7 @@ def drawn(name: str, scenes: dict, letters: np.ndarray, noise: float) -> tuple:
     lines = [(np.arange(n) + 0.5) * s / n + o
              for n, s, o in zip(shape, recording.box, recording.origin)]  # fmt: skip
     points = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
-    # Cells count by their sensitivity, or all is drawn at electrodes; the house's rule for λ.
+    # Cells count by their sensitivity, or all is drawn at electrodes.
     scale = np.linalg.norm(j, axis=0) ** 0.5
     scale = np.where(scale > 1e-3 * scale.max(), scale, np.inf)
     rows_of = jnp.asarray((j / scale).reshape(*letters[0].shape, -1), np.float32)
@@ -450,7 +446,7 @@ def draw(rows: list[dict], path: Path) -> None:
     """Draws which part of pairs is told apart by distance, and how far off they are."""
     from matplotlib.figure import Figure
 
-    figure = Figure((4.2 * len(SKINS), 6.4), layout="constrained")
+    figure = Figure((4.2 * len(SKINS), 7.4), layout="constrained")
     for column, name in zip(figure.subplots(2, len(SKINS)).T, SKINS):
         for row in (r for r in rows if r["skin"] == name and "two_8_median_mm" in r):
             style = {"bound": "k:", "pyEIT, best in hindsight": "s--"}.get(
@@ -465,7 +461,7 @@ def draw(rows: list[dict], path: Path) -> None:
         column[0].set(title=name, ylabel="pairs told apart", ylim=(-0.03, 1.03))
         column[1].set(yscale="log", ylabel="place error, median, mm")
         column[1].set_xlabel("distance of two presses, mm")
-        column[1].legend(fontsize=7)
+        column[1].legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     figure.savefig(path, dpi=110)
 
 

@@ -12,14 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
-from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import convolve
 
 from tomojax._checks import require
 from tomojax._programs import kept
-from tomojax.ert._electrode_model import ElectrodeModel, Transfer
 from tomojax.ert._learning import whitener_of
-from tomojax.ert._pairs import Pairs
 from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import QUIET
 from tomojax.ert._sheet_change import background, sensitivities
@@ -85,8 +82,7 @@ def changes(
     recording: PairRecording,
     most: int = 2,
     noise: float | np.ndarray | None = None,
-    sheet: Sensor | ElectrodeModel | None = None,
-    contact: float = 1e-3,
+    sheet: Sensor | None = None,
     radius: float = 0.0,
 ) -> Changes:
     """Finds one or two local changes in each frame, as dipoles in the sheet's field.
@@ -98,9 +94,7 @@ def changes(
     **Arguments:** `most` changes in a frame, 1 or 2. `noise`: the deviation of a reading,
     in the recording's units, one number or (C, R). Without `noise` the errors of readings,
     as parts of a frame's size, are learned from what the changes leave of all frames.
-    `sheet`: what stands for `recording.sensor()`. It is another sensor, its box at 0, or a
-    complete electrode model, its places the recording's: a rim's electrodes are then arcs.
-    `contact`: resistance of that model's contacts, times the sheet's conductance, m.
+    `sheet`: a sensor, its box at 0, that stands for the nominal `recording.sensor()`.
     `radius` of the discs, m: near electrodes fields bend within a disc, and S is then the
     mean over it. That is exact for any field, but for what a disc's own field moves.
 
@@ -135,7 +129,7 @@ def changes(
     if noise is not None:
         each = np.broadcast_to(noise, recording.voltages.shape[1:]).ravel()[used]
         require(bool((each > 0).all()), "noise", np.min(each), "deviations above 0")
-    maps, unit = _maps(recording, used, each, sheet, contact, radius)
+    maps, unit = _maps(recording, used, each, sheet or recording.sensor(), radius)
     size = np.linalg.norm(flat := flat / each, axis=1, keepdims=True)
     scale = np.where((size > 0) & (noise is None), size, 1.0)
     frames = (flat / scale).astype(maps.table.dtype)
@@ -193,12 +187,10 @@ def _maps(
     recording: PairRecording,
     used: Bool[np.ndarray, " N"],
     each: Float[np.ndarray, " K"],
-    sheet: Sensor | ElectrodeModel | None,
-    contact: float,
+    sensor: Sensor,
     radius: float,
 ) -> tuple[_Maps, float]:
     """Returns S over the box, over the readings' deviations and a unit; and the unit."""
-    sensor = sheet if isinstance(sheet, Sensor) else recording.sensor()
     step = max(recording.box) / _STEPS
     counts = [max(round(side / step), 4) for side in recording.box]
     # The table's nodes are nodes of the mesh: slopes between two nodes are rough.
@@ -207,16 +199,9 @@ def _maps(
     shape = counts[0] + 1, counts[1] + 1
     lines = [np.linspace(0, s, n + 1) for s, n in zip(recording.box, counts)]
     at = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
-    if isinstance(sheet, ElectrodeModel):
-        even = np.full(len(sheet.areas), 1 / float(sensor.sheet_resistance))
-        transfer = sheet.transfer(even, contact / even[0])
-        given = recording.pairs, at + recording.origin
-        columns, usual = _of_model(sheet, transfer, *given)
-    else:
-        columns = np.asarray(sensitivities(sensor, recording.pairs, at))
-        usual = np.asarray(background(sensor, recording.pairs))
+    columns = np.asarray(sensitivities(sensor, recording.pairs, at))
     if recording.magnitude:
-        columns = columns * np.sign(usual)
+        columns = columns * np.sign(np.asarray(background(sensor, recording.pairs)))
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = _MARGIN * step * np.stack([np.cos(turn), np.sin(turn)], 1)
     inside = np.asarray([sensor.on_sheet(at + one) for one in ring]).all(0)
@@ -245,28 +230,6 @@ def _mean_over_disc(
     within = np.hypot(*np.meshgrid(fine, fine)) < radius
     part = within.reshape(2 * reach + 1, _PARTS, -1, _PARTS).mean((1, 3))
     return np.stack([convolve(one, part / part.sum()) for one in table.T]).T
-
-
-def _of_model(
-    model: ElectrodeModel, transfer: Transfer, pairs: Pairs, at: Float[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, "n C R"], Float[np.ndarray, "C R"]]:
-    """Returns S at places, 0 off the mesh, and the voltages of no change."""
-    weight = np.repeat(model.areas, 3)
-    corner = model.triangles.ravel()
-    nodes = np.zeros((len(model.nodes), 2, model.electrode_count))
-    np.add.at(nodes, corner, weight[:, None, None] * np.repeat(transfer.fields, 3, 0))
-    nodes /= np.bincount(corner, weight)[:, None, None]
-    slopes = LinearNDInterpolator(model.nodes, nodes.reshape(len(nodes), -1), 0.0)(at)
-    slopes = slopes.reshape(len(at), 2, -1)
-    (one, other), (plus, minus) = pairs.inject.T, np.moveaxis(pairs.read, -1, 0)
-    drive, read = (
-        slopes[..., one] - slopes[..., other],
-        slopes[..., plus] - slopes[..., minus],
-    )
-    driven = transfer.table[:, one] - transfer.table[:, other]
-    each = np.arange(len(one))[:, None]
-    usual = driven[plus, each] - driven[minus, each]
-    return -np.einsum("nic,nicr->ncr", drive, read), usual
 
 
 def _best(
