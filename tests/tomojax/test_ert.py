@@ -289,3 +289,103 @@ def test_the_nominal_sheet_places_measured_presses(shared_data, tmp_path) -> Non
     found = tx.ert.nominal(recording).locate(few)
     error = np.sqrt(((found.xy - places) ** 2).sum(1))
     assert np.median(error) < 0.012  # always the centre: 27 mm
+
+
+def made_of(places: np.ndarray, strength: float = -1e-9, noise: float = 1e-3):
+    """A recording of frames whose changes are at places (n, C, 2), and its noise."""
+    pairs, sensor = Pairs.opposite(8), disc(diameter=0.01)
+    at = places.reshape(-1, 2) + RADIUS
+    each = np.asarray(tx.ert.sensitivities(sensor, pairs, at)).reshape(
+        *places.shape[:2], 8, 4
+    )
+    volts = strength * each.sum(1) * (1e4 / 100.0) ** 2  # of a recording's nominal sheet
+    deviation = noise * float(np.std(volts))
+    volts = volts + deviation * np.random.default_rng(2).normal(size=volts.shape)
+    outline = tx.recordings.Outline("disc", 2 * RADIUS)
+    return PairRecording(volts, pairs, rim(8), 0.01, outline=outline), deviation
+
+
+def test_one_and_two_changes_are_told_apart() -> None:
+    rng = np.random.default_rng(3)
+    start = 0.015 * rng.uniform(-1, 1, (24, 2))
+    turn = rng.uniform(0, 2 * np.pi, 24)
+    apart = 0.016 * np.stack([np.cos(turn), np.sin(turn)], 1)
+    lone, deviation = made_of(start[:, None])
+    found = tx.ert.changes(lone, noise=deviation)
+    assert (np.isfinite(found.strength).sum(1) == 1).all()
+    assert np.linalg.norm(found.xy[:, 0] - start, axis=1).max() < 5e-4
+    np.testing.assert_allclose(found.strength[:, 0], -1e-9, rtol=0.05)
+    assert found.xy.shape == (24, 2, 2) and np.isnan(found.xy[:, 1]).all()
+    two = np.stack([start, start + apart], 1)
+    both, deviation = made_of(two)
+    for noise in (deviation, None):
+        found = tx.ert.changes(both, noise=noise)
+        assert (np.isfinite(found.strength).all(1)).mean() > 0.9
+        away = np.linalg.norm(found.xy[:, :, None] - two[:, None], axis=3)
+        worst = np.minimum(
+            np.maximum(away[:, 0, 0], away[:, 1, 1]),
+            np.maximum(away[:, 0, 1], away[:, 1, 0]),
+        )
+        assert np.nanmedian(worst) < 1e-3
+        moments = found.covariance[np.isfinite(found.strength)]
+        assert (np.diagonal(moments, axis1=1, axis2=2) > 0).all()
+        sure = (found.flags & tx.Flag.PLACE_UNCERTAIN == 0).any()
+        assert sure == (noise is not None)
+
+
+def test_changes_follow_the_full_model() -> None:
+    # A disc whose conductance is halved, on the mesh of the whole sheet.
+    sensor = disc(diameter=0.01, divisions=(60, 60))
+    pairs, radius = Pairs.opposite(8), 0.005
+    nodes = np.asarray(mesh_nodes(sensor.divisions, sensor.size))
+    middle = nodes[triangles(sensor.divisions)].mean(1) - RADIUS
+    before = np.asarray(tx.ert.background(sensor, pairs))
+    places, volts, area = np.array([[0.0, 0.0], [0.02, 0.01], [-0.01, -0.025]]), [], []
+    for place in places:
+        within = np.hypot(*(middle - place).T) < radius
+        changed = sensor.on_mesh(sensor.divisions, np.where(within, 200.0, 100.0))
+        volts.append(np.asarray(tx.ert.background(changed, pairs)) - before)
+        area.append(within.sum() * (2 * RADIUS / 60) ** 2 / 2)
+    outline = tx.recordings.Outline("disc", 2 * RADIUS)
+    recording = PairRecording(np.stack(volts), pairs, rim(8), 0.01, outline=outline)
+    found = tx.ert.changes(
+        recording, noise=1e-3 * np.std(volts), sheet=sensor, radius=radius
+    )
+    assert np.linalg.norm(found.xy[:, 0] - places, axis=1).max() < 5e-4
+    wanted = 2 * np.array(area) / 100.0 * (0.5 - 1) / (0.5 + 1)  # 2πa²σ·(κ − 1)/(κ + 1)
+    np.testing.assert_allclose(found.strength[:, 0], wanted, rtol=0.05)
+    assert np.isnan(found.strength[:, 1]).all()
+
+
+def test_changes_with_faults() -> None:
+    places = np.array([[0.01, 0.0], [-0.02, 0.01], [0.0, 0.0]])
+    recording, deviation = made_of(places[:, None], noise=1e-2)
+    recording.voltages[2] = deviation * np.random.default_rng(0).normal(size=(8, 4))
+    recording.voltages[1, 3, 2] = np.nan
+    found = tx.ert.changes(recording, noise=deviation)
+    assert np.linalg.norm(found.xy[:2, 0] - places[:2], axis=1).max() < 2e-3
+    assert found.flags[1] & tx.Flag.DEAD_CHANNEL and not found.flags[0]
+    assert found.flags[2] == tx.Flag.NO_CONTACT and np.isnan(found.xy[2]).all()
+    with pytest.raises(ValueError, match="most: got 3, expected 1 or 2"):
+        tx.ert.changes(recording, 3)
+    with pytest.raises(ValueError, match="v: got 3 frames, expected 20 or more"):
+        tx.ert.changes(recording)
+    with pytest.raises(ValueError, match="noise: got"):
+        tx.ert.changes(recording, noise=0.0)
+
+
+def test_the_command_finds_two_changes(tmp_path) -> None:
+    rng = np.random.default_rng(5)
+    places = np.stack([[-0.015, 0.0], [0.015, 0.0]]) + 0.01 * rng.uniform(-1, 1, (30, 2, 2))
+    recording, _ = made_of(places)
+    path, out = tmp_path / "skin.h5", tmp_path / "out.h5"
+    recording.save(path)
+    assert "30 rows, 30 with a contact" in run(
+        "reconstruct", path, "-o", out, "--contacts", "2"
+    )
+    with tx.results.LoadedResults(out) as results:
+        assert results.attributes["method"] == "changes"
+        assert results["contact_xy"].shape == (30, 2, 2)
+        assert np.median(results["contact_count"]) == 2
+    with pytest.raises(ValueError, match="most: got 3"):
+        run("reconstruct", path, "-o", out, "--contacts", "3", "--overwrite")

@@ -17,6 +17,8 @@ __getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 # The rest serves other rooms.
 __all__ = [
     "background",
+    "Changes",
+    "changes",
     "choose",
     "disc_model",
     "ElectrodeModel",

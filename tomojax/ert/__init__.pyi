@@ -1,4 +1,5 @@
 # What the room offers, imported when it is first used.
+from ._changes import Changes as Changes, changes as changes
 from ._choice import (
     choose as choose,
     press_information as press_information,
@@ -31,6 +32,8 @@ from ._told import info_text as info_text, summary as summary
 # The rest serves other rooms.
 __all__ = [
     "background",
+    "Changes",
+    "changes",
     "choose",
     "disc_model",
     "ElectrodeModel",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tomojax._environment import environment
+from tomojax.ert._changes import Changes
 from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import Located
 from tomojax.ert._told import quantile
@@ -17,27 +18,28 @@ from tomojax.results import Dataset, report, write_rows
 
 def write_results(
     recording: PairRecording,
-    found: Located,
+    found: Located | Changes,
     out: Path,
     response: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Writes a row for each frame: place, covariance, strength, residual and flags.
+    """Writes a row for each frame: places, covariances, strengths, residual and flags.
 
-    Places are as the recording has them. `contact_strength` is relative, and `residual`
-    counts standard deviations. A row without a contact, or without an answer, has NaN.
+    Places are as the recording has them. `contact_strength` is relative, or S·m² of
+    `Changes`, and `residual` counts standard deviations. A row without a contact, or
+    without an answer, has NaN.
 
     **Raises:** `ValueError` where OUT cannot be made, or is there already.
     """
-    rows = empty_rows(len(found.xy), {"C": 1})
     there = found_contact(found)
-    rows.contact_count[:] = there
-    rows.contact_xy[there, 0] = found.xy[there]
-    moments = found.covariance[:, [0, 1, 0], [0, 1, 1]]
-    rows.contact_covariance[there, 0] = moments[there]
+    xy, covariance, strength = _by_contact(found)
+    rows = empty_rows(len(xy), {"C": there.shape[1]})
+    rows.contact_count[:] = there.sum(1)
+    rows.contact_xy[there] = xy[there]
+    rows.contact_covariance[there] = covariance[:, :, [0, 1, 0], [0, 1, 1]][there]
     rows.residual[:], rows.flags[:] = found.residual, found.flags
     units = {n: field.unit for n, field in fields_of_rows().items()} | {"residual": "1"}
-    strength = np.where(there, found.strength, np.nan).astype(np.float32)[:, None]
+    strength = np.where(there, strength, np.nan).astype(np.float32)
     values = {"t": recording.t0, "contact_strength": strength}
     values |= {n: v for n, v in rows._asdict().items() if v is not None and n != "rung"}
     units |= {"t": "s", "contact_strength": "1"}
@@ -47,8 +49,9 @@ def write_results(
     if not recording.outline.loops:
         lines = [line + origin for line in lines]
     told = {"calibration": response and str(response), "frames": len(found.xy)}
+    lone = "response" if response else "nominal"
     attributes = {
-        "method": "response" if response else "nominal",
+        "method": "changes" if isinstance(found, Changes) else lone,
         "rate": "scan",
         "kind": "conductivity",
         "size": recording.box,
@@ -63,23 +66,32 @@ def write_results(
     write_rows(out, columns, attributes, overwrite)
 
 
-def found_contact(found: Located) -> np.ndarray:
-    """Tells which frames have a contact and a place."""
+def _by_contact(found: Located | Changes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns places (n, C, 2), covariances and strengths; C is 1 for lone presses."""
+    n = len(found.xy)
+    moments = found.covariance.reshape(n, -1, 2, 2)
+    return found.xy.reshape(n, -1, 2), moments, found.strength.reshape(n, -1)
+
+
+def found_contact(found: Located | Changes) -> np.ndarray:
+    """Tells which of C contacts each frame has: (n, C)."""
     none = (found.flags & int(Flag.NO_CONTACT | NO_ANSWER)) > 0
-    return ~none & np.isfinite(found.xy).all(1)
+    return ~none[:, None] & np.isfinite(_by_contact(found)[0]).all(2)
 
 
-def summary_located(recording: PairRecording, found: Located) -> dict[str, Any]:
+def summary_located(recording: PairRecording, found: Located | Changes) -> dict[str, Any]:
     """Counts contacts and flags; with known places, tells how far off they are.
 
-    Numbers without a row to tell them are None.
+    The strongest contact of a row counts. Numbers without a row to tell them are None.
     """
-    there, flags = found_contact(found), np.asarray(found.flags)
+    there, flags = found_contact(found)[:, 0], np.asarray(found.flags)
+    xy, covariance, _ = _by_contact(found)
+    xy, covariance = xy[:, 0], covariance[:, 0]
     silent = (flags & int(NO_ANSWER)) > 0
     by_flag = {f.name: int(((flags & f.value) > 0).sum()) for f in Flag}
-    deviations = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))  # of x and y
-    places = np.nan * found.xy if recording.places is None else recording.places
-    off = (found.xy - places)[judged := there & recording.known]
+    deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))  # of x and y
+    places = np.nan * xy if recording.places is None else recording.places
+    off = (xy - places)[judged := there & recording.known]
     error = 1e3 * np.sqrt((off**2).sum(1))
     stated = 1e3 * np.sqrt((deviations[there] ** 2).mean(1))
     return {

@@ -137,9 +137,24 @@ def _jacobian(sensor: Sensor, slots: _Slots) -> Float[Array, "C R nx ny"]:
     def on_mesh(sheet: Float[Array, " K"]) -> FemSheet:
         return sheet_on_mesh(eqx.tree_at(lambda s: s.sheet_resistance, sensor, 1 / sheet))
 
-    fem = on_mesh(sheet)
-    # Potentials are stationary: only the elements' own stiffness counts.
-    rows = fem_fields(fem, shape)[1][:, triangles(shape)]  # (M, K, 3)
+    fem, m = on_mesh(sheet), sensor.electrode_count
+
+    # What electrodes lack on the mesh follows the sheet under them.
+    def lacking(sheet: Float[Array, " K"]) -> Float[Array, " n"]:
+        made = on_mesh(sheet)
+        return jnp.concatenate([made.series, made.dipole_series])
+
+    def fields(own: Float[Array, " n"]) -> tuple[Array, Array]:
+        return fem_fields(fem._replace(series=own[:m], dipole_series=own[m:]), shape)
+
+    own = jnp.concatenate([fem.series, fem.dipole_series])
+    table, rows = jax.jacfwd(fields, has_aux=True)(own)
+    by_own = jnp.matmul(
+        slots.voltages(table), jax.jacrev(lacking)(sheet), precision="highest"
+    )
+
+    # Potentials are stationary: else only the elements' own stiffness counts.
+    rows = rows[:, triangles(shape)]  # (M, K, 3)
     local = fem.local / sheet[:, None, None]
 
     def of_condition(pair: _Slots) -> Float[Array, "R K"]:
@@ -147,18 +162,5 @@ def _jacobian(sensor: Sensor, slots: _Slots) -> Float[Array, "C R nx ny"]:
         driven, read = rows[one] - rows[other], rows[plus] - rows[minus]
         return -jnp.einsum("rki,kij,kj->rk", read, local, driven, precision="highest")
 
-    found = jax.lax.map(of_condition, slots)
-
-    # What electrodes lack on the mesh follows the sheet under them.
-    def lacking(sheet: Float[Array, " K"]) -> Float[Array, " n"]:
-        made = on_mesh(sheet)
-        return jnp.concatenate([made.series, made.dipole_series])
-
-    m = len(fem.series)
-
-    def table(own: Float[Array, " n"]) -> Float[Array, "M M"]:
-        return fem_fields(fem._replace(series=own[:m], dipole_series=own[m:]), shape)[0]
-
-    by_own = slots.voltages(jax.jacfwd(table)(lacking(sheet)))
-    found = found + jnp.matmul(by_own, jax.jacrev(lacking)(sheet), precision="highest")
+    found = by_own + jax.lax.map(of_condition, slots)
     return found.reshape(*found.shape[:2], *shape, 2).sum(-1)

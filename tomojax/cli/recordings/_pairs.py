@@ -40,15 +40,25 @@ def info_pairs(rec: Path, json_path: Path | None) -> None:
 
 
 def reconstruct_pairs(rec: Path, out: Path, options: dict[str, Any]) -> None:
-    """Locates the press of each frame, by a response or by the nominal sheet."""
+    """Locates the press of each frame, by a response or by the nominal sheet.
+
+    With --contacts, one or two presses, by the nominal sheet.
+    """
     from tomojax import ert
 
-    only("rec", "out", "calibration", "overwrite", "json_path")
+    taken = "contacts", "out", "overwrite", "json_path", "rec"
     recording, given = ert.load(rec), options["calibration"]
-    with naming(given or rec):
-        response = ert.Response.load(given) if given else ert.nominal(recording)
-    with naming(rec):
-        found = response.locate(recording.voltages)
+    source = click.get_current_context().get_parameter_source("contacts")
+    if source == ParameterSource.COMMANDLINE:
+        only(*taken)
+        with naming(rec):
+            found = ert.changes(recording, options["contacts"])
+    else:
+        only(*taken, "calibration")
+        with naming(given or rec):
+            response = ert.Response.load(given) if given else ert.nominal(recording)
+        with naming(rec):
+            found = response.locate(recording.voltages)
     ert.write_results(recording, found, out, given, options["overwrite"])
     told = ert.summary_located(recording, found)
     print(ert.located_text(told, out))

@@ -122,7 +122,8 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     --processes. Start a killed command again with --resume.
 
     Each frame of a recording of kind conductivity gives the place of one press: by the
-    response that `tomojax calibrate` learned, or by the nominal sheet.
+    response that `tomojax calibrate` learned, or by the nominal sheet. --contacts 2 finds
+    up to two presses of such a frame by the nominal sheet.
     """
     if not _several(rec) and is_pairs(rec[0]):
         assert out is not None
