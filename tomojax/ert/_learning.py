@@ -79,6 +79,17 @@ def place(
     return _posterior(scores, chi2 / readings.shape[1], at)
 
 
+@kept
+def least_chi2(
+    readings: Float[Array, "n K"],
+    mapped: Float[Array, "G K"],
+    whitener: Float[Array, "K K"],
+) -> Float[Array, " n"]:
+    """Returns the least χ² of frames over candidates, as if maps were certain."""
+    certain = jnp.zeros(len(mapped), mapped.dtype)
+    return place_scores(readings, mapped, certain, whitener)[1].min(1)
+
+
 def _posterior(
     scores: Float[Array, "n G"], chi2: Float[Array, "n G"], at: Float[Array, "G 2"]
 ) -> Posterior:

@@ -134,7 +134,7 @@ def learn(
         made = [learned(xy[of], values[of], deviation[of], at, one) for one in lengths]
         return max(made, key=lambda one: float(one.map.evidence))
 
-    def response(by: Learned, limit: float = np.inf) -> Response:
+    def response(by: Learned, limit: float = np.inf, alone: float = np.inf) -> Response:
         return Response(
             at=at,
             readings=np.asarray(by.map.readings),
@@ -142,6 +142,7 @@ def learn(
             whitener=np.asarray(by.whitener),
             scale=use.scale,
             limit=limit,
+            alone=alone,
             own=own,
             known=int(told.sum()),
         )
@@ -149,8 +150,11 @@ def learn(
     # A map of half the presses says what χ² the other half has; one in a hundred is let go.
     order = random.permutation(len(chosen))
     half, rest = order[::2], order[1::2]
-    unseen = response(best(half)).locate(recording.voltages[chosen[rest]])
-    return response(best(order), float(np.quantile(unseen.residual**2, 0.99)))
+    by, unseen = response(best(half)), chosen[rest]
+    chi2 = by.locate(recording.voltages[unseen]).residual ** 2
+    gain = by.gain_of_two(flat[unseen][:, use.scale > 0])
+    limits = (float(np.quantile(each, 0.99)) for each in (chi2, gain))
+    return response(best(order), *limits)
 
 
 def _own_deviation(
@@ -214,6 +218,7 @@ def _nominal(
         whitener=np.asarray(whitener),
         scale=np.where(used, size, 0.0),
         limit=float(np.quantile(np.asarray(found.chi2), 0.99)),
+        alone=np.inf,
         own=0.0,
         known=-1,
     )
