@@ -34,7 +34,6 @@ def choose(response: Response, pairs: Pairs, count: int) -> list[int]:
     ...     whitener=1e3 * np.eye(4),
     ...     scale=np.ones(4),
     ...     limit=4.0,
-    ...     alone=1.0,
     ...     own=0.0,
     ...     known=100,
     ... )

@@ -18,6 +18,7 @@ from tomojax._whole import whole
 from tomojax.ert._learning import (
     by_columns,
     least_chi2,
+    moves,
     place,
     Posterior,
 )
@@ -25,7 +26,9 @@ from tomojax.files import open_container
 from tomojax.kernels.flags import Flag
 
 SCHEMA = "tomojax-response"
-_NUMBERS = {"limit": float, "alone": float, "own": float, "known": int}  # attributes of a file
+_NUMBERS = dict.fromkeys(("limit", "own", "alone", "share", "reach"), float) | {
+    "known": int
+}  # attributes of a file
 
 HIDDEN = 20  # known places that judge a map: a share of 68 % of 20 is known to 10 %
 LEAST_KNOWN = 2 * HIDDEN
@@ -64,8 +67,11 @@ class Response:
     - `whitener` (K, K): W with WᵀW the inverse of the errors' covariance.
     - `limit`: the largest χ² of a reading that a lone press leaves. `alone`: the largest
       log of the ratio of its χ² to that of two presses.
-    - `own`: the deviation of the map itself, from known places that it had not seen, m.
+    - `own`: the deviation of the map itself, from known places that it had not seen, m;
+      `share`: what counts of the deviation by the probabilities, where that is too large.
     - `known`: the number of places that it was learned with.
+    - `taught` (M, K), `weights` (M, 2), `reach`: the move from where the map places presses
+      to where they were is k(y, taught)·weights, by a kernel of length `reach` of readings.
 
     **Example:**
 
@@ -78,7 +84,6 @@ class Response:
     ...     whitener=100 * np.eye(3),
     ...     scale=np.ones(3),
     ...     limit=4.0,
-    ...     alone=1.0,
     ...     own=0.001,
     ...     known=100,
     ... )
@@ -92,9 +97,13 @@ class Response:
     whitener: Float[np.ndarray, "K K"]
     scale: Float[np.ndarray, " N"]
     limit: float
-    alone: float
     own: float
     known: int
+    alone: float = np.inf
+    share: float = 1.0
+    taught: Float[np.ndarray, "M K"] | None = None
+    weights: Float[np.ndarray, "M 2"] | None = None
+    reach: float = 1.0
 
     @property
     def used(self) -> Bool[np.ndarray, " N"]:
@@ -109,7 +118,8 @@ class Response:
             file.attrs["schema"] = SCHEMA
             for field in fields(self):
                 where = file.attrs if field.name in _NUMBERS else file
-                where[field.name] = getattr(self, field.name)
+                if (value := getattr(self, field.name)) is not None:
+                    where[field.name] = value
 
     @classmethod
     def load(cls, path: Path | str) -> "Response":
@@ -120,14 +130,16 @@ class Response:
         with open_container(path) as file:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
-            arrays = [field.name for field in fields(cls) if field.name not in _NUMBERS]
-            read: dict[str, Any] = {name: file.read_whole(name) for name in arrays}
-            told = {name: kind(file.attributes[name]) for name, kind in _NUMBERS.items()}
-        return cls(**read, **told)
+            names = {field.name for field in fields(cls)} & set(file.names)
+            read: dict[str, Any] = {name: file.read_whole(name) for name in names}
+            for name, kind in _NUMBERS.items():
+                read[name] = kind(file.attributes[name])
+        return cls(**read)
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
         """Places one press a frame: the mean over candidates by their probabilities.
 
+        Known places then tell how far such readings' places are off.
         A frame that no usual press explains is tried as a weaker and as a stronger one;
         `HIGH_RESIDUAL` then says that no lone press explains it, or that two presses, whose
         readings add up, explain it clearly better. `PLACE_UNCERTAIN` is on every row where
@@ -154,7 +166,8 @@ class Response:
             flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
         flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
         flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
-        covariance = np.asarray(found.covariance, float) + self.own**2 * np.eye(2)
+        covariance = self.share**2 * np.asarray(found.covariance, float)
+        covariance += self.own**2 * np.eye(2)
         residual = np.sqrt(np.asarray(found.chi2, float))
         return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
 
@@ -206,7 +219,11 @@ class Response:
 
     def _by_map(self, flat: Float[np.ndarray, "n K"]) -> Posterior:
         values = compressed(flat, self.scale[self.used]).astype(self.at.dtype)
-        return place(values, self.readings, self.spread, self.whitener, self.at)
+        found = place(values, self.readings, self.spread, self.whitener, self.at)
+        if self.taught is None or self.weights is None:
+            return found
+        reach = np.asarray(self.reach, self.at.dtype)
+        return found._replace(xy=found.xy - moves(values, self.taught, self.weights, reach))
 
     def _usual(self, found: Posterior) -> Float[np.ndarray, "n K"]:
         """Returns the readings of presses of the usual strength at the found places."""
