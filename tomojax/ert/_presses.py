@@ -82,6 +82,9 @@ class Presses(NamedTuple):
         reaches = [self._as(reach * np.median(apart)) for reach in _REACHES]
         made = [learned_moves(taught, away, reach) for reach in reaches]
         best = int(np.argmax([float(one.evidence) for one in made]))
+        left, before = (np.linalg.norm(each, axis=1) for each in (made[best].left, away))
+        if left.mean() >= before.mean():  # each without its own move
+            return by
         weights = np.asarray(made[best].weights)
         return replace(by, taught=taught, weights=weights, reach=float(reaches[best]))
 

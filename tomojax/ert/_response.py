@@ -192,7 +192,8 @@ class Response:
 
         lone = [least(each * raw) for each in (1.0, *_STRENGTHS)]
         both = [least(a * raw[one] + b * raw[other]) for a, b in _BOTH]
-        return np.log(np.min(lone, 0) / np.maximum(np.min(both, 0), 1e-30))
+        by_one, by_two = (np.log(np.maximum(np.min(c, 0), 1e-30)) for c in (lone, both))
+        return by_one - by_two
 
     def _placed(
         self, flat: Float[np.ndarray, "n K"]
