@@ -18,7 +18,7 @@ from tomojax.ert._sheet_change import background, sensitivities
 _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
 _LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
 _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
-_LABELLED = 1800  # likewise of places that stay where they are
+_LABELLED = 1000  # likewise of places that stay where they are, in a dozen maps
 _CLEARLY = 1.5  # more of the frames' squares
 
 
