@@ -20,6 +20,7 @@ from tomojax.kernels.inverse._lambda import (
     spectrum as spectrum,
 )
 from tomojax.kernels.inverse._smooth_map import (
+    matern as matern,
     place_scores as place_scores,
     shrunk_covariance as shrunk_covariance,
     smooth_map as smooth_map,

@@ -31,20 +31,21 @@ class SmoothMap(NamedTuple):
     spread: Float[Array, " G"]  # variance of the map, over that of a reading's noise
     left: Float[Array, "N K"]  # each frame's residual by the map of the other frames
     evidence: Float[Array, ""]  # log of the readings' probability, less a constant
+    weights: Float[Array, "N K"]  # the map is the readings' mean + k(x, X)·weights
 
 
 def smooth_map(
-    places: Float[Array, "N 2"],
+    places: Float[Array, "N D"],
     readings: Float[Array, "N K"],
     deviation: Float[Array, " N"],
-    at: Float[Array, "G 2"],
+    at: Float[Array, "G D"],
     length: Float[Array, ""] | float,
 ) -> SmoothMap:
     """Fits maps to N frames, and evaluates them; q by the evidence."""
     mean = readings.mean(0)
     scale = readings.std(0) + jnp.finfo(readings.dtype).tiny
     scaled = (readings - mean) / scale
-    kernel = _matern(places, places, length)
+    kernel = matern(places, places, length)
     blur = (deviation / length) ** 2
 
     def factor(ratio: Float[Array, ""]) -> Float[Array, "N N"]:
@@ -64,18 +65,19 @@ def smooth_map(
     low = factor(ratio)
     inverse = cho_solve((low, True), jnp.eye(len(places), dtype=readings.dtype))
     weights = matmul(inverse, scaled)
-    across = _matern(at, places, length)
+    across = matern(at, places, length)
     known = jnp.sum(matmul(across, inverse) * across, 1)
     return SmoothMap(
         readings=mean + matmul(across, weights) * scale,
         spread=jnp.maximum(1 - known, 0) / ratio,
         left=weights / jnp.diagonal(inverse)[:, None] * scale,
         evidence=scores.max(),
+        weights=weights * scale,
     )
 
 
-def _matern(
-    one: Float[Array, "A 2"], other: Float[Array, "B 2"], length: Float[Array, ""] | float
+def matern(
+    one: Float[Array, "A D"], other: Float[Array, "B D"], length: Float[Array, ""] | float
 ) -> Float[Array, "A B"]:
     """Returns the kernel (1 + r + r²/3)·exp(−r) with r = √5·distance/length."""
     squared = jnp.sum((one[:, None] - other) ** 2, -1)

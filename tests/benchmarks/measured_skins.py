@@ -4,6 +4,8 @@
 
 FOLDER has skin_*.h5: recordings of kind conductivity with places. 600 presses drawn from
 the first two thirds are learned from, and the last third is placed; each seed draws anew.
+Two presses at once, presses twice as hard and none are made of the last third's frames. For
+drift, 200 presses are learned from, and 200 are placed that come 1000 later or right after.
 Beside stand pyEIT (`JAC` and `BP`, settings and reading of an image the best in hindsight)
 and kernel ridge regression (settings by five folds). Writes measured_skins.json and .png to
 notebooks/results.
@@ -48,6 +50,32 @@ def figures(xy, test, found=None) -> dict:
         for name in ("HIGH_RESIDUAL", "PLACE_UNCERTAIN"):
             row[name] = float(np.mean(found.flags & Flag[name].value > 0))
     return row
+
+
+def odd(response, test) -> dict:
+    """What becomes of two presses at once, of presses twice as hard, and of none.
+
+    `two_flagged`: frames of the test's first half added to those of its second, places
+    more than 30 mm apart. `none_flagged`: noise of a twentieth of the usual readings.
+    """
+    from tomojax import Flag
+
+    def flagged(volts, name: str = "HIGH_RESIDUAL"):
+        return response.locate(volts).flags & Flag[name].value > 0
+
+    half = len(test.places) // 2
+    one, other = some(test, slice(half)), some(test, slice(half, 2 * half))
+    apart = np.linalg.norm(one.places - other.places, axis=1) > 0.03
+    twice = response.locate(2 * test.voltages)
+    away = np.linalg.norm(twice.xy - test.places, axis=1)
+    quiet = np.random.default_rng(0).normal(size=test.voltages.shape) / 20
+    usual = response.scale.reshape(test.voltages.shape[1:])
+    return {
+        "two_flagged": float(flagged(one.voltages + other.voltages)[apart].mean()),
+        "twice_mm": 1e3 * float(np.median(away)),
+        "twice_flagged": float(flagged(2 * test.voltages).mean()),
+        "none_flagged": float(flagged(quiet * usual, "NO_CONTACT").mean()),
+    }
 
 
 def ridge(train, test) -> np.ndarray:
@@ -136,6 +164,10 @@ def measure(path: Path, seeds: int) -> list[dict]:
         print("  ".join(f"{k} {v}" for k, v in rows[-1].items()), flush=True)
 
     add("pyeit", None, 0, **figures(pyeit_best(test), test))
+    later = some(whole, slice(1200, 1400))
+    for first, method in ((0, "drift, 1000 later"), (1000, "drift, right after")):
+        found = ert.learn(some(whole, slice(first, first + 200))).locate(later.voltages)
+        add(method, 200, 0, **figures(found.xy, later, found))
     for seed in range(seeds):
         drawn = np.random.default_rng(seed).choice(2 * n // 3, PRESSES, replace=False)
         train = some(whole, drawn)
@@ -148,7 +180,8 @@ def measure(path: Path, seeds: int) -> list[dict]:
             response = ert.learn(train.knowing(known))
             learned = time.perf_counter() - begun
             found = response.locate(test.voltages)
-            told = figures(found.xy, test, found) | {"learn_s": learned}
+            told = figures(found.xy, test, found) | odd(response, test)
+            told["learn_s"] = learned
             add("response", known, seed, **told)
             if known >= 20:
                 xy = ridge(some(train, slice(known)), test)

@@ -15,7 +15,13 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Integer
 
 from tomojax._programs import kept
-from tomojax.kernels.inverse import place_scores, shrunk_covariance, smooth_map, SmoothMap
+from tomojax.kernels.inverse import (
+    matern,
+    place_scores,
+    shrunk_covariance,
+    smooth_map,
+    SmoothMap,
+)
 
 # Errors of readings are the map's too, and are alike in frames that lie side by side; their
 # covariance comes from few frames. Log-probabilities therefore count for a part.
@@ -79,6 +85,37 @@ def place(
     return _posterior(scores, chi2 / readings.shape[1], at)
 
 
+@kept
+def learned_moves(
+    readings: Float[Array, "M K"], away: Float[Array, "M 2"], reach: Float[Array, ""]
+) -> SmoothMap:
+    """Fits a smooth map from readings to how far places were found from the true ones."""
+    certain = jnp.zeros(len(readings), readings.dtype)
+    return smooth_map(readings, away, certain, readings[:1], reach)
+
+
+@kept
+def moves(
+    readings: Float[Array, "n K"],
+    taught: Float[Array, "M K"],
+    weights: Float[Array, "M 2"],
+    reach: Float[Array, ""],
+) -> Float[Array, "n 2"]:
+    """Returns how far places are from the true ones, 0 for readings like none taught."""
+    return matern(readings, taught, reach) @ weights
+
+
+@kept
+def least_chi2(
+    readings: Float[Array, "n K"],
+    mapped: Float[Array, "G K"],
+    whitener: Float[Array, "K K"],
+) -> Float[Array, " n"]:
+    """Returns the least χ² of frames over candidates, as if maps were certain."""
+    certain = jnp.zeros(len(mapped), mapped.dtype)
+    return place_scores(readings, mapped, certain, whitener)[1].min(1)
+
+
 def _posterior(
     scores: Float[Array, "n G"], chi2: Float[Array, "n G"], at: Float[Array, "G 2"]
 ) -> Posterior:
@@ -133,17 +170,16 @@ def learn_places(
     width: float,
     progress: Callable[[str], None] | None = None,
     seed: int = 0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Moves places whose deviation is above 0 to where maps of other frames put them.
 
-    Returns places, deviations along an axis, and covariances.
+    Returns places, and deviations along an axis.
     """
     random = np.random.default_rng(seed)
     free, fixed = np.flatnonzero(deviation > 0), np.flatnonzero(deviation == 0)
     places, deviation = np.array(places), np.array(deviation)
-    covariance = np.zeros((len(places), 2, 2))
     if len(free) < 2:
-        return places, deviation, covariance
+        return places, deviation
     lengths = width * np.geomspace(_LONGEST, _SHORTEST, _ROUNDS).astype(readings.dtype)
     for step, length in enumerate(lengths):
         if progress is not None:
@@ -155,6 +191,5 @@ def learn_places(
             by = learned(places[of], readings[of], deviation[of], at, length)
             found = place(readings[half], by.map.readings, by.map.spread, by.whitener, at)
             moved[half], wide[half] = found.xy, found.deviation
-            covariance[half] = found.covariance
         places, deviation = moved, wide
-    return places, deviation, covariance
+    return places, deviation

@@ -17,6 +17,8 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.ert._learning import (
     by_columns,
+    least_chi2,
+    moves,
     place,
     Posterior,
 )
@@ -24,12 +26,18 @@ from tomojax.files import open_container
 from tomojax.kernels.flags import Flag
 
 SCHEMA = "tomojax-response"
-_NUMBERS = {"limit": float, "own": float, "known": int}  # attributes of a file
+_NUMBERS = dict.fromkeys(("limit", "own", "alone", "share", "reach"), float) | {
+    "known": int
+}  # attributes of a file
 
 HIDDEN = 20  # known places that judge a map: a share of 68 % of 20 is known to 10 %
 LEAST_KNOWN = 2 * HIDDEN
 _STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
 QUIET = 0.25  # of a usual press's strength: nothing presses
+# Two presses are tried on a tenth of the candidates' extent, at these strengths: halves, so
+# that what one press explains two explain about as well, and no strength tells them apart.
+_COARSE = 10
+_BOTH = ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5), (0.5, 1.0))
 
 
 class Located(NamedTuple):
@@ -57,9 +65,13 @@ class Response:
       the usual sizes `scale` s (C·R,); columns of the physics, of frames of norm 1, where
       `known` is −1. `spread` (G,): the map's variance, over a reading's noise.
     - `whitener` (K, K): W with WᵀW the inverse of the errors' covariance.
-    - `limit`: the largest χ² of a reading that a lone press leaves.
-    - `own`: the deviation of the map itself, from known places that it had not seen, m.
+    - `limit`: the largest χ² of a reading that a lone press leaves. `alone`: the largest
+      log of the ratio of its χ² to that of two presses.
+    - `own`: the deviation of the map itself, from known places that it had not seen, m;
+      `share`: what counts of the deviation by the probabilities, where that is too large.
     - `known`: the number of places that it was learned with.
+    - `taught` (M, K), `weights` (M, 2), `reach`: the move from where the map places presses
+      to where they were is k(y, taught)·weights, by a kernel of length `reach` of readings.
 
     **Example:**
 
@@ -87,6 +99,11 @@ class Response:
     limit: float
     own: float
     known: int
+    alone: float = np.inf
+    share: float = 1.0
+    taught: Float[np.ndarray, "M K"] | None = None
+    weights: Float[np.ndarray, "M 2"] | None = None
+    reach: float = 1.0
 
     @property
     def used(self) -> Bool[np.ndarray, " N"]:
@@ -101,7 +118,8 @@ class Response:
             file.attrs["schema"] = SCHEMA
             for field in fields(self):
                 where = file.attrs if field.name in _NUMBERS else file
-                where[field.name] = getattr(self, field.name)
+                if (value := getattr(self, field.name)) is not None:
+                    where[field.name] = value
 
     @classmethod
     def load(cls, path: Path | str) -> "Response":
@@ -112,17 +130,20 @@ class Response:
         with open_container(path) as file:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
-            arrays = [field.name for field in fields(cls) if field.name not in _NUMBERS]
-            read: dict[str, Any] = {name: file.read_whole(name) for name in arrays}
-            told = {name: kind(file.attributes[name]) for name, kind in _NUMBERS.items()}
-        return cls(**read, **told)
+            names = {field.name for field in fields(cls)} & set(file.names)
+            read: dict[str, Any] = {name: file.read_whole(name) for name in names}
+            for name, kind in _NUMBERS.items():
+                read[name] = kind(file.attributes[name])
+        return cls(**read)
 
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
         """Places one press a frame: the mean over candidates by their probabilities.
 
+        Known places then tell how far such readings' places are off.
         A frame that no usual press explains is tried as a weaker and as a stronger one;
-        `HIGH_RESIDUAL` then says that no lone press explains it. `PLACE_UNCERTAIN` is on
-        every row where too few places were known to say how far places are off.
+        `HIGH_RESIDUAL` then says that no lone press explains it, or that two presses, whose
+        readings add up, explain it clearly better. `PLACE_UNCERTAIN` is on every row where
+        too few places were known to say how far places are off.
 
         **Raises:** `ValueError` for readings that are not the response's.
         """
@@ -135,17 +156,44 @@ class Response:
         found, strength = self._placed(filled)
         if missing.any():  # a reading that is missing is as the press there has it
             usual = strength[:, None] * self._usual(found)
-            found, strength = self._placed(np.where(missing, usual, filled))
+            filled = np.where(missing, usual, filled)
+            found, strength = self._placed(filled)
         flags = np.zeros(len(flat), np.uint32)
-        flags[np.asarray(found.chi2) > self.limit] |= Flag.HIGH_RESIDUAL.value
+        doubted = (found.chi2 > self.limit) | (self.gain_of_two(filled) > self.alone)
+        flags[doubted] |= Flag.HIGH_RESIDUAL.value
         flags[strength < QUIET] = Flag.NO_CONTACT.value
         if self.known < LEAST_KNOWN:
             flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
         flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
         flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
-        covariance = np.asarray(found.covariance, float) + self.own**2 * np.eye(2)
+        covariance = self.share**2 * np.asarray(found.covariance, float)
+        covariance += self.own**2 * np.eye(2)
         residual = np.sqrt(np.asarray(found.chi2, float))
         return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
+
+    def gain_of_two(self, flat: Float[np.ndarray, "n K"]) -> Float[np.ndarray, " n"]:
+        """Returns log(χ² by one press / χ² by two), each the least; 0 by the physics."""
+        if self.known < 0:
+            return np.zeros(len(flat))
+        values = compressed(flat, self.scale[self.used]).astype(self.at.dtype)
+        raw, low = np.sinh(self.readings), self.at.min(0)
+        step = (self.at.max(0) - low).max() / _COARSE + 1e-12
+        cells = np.floor((self.at - low) / step)
+        few = np.unique(cells, axis=0, return_index=True)[1]
+        apart = np.abs(cells[few][:, None] - cells[few]).max(-1) > 1
+        one, other = few[np.array(np.nonzero(np.triu(apart)))]
+
+        if not len(one):
+            return np.zeros(len(flat))
+
+        def least(mapped: np.ndarray) -> np.ndarray:
+            mapped = np.arcsinh(mapped).astype(self.at.dtype)
+            return np.asarray(least_chi2(values, mapped, self.whitener))
+
+        lone = [least(each * raw) for each in (1.0, *_STRENGTHS)]
+        both = [least(a * raw[one] + b * raw[other]) for a, b in _BOTH]
+        by_one, by_two = (np.log(np.maximum(np.min(c, 0), 1e-30)) for c in (lone, both))
+        return by_one - by_two
 
     def _placed(
         self, flat: Float[np.ndarray, "n K"]
@@ -172,7 +220,11 @@ class Response:
 
     def _by_map(self, flat: Float[np.ndarray, "n K"]) -> Posterior:
         values = compressed(flat, self.scale[self.used]).astype(self.at.dtype)
-        return place(values, self.readings, self.spread, self.whitener, self.at)
+        found = place(values, self.readings, self.spread, self.whitener, self.at)
+        if self.taught is None or self.weights is None:
+            return found
+        reach = np.asarray(self.reach, self.at.dtype)
+        return found._replace(xy=found.xy - moves(values, self.taught, self.weights, reach))
 
     def _usual(self, found: Posterior) -> Float[np.ndarray, "n K"]:
         """Returns the readings of presses of the usual strength at the found places."""

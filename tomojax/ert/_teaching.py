@@ -1,6 +1,7 @@
 """Teaches responses: from the physics of the sheet, and from presses."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -8,24 +9,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tomojax._require import require
-from tomojax.ert._learning import (
-    learn_places,
-    Learned,
-    learned,
-    place_by_physics,
-    Posterior,
-)
+from tomojax.ert._learning import place_by_physics, Posterior
+from tomojax.ert._presses import Presses
 from tomojax.ert._recording import PairRecording
-from tomojax.ert._response import compressed, HIDDEN, LEAST_KNOWN, QUIET, Response
+from tomojax.ert._response import compressed, LEAST_KNOWN, QUIET, Response
 from tomojax.ert._sheet_change import background, sensitivities
 
 _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
 _LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
 _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
-_LABELLED = 1800  # likewise of places that stay where they are
+_LABELLED = 1000  # likewise of places that stay where they are, in a dozen maps
 _CLEARLY = 1.5  # more of the frames' squares
-# χ² with two degrees of freedom has 68.27 % of its values below this one.
-_WITHIN = 2.298
 
 
 def nominal(recording: PairRecording) -> Response:
@@ -105,66 +99,28 @@ def learn(
     require(len(chosen) >= fewest, "v", f"{len(chosen)} presses", f"at least {fewest}")
     told = recording.known[chosen]
     model, start = _nominal(recording, use, chosen)
-    at, width, dtype = model.at, max(recording.box), model.at.dtype
+    width, dtype = max(recording.box), model.at.dtype
     values = compressed(flat[chosen][:, use.scale > 0], use.scale[use.scale > 0])
-    values = values.astype(dtype)
-    nowhere = np.full((len(flat), 2), np.nan)
-    true = (nowhere if recording.places is None else recording.places)[chosen]
-
-    def placed(fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        xy = np.where(fixed[:, None], true, start.xy).astype(dtype)
-        # Candidates have a spacing: no place is more certain than a cell.
-        wide = np.maximum(start.deviation, width / _CANDIDATES)
-        wide = np.where(fixed, 0, wide).astype(dtype)
-        return learn_places(values, xy, wide, at, width, progress)
-
-    own = 0.0
-    if told.sum() >= LEAST_KNOWN:  # some are found as if they were not known
-        # Twenty or more, a fifth of many: what is judged is nearly the whole.
-        every = np.clip(told.sum() // HIDDEN, 2, 5)
-        hidden = np.flatnonzero(told)[::every]
-        fixed = told.copy()
-        fixed[hidden] = False
-        xy, _, moments = placed(fixed)
-        own = _own_deviation((xy - true)[hidden], moments[hidden], width)
-    xy, deviation, _ = placed(told)
-
-    def best(of: np.ndarray) -> Learned:
-        lengths = [np.asarray(share * width, dtype) for share in _LENGTHS]
-        made = [learned(xy[of], values[of], deviation[of], at, one) for one in lengths]
-        return max(made, key=lambda one: float(one.map.evidence))
-
-    def response(by: Learned, limit: float = np.inf) -> Response:
-        return Response(
-            at=at,
-            readings=np.asarray(by.map.readings),
-            spread=np.asarray(by.map.spread),
-            whitener=np.asarray(by.whitener),
-            scale=use.scale,
-            limit=limit,
-            own=own,
-            known=int(told.sum()),
-        )
-
-    # A map of half the presses says what χ² the other half has; one in a hundred is let go.
-    order = random.permutation(len(chosen))
-    half, rest = order[::2], order[1::2]
-    unseen = response(best(half)).locate(recording.voltages[chosen[rest]])
-    return response(best(order), float(np.quantile(unseen.residual**2, 0.99)))
-
-
-def _own_deviation(
-    away: Float[np.ndarray, "n 2"], covariance: Float[np.ndarray, "n 2 2"], width: float
-) -> float:
-    """Returns the least deviation of the map by which 68 % of places are within 1 σ, m."""
-    tried = np.linspace(0, width / 4, 500)
-
-    def within(own: float) -> bool:
-        inverse = np.linalg.inv(covariance + own**2 * np.eye(2))
-        squares = np.einsum("ni,nij,nj->n", away, inverse, away)
-        return bool(np.mean(squares < _WITHIN) >= 0.6827)
-
-    return float(next(filter(within, tried), tried[-1]))
+    xy = np.array(start.xy)
+    if recording.places is not None:
+        xy[told] = recording.places[chosen[told]]
+    # Candidates have a spacing: no place is more certain than a cell.
+    wide = np.where(told, 0, np.maximum(start.deviation, width / _CANDIDATES))
+    presses = Presses(
+        voltages=recording.voltages[chosen],
+        values=values.astype(dtype),
+        told=told,
+        xy=xy,
+        deviation=wide.astype(dtype),
+        at=model.at,
+        scale=use.scale,
+        width=width,
+    )
+    placed = presses.placed(progress)
+    by, length = placed.mapped([share * width for share in _LENGTHS])
+    by = replace(placed.corrected(by, length), **placed.limits(length, random))
+    enough = told.sum() >= LEAST_KNOWN
+    return replace(by, **presses.deviations(length, progress)) if enough else by
 
 
 class _Usable(NamedTuple):
