@@ -130,7 +130,9 @@ def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:
     assert sorted(order) == list(range(8)) and order[-1] == 7
     order = tx.ert.choose(noisy, skin.pairs, 2, after=[7], near=(0.01, 0.02))
     assert len(order) == 2 and 7 not in order
-    with pytest.raises(ValueError, match="slots: got 9, expected a whole number from 1 to 8"):
+    with pytest.raises(
+        ValueError, match="slots: got 9, expected a whole number from 1 to 8"
+    ):
         tx.ert.choose(response, skin.pairs, 9)
     with pytest.raises(ValueError, match="after: got \\[8\\], expected conditions, 0 to 7"):
         tx.ert.choose(response, skin.pairs, 1, after=[8])

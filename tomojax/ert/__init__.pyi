@@ -6,13 +6,6 @@ from ._choice import (
     PressInformation as PressInformation,
     restrict as restrict,
 )
-from ._electrode_model import (
-    disc_model as disc_model,
-    ElectrodeModel as ElectrodeModel,
-    rim_model as rim_model,
-    Transfer as Transfer,
-)
-from ._levels import Levels as Levels, LevelsFound as LevelsFound
 from ._pairs import Pairs as Pairs
 from ._recording import load as load, PairRecording as PairRecording
 from ._response import Located as Located, Response as Response
@@ -28,6 +21,14 @@ from ._sheet_change import (
 )
 from ._teaching import learn as learn, nominal as nominal
 from ._told import info_text as info_text, summary as summary
+from .bodies import (
+    disc_model as disc_model,
+    ElectrodeModel as ElectrodeModel,
+    Levels as Levels,
+    LevelsFound as LevelsFound,
+    rim_model as rim_model,
+    Transfer as Transfer,
+)
 
 # The rest serves other rooms.
 __all__ = [

@@ -168,7 +168,9 @@ def choose(
 def restrict(response: Response, pairs: Pairs, conditions: Sequence[int]) -> Response:
     """Returns the response of some conditions alone; frames keep all readings' shape.
 
-    The readings of the other conditions do not count, be they measured or NaN.
+    The readings of the other conditions do not count, be they measured or NaN. Places are
+    the map's: `learn` from these conditions alone also knows how far its places are off,
+    and looks for two presses at once.
 
     **Raises:** `ValueError` as `choose` does.
 
@@ -203,6 +205,9 @@ def restrict(response: Response, pairs: Pairs, conditions: Sequence[int]) -> Res
         readings=response.readings[:, keep],
         whitener=np.linalg.inv(low).astype(response.whitener.dtype),
         scale=np.where(some, response.scale, 0.0),
+        alone=np.inf,
+        taught=None,
+        weights=None,
     )
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import expit, ndtr
 
 from tomojax._require import require
-from tomojax.ert._electrode_model import ElectrodeModel, Transfer
+from tomojax.ert.bodies._electrode_model import ElectrodeModel, Transfer
 
 # β = (κ − 1)/(κ + 1) of objects that conduct 100 times as much as the rest, or a hundredth:
 # no voltage tells metal or plastic from these.
