@@ -47,7 +47,10 @@ def lookup3(data: bytes) -> int:
 def growing(start: bytes) -> bool:
     """Tells by its first bytes whether a writer has a file open, or had at a crash."""
     return (
-        start[:8] == _SIGNATURE and len(start) > 11 and start[8] >= 3 and start[11] & _OPEN > 0
+        start[:8] == _SIGNATURE
+        and len(start) > 11
+        and start[8] >= 3
+        and start[11] & _OPEN > 0
     )
 
 

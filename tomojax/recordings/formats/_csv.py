@@ -89,7 +89,9 @@ def _named(names: list[str], values: np.ndarray) -> tuple[list[str], np.ndarray]
     """Leaves out columns without a name, and pandas' column that counts the lines."""
     counted = values - values[:1] == np.arange(len(values))[:, None]
     empty = counted.all(0) | np.isnan(values).all(0)
-    bare = np.array([not n or n.lower() == "index" or n.startswith("Unnamed") for n in names])
+    bare = np.array(
+        [not n or n.lower() == "index" or n.startswith("Unnamed") for n in names]
+    )
     lost = np.flatnonzero(bare & ~empty)
     require(not len(lost), "columns", f"no name for column {lost + 1}", "a name")
     return [n for n, out in zip(names, bare) if not out], values[:, ~bare]

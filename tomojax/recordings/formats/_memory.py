@@ -142,7 +142,9 @@ def _in_order(
     order = order[np.concatenate([[True], ~alike])]
     late = int((np.diff(order) < 0).sum())
     said = (f"slots sent twice: {n - len(order)}; each counts once",) * bool(alike.any())
-    return order, said + (f"slots out of order: {late}; they are put in order",) * (late > 0)
+    return order, said + (f"slots out of order: {late}; they are put in order",) * (
+        late > 0
+    )
 
 
 def _rate(t: np.ndarray | None) -> float | None:
