@@ -17,7 +17,6 @@ from tomojax.kernels.rectangle import Series, turned
 from tomojax.kernels.sheet._mesh import centroids, element_area, Shape
 from tomojax.kernels.sheet._table import centred, Resistances
 
-
 # Electrodes whose potentials are computed at once: each has 48 terms a place.
 _AT_ONCE = 16
 

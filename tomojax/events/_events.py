@@ -59,8 +59,9 @@ class EventFinder:
     A contact keeps its number while each row shows a contact within `reach` of the last
     place, and gets the number once `confirm` rows show the contact. The contact is gone
     once `rows` rows in a row miss it, and `hold` seconds have passed since a row showed
-    it. Time without a row ends nothing, nor does a row without an answer (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`). An event beside a gap of
-    more than two holds says so in its `text`.
+    it. Time without a row ends nothing, nor does a row without an answer
+    (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`). An event beside a gap of more than two holds
+    says so in its `text`.
 
     **Arguments:** `reach` m; `hold` s; `confirm` and `rows`, numbers of rows.
     **Raises:** `ValueError` for a reach or a hold below 0, and for no rows.

@@ -1,8 +1,9 @@
 """Writes LeRobot's dataset layout, version 3.0: episodes at a constant rate, for learners.
 
-Frame k holds the last row at or before k/rate, like the reading of a robot's loop; where
-rows since the frame before show more contacts, the last of those that show most: a tap
-between two frames is in the later one. Learners take no NaN: a missing contact has `present` 0 and zeros.
+Frame k holds the last row at or before k/rate, like the reading of a robot's loop;
+where rows since the frame before show more contacts, the last of those that show most:
+a tap between two frames is in the later one. Learners take no NaN: a missing contact
+has `present` 0 and zeros.
 """
 
 import json

@@ -1,9 +1,9 @@
 """Reads the present state of an HDF5 file that a writer has, or had at a crash, open.
 
-HDF5 itself opens such a file in SWMR mode, or not at all. In SWMR mode HDF5 retries a wrong checksum again
-and again, for longer each time: one damaged bit takes for ever. This module checks the
-superblock's own checksum first. HDF5 is shown a superblock of a closed file with the
-present length. Damaged metadata are then an error at once.
+HDF5 itself opens such a file in SWMR mode, or not at all. In SWMR mode HDF5 retries a
+wrong checksum again and again, for longer each time: one damaged bit takes for ever.
+This module checks the superblock's own checksum first. HDF5 is shown a superblock of a
+closed file with the present length. Damaged metadata are then an error at once.
 """
 
 import io
