@@ -155,12 +155,16 @@ def _chosen(
     alone: Float[Array, ""],
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
-    # Everything is elsewhere.
-    jumped = (left > _SEEN) & (alone - gains_alone[k_alone] < _ELSEWHERE * left)
+    elsewhere = alone - gains_alone[k_alone]
+    # One more, in several slots.
+    more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
+    more = more & known.there.any()
+    # Everything is elsewhere, unless one more leaves clearly less.
+    jumped = (left > _SEEN) & (elsewhere < _ELSEWHERE * left)
+    jumped = jumped & ~(more & (left - gains[k] < _SHARE * elsewhere))
     lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
     anew = (jumped | ~known.there.any()) & lone
-    # One more, in several slots.
-    more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~anew & ~known.there.all()
+    more = more & ~anew
     again = ((candidates.place[k] - known.rival) ** 2).sum() < (_NEAR * sheet.unit) ** 2
     seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
     born = seen >= OFTEN
