@@ -23,7 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-# The environment variable that names the folder; without it nothing is kept.
+from tomojax._whole import ours
+
+# The environment variable that names the folder; without it nothing is kept, nor in a
+# folder that others can write: a program that is read is run.
 FOLDER = "TOMOJAX_PROGRAMS"
 
 # JAX writes programs with this package.
@@ -83,7 +86,7 @@ class Kept:
         with self._lock:
             if key not in self._programs:
                 folder, path = os.environ.get(FOLDER), None
-                if folder and _WRITES:
+                if folder and _WRITES and ours(folder):
                     told = tree, still, tuple(map(repr, leaves)), shapes, _wide()
                     path = Path(folder) / f"{_named(self._function, told)}.program"
                 self._programs[key] = _made(self._function, args, flat, path)

@@ -48,6 +48,21 @@ def whole(path: Path | str) -> Iterator[Path]:
         _unfinished.discard(part)
 
 
+def ours(folder: Path | str) -> bool:
+    """Tells whether nobody else can write a folder: what lies there runs as code.
+
+    The rule is ssh's: the owner is this user or root, and neither group nor others may
+    write. Systems without such owners have folders of the user's own.
+    """
+    try:
+        about = os.stat(folder)
+    except OSError:
+        return True  # nothing lies there
+    if not hasattr(os, "geteuid"):
+        return True
+    return about.st_uid in (os.geteuid(), 0) and not about.st_mode & 0o022
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Writes a text file, whole or not at all."""
     with whole(path) as part:

@@ -129,6 +129,7 @@ def follow(
         rival=seen.rival,
         seen=seen.seen,
         left=_left(known, new, weights, rest),
+        doubted=seen.doubted,
     )
     level = sheet.slots.level(raw[:, 0], ground)
     sunk = sheet.slots.sunk(raw[:, 0], ground, voltages)

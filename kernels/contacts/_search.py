@@ -3,14 +3,16 @@
 Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.algebra import matmul
+from tomojax.kernels.algebra import matmul, tree_where
 from tomojax.kernels.contacts._one_slot import (
+    in_slot,
     inverse_of,
     product,
     regular,
@@ -36,10 +38,15 @@ _NEAR = 12.0
 # in so many slots.
 OFTEN = 3
 
+# Where contacts are wrong, all are looked for anew in the first of so many slots,
+_DOUBTED = 4
+# each so many times beside the others; what they leave over what one more may leave.
+_TURNS, _QUARTER = 2, 4.0
+
 # One contact alone takes the others' place where it leaves less than this part of what
 # the others leave,
 _ELSEWHERE = 0.5
-# and explains this part at least of what there is.
+# and explains this part at least of what there is. Contacts that leave it are wrong.
 _EXPLAINED = 0.1
 
 
@@ -66,6 +73,7 @@ class Followed(NamedTuple):
     rival: Float[Array, "2"]  # where one more was seen last, m
     seen: Int[Array, ""]  # slots in a row that showed it there
     left: Float[Array, ""]  # χ² of each channel that contacts leave, of late
+    doubted: Int[Array, ""]  # slots in a row that contacts are wrong in
 
 
 def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
@@ -85,6 +93,7 @@ def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
         rival=jnp.zeros(2, dtype),
         seen=jnp.zeros((), jnp.int32),
         left=jnp.zeros((), dtype),
+        doubted=jnp.zeros((), jnp.int32),
     )
 
 
@@ -97,10 +106,11 @@ class Search(NamedTuple):
 
     new: Bool[Array, " C"]
     there: Bool[Array, " C"]
-    chosen: Int[Array, ""]  # the candidate that a new one is at
+    chosen: Int[Array, " C"]  # the candidates that new ones are at
     rival: Float[Array, "2"]
     seen: Int[Array, ""]
     dark: Bool[Array, ""]  # nothing stands out of the noise
+    doubted: Int[Array, ""]
 
 
 def search(
@@ -126,16 +136,30 @@ def search(
     nothing = Search(
         new=jnp.zeros_like(known.there),
         there=known.there,
-        chosen=none,
+        chosen=jnp.zeros_like(known.weak),
         rival=known.rival,
         seen=none,
         dark=jnp.zeros((), bool),
+        doubted=none,
     )
 
-    def look() -> Search:
+    def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
         along = weighed_both, beside, normal
-        gains = _gains(candidates, sheet.slots, ground, plain, scale, *along)
-        return _chosen(sheet, candidates, known, *gains, left, alone)
+        return _gains(candidates, sheet.slots, ground, plain, scale, *along)
+
+    def look() -> Search:
+        both = gains(weighed_both, beside, normal)
+        found = _chosen(sheet, candidates, known, *both, left, alone)
+        # Contacts that came at once are not found one by one.
+        wrong = known.there.any() & (left > _EXPLAINED * alone)
+        doubted = jnp.where(wrong, known.doubted + 1, 0)
+        return jax.lax.cond(
+            doubted % _DOUBTED == 1,
+            lambda: _all_anew(
+                sheet, candidates, ground, plain, gains, voltages, left, found
+            ),
+            lambda: found,
+        )._replace(doubted=doubted)
 
     # What errors alone leave, χ² about the number of channels, has nothing to be found in.
     channels = (weights.each > 0).astype(left.dtype).sum()
@@ -143,6 +167,72 @@ def search(
     found = jax.lax.cond(asked, look, lambda: nothing)
     # The contacts explain nothing of the voltages.
     return found._replace(dark=alone - left < _SEEN)
+
+
+def _all_anew(
+    sheet: Sheet,
+    candidates: Candidates,
+    ground: Int[Array, ""],
+    plain: Weights,
+    gains: Callable[[Array, Array, Array], tuple[Array, Array]],
+    voltages: Float[Array, " M"],
+    left: Float[Array, ""],
+    found: Search,
+) -> Search:
+    """Looks for contacts from none on: one more, then each in turn beside the others.
+
+    Each must quarter what the others leave.
+    """
+    count, offset = len(found.there), sheet.slots.offset(ground)
+    slots, near_by = sheet.slots, (_NEAR * sheet.unit) ** 2
+    each = jnp.arange(count, dtype=jnp.int32)
+
+    def rest_of(columns: Array) -> tuple[Array, Array, Array]:
+        beside = weighed(plain, columns)
+        normal = regular(product(columns, beside.T))
+        fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
+        return voltages - matmul(fit, columns), beside, normal
+
+    # How many there are, and whose turn it is: the last one's, then each one's.
+    turns = [(n, c) for n in range(count) for c in (n, *list(range(n + 1)) * _TURNS)]
+    which, whose = jnp.asarray(turns, jnp.int32).T
+
+    def turn(i: Array, state: tuple) -> tuple:
+        columns, chosen, sets = state
+        n, c = which[i], whose[i]
+        others = jnp.where((each == c)[:, None], 0, columns)
+        rest, beside, normal = rest_of(others)
+        both = weighed(plain, jnp.stack([rest, voltages]))
+        # Two candidates about one place would be one contact between them.
+        away = candidates.place[:, None] - candidates.place[chosen]
+        near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
+        k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
+        column = slots.relative(candidates.potential[k], ground) + offset
+        columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
+        return columns, chosen, sets.at[n].set(chosen)
+
+    def left_by(n: Array) -> Array:
+        """Computes χ² that n + 1 leave once they have moved off the grid."""
+        raw = in_slot(sheet, candidates.tangent[sets[n]], ground)[:, :3]
+        raw = jnp.where((each <= n)[:, None, None], raw, 0)
+        rest = rest_of(raw.reshape(3 * count, -1))[0]
+        return matmul(rest, weighed(plain, rest[None])[0])
+
+    columns = jnp.zeros((count, len(voltages)), voltages.dtype)
+    chosen = jnp.zeros(count, jnp.int32)
+    state = columns, chosen, jnp.zeros((count, count), jnp.int32)
+    sets = jax.lax.fori_loop(0, len(turns), turn, state)[-1]
+    # What errors alone leave is nothing that one more explains.
+    least = (plain.each > 0).astype(left.dtype).sum()
+    lefts = jnp.maximum(jax.lax.map(left_by, each), least)
+    costs = lefts * _QUARTER ** (each + 1).astype(lefts.dtype)
+    best = jnp.argmin(costs).astype(jnp.int32)
+    better = costs[best] < left * _QUARTER ** found.there.sum().astype(left.dtype)
+    there = each <= best
+    changed = found._replace(
+        new=there, there=there, chosen=sets[best], seen=jnp.zeros_like(found.seen)
+    )
+    return tree_where(better, changed, found)
 
 
 def _chosen(
@@ -155,12 +245,16 @@ def _chosen(
     alone: Float[Array, ""],
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
-    # Everything is elsewhere.
-    jumped = (left > _SEEN) & (alone - gains_alone[k_alone] < _ELSEWHERE * left)
+    elsewhere = alone - gains_alone[k_alone]
+    # One more, in several slots.
+    more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
+    more = more & known.there.any()
+    # Everything is elsewhere, unless one more leaves clearly less.
+    jumped = (left > _SEEN) & (elsewhere < _ELSEWHERE * left)
+    jumped = jumped & ~(more & (left - gains[k] < _SHARE * elsewhere))
     lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
     anew = (jumped | ~known.there.any()) & lone
-    # One more, in several slots.
-    more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~anew & ~known.there.all()
+    more = more & ~anew
     again = ((candidates.place[k] - known.rival) ** 2).sum() < (_NEAR * sheet.unit) ** 2
     seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
     born = seen >= OFTEN
@@ -170,10 +264,11 @@ def _chosen(
     return Search(
         new=new,
         there=jnp.where(anew, slot, known.there | new),
-        chosen=jnp.where(anew, k_alone, k).astype(jnp.int32),
+        chosen=jnp.broadcast_to(jnp.where(anew, k_alone, k), new.shape).astype(jnp.int32),
         rival=candidates.place[k],
         seen=jnp.where(born | anew, 0, seen),
         dark=jnp.zeros((), bool),
+        doubted=jnp.zeros_like(known.doubted),
     )
 
 

@@ -17,6 +17,9 @@ from tomojax.kernels.rectangle import Series, turned
 from tomojax.kernels.sheet._mesh import centroids, element_area, Shape
 from tomojax.kernels.sheet._table import centred, Resistances
 
+# Electrodes whose potentials are computed at once: each has 48 terms a place.
+_AT_ONCE = 16
+
 
 def rectangle_green(
     one: Float[Array, "*#batch 2"],
@@ -96,8 +99,14 @@ def rectangle_fields(
     dipoles. Products of its columns are what the shunts take from the resistance between
     two of `others`.
     """
-    rows = jax.vmap(rectangle_green, (0, None, None, None))
-    ee, ep = rows(places, places, radius, size), rows(places, others, radius, size)
+
+    def rows(others: Array) -> Array:
+        def one(place: Array) -> Array:
+            return rectangle_green(place, others, radius, size)
+
+        return jax.lax.map(one, places, batch_size=_AT_ONCE)
+
+    ee, ep = rows(places), rows(others)
     if shunt is None:
         return ee, ep, ep[:0]
     at_places, at_others = _shunts(places, others, radius, size, shunt)
@@ -114,7 +123,10 @@ def _shunts(
         return jax.grad(rectangle_green)(place, other, radius, size, True)
 
     def each(f: Callable, others: Array) -> Array:
-        return jax.vmap(lambda x: jax.vmap(lambda y: f(x, y))(others))(places)
+        def one(place: Array) -> Array:
+            return jax.vmap(lambda other: f(place, other))(others)
+
+        return jax.lax.map(one, places, batch_size=_AT_ONCE)
 
     count = 2 * len(places)
     pairs = each(jax.jacfwd(dipole, 1), places)

@@ -183,6 +183,7 @@ def beside_pyeit(quick: bool) -> dict:
 
     from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
     from tomojax.methods import Linear, Source
+    from tomojax.methods._maps import shared_of
 
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=np.float32)
     nodes = np.asarray(mesh_nodes((40, 40), sensor.size), float)
@@ -234,10 +235,10 @@ def beside_pyeit(quick: bool) -> dict:
         locate[name], errs, best = sloreta(sensor, two + 1, flat, errors)
         found |= {name: errs, f"{name} λ/σ₁²": best}
     # `source` on the same elements, and whole: with contacts, residual and checks.
-    maps = np.asarray(
-        references.slot_map(tx.sensor.resistances(sensor), jnp.asarray(grounds), 4.0)
-    )
-    of_elements = Source.from_maps(maps.astype(float), (40, 80), linear.cell)
+    table = tx.sensor.resistances(sensor)
+    shared = shared_of(sensor.slots(table.electrodes), np.asarray(table.elements, float))
+    each = np.eye(64, dtype=bool)
+    of_elements = Source.from_shared(shared, each, (40, 80), linear.cell)
     recorded = [tx.methods.Frame(v, grounds, good) for v in volts]
     ready = of_elements.prepare(grounds, good, of_elements.choose_lambda(recorded))
     current = jax.jit(jax.vmap(lambda v: of_elements.image(ready, v)))

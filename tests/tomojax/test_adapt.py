@@ -125,6 +125,20 @@ def test_results_log_what_was_used(found):
     assert (np.diff(log["adapted_t"]) > 0).all() and "adapted_t" not in found[False]
 
 
+def test_zeros_that_wander_in_seconds_are_followed(sensor) -> None:
+    """At a low rate, and by much more than a day's drift: 3 mV a minute."""
+    rng = np.random.default_rng(5)
+    adapter, t = Adapter(sensor), np.arange(3000) / 50
+    walk = 3e-3 / np.sqrt(3000) * rng.normal(size=(3000, 1, 16)).cumsum(0)
+    read = walk + NOISE * rng.normal(size=(3000, 2, 16))
+    grounds, nobody = np.tile([0, 15], (3000, 1)), np.full((3000, 2), np.nan)
+    off = []
+    for some in tx.calibration.stretches(t):
+        off.append(adapter.voltages(read[some]).mean((0, 1)))
+        adapter.observe(t[some], read[some], grounds[some], nobody[some])
+    assert len(off) == 30 and np.std(off[5:]) < 1e-3 < 2e-3 < walk[-1].std()
+
+
 @pytest.mark.long
 def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
     recording, other = day.recording(sensor), tmp_path / "b.h5"

@@ -33,7 +33,24 @@ def test_rows_without_an_answer_end_nothing() -> None:
     for k in range(3, 6):
         assert finder.row(0.001 * k, [], [], int(tx.Flag.NO_DATA)) == ([], [])
     assert finder.row(0.0045, [(0.02, 0.02)], [1e-4]) == ([1], [])
-    assert told(finder.row(1.0, [], [])[1]) == [("lift_off", 1, 0.0045)]
+    assert told(finder.row(1.0, [], [])[1]) == []
+    assert told(finder.row(1.001, [], [])[1]) == [("lift_off", 1, 0.0045)]
+
+
+def test_time_without_a_row_ends_nothing() -> None:
+    """Slots that were skipped, and a gap: each row that exists shows the contact."""
+    finder = EventFinder.of_rows(pitch=0.02, interval=0.005)
+    found = []
+    for slot in (0, 1, 2, 3, 8, 9, 10, 15, 110, 111):
+        found += finder.row(slot * 0.005, [(0.09, 0.07)], [1e-4])[1]
+    for slot in (210, 211, 212):
+        assert finder.row(slot * 0.005, [], [])[1] == []
+    found += finder.row(213 * 0.005, [], [])[1]
+    assert told(found) == [("touch_down", 1, 0.0), ("lift_off", 1, 0.555)]
+    assert [event.text for event in found] == ["", "no row for 0.49 s"]
+    # Another place after a gap is another contact.
+    found = [finder.row(t, [(0.01, 0.01)], [1e-4])[1] for t in (2.0, 2.005)][1]
+    assert [(e.contact, e.text) for e in found] == [(2, "no row for 0.94 s")]
 
 
 def test_rows_of_a_file_are_as_rows_one_by_one() -> None:

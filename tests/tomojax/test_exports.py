@@ -159,7 +159,11 @@ def test_a_dataset_for_learners(results, tmp_path) -> None:
     assert data["index"].tolist() == list(range(8))
     np.testing.assert_allclose(data["timestamp"][:4], np.arange(4) / 50, rtol=1e-6)
     truth = results_of(results)
-    rows = np.arange(4) * 10  # each 20 ms, of scans of 2 ms
+    # Each 20 ms, of scans of 2 ms: of the ten since, the last of those that show most.
+    since = [range(max(0, 10 * k - 9), 10 * k + 1) for k in range(4)]
+    rows = np.array(
+        [max(some, key=lambda r: (truth["contact_count"][r], r)) for some in since]
+    )
     images = np.array(
         [[list(r) for r in image] for image in data["observation.tactile_image"]]
     )
@@ -172,6 +176,25 @@ def test_a_dataset_for_learners(results, tmp_path) -> None:
     assert set(stats) == set(info["features"])
     tasks = pd.read_parquet(tmp_path / "set/meta/tasks.parquet")
     assert tasks.loc["touch"].task_index == 0
+
+
+def test_a_tap_between_two_frames_is_in_the_later(results, tmp_path) -> None:
+    import h5py
+    import pandas as pd
+
+    path = tmp_path / "tap.h5"
+    path.write_bytes(results.read_bytes())
+    with h5py.File(path, "r+") as file:
+        for name, value in {"contact_count": 0, "contact_xy": np.nan}.items():
+            file[name][:] = value
+        file["contact_count"][12:15] = 1  # frames are rows 0, 10, 20 and 30
+        file["contact_xy"][12:15, 0] = [[0.01, 0.02], [0.03, 0.04], [0.05, 0.06]]
+    code, said = run(path, "--to", "lerobot", "-o", tmp_path / "set")
+    assert code == 0, said
+    data = pd.read_parquet(next((tmp_path / "set/data").rglob("*.parquet")))
+    state = np.stack(data["observation.tactile"].to_list()).reshape(4, 4, -1)
+    assert state[:, 0, 0].tolist() == [0, 0, 1, 0]
+    np.testing.assert_allclose(state[2, 0, 1:3], [0.05, 0.06], rtol=1e-6)
 
 
 def test_a_film_has_its_pictures(results, tmp_path) -> None:

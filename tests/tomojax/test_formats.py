@@ -1,5 +1,6 @@
 """The same recording in the formats of other tools."""
 
+import h5py
 import numpy as np
 import pytest
 from recordings import (
@@ -16,6 +17,7 @@ from recordings import (
 )
 
 import tomojax as tx
+from tomojax.files._superblock import lookup3
 
 GROUNDS = [0, 63]
 CODES, PLACE = touched(scans=12)
@@ -43,7 +45,47 @@ def _excel(path, v, grounds):
     return made
 
 
+def _pandas(path, v, grounds):
+    """With a column that counts the lines, and one that a last comma makes."""
+    made = write_csv(path, v, grounds)
+    head, *lines = made.read_text().splitlines()
+    lines = [f"{k},{line}," for k, line in enumerate(lines)]
+    made.write_text("\n".join(["sep=,", f",{head},", *lines]), encoding="utf-16")
+    return made
+
+
+def _twice_and_late(path, v, grounds):
+    made = _codes_csv(path, v, grounds)
+    head, *lines = made.read_text().splitlines()
+    lines[4:6] = lines[5], lines[4]
+    made.write_text("\n".join([head, *lines[:9], lines[2], lines[8], *lines[9:]]))
+    return made
+
+
+def _doubles(path, v, grounds):
+    """MATLAB's own type for all numbers."""
+    made = write_matlab(path, v, grounds)
+    with h5py.File(made, "r+") as file:
+        for name in ("v", "ground"):
+            values = file[name][()].astype(float)  # pyright: ignore
+            del file[name]
+            file[name] = values
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    return made
+
+
+def _volts_hdf5(path, v, grounds):
+    made = write(path, v, grounds, leave_out=("v", "scale", "offset"))
+    with h5py.File(made, "r+") as file:
+        file["v"] = volts(v)
+    return made
+
+
 FORMS = {
+    "mat of doubles": ("a.mat", _doubles),
+    "hdf5 of volts": ("a.h5", _volts_hdf5),
+    "csv of pandas": ("a.csv", _pandas),
+    "csv with slots twice and late": ("a.csv", _twice_and_late),
     "mat": ("a.mat", write_matlab),
     "tdms": ("a.tdms", write_tdms),
     "csv": ("a.csv", write_csv),
@@ -56,8 +98,6 @@ FORMS = {
 
 
 def rows_of(path, folder) -> dict[str, np.ndarray]:
-    import h5py
-
     out = folder / "out.h5"
     settings = tx.results.Settings(method="source", images=False, contacts=2)
     with tx.open_recording(path) as recording:
@@ -66,19 +106,18 @@ def rows_of(path, folder) -> dict[str, np.ndarray]:
         return {name: data[()] for name, data in file.items()}  # pyright: ignore
 
 
-@pytest.fixture(scope="module")
-def truth(tmp_path_factory) -> dict[str, np.ndarray]:
-    folder = tmp_path_factory.mktemp("truth")
-    return rows_of(write(folder / "a.h5", CODES, GROUNDS), folder)
-
-
 @pytest.mark.parametrize("form", FORMS)
-def test_results_are_identical(form, truth, tmp_path) -> None:
+def test_readings_are_identical(form, tmp_path) -> None:
     name, make = FORMS[form]
-    found = rows_of(make(tmp_path / name, CODES, np.array(GROUNDS)), tmp_path)
-    assert truth["contact_count"].sum() == 4
-    for field, values in truth.items():
-        np.testing.assert_array_equal(found[field], values, field)
+    path = make(tmp_path / name, CODES, np.array(GROUNDS))
+    with tx.open_recording(write(tmp_path / "truth.h5", CODES, GROUNDS)) as want:
+        with tx.open_recording(path) as found:
+            for one, other in zip(found.read(0, 99), want.read(0, 99)):
+                np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+            for field in ("size", "electrode_xy", "drive_voltage", "ground_resistance"):
+                one, other = (getattr(r.rig, field) for r in (found, want))
+                np.testing.assert_allclose(one, other, rtol=1e-12)
+            assert found.interval == pytest.approx(want.interval)
 
 
 def test_lost_slots_are_gaps_or_faults(tmp_path) -> None:
@@ -119,6 +158,30 @@ def test_cells_without_a_number_are_flagged(tmp_path) -> None:
     assert tx.Flag.BAD_VOLTAGES in tx.Flag(int(chunk.flags[1]))
 
 
+def test_a_file_that_is_cut_off_has_its_whole_scans(tmp_path) -> None:
+    path = write_tdms(tmp_path / "a.tdms", CODES, np.array(GROUNDS))
+    raw = path.read_bytes()
+    # The same segment again: its channels have values in turn, and some lose their last.
+    path.write_bytes(raw + raw[: len(raw) - 300])
+    with tx.open_recording(path) as recording:
+        assert 12 <= recording.scans < 24 and "cut off" in recording.mended[0]
+        assert np.isfinite(recording.read(0, recording.scans).voltages).all()
+
+
+def test_a_writer_that_died_leaves_its_scans(tmp_path) -> None:
+    with h5py.File(tmp_path / "new.h5", "w", libver="latest") as new:
+        with h5py.File(write(tmp_path / "a.h5", CODES, GROUNDS)) as old:
+            for name in old:
+                old.copy(name, new)
+            new.attrs.update(old.attrs)
+    raw = bytearray((tmp_path / "new.h5").read_bytes())
+    raw[11] |= 1  # a writer has it open
+    raw[44:48] = lookup3(bytes(raw[:44])).to_bytes(4, "little")
+    (tmp_path / "new.h5").write_bytes(raw)
+    with tx.open_recording(tmp_path / "new.h5") as recording:
+        assert recording.scans == 12
+
+
 def _small(text: str):
     def make(folder):
         path = folder / "a.csv"
@@ -137,6 +200,8 @@ def _small(text: str):
         (_small("ground,v0,v1\n0,1,2\n1,2\n"), "columns"),
         (_small("ground,v0,v1\n0,1,2\n1,2,3\n"), "slots"),
         (_small("# nothing\n"), "no line of names"),
+        (_small("ground,,v0\n0,3,1\n1,3,2\n0,4,1\n"), "no name for column"),
+        (_small("number,ground,v0\n0,0,1\n1,1,2\n1,1,3\n"), "one number of slots"),
     ],
 )
 def test_mistakes_are_one_line(make, says, tmp_path) -> None:

@@ -50,6 +50,14 @@ def test_a_program_is_traced_once_for_all_processes(folder) -> None:
     assert int(again["pair"][1]) == 7
 
 
+def test_a_folder_that_others_can_write_is_not_read(folder) -> None:
+    scaled(tree(), 2.0)
+    folder.chmod(0o777)  # the program may be anybody's
+    forgotten()
+    scaled(tree(), 2.0)
+    assert traces == [2.0, 2.0]
+
+
 def test_other_values_shapes_and_types_are_other_programs(folder) -> None:
     for args in ((tree(), 2.0), (tree(), 3.0), (tree(4), 2.0), (tree(3, np.float32), 2.0)):
         assert float(scaled(*args)["sum"]) == args[1] * float(args[0]["x"].sum())

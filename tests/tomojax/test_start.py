@@ -187,13 +187,15 @@ def test_a_folder_that_cannot_be_made_is_left(environment, tmp_path) -> None:
     assert environment == before
 
 
-def test_others_cannot_write_the_folder(environment) -> None:
+def test_a_folder_that_others_can_write_is_not_used(environment, capsys) -> None:
     compiled.keep_compiled()
     folder = Path(environment.pop("JAX_COMPILATION_CACHE_DIR"))
-    folder.chmod(0o777)
+    assert environment.pop("TOMOJAX_PROGRAMS") == str(folder)
+    assert folder.stat().st_mode & 0o777 == 0o700 and not capsys.readouterr().err
+    folder.chmod(0o770)  # what lies there may be anybody's
     compiled.keep_compiled()
-    assert environment["JAX_COMPILATION_CACHE_DIR"] == str(folder)
-    assert folder.stat().st_mode & 0o777 == 0o700
+    assert not {"JAX_COMPILATION_CACHE_DIR", "TOMOJAX_PROGRAMS"} & environment.keys()
+    assert "others own it or can write it" in capsys.readouterr().err
 
 
 def test_a_program_that_was_cut_short_goes(environment, monkeypatch) -> None:

@@ -8,9 +8,11 @@ from rig import Rig
 
 import tomojax as tx
 from tomojax import Flag
+from tomojax.events import EventFinder
 from tomojax.kernels.contacts import field_at
 
 POLICIES = ("around_contacts", "information", "around", "cop_line", "all", "edge")
+AT_ONCE = [(0.035, 0.04), (0.13, 0.055), (0.085, 0.12)]
 PLACE, OTHER = np.array([0.052, 0.071]), np.array([0.118, 0.103])
 
 
@@ -30,6 +32,8 @@ def scenes(rig):
         "two": [(one, 1e-4), (other, 6e-5)],
         "faint": [(one, 1e-4), (other, 8e-6)],
     }
+    at_once = [rig.disc(xy, 0.006) for xy in AT_ONCE]
+    contacts["at once"] = [(disc, 1e-4) for disc in at_once]
     exact = {name: rig.scene(*some)[0] for name, some in contacts.items()}
     return {name: rig.measure(v).astype(np.float32) for name, v in exact.items()}
 
@@ -95,6 +99,23 @@ def test_one_more_and_one_less(step, scenes):
     assert int(outs[-1].contacts.count) == 1 and off(outs[-1], PLACE) < 1
     _, outs = run(step, state, scenes["nothing"], 4, int(outs[-1].ground))
     assert int(outs[-1].flags) == Flag.NO_CONTACT
+
+
+def test_three_that_come_at_once_are_three(sensor, scenes):
+    """And no fewer before: a touch-down each."""
+    step = tx.make_step(sensor, "follow", [[0, 63, 7]], contacts=4)
+    state, outs = run(step, step.state, scenes["at once"], 20)
+    _, then = run(step, state, scenes["nothing"], 12, int(outs[-1].ground))
+    assert {int(out.contacts.count) for out in outs[4:]} == {3}
+    xy = np.asarray(outs[-1].contacts.xy)[:3]
+    apart = np.hypot(*(xy[:, None] - np.array(AT_ONCE)).transpose(2, 0, 1))
+    assert apart.min(0).max() < 1e-3
+    finder, found = EventFinder.of_rows(pitch=0.02, interval=1e-4), []
+    for k, out in enumerate(outs + then):
+        n = int(out.contacts.count)
+        told = out.contacts.xy[:n], out.contacts.conductance[:n], int(out.flags)
+        found += finder.row(1e-4 * k, *told)[1]
+    assert [e.kind for e in found].count("touch_down") == 3
 
 
 def test_what_is_wrong_is_flagged_and_goes_on(step, scenes):

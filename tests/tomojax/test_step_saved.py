@@ -1,5 +1,7 @@
 """A step's state in a file, and what is no such file."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,20 @@ def test_what_is_no_state_of_this_step(sensor, step, tmp_path) -> None:
     np.savez(path, policies=names, numbers=numbers, whole=whole.astype(float))
     with pytest.raises(ValueError, match=r"whole: got float64"):
         step.load(path)
+
+
+@pytest.mark.parametrize("name", ["step", "batch"])
+def test_other_processes_get_it_by_pickle(sensor, step, volts, name) -> None:
+    slots = volts[None, [0, 15]].astype(np.float32)
+    grounds = np.array([[0, 15]])
+    if name == "step":
+        made = pickle.loads(pickle.dumps(step))
+        one, other = (s.replay(s.state, slots[0], grounds[0])[1] for s in (step, made))
+        pairs = zip(one.contacts, other.contacts)
+    else:
+        batch = tx.Batch(tx.method(sensor, "source", grid=16), contacts=1)
+        made = pickle.loads(pickle.dumps(batch))
+        assert made.devices == batch.devices
+        pairs = zip(batch(slots, grounds), made(slots, grounds))
+    for mine, theirs in pairs:
+        np.testing.assert_array_equal(mine, theirs)

@@ -15,6 +15,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from tomojax._whole import ours
+
 # Bytes of all folders together; the programs of `points` for one number of slots take 40
 # MB. JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
 # reads the times of all files again for each program that it writes.
@@ -42,7 +44,8 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
 
     The settings are environment variables, so that all processes of a command share them.
     If the user has set JAX_COMPILATION_CACHE_DIR, this function changes nothing. A folder
-    that cannot be made or written stops no command: programs are then not kept.
+    that cannot be made or written stops no command: programs are then not kept. A folder
+    that others own or can write is not used, which one line says.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -51,8 +54,11 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
         folder = _folder(kind)
         if folder is None:
             return
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.chmod(0o700)  # JAX runs what lies there: nobody else may write it
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not ours(folder):  # JAX would run what lies there
+            told = "others own it or can write it; programs are not kept"
+            print(f"tomojax: {folder}: {told}", file=sys.stderr)
+            return
         if not os.access(folder, os.W_OK):
             return
         _drop_oldest(folder.parent, kind, limit)

@@ -16,6 +16,9 @@ _CONFIRM = 2
 # Rows that a contact may be missing from and still be there; as `track` holds it.
 _HOLD_ROWS = 3
 
+# Times the hold: a longer time without a row is told with the event at its end.
+_GAP = 2
+
 # A contact is the one of the row before that is no farther, pitches; as of `track`.
 _REACH = 0.75
 
@@ -37,29 +40,31 @@ class Event(NamedTuple):
     xy: tuple[float, float]  # m, in that row
     conductance: float  # S, in that row
     force: float = math.nan  # N, in that row, where forces are calibrated
-    text: str = ""  # of a mark
+    text: str = ""  # of a mark; or "no row for 0.5 s" beside a gap of the recording
 
 
 class _Seen:
     """A contact that may still be there."""
 
-    __slots__ = ("first", "last", "number", "rows")
+    __slots__ = ("first", "last", "missed", "number", "rows", "text")
 
     def __init__(self, event: Event):
         self.first = self.last = event
-        self.number, self.rows = 0, 1
+        self.number, self.rows, self.missed, self.text = 0, 1, 0, ""
 
 
 class EventFinder:
     """A finder that numbers the contacts of rows, one row after another, and tells events.
 
     A contact keeps its number while each row shows a contact within `reach` of the last
-    place. A contact may be missing for `hold` seconds, and gets a number once `confirm`
-    rows show the contact. A row without an answer (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`)
-    ends nothing.
+    place, and gets the number once `confirm` rows show the contact. The contact is gone
+    once `rows` rows in a row miss it, and `hold` seconds have passed since a row showed
+    it. Time without a row ends nothing, nor does a row without an answer
+    (`Flag.NO_DATA`, `Flag.SOLVE_FAILED`). An event beside a gap of more than two holds
+    says so in its `text`.
 
-    **Arguments:** `reach` m; `hold` s; `confirm` rows.
-    **Raises:** `ValueError` for a reach or a hold below 0.
+    **Arguments:** `reach` m; `hold` s; `confirm` and `rows`, numbers of rows.
+    **Raises:** `ValueError` for a reach or a hold below 0, and for no rows.
 
     **Example:**
 
@@ -69,18 +74,22 @@ class EventFinder:
     ...     numbers, found = finder.row(1e-4 * k, [(0.03, 0.05)], [1e-4])
     >>> numbers
     [1]
-    >>> found = finder.row(0.01, [], [])[1] + finder.finish()
-    >>> [(event.kind, round(event.t, 6)) for event in found]
-    [('lift_off', 0.0002)]
+    >>> found = finder.row(0.01, [], [])[1] + finder.row(0.011, [], [])[1]
+    >>> [(event.kind, round(event.t, 6), event.text) for event in found]
+    [('lift_off', 0.0002, 'no row for 0.0098 s')]
     """
 
-    def __init__(self, reach: float, hold: float, confirm: int = _CONFIRM):
+    def __init__(
+        self, reach: float, hold: float, confirm: int = _CONFIRM, rows: int = _CONFIRM
+    ):
         for name, value in (("reach", reach), ("hold", hold)):
             fine = math.isfinite(value) and value >= 0
             require(fine, name, value, "a number, 0 or more")
-        require(confirm >= 1, "confirm", confirm, "a number of rows, 1 or more")
-        self._reach, self._hold, self._confirm = reach, hold, confirm
+        for name, count in (("confirm", confirm), ("rows", rows)):
+            require(count >= 1, name, count, "a number of rows, 1 or more")
+        self._reach, self._hold, self._confirm, self._rows = reach, hold, confirm, rows
         self._there: list[_Seen] = []
+        self._before = math.inf  # the time of the last row
         self._numbered = 0
 
     @classmethod
@@ -90,7 +99,7 @@ class EventFinder:
         A contact moves less than 0.75 of a pitch from row to row, and may be missing for
         three rows.
         """
-        return cls(_REACH * pitch, (_HOLD_ROWS + 0.5) * interval)
+        return cls(_REACH * pitch, _HOLD_ROWS * interval, rows=_HOLD_ROWS + 1)
 
     def rows(
         self,
@@ -125,11 +134,11 @@ class EventFinder:
         """
         if flags & NO_ANSWER:
             return [0] * len(xy), []
+        gap, self._before = t - self._before, t
+        text = f"no row for {gap:.2g} s" if gap > _GAP * self._hold > 0 else ""
+        if not (len(xy) or self._there):
+            return [], []
         found: list[Event] = []
-        if self._there:
-            found += self._ended(t - self._hold)
-        if not len(xy):
-            return [], found
         forces = [math.nan] * len(xy) if force is None else force
         seen = [
             Event(t, "", 0, (float(x), float(y)), float(g), float(f))
@@ -137,20 +146,25 @@ class EventFinder:
         ]
         numbers = [0] * len(seen)
         for k, contact in self._pairs(seen):
-            contact.last = seen[k]
+            contact.last, contact.missed, contact.text = seen[k], 0, ""
             contact.rows += 1
             numbers[k] = self._number(contact, found)
-        joined = {id(contact.last) for contact in self._there}
+        joined, mine = {id(one.last) for one in self._there}, set(map(id, seen))
+        for contact in self._there:
+            if id(contact.last) not in mine:
+                contact.missed += 1
+                contact.text = contact.text or text
+        found += self._ended(t - self._hold, self._rows)
         for k, event in enumerate(seen):
             if id(event) not in joined:
-                new = _Seen(event)
+                new = _Seen(event._replace(text=text))
                 self._there.append(new)
                 numbers[k] = self._number(new, found)
         return numbers, found
 
     def finish(self) -> list[Event]:
         """Ends the contacts that are still there."""
-        return self._ended(math.inf)
+        return self._ended(math.inf, 0)
 
     def _number(self, contact: _Seen, found: list[Event]) -> int:
         if not contact.number and contact.rows >= self._confirm:
@@ -160,11 +174,11 @@ class EventFinder:
             found.append(event)
         return contact.number
 
-    def _ended(self, before: float) -> list[Event]:
-        gone = [one for one in self._there if one.last.t < before]
-        self._there = [one for one in self._there if one.last.t >= before]
+    def _ended(self, before: float, missed: int) -> list[Event]:
+        gone = [c for c in self._there if c.last.t < before and c.missed >= missed]
+        self._there = [one for one in self._there if one not in gone]
         return [
-            one.last._replace(kind="lift_off", contact=one.number)
+            one.last._replace(kind="lift_off", contact=one.number, text=one.text)
             for one in gone
             if one.number
         ]

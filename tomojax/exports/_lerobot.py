@@ -1,7 +1,9 @@
 """Writes LeRobot's dataset layout, version 3.0: episodes at a constant rate, for learners.
 
-Frame k holds the last row at or before k/rate, like the reading of a robot's loop. Learners
-take no NaN: a missing contact has `present` 0 and zeros.
+Frame k holds the last row at or before k/rate, like the reading of a robot's loop;
+where rows since the frame before show more contacts, the last of those that show most:
+a tap between two frames is in the later one. Learners take no NaN: a missing contact
+has `present` 0 and zeros.
 """
 
 import json
@@ -188,18 +190,29 @@ def _resampled(
     fields += [n for n in (*_OF_CONTACT, "image") if n in source.names]
     begin, done, held = None, 0, None
     for block in source.blocks(fields, progress):
-        if held is not None:  # a frame before this block's first row has the row before
+        if held is not None:  # since the last frame's row, which is the first of these
             block = {n: np.concatenate([held[n], values]) for n, values in block.items()}
-        t = block["t"]
+        t, before = block["t"], int(done > 0)
         begin = float(t[0]) if begin is None else begin
         # A frame that falls on a row has it, whatever the last bit of its time is.
         last = int(np.floor((float(t[-1]) - begin) * rate + 1e-6))
         due = begin + (np.arange(done, last + 1) + 1e-6) / rate
-        held = {name: values[-1:] for name, values in block.items()}
+        held = block
         if len(due):
             done = last + 1
-            rows = np.maximum(np.searchsorted(t, due, "right") - 1, 0)
+            ends = np.maximum(np.searchsorted(t, due, "right") - 1, 0)
+            rows = _most(block["contact_count"], before, ends)
+            held = {name: values[ends[-1] :] for name, values in block.items()}
             yield _frames(source, {n: values[rows] for n, values in block.items()})
+
+
+def _most(count: np.ndarray, begin: int, ends: np.ndarray) -> np.ndarray:
+    """Returns the last row of most contacts, of those behind one end up to the next."""
+    starts = np.concatenate([[begin], ends[:-1] + 1])
+    rows = np.arange(len(count))
+    ranked = count.astype(np.int64) * len(count) + rows
+    found = np.maximum.reduceat(ranked[: ends[-1] + 1], np.minimum(starts, ends[-1]))
+    return np.where(starts <= ends, found % len(count), ends)
 
 
 def _frames(source: Source, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

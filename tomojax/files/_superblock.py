@@ -1,9 +1,9 @@
-"""Reads the present state of an HDF5 file that a SWMR writer has, or had, open.
+"""Reads the present state of an HDF5 file that a writer has, or had at a crash, open.
 
-HDF5 itself opens such a file in SWMR mode alone. HDF5 then retries a wrong checksum again
-and again, for longer each time: one damaged bit takes for ever. This module checks the
-superblock's own checksum first. HDF5 is shown a superblock of a closed file with the
-present length. Damaged metadata are then an error at once.
+HDF5 itself opens such a file in SWMR mode, or not at all. In SWMR mode HDF5 retries a
+wrong checksum again and again, for longer each time: one damaged bit takes for ever.
+This module checks the superblock's own checksum first. HDF5 is shown a superblock of a
+closed file with the present length. Damaged metadata are then an error at once.
 """
 
 import io
@@ -12,7 +12,7 @@ from pathlib import Path
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _SIZE = 48  # bytes of the superblock
-_SWMR = 0x05  # bits of a file that a writer has open
+_OPEN = 0x05  # bits of a file that a writer has open: at all, and in SWMR mode
 _MASK = 0xFFFFFFFF
 
 # By so many bits the hash turns its words, round for round: of all the data, and at last.
@@ -47,7 +47,10 @@ def lookup3(data: bytes) -> int:
 def growing(start: bytes) -> bool:
     """Tells by its first bytes whether a writer has a file open, or had at a crash."""
     return (
-        start[:8] == _SIGNATURE and len(start) > 11 and start[8] >= 3 and start[11] & 4 > 0
+        start[:8] == _SIGNATURE
+        and len(start) > 11
+        and start[8] >= 3
+        and start[11] & _OPEN > 0
     )
 
 
@@ -66,7 +69,7 @@ class Growing(io.RawIOBase):
             self._file.close()
             raise ValueError("file: damaged (the checksum of its superblock is wrong)")
         self.size = os.fstat(self._file.fileno()).st_size
-        told = start[:11] + bytes([start[11] & ~_SWMR]) + start[12:28]
+        told = start[:11] + bytes([start[11] & ~_OPEN]) + start[12:28]
         told += self.size.to_bytes(8, "little") + start[36:44]
         self._start = told + lookup3(told).to_bytes(4, "little")
         self._at = 0

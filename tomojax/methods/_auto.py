@@ -29,6 +29,7 @@ from tomojax.methods._errors import (
     PreparedErrors,
     whitened,
 )
+from tomojax.methods._maps import factors_of
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
@@ -153,7 +154,10 @@ class Auto(AbstractMethod):
         estimate = self.source.estimate(prepared.source, voltages, count)
         frame = whitened(prepared.errors, voltages).frame
         coefficients = matmul(voltages.ravel(), prepared.source.operators)
-        volts = matmul(self.source.factors[frame.grounds], coefficients)
+        law, dtype = self.source, voltages.dtype
+        shared = jnp.asarray(law.shared, dtype)
+        slots = jax.tree.map(lambda a: jnp.asarray(a, dtype), law.slots)
+        volts = matmul(factors_of(slots, shared, frame.grounds), coefficients)
         columns = whitened_columns(frame, volts)
         _, rest = best_currents(columns[:, None], frame.whitened)
         tolerance = prepared.errors.tolerance

@@ -45,7 +45,8 @@ class Batch:
     channel exceeds without a contact (the method's own by default). `film` counts frames in
     a row that follow each other closely (1: none do). A method that `films` may begin all
     but the first where an earlier frame ended. `devices` share the frames (all of this
-    process by default), by `jax.sharding` along the scan axis.
+    process by default), by `jax.sharding` along the scan axis. A copy, and what another
+    process gets by pickle, has all devices of its process.
 
     **Example:**
 
@@ -83,6 +84,13 @@ class Batch:
         self._begun = False
         self._grounded = grounded_of(method)
         self._about = float(method.drive_sign), float(method.noise)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leaves out what belongs to this process: devices, and what it has prepared."""
+        return vars(self) | {"devices": [], "_prepared": OrderedDict(), "_begun": False}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, devices=jax.local_devices())
 
     def __call__(
         self,

@@ -108,6 +108,10 @@ class Linear(AbstractMethod):
         grounded = np.asarray(slots.grounded(grounds))
         return replace(made, inside=pixels.inside, grounded=grounded)
 
+    def all_factors(self) -> Float[Array, "L M r"]:
+        """Returns J^lBᵀ of all slots."""
+        return self.factors
+
     @classmethod
     def from_maps(
         cls,

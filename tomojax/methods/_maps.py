@@ -1,35 +1,59 @@
 """Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
-import numpy as np
-from jaxtyping import Bool, Float
+from typing import NamedTuple, TypeVar
 
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.sheet import Slots
 from tomojax.methods._pixels import Pixels
 from tomojax.sensor import resistances
 
+A = TypeVar("A", Array, np.ndarray)
 
-def slot_maps(
-    pixels: Pixels,
-) -> tuple[Float[np.ndarray, "L M pixels"], Bool[np.ndarray, "L M"]]:
-    """Computes T^l of every ground, volts per ampere into a pixel; float64 on the host.
 
-    A pixel off the sheet has 0. Tells too which electrodes are `grounded`.
+class Shared(NamedTuple):
+    """What all slots' maps T^l = D^l·[r; 1] share: one ampere into a pixel, host, float64.
+
+    A slot's level is its own, so r counts less its electrodes' mean: the rank is M.
     """
+
+    slots: Slots
+    rows: Float[np.ndarray, "M+1 pixels"]  # r̃, Ω and 1; 0 off the sheet
+
+    def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "M+1 M"]]:
+        """Computes an orthonormal basis of all maps' rows, and r̃ in it."""
+        basis = np.linalg.svd(self.rows, full_matrices=False)[2][:-1]
+        return basis, self.rows @ basis.T
+
+
+def shared_maps(pixels: Pixels) -> tuple[Shared, Bool[np.ndarray, "L M"]]:
+    """Computes what the maps of all grounds share, and which electrodes are grounded."""
     sensor = pixels.sensor
     table = resistances(sensor, "series" if sensor.even else "fem")
     ee, ek = table.electrodes, pixels.mean(table.elements)
     ee, ek = (np.asarray(a, float) for a in (ee, ek))
-    slots, which = sensor.slots(ee), sensor.all_grounds()
-    maps, grounded = slots.maps(ek, which), np.asarray(slots.grounded(which))
+    slots = sensor.slots(ee)
+    found = shared_of(slots, ek)
     if pixels.inside is not None:
-        maps = maps * np.asarray(pixels.inside).ravel()
-    return maps, grounded
+        found = found._replace(rows=found.rows * np.asarray(pixels.inside).ravel())
+    return found, np.asarray(slots.grounded(sensor.all_grounds()))
 
 
-def row_basis(maps: Float[np.ndarray, "L M n"]) -> Float[np.ndarray, "r n"]:
-    """Computes an orthonormal basis of all T^l from a few slots: every slot's rows span the
-    same M dimensions."""
-    some = maps[:: max(1, len(maps) // 4)].reshape(-1, maps.shape[-1])
-    return np.linalg.svd(some, full_matrices=False)[2][: maps.shape[1]]
+def shared_of(slots: Slots, elements: Float[np.ndarray, "M K"]) -> Shared:
+    """Makes `Shared` of R_ek, Ω."""
+    one = np.ones((1, elements.shape[1]))
+    return Shared(slots, np.concatenate([elements - elements.mean(0), one]))
+
+
+def factors_of(
+    slots: Slots, shared: Float[A, "M+1 r"], which: Int[A, " n"]
+) -> Float[A, "n M r"]:
+    """Computes D·r̃ of some slots, with r̃ in a basis."""
+    relative = slots.relative(shared[:-1].T, which)  # (r, n, M)
+    xp = np if isinstance(shared, np.ndarray) else jnp
+    return xp.moveaxis(relative, 0, -1) + slots.offset(which)[..., None] * shared[-1]
 
 
 def centring(

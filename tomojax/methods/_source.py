@@ -14,14 +14,21 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import explained_by, read_contacts, strongest_first
+from tomojax.kernels.sheet import Slots
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, Frame
 from tomojax.methods._errors import noise_as
-from tomojax.methods._maps import centring, row_basis, slot_maps, tikhonov_operator
+from tomojax.methods._maps import (
+    centring,
+    factors_of,
+    Shared,
+    shared_maps,
+    tikhonov_operator,
+)
 from tomojax.methods._pixels import pixels_of
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
@@ -41,7 +48,7 @@ _UNEXPLAINED = 0.14
 # Length over which an image is smooth beforehand, of the electrodes' pitch.
 _SMOOTH = 0.375
 
-# Slots that λ is chosen from.
+# Slots that λ is chosen from, or that stand for all.
 _SLOTS = 64
 
 # λ/σ₁² where nothing ever touches.
@@ -91,8 +98,10 @@ class Source(AbstractMethod):
     reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
-    factors: Float[Array, "L M r"]  # T^l Bᵀ
-    drawn_factors: Float[Array, "L M r"]  # the same of TG, in a basis of its own
+    slots: Slots  # the law of T^l; it and the next two in float64 on the host
+    shared: Float[np.ndarray, "M+1 r"]  # r̃Bᵀ: T^lBᵀ are its `factors`
+    drawn: Float[np.ndarray, "M+1 r"]  # the same of TG, in a basis of its own
+    drawn_scale: float  # |TGB'ᵀ|² of all slots, over |TBᵀ|²
     smoothed: Float[Array, "r pixels"]  # each row of that basis times G
     reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
@@ -111,8 +120,8 @@ class Source(AbstractMethod):
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
         noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        maps, grounded = slot_maps(pixels)
-        made = cls.from_maps(maps, shape, pixels.cell, length, noise, sign, grounded)
+        shared, grounded = shared_maps(pixels)
+        made = cls.from_shared(shared, grounded, shape, pixels.cell, length, noise, sign)
         if pixels.inside is None:
             return made
         # Rounding off the sheet, divided by its own spread, had peaks there.
@@ -121,20 +130,20 @@ class Source(AbstractMethod):
         return replace(made, inside=pixels.inside, basis=basis, smoothed=smoothed)
 
     @classmethod
-    def from_maps(
+    def from_shared(
         cls,
-        maps: Float[np.ndarray, "L M pixels"],
+        maps: Shared,
+        grounded: Bool[np.ndarray, "L M"],
         shape: tuple[int, int],
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
         polarity: float = 1.0,
-        grounded: Bool[np.ndarray, "L M"] | None = None,
     ) -> "Source":
         """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
         Currents flow out of the object for a `polarity` of 1, into the object for −1.
-        `grounded` electrodes of each slot tell of their path alone: l of slot l by default.
+        `grounded` electrodes of each slot tell of their path alone.
         """
         dtype = cell.dtype
         sides, reach = [np.eye(n) for n in shape], (2, 2)
@@ -144,10 +153,13 @@ class Source(AbstractMethod):
             reach = int(near[0]), int(near[1])
             sides = [np.asarray(gaussian(n, jnp.asarray(w))) for n, w in zip(shape, length)]
             sides = [side / np.linalg.norm(side, axis=1)[:, None] for side in sides]
-        images = maps.reshape(*maps.shape[:2], *shape)
-        smooth = np.einsum("lmxy,xi,yj->lmij", images, *sides, optimize=True)
-        smooth = smooth.reshape(maps.shape)
-        basis, drawn = row_basis(maps), row_basis(smooth)
+        images = maps.rows.reshape(-1, *shape)
+        smooth = np.einsum("mxy,xi,yj->mij", images, *sides, optimize=True)
+        basis, shared = maps.basis()
+        drawn, drawn_shared = maps._replace(rows=smooth.reshape(len(images), -1)).basis()
+        some = _some(grounded)
+        both = (factors_of(maps.slots, a, some) for a in (drawn_shared, shared))
+        above, below = ((a**2).sum() for a in both)
         rows = drawn.astype(dtype).astype(float).reshape(-1, *shape)
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
         return cls(
@@ -155,14 +167,24 @@ class Source(AbstractMethod):
             reach=reach,
             cell=cell,
             basis=jnp.asarray(basis, dtype),
-            factors=jnp.asarray(maps @ basis.T, dtype),
-            drawn_factors=jnp.asarray(smooth @ drawn.T, dtype),
+            slots=maps.slots,
+            shared=shared,
+            drawn=drawn_shared,
+            drawn_scale=float(above / below),
             smoothed=jnp.asarray(smoothed.reshape(drawn.shape), dtype),
             reading_noise=jnp.asarray(noise, dtype),
             error=jnp.ones((), dtype),
             polarity=jnp.asarray(polarity, dtype),
-            grounded=np.eye(*maps.shape[:2], dtype=bool) if grounded is None else grounded,
+            grounded=grounded,
         )
+
+    def factors(self, which: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n M r"]:
+        """Computes T^lBᵀ of some slots, on the host."""
+        return factors_of(self.slots, self.shared, np.asarray(which))
+
+    def all_factors(self) -> Float[Array, "L M r"]:
+        """Computes T^lBᵀ of all slots."""
+        return jnp.asarray(self.factors(np.arange(len(self.grounded))), self.basis.dtype)
 
     def calibrated(self, calibration: Calibration) -> "Source":
         noise = noise_as(calibration, self.noise)
@@ -178,7 +200,8 @@ class Source(AbstractMethod):
         return self.reading_noise
 
     def scale(self) -> float:
-        return float(np.linalg.norm(np.asarray(self.factors), 2, (1, 2)).mean() ** 2)
+        some = self.factors(_some(self.grounded))
+        return float(np.linalg.norm(some, 2, (1, 2)).mean() ** 2)
 
     def choose_lambda(self, frames: list[Frame]) -> float:
         """Returns the λ that leaves the residual that nominal values leave in any case."""
@@ -203,7 +226,7 @@ class Source(AbstractMethod):
         noise, error = float(self.noise), _MODEL_ERROR * float(self.error)
         target = good.sum() * noise**2 + error**2 * (v[good] @ v[good])
         centre = centring(good, self.grounded[ground])
-        v, rows = centre @ v, centre @ np.asarray(self.factors)[ground].astype(float)
+        v, rows = centre @ v, centre @ self.factors(np.array([ground]))[0]
         left, s, _ = np.linalg.svd(rows, full_matrices=False)
         beta = left.T @ v
         outside = max(0.0, float(v @ v - beta @ beta))
@@ -215,9 +238,9 @@ class Source(AbstractMethod):
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
         lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
-        factors = np.asarray(self.factors, float)
-        drawn = np.asarray(self.drawn_factors, float)
-        drawn_lam = lam * (drawn**2).sum() / (factors**2).sum()
+        factors = self.factors(grounds)
+        drawn = factors_of(self.slots, self.drawn, grounds)
+        drawn_lam = lam * self.drawn_scale
         (slots, m), rank = good.shape, factors.shape[-1]
         operators, misfits = np.zeros((slots, m, rank)), np.zeros((slots, m, m))
         imaging = np.zeros((slots, m, drawn.shape[-1]))
@@ -225,10 +248,10 @@ class Source(AbstractMethod):
         spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
         for k in np.flatnonzero(good.any(1)):
             centre = centring(good[k], self.grounded[grounds[k]])
-            rows = centre @ factors[grounds[k]]
+            rows = centre @ factors[k]
             operator = tikhonov_operator(rows, lam)
             operators[k] = operator.T
-            imaging[k] = tikhonov_operator(centre @ drawn[grounds[k]], drawn_lam).T
+            imaging[k] = tikhonov_operator(centre @ drawn[k], drawn_lam).T
             misfits[k] = rows @ operator - centre
             through += operator @ rows
             spread += ((operator @ rows @ basis).T * basis.T).sum(1)
@@ -300,3 +323,8 @@ class Source(AbstractMethod):
             flags=bits_of((missing, Flag.CONTACTS_UNEXPLAINED)),
             by_electrode=jnp.sqrt(squares / used),
         )
+
+
+def _some(grounded: Bool[np.ndarray, "L M"]) -> Int[np.ndarray, " n"]:
+    """Picks slots, spread evenly, that stand for all."""
+    return np.arange(0, len(grounded), -(-len(grounded) // _SLOTS))

@@ -125,6 +125,12 @@ def slots_of(value: Any) -> int:
     return int(slots)
 
 
+def whole_numbers(ground: np.ndarray) -> np.ndarray:
+    """Returns grounds as whole numbers; −1, told as a fault, for what is none."""
+    fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
+    return np.where(fine, ground, -1).astype(int)
+
+
 def size_of(value: Any) -> tuple[float, float]:
     """Reads the size of the sheet, m."""
     size = numbers("size", value).ravel()

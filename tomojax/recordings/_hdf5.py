@@ -7,7 +7,13 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import open_container, OpenContainer
-from tomojax.recordings._described import MOST_SLOTS, number, rails_of, size_of
+from tomojax.recordings._described import (
+    MOST_SLOTS,
+    number,
+    rails_of,
+    size_of,
+    whole_numbers,
+)
 from tomojax.recordings._outline import Outline
 from tomojax.recordings._recording import (
     PAPER,
@@ -27,6 +33,8 @@ _FIELDS = {
 _MEND = "copy it again from where it was recorded"
 
 _MOST_ELECTRODES = 4096  # no rig has as many
+
+_SAMPLE = 256  # scans that tell whether numbers with a point are whole: codes
 
 _LONGEST = 1 << 16  # values of a variable that stands for an attribute
 
@@ -69,19 +77,25 @@ class Hdf5Recording(Recording):
             require(np.isfinite(gaps).all(), "gaps", "NaN or infinite", "whole numbers")
             if gaps.size:
                 self.gaps = (gaps.T if self._matlab else gaps).astype(int)
+        if self.code_type.kind == "f":  # volts, unless the file tells of codes
+            told = {"scale": 1.0, "offset": 0.0, "units": "V"} | told
         scale, offset = (number(name, told[name]) for name in ("scale", "offset"))
         self.codes_to_volts = scale, offset
         require(scale != 0, "scale", 0, "V per code")
         units = _text(told["units"])
         require(units == "V", "units", repr(units), "'V': scale·code + offset in volts")
-        rails = rails_of(self.code_type, scale, offset)
-        finite = bool(np.isfinite(rails).all())
-        require(finite, "scale", scale, "V per code, and readings that are numbers")
+        codes, rails = self._codes(scale), (-np.inf, np.inf)
+        if codes is None:
+            self.mended += ("v has volts: what saturates below the drive is not seen",)
+        else:
+            rails = rails_of(codes, scale, offset)
+            finite = bool(np.isfinite(rails).all())
+            require(finite, "scale", scale, "V per code, and readings that are numbers")
         self.rig = Rig(
             size=size_of(told["size"]),
             electrode_xy=xy.T if self._matlab else xy,
             rails=rails,
-            resolution=abs(scale),
+            resolution=abs(scale) if codes else 0.0,
             notes=_text(told.get("notes", "")),
             outline=Outline.read(told, self._dataset),
             conditions=self._dataset("conditions/to_ground"),
@@ -101,7 +115,7 @@ class Hdf5Recording(Recording):
     def _load_shape(self) -> None:
         """Reads how many scans, slots and electrodes the arrays have."""
         self._ground = "condition" if "condition" in self._file.names else "ground"
-        v, ground = self._shape("v", 3, "iu"), self._shape(self._ground, 2, "iu")
+        v, ground = self._shape("v", 3, "iuf"), self._shape(self._ground, 2, "iuf")
         t0 = self._shape("t0", 2 if self._matlab else 1, "fiu")
         fits = not self._matlab or 1 in t0
         require(fits, "t0", f"shape {t0}", "one row or column")
@@ -118,7 +132,20 @@ class Hdf5Recording(Recording):
             require(fits, name, f"{length} scans", f"{scans}, as v has")
         fits = ground[1] == self.slots
         require(fits, self._ground, f"{ground[1]} slots", f"{self.slots}, as v has")
-        require(self.code_type.itemsize <= 4, "v", self.code_type, "integer codes")
+        fits = self.code_type.itemsize <= 4 or self.code_type.kind == "f"
+        require(fits, "v", self.code_type, "codes of up to 32 bits, or volts")
+
+    def _codes(self, scale: float) -> np.dtype | None:
+        """Returns the type of the converter's codes; None of volts.
+
+        MATLAB keeps whole numbers as double: of these, a scale tells that they are codes.
+        """
+        if self.code_type.kind != "f":
+            return self.code_type
+        some = self.read_codes(0, min(self.scans, _SAMPLE))[0]
+        some = some[np.isfinite(some)]
+        whole = (some == np.round(some)) & (some >= -(2**15)) & (some < 2**15)
+        return np.dtype(np.int16) if scale != 1 and whole.all() else None
 
     def _load_times(self) -> None:
         """Reads the start of each scan; counts the whole scans."""
@@ -182,7 +209,7 @@ class Hdf5Recording(Recording):
                 f"{self.path}: v: scans {start} to {stop} cannot be read ({error}); copy"
                 " the file again, or cut it before them"
             ) from None
-        return codes, ground.astype(int)
+        return codes, whole_numbers(ground)
 
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
@@ -203,6 +230,11 @@ def _printable(text: str) -> str:
 
 def _open(path: Path) -> OpenContainer:
     with path.open("rb") as raw:
+        start = raw.read(10)
+        older = start == b"MATLAB 5.0"
+        expected = "HDF5: in MATLAB, save(name, ..., '-v7.3')"
+        require(not older, "file", "MATLAB's format before 7.3", expected)
+        raw.seek(0)
         require(is_hdf5(raw), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
     try:
         return open_container(path)

@@ -64,6 +64,7 @@ class Step:
         highest: float,
         calibration: Calibration,
     ):
+        self._made_of = sensor, method, cheaper, policies, good, highest, calibration
         self.electrode_count = sensor.electrode_count
         self.condition_count = sensor.condition_count
         self.policies = tuple(policies)
@@ -87,6 +88,10 @@ class Step:
         self._compiled = jax.jit(self._each).lower(self.state, *slot).compile()
         self._image = jax.jit(self._drawn)
         self._replay = jax.jit(self._replayed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Lets pickle make the step anew where it goes: programs belong to a process."""
+        return Step, self._made_of
 
     def __repr__(self) -> str:
         method = getattr(self._method, "method", self._method)

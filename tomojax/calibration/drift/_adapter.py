@@ -22,6 +22,10 @@ from tomojax.sensor import Calibration, nominal_noise, Sensor
 _ZERO = 3.3
 _GAIN = 0.01
 
+# A gain may run away from its own mean of the last hour by so many rates: contacts tell of
+# it through the model. Silence tells of zeros themselves.
+_FASTEST = 5.0
+
 # By how much a value may differ from the calibration's in all.
 _FARTHEST_ZERO = 100.0  # of the nominal noise
 _FARTHEST_GAIN = 0.3
@@ -63,8 +67,11 @@ _MOST = 32
 # A fit takes up this part of what is looked for.
 _TAKEN = 0.2
 
-# Frames are observed in stretches of so long, s: a value hardly drifts in them.
-_STRETCH = 60.0
+# Frames are observed in stretches of so long, s: zeros that wander 3 mV a minute, as a
+# cheap amplifier's do, move by half a millivolt. Fewer frames wait for more, up to the
+# longest: each call has its costs, and silence needs slots.
+_STRETCH, _LONGEST = 2.0, 60.0
+_FRAMES = 64
 
 
 class Adapter:
@@ -197,7 +204,8 @@ class Adapter:
         mean = np.nansum(slots, 0) / count
         variance = self._noise**2 * (_FLOOR**2 + 1 / count)
         variance = np.where(told >= _SLOTS, variance, np.inf)
-        self.zeros = self._zero(self.zeros.told(mean * self.gain, variance))
+        off = mean * self.gain
+        self.zeros = self._zero(self.zeros.widened(off, variance).told(off, variance))
 
     def _follow_gains(
         self, volts: np.ndarray, grounds: np.ndarray, places: np.ndarray
@@ -234,10 +242,10 @@ class Adapter:
             )
 
     def _zero(self, zeros: Drift) -> Drift:
-        return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit)
+        return zeros.bounded(self._zero_rate, _FARTHEST_ZERO * self._unit, np.inf)
 
     def _bounded(self, gains: Drift) -> Drift:
-        return gains.bounded(_GAIN, _FARTHEST_GAIN)
+        return gains.bounded(_GAIN, _FARTHEST_GAIN, _FASTEST * _GAIN)
 
     def _visits(self, places: np.ndarray, slots: int) -> Integer[np.ndarray, "k f"]:
         """Picks middle frames of each visit of a square that counts, as many as a fit has.
@@ -279,9 +287,13 @@ class Adapter:
 
 
 def stretches(t: Float[np.ndarray, " n"]) -> list[np.ndarray]:
-    """Splits frames by minutes of their time."""
-    ends = np.flatnonzero(np.diff(np.floor(t / _STRETCH))) + 1
-    return np.split(np.arange(len(t)), ends)
+    """Splits frames by their time, into stretches of some frames or a minute."""
+    short, long = (np.floor(t / each) for each in (_STRETCH, _LONGEST))
+    ends = [0]
+    for end in np.flatnonzero(np.diff(short)) + 1:
+        if end - ends[-1] >= _FRAMES or long[end] != long[end - 1]:
+            ends.append(int(end))
+    return np.split(np.arange(len(t)), ends[1:])
 
 
 def lone_places(rows: Any) -> Float[np.ndarray, "n 2"]:

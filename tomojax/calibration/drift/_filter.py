@@ -14,9 +14,6 @@ _WALK = 0.1
 # A rate beyond so many σ is not believed.
 _STEEPEST = 3.0
 
-# A value may run away from its own mean of the last hour by so many rates.
-_FASTEST = 5.0
-
 # A measurement that is off by more than so many σ counts as that.
 _OUTLYING = 3.0
 
@@ -62,6 +59,16 @@ class Drift(NamedTuple):
             usual,
         )
 
+    def widened(self, off: np.ndarray, variance: np.ndarray) -> "Drift":
+        """Knows less where channels together are off by more than is believed.
+
+        Drift has no rate of its own: what all channels' measurements say of it counts.
+        """
+        whole = self.variance + variance
+        told = np.isfinite(whole)
+        more = np.mean((off**2 - whole)[told]) if 2 * told.sum() > len(told) else 0.0
+        return self._replace(variance=self.variance + max(0.0, float(more)))
+
     def told(self, off: np.ndarray, variance: np.ndarray) -> "Drift":
         """Takes in a measurement that is `off`; `variance` is ∞ where there is none."""
         whole = self.variance + variance
@@ -76,9 +83,9 @@ class Drift(NamedTuple):
             of_rate=self.of_rate - turn * self.both,
         )
 
-    def bounded(self, rate: float, most: float) -> "Drift":
-        """Clips value and rate to what is believed."""
-        near, steep = _FASTEST * rate, _STEEPEST * rate
+    def bounded(self, rate: float, most: float, near: float) -> "Drift":
+        """Clips value and rate to what is believed; `near` its mean of the last hour."""
+        steep = _STEEPEST * rate
         value = np.clip(self.value, self.usual - near, self.usual + near)
         value = np.clip(value, -most, most)
         # After a long gap much could be: what is off by more than a third is still odd.

@@ -71,7 +71,7 @@ class ImageError(AbstractObjective):
         smooth: bool = False,
     ) -> "ImageError":
         """Makes the error of `method`'s images; contacts are Gaussians of σ `width`, m."""
-        factors, basis = method.factors[..., :_RANK], method.basis[:_RANK]
+        factors, basis = method.all_factors()[..., :_RANK], method.basis[:_RANK]
         grams = jnp.einsum("lmr,lms->lrs", factors, factors, precision="highest")
         count, m = len(factors), method.electrode_count
         require_shape("voltages", scenes.voltages, (None, count, m))

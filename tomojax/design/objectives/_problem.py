@@ -208,7 +208,7 @@ def image_objective(
 ) -> ImageVariance:
     """Makes the objective of any J's images. Contacts are Gaussians of `width` (σ), m."""
     rank = _RANK * method.electrode_count
-    factors, basis = method.factors[..., :rank], method.basis[:rank]
+    factors, basis = method.all_factors()[..., :rank], method.basis[:rank]
     seen = factors
     if precision is not None:
         # λ keeps Eq. 3's unit: N relative to its mean variance.

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from io import StringIO
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -29,17 +30,21 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
     slot, counting lost slots). All other columns are electrodes in order, in volts, or in
     codes where `scale` is told. Separators are commas, semicolons or tabs. Commas may be
     decimal where semicolons or tabs separate. A field that is no number becomes NaN, and is
-    flagged.
+    flagged. A column without a name that is empty, or counts the lines, is left out.
     **Raises:** `ValueError` for a file that is no such table.
     """
     size = path.stat().st_size
     require(size <= _MOST, "file", f"{size} bytes", f"up to {_MOST} of CSV, or HDF5")
+    with path.open("rb") as raw:
+        wide = raw.read(2) in (b"\xff\xfe", b"\xfe\xff")
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            names, separator = _head(file)
-            values = _table(file, separator, len(names))
+        text = path.read_text("utf-16" if wide else "utf-8-sig")
+        require("\0" not in text, "file", "bytes that are no text", "CSV")
     except UnicodeDecodeError:
         raise ValueError("file: got bytes that are no text, expected CSV") from None
+    file = StringIO(text)
+    names, separator = _head(file)
+    names, values = _named(names, _table(file, separator, len(names)))
     known = [_OTHERS.get(name.lower(), "") for name in names]
     twice = [name for name in set(known) - {""} if known.count(name) > 1]
     require(not twice, "columns", f"{twice} twice", "each once")
@@ -69,15 +74,27 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
 def _head(file: TextIO) -> tuple[list[str], str]:
     """Reads the columns' names, and finds the separator."""
     line = ""
-    while not line or line.startswith("#"):
+    while not line.strip() or line.startswith(("#", "sep=")):  # Excel's line
         line = file.readline(1 << 20)
         require(line, "file", "no line of names", "names of columns: t, ground, v0, …")
-        line = line.strip()
     separator = next((s for s in ("\t", ";", ",") if s in line), ",")
-    names = [name.strip().strip('"') for name in line.split(separator)]
-    words = sum(bool(re.search("[A-Za-z]", name)) for name in names)
-    require(words == len(names), "columns", names[:4], "a first line that names them")
+    names = [name.strip().strip('"') for name in line.rstrip("\r\n").split(separator)]
+    words = [bool(re.search("[A-Za-z]", name)) or not name for name in names]
+    fits = all(words) and any(names)
+    require(fits, "columns", names[:4], "a first line that names them")
     return names, separator
+
+
+def _named(names: list[str], values: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Leaves out columns without a name, and pandas' column that counts the lines."""
+    counted = values - values[:1] == np.arange(len(values))[:, None]
+    empty = counted.all(0) | np.isnan(values).all(0)
+    bare = np.array(
+        [not n or n.lower() == "index" or n.startswith("Unnamed") for n in names]
+    )
+    lost = np.flatnonzero(bare & ~empty)
+    require(not len(lost), "columns", f"no name for column {lost + 1}", "a name")
+    return [n for n, out in zip(names, bare) if not out], values[:, ~bare]
 
 
 def _table(file: TextIO, separator: str, columns: int) -> np.ndarray:

@@ -7,7 +7,13 @@ import numpy as np
 from jaxtyping import Float, Integer, Shaped
 
 from tomojax._require import require
-from tomojax.recordings._described import check_keys, rig_of, scaled, slots_of
+from tomojax.recordings._described import (
+    check_keys,
+    rig_of,
+    scaled,
+    slots_of,
+    whole_numbers,
+)
 from tomojax.recordings._recording import Recording, Scans, settle
 
 # Longest scan whose grounds are looked for in a file that does not say.
@@ -44,8 +50,10 @@ class MemoryRecording(Recording):
             volts = np.multiply(values, scale, dtype=np.float64)
             volts += offset
         volts = volts.astype(np.float32)
-        fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
-        ground = np.where(fine, ground, -1).astype(int)  # -1: told as a fault
+        ground = whole_numbers(ground)
+        order, self.mended = _in_order(volts, ground, t, number)
+        volts, ground = volts[order], ground[order]
+        t, number = (None if a is None else a[order] for a in (t, number))
         self.slots, said = _slots(told, ground, number)
         self.mended += said
         self.electrodes = values.shape[1]
@@ -78,8 +86,6 @@ class MemoryRecording(Recording):
             numbers = np.arange(whole)
         else:
             own = number - number[0]
-            rising = bool((np.diff(own) > 0).all())
-            require(rising, "number", "numbers that do not rise", "a slot's, each higher")
             scan = own // s
             there = np.unique(scan)
             place = np.searchsorted(there, scan) * s + own % s
@@ -106,6 +112,39 @@ class MemoryRecording(Recording):
 
     def read(self, start: int, stop: int) -> Scans:
         return self._scans.part(start, stop)
+
+
+def _in_order(
+    volts: Float[np.ndarray, "n M"],
+    ground: Integer[np.ndarray, " n"],
+    t: Float[np.ndarray, " n"] | None,
+    number: Integer[np.ndarray, " n"] | None,
+) -> tuple[Integer[np.ndarray, " k"], tuple[str, ...]]:
+    """Returns which slots to take, in order; and sentences on those sent twice or late.
+
+    Numbers put slots in order. Without numbers, a slot that has the time, the ground and
+    the readings of the slot before was sent twice.
+    **Raises:** `ValueError` for one number of slots that differ: the count began anew.
+    """
+    n = len(volts)
+    order, key = np.arange(n), t if number is None else number
+    if key is None:
+        return order, ()
+    if number is not None:
+        order = np.argsort(number, kind="stable")
+    at, before = order[1:], order[:-1]
+    same = key[at] == key[before]
+    told = np.concatenate([volts, ground[:, None]], 1)
+    alike = np.zeros(n - 1, bool)
+    alike[same] = ((told[at] == told[before]) | np.isnan(told[at]))[same].all(1)
+    differ = "number", "one number of slots that differ", "a slot's own, each higher"
+    require(number is None or alike[same].all(), *differ)
+    order = order[np.concatenate([[True], ~alike])]
+    late = int((np.diff(order) < 0).sum())
+    said = (f"slots sent twice: {n - len(order)}; each counts once",) * bool(alike.any())
+    return order, said + (f"slots out of order: {late}; they are put in order",) * (
+        late > 0
+    )
 
 
 def _rate(t: np.ndarray | None) -> float | None:

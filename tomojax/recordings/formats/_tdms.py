@@ -7,7 +7,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.files import open_container
-from tomojax.recordings._described import number, rig_of, slots_of
+from tomojax.recordings._described import number, rig_of, slots_of, whole_numbers
 from tomojax.recordings._recording import check, PAPER, Recording, Scans
 
 
@@ -58,14 +58,16 @@ class TdmsRecording(Recording):
         require(ground in found, "ground", f"no {ground!r} in {group!r}", "this channel")
         self._ground = f"{group}/{ground}"
         lengths = {self._file.shape(n)[0] for n in (*self._channels, self._ground)}
-        require(len(lengths) == 1, "channels", f"lengths {sorted(lengths)}", "one length")
+        if len(lengths) > 1:  # the last segment lacks some channels' values
+            told = f"{min(lengths)} of {max(lengths)} slots have all channels"
+            self.mended = (f"the file is cut off: {told}",)
         properties: dict[str, Any] = self._file.attributes
         value = properties.get("slots_per_scan") if slots is None else slots
         require(value is not None, "slots", None, "the slots of a scan: slots=10")
         self.slots = slots_of(value)
-        self.scans, rest = divmod(lengths.pop(), self.slots)
+        self.scans, rest = divmod(min(lengths), self.slots)
         if rest:
-            self.mended = (f"the last {rest} slots make no whole scan and are left out",)
+            self.mended += (f"the last {rest} slots make no whole scan and are left out",)
         paper = self.electrodes == 64
         require(paper, "channels", f"{self.electrodes} electrodes", "the paper's 64")
         rail = abs(number("rail", rail))
@@ -90,10 +92,8 @@ class TdmsRecording(Recording):
             raise ValueError(
                 f"{self.path}: channels: {told}; copy the file again"
             ) from None
-        fine = np.isfinite(ground) & (np.abs(ground) < 2**31)
-        ground = np.where(fine, ground, -1)  # no electrode's number: told as a fault
         shape = (stop - start, self.slots)
-        ground = ground.reshape(shape).astype(int)
+        ground = whole_numbers(ground).reshape(shape)
         return Scans(volts.reshape(*shape, -1), ground, self.t0[start:stop])
 
     def _named(self, channels: str) -> str:
