@@ -1,8 +1,7 @@
 """Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -51,9 +50,8 @@ def factors_of(
     slots: Slots, shared: Float[A, "M+1 r"], which: Int[A, " n"]
 ) -> Float[A, "n M r"]:
     """Computes D·r̃ of some slots, with r̃ in a basis."""
-    relative = slots.relative(shared[:-1].T, which)  # (r, n, M)
-    xp = np if isinstance(shared, np.ndarray) else jnp
-    return xp.moveaxis(relative, 0, -1) + slots.offset(which)[..., None] * shared[-1]
+    relative: Any = slots.relative(shared[:-1].T, which)  # (r, n, M)
+    return relative.transpose(1, 2, 0) + slots.offset(which)[..., None] * shared[-1]
 
 
 def centring(
