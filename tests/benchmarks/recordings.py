@@ -182,8 +182,7 @@ def beside_pyeit(quick: bool) -> dict:
     from pyeit.mesh import PyEITMesh
 
     from tomojax.kernels.sheet import nodes as mesh_nodes, triangles
-    from tomojax.methods import Linear, Source
-    from tomojax.methods._maps import shared_of
+    from tomojax.methods import Linear
 
     sensor = tx.Sensor.grid(divisions=(40, 40), dtype=np.float32)
     nodes = np.asarray(mesh_nodes((40, 40), sensor.size), float)
@@ -234,22 +233,14 @@ def beside_pyeit(quick: bool) -> dict:
     for two, name in enumerate(("NumPy sLORETA", "NumPy sLORETA, two products")):
         locate[name], errs, best = sloreta(sensor, two + 1, flat, errors)
         found |= {name: errs, f"{name} λ/σ₁²": best}
-    # `source` on the same elements, and whole: with contacts, residual and checks.
-    table = tx.sensor.resistances(sensor)
-    shared = shared_of(sensor.slots(table.electrodes), np.asarray(table.elements, float))
-    each = np.eye(64, dtype=bool)
-    of_elements = Source.from_shared(shared, each, (40, 80), linear.cell)
-    recorded = [tx.methods.Frame(v, grounds, good) for v in volts]
-    ready = of_elements.prepare(grounds, good, of_elements.choose_lambda(recorded))
-    current = jax.jit(jax.vmap(lambda v: of_elements.image(ready, v)))
+    # `source`: its image alone, and whole, with contacts, residual and checks.
     source = tx.method(sensor, "source", 40)
+    recorded = [tx.methods.Frame(v, grounds, good) for v in volts]
+    ready = source.prepare(grounds, good, source.choose_lambda(recorded))
+    current = jax.jit(jax.vmap(lambda v: source.image(ready, v)))
     batch = tx.Batch(source, source.choose_lambda(recorded))
     rows = batch(volts, np.tile(grounds, (len(volts), 1)))
     found["tomojax, source"] = errors(rows.contact_xy[:, 0])
-    spread = np.asarray(ready.spread)
-    found["tomojax, source, image alone"] = errors(
-        place(spread * np.asarray(current(volts)))
-    )
     for name, errs in found.items():
         if name != "scenes" and "λ" not in name:
             print(f"{name:30s} {np.round(errs, 1)} mm, median {np.median(errs):.1f}")

@@ -7,7 +7,6 @@ import pytest
 
 import tomojax as tx
 from tomojax.ert import PairRecording, Pairs, Response
-from tomojax.ert._presses import _deviations
 
 RADIUS = 0.05
 
@@ -99,14 +98,6 @@ def test_readings_near_taught_ones_move_their_place() -> None:
     volts = 2 * np.sinh(readings)[:, None]
     moved = plain.locate(volts).xy - replace(plain, **taught).locate(volts).xy
     np.testing.assert_allclose(moved, [[0.002, -0.001], [0, 0]], atol=1e-6)
-
-
-def test_deviations_have_their_share_within() -> None:
-    away = 0.002 * np.random.default_rng(0).normal(size=(4000, 2))
-    each = np.broadcast_to(0.002**2 * np.eye(2), (4000, 2, 2))
-    wide, narrow = _deviations(away, 4 * each, 0.1), _deviations(away, each / 4, 0.1)
-    assert abs(wide["share"] - 0.5) < 0.02 and wide["own"] == 0
-    assert narrow["share"] > 0.9 and abs(narrow["own"] - 0.75**0.5 * 0.002) < 2e-4
 
 
 def test_readings_that_are_missing_are_left_out(skin, response) -> None:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 from scipy.ndimage import convolve
 
 from tomojax._checks import require
+from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.ert._learning import whitener_of
 from tomojax.ert._recording import PairRecording
@@ -81,7 +82,7 @@ class _Fit(NamedTuple):
 def changes(
     recording: PairRecording,
     most: int = 2,
-    noise: float | np.ndarray | None = None,
+    noise: Numbers | None = None,
     sheet: Sensor | None = None,
     radius: float = 0.0,
 ) -> Changes:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+from jax.dtypes import canonicalize_dtype
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
@@ -99,13 +100,32 @@ def press_information(
     **Raises:** `ValueError` for pairs that the response was not learned with, conditions
     that are not there, and `nominal` responses, whose frames have no size.
 
-    **Example:** see `tomojax.ert.choose`.
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> x, y = np.meshgrid(*2 * [np.arange(8) * 0.01], indexing="ij")
+    >>> x, y = x.ravel(), y.ravel()
+    >>> response = tx.ert.Response(
+    ...     at=np.stack([x, y], 1),
+    ...     readings=np.stack([x, y, y], 1),
+    ...     spread=np.zeros(64),
+    ...     whitener=1e3 * np.eye(3),
+    ...     scale=np.ones(3),
+    ...     limit=4.0,
+    ...     own=0.0,
+    ...     known=100,
+    ... )
+    >>> pairs = tx.ert.Pairs([[0, 1], [1, 2], [2, 3]], [[[2, 3]], [[3, 4]], [[4, 5]]])
+    >>> told = tx.ert.press_information(response, pairs, after=[0])
+    >>> told.slots, told.unit  # conditions to choose from
+    (2, 'm')
     """
     of = _conditions(response, pairs)
     count = pairs.conditions
     given = np.isin(np.arange(count), after)
     require(given.sum() == len(after), "after", after, f"conditions, 0 to {count - 1}")
-    at, dtype = np.asarray(response.at, float), response.readings.dtype
+    at, dtype = np.asarray(response.at, float), canonicalize_dtype(response.readings.dtype)
     here, slopes = _slopes(at, np.asarray(response.readings, float))
     some = np.arange(len(here))[:: -(-len(here) // _PLACES)]
     if near is not None:

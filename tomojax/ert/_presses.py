@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
@@ -120,7 +120,7 @@ class Presses(NamedTuple):
             moments.append(found.covariance)
         return _deviations(np.concatenate(away), np.concatenate(moments), self.width)
 
-    def _as(self, number: float) -> np.ndarray:
+    def _as(self, number: Any) -> np.ndarray:
         return np.asarray(number, self.values.dtype)
 
 
@@ -132,6 +132,7 @@ def _deviations(
         squares = np.einsum("ni,nij,nj->n", away, inverse, away)
         return float(np.quantile(squares, 0.6827)) / _WITHIN
 
-    tried = np.linspace(0, width / 4, 500)
+    # Above 0: a covariance may be none.
+    tried = np.linspace(1e-6 * width, width / 4, 500)
     own = float(next((own for own in tried if excess(own) <= 1), tried[-1]))
     return {"share": min(1.0, excess(own) ** 0.5), "own": own}

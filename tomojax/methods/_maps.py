@@ -19,9 +19,9 @@ class Shared(NamedTuple):
     """
 
     slots: Slots
-    rows: Float[np.ndarray, "M+1 pixels"]  # r̃, Ω and 1; 0 off the sheet
+    rows: Float[np.ndarray, "rows pixels"]  # M of r̃, Ω, and 1; 0 off the sheet
 
-    def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "M+1 M"]]:
+    def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "rows M"]]:
         """Computes an orthonormal basis of all maps' rows, and r̃ in it."""
         basis = np.linalg.svd(self.rows, full_matrices=False)[2][:-1]
         return basis, self.rows @ basis.T
@@ -47,7 +47,7 @@ def shared_of(slots: Slots, elements: Float[np.ndarray, "M K"]) -> Shared:
 
 
 def factors_of(
-    slots: Slots, shared: Float[A, "M+1 r"], which: Int[A, " n"]
+    slots: Slots, shared: Float[A, "rows r"], which: Int[A, " n"]
 ) -> Float[A, "n M r"]:
     """Computes D·r̃ of some slots, with r̃ in a basis."""
     relative: Any = slots.relative(shared[:-1].T, which)  # (r, n, M)

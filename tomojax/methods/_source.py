@@ -99,8 +99,8 @@ class Source(AbstractMethod):
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
     slots: Slots  # the law of T^l; it and the next two in float64 on the host
-    shared: Float[np.ndarray, "M+1 r"]  # r̃Bᵀ: T^lBᵀ are its `factors`
-    drawn: Float[np.ndarray, "M+1 r"]  # the same of TG, in a basis of its own
+    shared: Float[np.ndarray, "rows r"]  # r̃Bᵀ: T^lBᵀ are its `factors`
+    drawn: Float[np.ndarray, "rows r"]  # the same of TG, in a basis of its own
     drawn_scale: float  # |TGB'ᵀ|² of all slots, over |TBᵀ|²
     smoothed: Float[Array, "r pixels"]  # each row of that basis times G
     reading_noise: Float[Array, ""]
