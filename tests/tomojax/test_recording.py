@@ -96,7 +96,7 @@ WRONG = {
         "electrode_xy",
     ),
     "two axes": (dict(v=np.zeros((5, 128), np.int16)), "v"),
-    "float codes": (dict(v=np.zeros((5, 2, 64))), "v"),
+    "complex codes": (dict(v=np.zeros((5, 2, 64), complex)), "v"),
     "gaps of three": (dict(gaps=np.zeros((1, 3), int)), "gaps"),
     "gap of less than none": (dict(gaps=np.array([[2, -1]])), "gaps"),
     "negative resistance": (dict(sheet_resistance=-1.0), "sheet_resistance"),
