@@ -38,10 +38,12 @@ _NEAR = 12.0
 # in so many slots.
 OFTEN = 3
 
-# Where contacts are wrong, all are looked for anew in the first of so many slots,
+# Wrong contacts are dropped, and all are looked for again, in one slot of so many.
 _DOUBTED = 4
-# each so many times beside the others; what they leave over what one more may leave.
-_TURNS, _QUARTER = 2, 4.0
+# Each is looked for so many times beside the others.
+_TURNS = 2
+# One more contact must leave less than one part in so many of what the others leave.
+_QUARTER = 4.0
 
 # One contact alone takes the others' place where it leaves less than this part of what
 # the others leave,

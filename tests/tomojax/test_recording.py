@@ -96,6 +96,10 @@ WRONG = {
         "electrode_xy",
     ),
     "two axes": (dict(v=np.zeros((5, 128), np.int16)), "v"),
+    "volts of an unknown sheet": (
+        dict(v=np.zeros((5, 2, 64)), leave_out=("size",)),
+        "size",
+    ),
     "complex codes": (dict(v=np.zeros((5, 2, 64), complex)), "v"),
     "gaps of three": (dict(gaps=np.zeros((1, 3), int)), "gaps"),
     "gap of less than none": (dict(gaps=np.array([[2, -1]])), "gaps"),

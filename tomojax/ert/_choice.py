@@ -17,7 +17,7 @@ from tomojax.ert._pairs import Pairs
 from tomojax.ert._response import Response
 
 _PLACES = 200  # that figures are computed for: a mean over more does not differ
-# Of a condition's weight. The information is smooth at 0; the slope of its root is not.
+# The least weight of a condition: the slope of a weight's root is infinite at 0.
 _LEAST = 1e-6
 
 

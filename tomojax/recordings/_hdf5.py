@@ -78,7 +78,8 @@ class Hdf5Recording(Recording):
             if gaps.size:
                 self.gaps = (gaps.T if self._matlab else gaps).astype(int)
         if self.code_type.kind == "f":  # volts, unless the file tells of codes
-            told = {"scale": 1.0, "offset": 0.0, "units": "V"} | told
+            for name, value in {"scale": 1.0, "offset": 0.0, "units": "V"}.items():
+                told.setdefault(name, value)
         scale, offset = (number(name, told[name]) for name in ("scale", "offset"))
         self.codes_to_volts = scale, offset
         require(scale != 0, "scale", 0, "V per code")

@@ -134,9 +134,10 @@ def _in_order(
         order = np.argsort(number, kind="stable")
     at, before = order[1:], order[:-1]
     same = key[at] == key[before]
-    told = np.concatenate([volts, ground[:, None]], 1)
-    alike = np.zeros(n - 1, bool)
-    alike[same] = ((told[at] == told[before]) | np.isnan(told[at]))[same].all(1)
+    twice, alike = np.flatnonzero(same), np.zeros(n - 1, bool)
+    at, before = at[twice], before[twice]
+    equal = (volts[at] == volts[before]) | np.isnan(volts[at])
+    alike[twice] = equal.all(1) & (ground[at] == ground[before])
     differ = "number", "one number of slots that differ", "a slot's own, each higher"
     require(number is None or alike[same].all(), *differ)
     order = order[np.concatenate([[True], ~alike])]
