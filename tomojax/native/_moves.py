@@ -1,0 +1,352 @@
+"""Writes operations that only say where elements are, gather them or put them together."""
+
+from typing import Any
+
+import numpy as np
+
+from tomojax.native._program import Op, Value
+from tomojax.native._writer import Index, Lazy, linear, literal, row_major, View, Writer
+
+
+def _moved(w: Writer, op: Op, view: Any, index_of: Any) -> None:
+    """Gives a value by another's elements: as a view of memory, or where it is read."""
+    (of, *_), (out,) = op.inputs, op.outputs
+    place = w.place(of)
+    if isinstance(place, View):
+        w.places[id(out)] = view(place)
+    elif out.size == 1 or of.size == 1:
+        w.places[id(out)] = Lazy(out.shape, lambda index: place.at(index_of(index)))
+    else:
+        w.set(out, lambda index: place.at(index_of(index)))
+
+
+def broadcast(w: Writer, op: Op) -> None:
+    (of, *_), (out,) = op.inputs, op.outputs
+    at = op.params["broadcast_dimensions"]
+
+    def view(place: View) -> View:
+        strides = [0] * len(out.shape)
+        for axis, (to, n) in enumerate(zip(at, of.shape, strict=True)):
+            strides[to] = 0 if n == 1 else place.strides[axis]
+        return View(place.buffer, place.offset, tuple(strides), out.shape)
+
+    def index_of(index: Index) -> Index:
+        return [0 if n == 1 else index[to] for to, n in zip(at, of.shape, strict=True)]
+
+    if isinstance(w.place(of), Lazy) and 1 < of.size < out.size:
+        w.stored(of)
+    _moved(w, op, view, index_of)
+
+
+def squeeze(w: Writer, op: Op) -> None:
+    of = op.inputs[0]
+    gone = {d % len(of.shape) for d in op.params["dimensions"]}
+    left = [axis for axis in range(len(of.shape)) if axis not in gone]
+
+    def index_of(index: Index) -> Index:
+        whole: list[Any] = [0] * len(of.shape)
+        for to, at in zip(left, index, strict=True):
+            whole[to] = at
+        return whole
+
+    def view(place: View) -> View:
+        strides = tuple(place.strides[a] for a in left)
+        return View(place.buffer, place.offset, strides, op.outputs[0].shape)
+
+    _moved(w, op, view, index_of)
+
+
+def transpose(w: Writer, op: Op) -> None:
+    order = op.params["permutation"]
+
+    def index_of(index: Index) -> Index:
+        whole: list[Any] = [0] * len(order)
+        for to, at in zip(order, index, strict=True):
+            whole[to] = at
+        return whole
+
+    def view(place: View) -> View:
+        strides = tuple(place.strides[a] for a in order)
+        return View(place.buffer, place.offset, strides, op.outputs[0].shape)
+
+    _moved(w, op, view, index_of)
+
+
+def sliced(w: Writer, op: Op) -> None:
+    start = op.params["start_indices"]
+    step = op.params["strides"] or (1,) * len(start)
+    _part(w, op, op.inputs[0], op.outputs[0], start, step)
+
+
+def split(w: Writer, op: Op) -> None:
+    (of,), axis, start = op.inputs, op.params["axis"], 0
+    for out in op.outputs:
+        begin: list[str | int] = [0] * len(of.shape)
+        begin[axis] = start
+        start += out.shape[axis]
+        _part(w, op, of, out, begin, (1,) * len(of.shape))
+
+
+def dynamic_slice(w: Writer, op: Op) -> None:
+    of, *starts = op.inputs
+    begin = [
+        _clamped(w, w.number(s), n - m)
+        for s, n, m in zip(starts, of.shape, op.outputs[0].shape, strict=True)
+    ]
+    _part(w, op, of, op.outputs[0], begin, (1,) * len(begin))
+
+
+def _clamped(w: Writer, start: str, most: int) -> str | int:
+    if most == 0:
+        return 0
+    name = w.name("s")
+    w.line(f"const int32_t {name} = tj_within({start}, {most});")
+    return name
+
+
+def _part(w: Writer, op: Op, of: Value, out: Value, start: Any, step: Any) -> None:
+    place = w.place(of)
+
+    def index_of(index: Index) -> Index:
+        return [
+            linear(s, (at,), (int(k),)) for s, at, k in zip(start, index, step, strict=True)
+        ]
+
+    if isinstance(place, View):
+        offset = linear(place.offset, start, place.strides)
+        strides = tuple(int(a * b) for a, b in zip(place.strides, step, strict=True))
+        w.places[id(out)] = View(place.buffer, offset, strides, out.shape)
+    else:
+        w.set(out, lambda index: place.at(index_of(index)))
+
+
+def reshape(w: Writer, op: Op) -> None:
+    (of, *_), (out,) = op.inputs, op.outputs
+    if of.size == 1:
+        number = w.number(of)
+        w.places[id(out)] = Lazy(out.shape, lambda _: number)
+        return
+    # Axes of length 1 come and go; all else needs elements one after the other.
+    kept = [n for n in of.shape if n != 1]
+    place = w.place(of)
+    if kept == [n for n in out.shape if n != 1]:
+        axes = [axis for axis, n in enumerate(of.shape) if n != 1]
+        to = [axis for axis, n in enumerate(out.shape) if n != 1]
+        if isinstance(place, View):
+            strides = [0] * len(out.shape)
+            for a, b in zip(axes, to, strict=True):
+                strides[b] = place.strides[a]
+            w.places[id(out)] = View(place.buffer, place.offset, tuple(strides), out.shape)
+            return
+
+        def index_of(index: Index) -> Index:
+            whole: list[Any] = [0] * len(of.shape)
+            for a, b in zip(axes, to, strict=True):
+                whole[a] = index[b]
+            return whole
+
+        w.set(out, lambda index: place.at(index_of(index)))
+        return
+    view = w.contiguous(of)
+    w.places[id(out)] = View(view.buffer, view.offset, row_major(out.shape), out.shape)
+
+
+def concatenate(w: Writer, op: Op) -> None:
+    (out,), axis = op.outputs, op.params["dimension"]
+    target, start = w.target(out), 0
+    for part in op.inputs:
+        place, offset = w.place(part), start * target.strides[axis]
+        shifted = View(target.buffer, offset, target.strides, part.shape)
+        with w.loops(part.shape) as index:
+            w.line(f"{shifted.at(index)} = {place.at(index)};")
+        start += part.shape[axis]
+    w.places[id(out)] = target
+
+
+def pad(w: Writer, op: Op) -> None:
+    (of, fill), (out,) = op.inputs, op.outputs
+    config = [tuple(map(int, c)) for c in op.params["padding_config"]]
+    if any(low < 0 or high < 0 for low, high, _ in config):
+        raise ValueError("pad: got less than none, expected elements that are added")
+    if all(c == (0, 0, 0) for c in config):
+        w.places[id(out)] = w.place(of)
+        return
+    target, value, place = w.target(out), w.number(fill), w.place(of)
+    with w.loops(out.shape) as index:
+        w.line(f"{target.at(index)} = {value};")
+    begin = [low for low, _, _ in config]
+    offset = linear(0, begin, target.strides)
+    strides = [s * (1 + gap) for s, (_, _, gap) in zip(target.strides, config, strict=True)]
+    inner = View(target.buffer, offset, tuple(strides), of.shape)
+    with w.loops(of.shape) as index:
+        w.line(f"{inner.at(index)} = {place.at(index)};")
+    w.places[id(out)] = target
+
+
+def gather(w: Writer, op: Op) -> None:
+    """Writes windows at indices; an index outside is moved in, or its window filled."""
+    (of, indices), (out,) = op.inputs, op.outputs
+    numbers, sizes = op.params["dimension_numbers"], op.params["slice_sizes"]
+    fills = "FILL" in str(op.params["mode"])
+    window_axes = list(map(int, numbers.offset_dims))
+    batch_axes = [a for a in range(len(out.shape)) if a not in window_axes]
+    gone = {*map(int, numbers.collapsed_slice_dims), *map(int, numbers.operand_batching_dims)}
+    kept = [a for a in range(len(of.shape)) if a not in gone]
+    batch = [out.shape[a] for a in batch_axes]
+    view = w.stored(of)
+    start, good = _starts(w, view, of, indices, numbers, sizes, batch, fills)
+    strides = [0] * len(out.shape)
+    for to, axis in zip(window_axes, kept, strict=True):
+        strides[to] = view.strides[axis]
+    if int(np.prod(batch)) == 1 and not fills:
+        offset = f"{start.at([0] * len(batch))} + {view.offset}"
+        w.places[id(out)] = View(view.buffer, offset, tuple(strides), out.shape)
+        return
+    missing = literal(_fill(op, of.dtype), of.dtype)
+
+    def read(index: Index) -> str:
+        at = [index[a] for a in batch_axes]
+        where = linear(f"{start.at(at)} + {view.offset}", index, strides)
+        text = f"{view.buffer}[{where}]"
+        return text if good is None else f"({good.at(at)} ? {text} : {missing})"
+
+    w.set(out, read)
+
+
+def _fill(op: Op, dtype: np.dtype) -> Any:
+    """Returns what a window outside is filled with: JAX's own choice where none is told."""
+    told = op.params["fill_value"]
+    if told is not None:
+        return told
+    if dtype.kind == "f":
+        return np.nan
+    least = {"i": lambda: np.iinfo(dtype).min, "u": lambda: np.iinfo(dtype).max}
+    return least.get(dtype.kind, lambda: 1)()
+
+
+def _starts(
+    w: Writer,
+    view: View,
+    of: Value,
+    indices: Value,
+    numbers: Any,
+    sizes: Any,
+    batch: list[int],
+    fills: bool,
+) -> tuple[View, View | None]:
+    """Writes where the windows of a batch begin, and whether each is inside."""
+    shape = tuple(batch)
+    size = int(np.prod(batch))
+    full = row_major(shape)
+    start = View(w.buffer(np.dtype(np.int32), size), 0, full, shape)
+    good = View(w.buffer(np.dtype(bool), size), 0, full, shape) if fills else None
+    batching = zip(
+        numbers.operand_batching_dims,
+        getattr(numbers, "start_indices_batching_dims", None)
+        or getattr(numbers, "scatter_indices_batching_dims", ()),
+        strict=True,
+    )
+    indexed = getattr(numbers, "start_index_map", None)
+    if indexed is None:
+        indexed = numbers.scatter_dims_to_operand_dims
+    place = w.place(indices)
+    with w.loops(shape) as at:
+        parts, tests = [], []
+        for k, axis in enumerate(map(int, indexed)):
+            most = of.shape[axis] - int(sizes[axis])
+            value = place.at([*at, k])
+            if fills:
+                tests.append(f"{value} >= 0 && {value} <= {most}")
+            if most:
+                parts.append(f"tj_within({value}, {most})*{view.strides[axis]}")
+        for axis, of_index in batching:
+            parts.append(f"{at[int(of_index)]}*{view.strides[int(axis)]}")
+        w.line(f"{start.at(at)} = {' + '.join(parts) or '0'};")
+        if good is not None:
+            w.line(f"{good.at(at)} = {' && '.join(tests) or '1'};")
+    return start, good
+
+
+def scatter(w: Writer, op: Op) -> None:
+    """Writes windows into a copy; a window that is not all inside is left out."""
+    (of, indices, updates), (out,) = op.inputs, op.outputs
+    numbers = op.params["dimension_numbers"]
+    adds = op.name != "scatter"
+    if op.name not in ("scatter", "scatter-add", "scatter_add"):
+        raise ValueError(f"operation: got {op.name}, expected scatter or scatter-add")
+    window_axes = list(map(int, numbers.update_window_dims))
+    gone = {*map(int, numbers.inserted_window_dims), *map(int, numbers.operand_batching_dims)}
+    kept = [a for a in range(len(of.shape)) if a not in gone]
+    sizes = [1] * len(of.shape)
+    for axis, of_update in zip(kept, window_axes, strict=True):
+        sizes[axis] = updates.shape[of_update]
+    batch_axes = [a for a in range(len(updates.shape)) if a not in window_axes]
+    batch = [updates.shape[a] for a in batch_axes]
+    target = w.store(out, w.place(of))
+    fills = "CLIP" not in str(op.params["mode"])
+    start, good = _starts(w, target, of, indices, numbers, sizes, batch, fills)
+    strides = [0] * len(updates.shape)
+    for of_update, axis in zip(window_axes, kept, strict=True):
+        strides[of_update] = target.strides[axis]
+    place = w.place(updates)
+    with w.loops(updates.shape) as index:
+        at = [index[a] for a in batch_axes]
+        where = linear(start.at(at), index, strides)
+        asked = "" if good is None else f"if ({good.at(at)}) "
+        sign = "+=" if adds else "="
+        w.line(f"{asked}{target.buffer}[{where}] {sign} {place.at(index)};")
+    w.places[id(out)] = target
+
+
+def dynamic_update_slice(w: Writer, op: Op) -> None:
+    (of, part, *starts), (out,) = op.inputs, op.outputs
+    target = w.store(out, w.place(of))
+    begin = [
+        _clamped(w, w.number(s), n - m)
+        for s, n, m in zip(starts, of.shape, part.shape, strict=True)
+    ]
+    inner = View(
+        target.buffer, linear(0, begin, target.strides), target.strides, part.shape
+    )
+    place = w.place(part)
+    with w.loops(part.shape) as index:
+        w.line(f"{inner.at(index)} = {place.at(index)};")
+    w.places[id(out)] = target
+
+
+def reverse(w: Writer, op: Op) -> None:
+    (of,), (out,) = op.inputs, op.outputs
+    turned, place = set(op.params["dimensions"]), w.place(of)
+
+    def read(index: Index) -> str:
+        return place.at([
+            f"({out.shape[a] - 1} - ({i}))" if a in turned else i for a, i in enumerate(index)
+        ])
+
+    w.set(out, read)
+
+
+def iota(w: Writer, op: Op) -> None:
+    (out,), axis = op.outputs, op.params["dimension"]
+    w.set(out, lambda index: str(index[axis]))
+
+
+MOVED = {
+    "broadcast_in_dim": broadcast,
+    "squeeze": squeeze,
+    "transpose": transpose,
+    "slice": sliced,
+    "split": split,
+    "dynamic_slice": dynamic_slice,
+    "reshape": reshape,
+    "expand_dims": reshape,
+    "concatenate": concatenate,
+    "pad": pad,
+    "gather": gather,
+    "scatter": scatter,
+    "scatter-add": scatter,
+    "scatter_add": scatter,
+    "dynamic_update_slice": dynamic_update_slice,
+    "rev": reverse,
+    "iota": iota,
+}

@@ -1,0 +1,321 @@
+"""Writes C: where values are, loops over them, and the memory that they share."""
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from tomojax.native._program import Body, Op, Value
+
+C_TYPES = {
+    "float32": "float",
+    "float64": "double",
+    "int32": "int32_t",
+    "int64": "int64_t",
+    "uint32": "uint32_t",
+    "uint8": "uint8_t",
+    "int8": "int8_t",
+    "bool": "uint8_t",
+}
+
+Index = Sequence[str | int]
+
+# Tables begin on lines of a processor's memory.
+ALIGNED = 64
+
+# Operations that read each element of what they are given once: it need not be stored.
+READ_ONCE = {"reshape", "squeeze", "transpose", "expand_dims", "slice", "concatenate", "pad"}
+
+
+def c_type(dtype: np.dtype) -> str:
+    """Names C's type. **Raises:** `ValueError` for a type that no step has."""
+    if dtype.name not in C_TYPES:
+        raise ValueError(f"dtype: got {dtype}, expected one of {', '.join(C_TYPES)}")
+    return C_TYPES[dtype.name]
+
+
+def literal(value: np.generic | float, dtype: np.dtype) -> str:
+    """Writes a number in C, to the last bit."""
+    if dtype.kind != "f":
+        whole = int(value)
+        return f"({whole})" if whole > -(2**31) else "INT32_MIN"
+    number, suffix = float(value), "f" if dtype.itemsize == 4 else ""
+    if math.isnan(number):
+        return "NAN"
+    if math.isinf(number):
+        return "INFINITY" if number > 0 else "(-INFINITY)"
+    if number == int(number) and abs(number) < 1e6:
+        text = f"{number:.1f}{suffix}"
+    else:
+        text = f"{number.hex()}{suffix}"
+    return f"({text})" if number < 0 else text
+
+
+def linear(offset: str | int, index: Index, strides: Sequence[int]) -> str:
+    """Writes offset + Σ index · stride."""
+    whole, parts = 0, []
+    for at, stride in [(offset, 1), *zip(index, strides, strict=True)]:
+        if stride == 0 or at in (0, "0"):
+            continue
+        if isinstance(at, int):
+            whole += at * stride
+        else:
+            parts.append(at if stride == 1 else f"({at})*{stride}")
+    if whole or not parts:
+        parts.append(str(whole))
+    return " + ".join(parts)
+
+
+def row_major(shape: Sequence[int]) -> tuple[int, ...]:
+    """Returns the strides of an array without gaps."""
+    strides = itertools.accumulate(reversed(shape[1:]), lambda a, b: a * b, initial=1)
+    return tuple(strides)[::-1] if shape else ()
+
+
+@dataclass(frozen=True)
+class View:
+    """Elements of a buffer."""
+
+    buffer: str
+    offset: str | int
+    strides: tuple[int, ...]
+    shape: tuple[int, ...]
+
+    def at(self, index: Index) -> str:
+        return f"{self.buffer}[{linear(self.offset, index, self.strides)}]"
+
+    @property
+    def whole(self) -> bool:
+        """Whether the elements lie one after the other."""
+        full = row_major(self.shape)
+        return all(
+            a == b or n == 1 for a, b, n in zip(self.strides, full, self.shape, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """A value that is worked out where it is read."""
+
+    shape: tuple[int, ...]
+    read: Callable[[Index], str]
+
+    def at(self, index: Index) -> str:
+        return self.read(index)
+
+
+Place = View | Lazy
+
+
+class Writer:
+    """The text of one function."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[int, str]] = []
+        self.places: dict[int, Place] = {}
+        self.buffers: dict[str, tuple[str, int]] = {}
+        self.tables: list[np.ndarray] = []
+        self._offsets: dict[tuple, int] = {}
+        self._end = 0
+        self._names = itertools.count()
+        self._unit = 0
+        self._loops: list[tuple[int, int]] = []
+        self._uses: dict[int, int] = {}
+        self._reader: dict[int, Op] = {}
+        self._emit: Callable[[Writer, Op], None] | None = None
+
+    # What reads what.
+
+    def count(self, body: Body, again: bool = False) -> None:
+        """Counts how often each value is read; what a loop reads is read often."""
+        own = {id(v) for v in body.inputs}
+
+        def note(value: Value, op: Op | None, often: bool) -> None:
+            self._uses[id(value)] = self._uses.get(id(value), 0) + (2 if often else 1)
+            if op is not None:
+                self._reader[id(value)] = op
+
+        for op in body.ops:
+            for value in op.inputs:
+                note(value, op, again and id(value) not in own)
+            for inner in op.bodies:
+                self.count(inner, again=op.name in ("scan", "while"))
+            own |= {id(v) for v in op.outputs}
+        for value in body.outputs:
+            note(value, None, again and id(value) not in own)
+
+    def once(self, value: Value) -> bool:
+        """Whether a value is read once, element by element: it need not be stored."""
+        op = self._reader.get(id(value))
+        if op is None or self._uses.get(id(value), 0) != 1:
+            return False
+        if op.name in ELEMENTWISE:
+            return all(v.size == 1 or v.shape == value.shape for v in op.inputs)
+        if op.name == "broadcast_in_dim":
+            return op.outputs[0].size == value.size
+        return op.name in READ_ONCE or op.name.startswith("reduce_")
+
+    # Names and lines.
+
+    def name(self, kind: str) -> str:
+        return f"{kind}{next(self._names)}"
+
+    def line(self, text: str) -> None:
+        self.lines.append((self._unit, text))
+
+    def buffer(self, dtype: np.dtype, size: int) -> str:
+        name = self.name("b")
+        self.buffers[name] = c_type(dtype), max(1, size)
+        return name
+
+    @contextmanager
+    def block(self, head: str) -> Iterator[None]:
+        self.line(f"{head} {{")
+        yield
+        self.line("}")
+
+    @contextmanager
+    def loops(self, shape: Sequence[int], simd: str = "") -> Iterator[list[str | int]]:
+        """Opens a loop for each axis that is longer than 1; `simd` marks the innermost."""
+        index: list[str | int] = []
+        long = [axis for axis, n in enumerate(shape) if n != 1]
+        for axis, n in enumerate(shape):
+            if n == 1:
+                index.append(0)
+                continue
+            at = self.name("i")
+            if simd and axis == long[-1] and n >= 4:
+                self.line(f"#pragma omp simd {simd}")
+            self.line(f"for (int {at} = 0; {at} < {n}; {at}++) {{")
+            index.append(at)
+        yield index
+        if long:
+            self.line("}" * len(long))
+
+    @contextmanager
+    def repeated(self, head: str) -> Iterator[None]:
+        """Opens a loop around operations: what it reads lives until its end."""
+        start = self._unit
+        with self.block(head):
+            yield
+        self._unit += 1
+        self._loops.append((start, self._unit))
+
+    # Values.
+
+    def place(self, value: Value) -> Place:
+        found = self.places.get(id(value))
+        if found is None:
+            if value.known is None:
+                raise AssertionError("a value is read before it is made")
+            found = self.places[id(value)] = self._known(value)
+        return found
+
+    def at(self, value: Value, index: Index) -> str:
+        return self.place(value).at(index)
+
+    def number(self, value: Value) -> str:
+        """Gives the one element of a value."""
+        return self.place(value).at((0,) * len(value.shape))
+
+    def stored(self, value: Value) -> View:
+        """Returns a value's elements in memory; stores them where they are not."""
+        place = self.place(value)
+        if isinstance(place, Lazy) or not place.buffer:
+            place = self.store(value, place)
+            self.places[id(value)] = place
+        return place
+
+    def store(self, value: Value, place: Place, whole: bool = False) -> View:
+        """Copies elements into a buffer of their own."""
+        view = self.target(value)
+        with self.loops(value.shape) as index:
+            self.line(f"{view.at(index)} = {place.at(index)};")
+        return view
+
+    def contiguous(self, value: Value) -> View:
+        """Returns a value's elements one after the other."""
+        view = self.stored(value)
+        return view if view.whole else self.store(value, view)
+
+    def target(self, value: Value) -> View:
+        """Returns a new buffer for a value."""
+        name = self.buffer(value.dtype, value.size)
+        return View(name, 0, row_major(value.shape), value.shape)
+
+    def set(self, value: Value, read: Callable[[Index], str]) -> None:
+        """Gives a value by its elements: one number now, an array where it has to be."""
+        if value.size == 1:
+            name = self.name("s")
+            text = read((0,) * len(value.shape))
+            self.line(f"const {c_type(value.dtype)} {name} = {text};")
+            self.places[id(value)] = Lazy(value.shape, lambda _: name)
+        elif self.once(value):
+            self.places[id(value)] = Lazy(value.shape, read)
+        else:
+            self.places[id(value)] = self.store(value, Lazy(value.shape, read))
+
+    def _known(self, value: Value) -> Place:
+        array = np.ascontiguousarray(value.known)
+        dtype = value.dtype
+        if value.told and value.size == 1:
+            text = literal(array.ravel()[0], dtype)
+            return Lazy(value.shape, lambda _: text)
+        # One that repeats a number along an axis is stored without that axis.
+        key = array.dtype.str, array.shape, array.tobytes()
+        offset = self._offsets.get(key)
+        if offset is None:
+            offset = self._offsets[key] = self._end
+            self.tables.append(array)
+            self._end += -(-array.nbytes // ALIGNED) * ALIGNED
+        name = f"(({'const ' + c_type(dtype)} *)(T + {offset}))"
+        return View(name, 0, row_major(value.shape), value.shape)
+
+    @property
+    def table_bytes(self) -> int:
+        return self._end
+
+    # Bodies.
+
+    def body(self, body: Body, emit: Callable[["Writer", Op], None]) -> None:
+        for op in body.ops:
+            self._unit += 1
+            emit(self, op)
+        self._unit += 1
+
+    def text(self) -> str:
+        """Returns the lines, with buffers that are never in use together as one."""
+        first, last = {}, {}
+        for unit, text in self.lines:
+            for name in re.findall(r"\bb\d+\b", text):
+                first.setdefault(name, unit)
+                last[name] = unit
+        for start, end in self._loops:  # inner ones first
+            for name, begun in first.items():
+                if begun <= start and start < last[name] <= end:
+                    last[name] = end
+        free: dict[tuple[str, int], list[tuple[int, str]]] = {}
+        shared: dict[str, str] = {}
+        declared = []
+        for name in sorted(first, key=lambda n: first[n]):
+            kind = self.buffers[name]
+            spare = free.setdefault(kind, [])
+            at = next((i for i, (end, _) in enumerate(spare) if end < first[name]), None)
+            if at is None:
+                own = f"m{len(declared)}"
+                declared.append(f"{kind[0]} {own}[{kind[1]}] TJ_ALIGNED;")
+            else:
+                own = spare.pop(at)[1]
+            shared[name] = own
+            spare.append((last[name], own))
+        swap = lambda found: shared[found.group()]  # noqa: E731
+        lines = [re.sub(r"\bb\d+\b", swap, text) for _, text in self.lines]
+        return "\n".join(declared + lines)
+
+
+# Filled by the rooms of operations.
+ELEMENTWISE: dict[str, Callable] = {}
