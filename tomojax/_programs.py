@@ -176,12 +176,12 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _named(function: Callable, key: Any) -> str:
-    told = "\n".join([_source(), function.__module__, function.__qualname__, repr(key)])
+    told = "\n".join([source_digest(), function.__module__, function.__qualname__, repr(key)])
     return f"{function.__name__.strip('_')}-{hashlib.sha256(told.encode()).hexdigest()}"
 
 
 @functools.cache
-def _source() -> str:
+def source_digest() -> str:
     """Returns a digest of the package's files: a program belongs to its source code."""
     here = Path(__file__).parent
     # In a checkout `kernels/` lies beside this folder.

@@ -1,8 +1,6 @@
 """Keeps the programs that commands compile, in the user's cache folder; counts them."""
 
-import hashlib
 import os
-import platform
 import re
 import sys
 import warnings
@@ -10,20 +8,17 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import takewhile
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from tomojax._cache import cache_folder, drop_oldest
 from tomojax._whole import ours
 
 # Bytes of all folders together; the programs of `points` for one number of slots take 40
 # MB. JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
 # reads the times of all files again for each program that it writes.
 LIMIT = 512 << 20
-
-# The lines of /proc/cpuinfo that name the processor and its features, on x86 and ARM.
-_PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")
 
 # What JAX reports of each program.
 _LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
@@ -51,7 +46,7 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
         return
     # RuntimeError: the user has no home folder.
     with suppress(OSError, RuntimeError):
-        folder = _folder(kind)
+        folder = cache_folder(kind)
         if folder is None:
             return
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -61,7 +56,7 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
             return
         if not os.access(folder, os.W_OK):
             return
-        _drop_oldest(folder.parent, kind, limit)
+        drop_oldest(folder.parent, kind, limit)
         _drop_when_cut_short(folder)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
         os.environ["TOMOJAX_PROGRAMS"] = str(folder)  # see `tomojax._programs`
@@ -70,52 +65,6 @@ def keep_compiled(kind: str = "compiled", limit: int = LIMIT) -> None:
         # XLA prints two false alarms for each program that it loads: jax#36294, and
         # jax#38445 on processors with AVX-512. JAX raises real errors in Python as well.
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-
-
-def _folder(kind: str) -> Path | None:
-    """Names the folder after the versions and the processor; None where JAX crashes."""
-    from importlib.metadata import version
-
-    versions = {name: version(name) for name in ("jax", "jaxlib", "tomojax")}
-    if sys.platform == "darwin" and versions["jaxlib"].startswith(("0.8.", "0.9.")):
-        return None  # on macOS they run out of stack as they load a large program
-    made_with = "\n".join([*map(" ".join, versions.items()), *_processor()])
-    key = hashlib.sha256(made_with.encode()).hexdigest()[:12]
-    home = os.environ.get("XDG_CACHE_HOME", "")
-    cache = Path(home) if os.path.isabs(home) else Path.home() / ".cache"
-    return cache / "tomojax" / f"{kind}-{key}"
-
-
-def _processor() -> list[str]:
-    """Lists the processor's name and features, and the number of cores.
-
-    A program would crash on a processor without a feature that XLA compiled it for. XLA
-    also splits loops among the cores: a program compiled on one core stays on one core.
-    """
-    cores = os.cpu_count()
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    told = [platform.machine(), platform.processor(), f"{cores} cores"]
-    with suppress(OSError), open("/proc/cpuinfo") as file:
-        first = takewhile(str.strip, file)  # up to the blank line after the first core
-        told += [line for line in first if line.split("\t")[0] in _PROCESSOR]
-    return told
-
-
-def _drop_oldest(cache: Path, kind: str, limit: int) -> None:
-    """Removes the programs that were used longest ago, until the rest is under `limit`."""
-    found = []
-    for path in cache.glob(f"{kind}-*/*"):
-        with suppress(OSError):  # another command may have removed the file
-            about = path.stat()
-            found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
-    size = sum(size for _, size, _ in found)
-    for _, bytes_there, path in sorted(found):
-        if size <= limit:
-            break
-        with suppress(OSError):
-            path.unlink()
-        size -= bytes_there
 
 
 def _drop_when_cut_short(folder: Path) -> None:

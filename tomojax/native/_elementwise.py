@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tomojax.native._program import Op, Value
+from tomojax.native._program import Op
 from tomojax.native._writer import c_type, ELEMENTWISE, Index, literal, Writer
 
 
@@ -169,6 +169,3 @@ def identity(w: Writer, op: Op) -> None:
     for of, to in zip(op.inputs, op.outputs, strict=True):
         w.places[id(to)] = w.place(of)
 
-
-def typed(value: Value) -> str:
-    return c_type(value.dtype)

@@ -1,12 +1,18 @@
 """Writes branches and loops, and whole functions."""
 
-import numpy as np
-
 from tomojax.native._elementwise import elementwise, identity
 from tomojax.native._moves import MOVED
 from tomojax.native._program import Body, Op, Value
 from tomojax.native._sums import SUMS
-from tomojax.native._writer import c_type, ELEMENTWISE, Lazy, row_major, View, Writer
+from tomojax.native._writer import (
+    c_type,
+    ELEMENTWISE,
+    Lazy,
+    row_major,
+    Tables,
+    View,
+    Writer,
+)
 
 
 def emit(w: Writer, op: Op) -> None:
@@ -98,13 +104,15 @@ def while_(w: Writer, op: Op) -> None:
 _OTHERS = {**MOVED, **SUMS, "cond": cond, "scan": scan, "while": while_, "copy": identity}
 
 
-def function(name: str, body: Body) -> tuple[str, list[np.ndarray], int]:
-    """Writes a C function of a program.
+def function(name: str, body: Body, tables: Tables) -> str:
+    """Writes a program as a C function: `void name(const char *T, inputs ..., outputs ...)`.
 
-    Returns the text, the tables that it reads, and how many bytes these have:
-    `void name(const char *T, inputs ..., outputs ...)`, each a pointer.
+    All but T, the tables, are pointers to arrays. Outputs are written last: they may lie
+    where inputs do.
+
+    **Raises:** `ValueError` for an operation that has no C.
     """
-    w = Writer()
+    w = Writer(tables)
     w.count(body)
     arguments = ["const char *T"]
     for k, value in enumerate(body.inputs):
@@ -117,8 +125,7 @@ def function(name: str, body: Body) -> tuple[str, list[np.ndarray], int]:
         with w.loops(value.shape) as index:
             to = View(f"out{k}", 0, row_major(value.shape), value.shape)
             w.line(f"{to.at(index)} = {view.at(index)};")
-    head = f"static void {name}(\n    {', '.join(arguments)})"
-    return f"{head} {{\n{w.text()}\n}}\n", w.tables, w.table_bytes
+    return f"static void {name}(\n    {', '.join(arguments)}) {{\n{w.text()}\n}}\n"
 
 
 def _own(w: Writer, value: Value) -> View:

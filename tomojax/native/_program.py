@@ -37,6 +37,7 @@ class Value:
     shape: tuple[int, ...]
     dtype: np.dtype
     known: np.ndarray | None = None  # where it is part of the code or the tables
+    origin: Any = None  # the array that was given, where it is a constant of a closure
     told: bool = False  # whether it follows from shapes alone
     made_by: "Op | None" = None
 
@@ -79,12 +80,15 @@ class Body:
 
 
 def program_of(f: Callable, *examples: Any) -> Body:
-    """Traces `f` of flat arrays and gives its operations, without what nobody reads."""
+    """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads.
+
+    **Raises:** `ValueError` for an operation that XLA has and C has not, once it is written.
+    """
     closed = jax.make_jaxpr(f)(*examples)
     constants = [_constant(c, False) for c in closed.consts]
     inputs = [_fresh(v.aval) for v in closed.jaxpr.invars]
     ops: list[Op] = []
-    outputs = _inline(closed.jaxpr, constants + inputs, ops, {}, const=constants)
+    outputs = _inline(closed.jaxpr, constants + inputs, ops, {})
     body = Body(inputs, ops, outputs)
     _fold(body)
     _drop_unread(body)
@@ -96,12 +100,12 @@ def _fresh(aval: Any) -> Value:
 
 
 def _constant(array: Any, told: bool) -> Value:
-    array = np.asarray(array)
-    return Value(array.shape, array.dtype, array, told)
+    values = np.asarray(array)
+    return Value(values.shape, values.dtype, values, array, told)
 
 
 def _inline(
-    jaxpr: Any, given: Sequence[Value], ops: list[Op], seen: dict, const: Any = None
+    jaxpr: Any, given: Sequence[Value], ops: list[Op], seen: dict
 ) -> list[Value]:
     """Appends the operations of `jaxpr` to `ops`; returns its outputs."""
     names = [*jaxpr.constvars, *jaxpr.invars]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tomojax.native._program import Op, Value
-from tomojax.native._writer import c_type, Index, literal, Place, View, Writer
+from tomojax.native._writer import c_type, Index, literal, View, Writer
 
 # Fewer elements than this are not worth a loop of their own for each lane.
 _LANES = 4
@@ -237,5 +237,3 @@ SUMS = {
     "triangular_solve": triangular_solve,
     **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), cumulative),
 }
-
-__all__ = ["Place", "SUMS"]

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -111,22 +112,53 @@ class Lazy:
 Place = View | Lazy
 
 
+class Tables:
+    """Constants that the code reads: where each begins does not depend on their values."""
+
+    def __init__(self) -> None:
+        self._arrays: list[tuple[int, np.ndarray]] = []
+        self._offsets: dict[Any, int] = {}
+        self._held: list[Any] = []  # else another array could get the name of one that went
+        self.size = 0
+
+    def offset(self, value: Value) -> int:
+        """Returns where a constant begins, bytes; the same array is there once."""
+        array = np.ascontiguousarray(value.known)
+        alike = array.dtype.str, array.shape, array.tobytes()
+        origin = array if value.origin is None else value.origin
+        key = alike if value.told else id(origin)
+        if key not in self._offsets:
+            self._held.append(origin)
+            self._offsets[key] = self.size
+            self._arrays.append((self.size, array))
+            self.size += -(-array.nbytes // ALIGNED) * ALIGNED
+        return self._offsets[key]
+
+    def add(self, array: np.ndarray) -> int:
+        """Returns where an array of one's own begins, bytes."""
+        return self.offset(Value(array.shape, array.dtype, array, array))
+
+    def packed(self) -> bytes:
+        """Returns all tables, each on a line of memory of its own."""
+        whole = bytearray(self.size)
+        for start, array in self._arrays:
+            whole[start : start + array.nbytes] = array.tobytes()
+        return bytes(whole)
+
+
 class Writer:
     """The text of one function."""
 
-    def __init__(self) -> None:
+    def __init__(self, tables: Tables) -> None:
         self.lines: list[tuple[int, str]] = []
         self.places: dict[int, Place] = {}
         self.buffers: dict[str, tuple[str, int]] = {}
-        self.tables: list[np.ndarray] = []
-        self._offsets: dict[tuple, int] = {}
-        self._end = 0
+        self.tables = tables
         self._names = itertools.count()
         self._unit = 0
         self._loops: list[tuple[int, int]] = []
         self._uses: dict[int, int] = {}
         self._reader: dict[int, Op] = {}
-        self._emit: Callable[[Writer, Op], None] | None = None
 
     # What reads what.
 
@@ -225,7 +257,7 @@ class Writer:
     def stored(self, value: Value) -> View:
         """Returns a value's elements in memory; stores them where they are not."""
         place = self.place(value)
-        if isinstance(place, Lazy) or not place.buffer:
+        if isinstance(place, Lazy):
             place = self.store(value, place)
             self.places[id(value)] = place
         return place
@@ -260,24 +292,12 @@ class Writer:
             self.places[id(value)] = self.store(value, Lazy(value.shape, read))
 
     def _known(self, value: Value) -> Place:
-        array = np.ascontiguousarray(value.known)
-        dtype = value.dtype
-        if value.told and value.size == 1:
-            text = literal(array.ravel()[0], dtype)
+        if value.told and value.size == 1 and value.known is not None:
+            text = literal(value.known.ravel()[0], value.dtype)
             return Lazy(value.shape, lambda _: text)
-        # One that repeats a number along an axis is stored without that axis.
-        key = array.dtype.str, array.shape, array.tobytes()
-        offset = self._offsets.get(key)
-        if offset is None:
-            offset = self._offsets[key] = self._end
-            self.tables.append(array)
-            self._end += -(-array.nbytes // ALIGNED) * ALIGNED
-        name = f"(({'const ' + c_type(dtype)} *)(T + {offset}))"
+        kind, offset = c_type(value.dtype), self.tables.offset(value)
+        name = f"((const {kind} *)(T + {offset}))"
         return View(name, 0, row_major(value.shape), value.shape)
-
-    @property
-    def table_bytes(self) -> int:
-        return self._end
 
     # Bodies.
 

@@ -1,17 +1,21 @@
 """Makes steps from a sensor, a method and policies by their names."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from tomojax._require import one_of, require, require_whole
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
+from tomojax.step._kept import compiled, folder_of, kept, wanted
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
 from tomojax.step._policies import AbstractPolicy, policy as make_policy, policy_names
+from tomojax.step._runs import JaxRuns
 from tomojax.step._step import Step
+from tomojax.step._traced import Traced
 
 
 def make_step(
@@ -28,6 +32,7 @@ def make_step(
     good: Any = None,
     highest: float | None = None,
     tables: dict[str, AbstractPolicy] | None = None,
+    native: bool | None = None,
 ) -> Step:
     """Makes a compiled step: from one slot after another to contacts and the next ground.
 
@@ -43,8 +48,15 @@ def make_step(
     slots that are `hurried`. `calibration` is the rig's: its zeros and gains are taken off
     the readings. `good` (M,) marks the channels that are used. `highest` is |V| that no
     channel can have, V.
-    **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, and arrays of
-    wrong shape.
+
+    A step runs as C that a compiler makes of it, ten times as fast as JAX's program: where
+    a C compiler is there, on a processor. It is kept in the user's cache folder, so that the
+    same step is there at once the next time. `native` decides it: False for JAX's program,
+    True for C. The variable TOMOJAX_NATIVE=0 stands for False where nobody decides;
+    TOMOJAX_STEPS names the folder, and with nothing in it nothing is kept.
+
+    **Raises:** `ValueError` for unknown names, `contacts` outside 1 to 8, arrays of wrong
+    shape, and `native` where no compiler is there or it fails.
 
     **Example:**
 
@@ -68,34 +80,91 @@ def make_step(
     require(rate, "f_switch", f_switch, "slots/s, above 0")
     names = policy_names(policy)
     require(names, "policy", names, "at least one")
-    own = tables or {}
-
-    def made(name: str) -> AbstractStepMethod:
-        names = "follow", *METHODS  # some may be a user's own
-        require(name in names, "method", repr(name), one_of(name, names))
-        if name == "follow":
-            points = make_method(sensor, "points", grid, calibration)
-            assert isinstance(points, Points)
-            return Follow.of(points, contacts, used, f_switch)
-        found = make_method(sensor, name, grid, calibration)
-        value = found.choose_lambda([]) if lam is None else lam
-        return EachSlot.of(found, contacts, used, value)
-
-    main = made(method)
-    # Tables of what slots tell are of contacts that are followed.
-    by_place = main if isinstance(main, Follow) else None
-    if "information" in names and by_place is None:
-        by_place = made("follow")
-    policies = {
-        name: own[name] if name in own else make_policy(sensor, name, by_place)
-        for name in names
-    }
-    quick = None if cheaper is None else made(cheaper)
+    for name in [method] + ([] if cheaper is None else [cheaper]):
+        known = "follow", *METHODS  # some may be a user's own
+        require(name in known, "method", repr(name), one_of(name, known))
     drive = abs(float(sensor.drive_voltage))
     limit = 1.05 * drive if highest is None else float(highest)
     require(limit > 0, "highest", limit, "volts above 0")
-    known = Calibration() if calibration is None else calibration
-    return Step(sensor, main, quick, policies, used, limit, known)
+    rig = Calibration() if calibration is None else calibration
+    asked = Asked(
+        sensor, method, tuple(names), contacts, float(f_switch), grid, lam, cheaper, rig,
+        calibration is not None, used, limit, tables or {},
+    )  # fmt: skip
+    again = partial(_made, asked, native)
+    return again()
+
+
+class Asked(NamedTuple):
+    """What a step is made of, checked."""
+
+    sensor: Sensor
+    method: str
+    names: tuple[str, ...]
+    contacts: int
+    f_switch: float
+    grid: int | None
+    lam: float | None
+    cheaper: str | None
+    calibration: Calibration
+    calibrated: bool
+    used: Bool[np.ndarray, " M"]
+    highest: float
+    tables: dict[str, AbstractPolicy]
+
+
+def _made(asked: Asked, native: bool | None) -> Step:
+    """Reads a step that was kept, or makes one; C where it is wanted and can be had."""
+    again = partial(_made, asked, native)
+    if not (wanted() if native is None else native):
+        return _of_jax(_traced(asked), again)
+    # A method or a policy that is a user's own is code that no digest knows.
+    kinds = [METHODS[n] for n in (asked.method, asked.cheaper) if n in METHODS]
+    kinds += [type(policy) for policy in asked.tables.values()]
+    ours = all(kind.__module__.startswith("tomojax.") for kind in kinds)
+    folder = folder_of(asked) if ours else None
+    found = kept(folder)
+    if found is None:
+        traced = _traced(asked)
+        try:
+            found = compiled(traced, folder)
+        except ValueError:
+            if native:
+                raise
+            return _of_jax(traced, again)
+    return Step(*found, again)
+
+
+def _of_jax(traced: Traced, again: Callable[[], Step]) -> Step:
+    return Step(traced.about, JaxRuns(traced), again)
+
+
+def _traced(asked: Asked) -> Traced:
+    sensor, used = asked.sensor, asked.used
+    calibration = asked.calibration if asked.calibrated else None
+
+    def made(name: str) -> AbstractStepMethod:
+        if name == "follow":
+            points = make_method(sensor, "points", asked.grid, calibration)
+            assert isinstance(points, Points)
+            return Follow.of(points, asked.contacts, used, asked.f_switch)
+        found = make_method(sensor, name, asked.grid, calibration)
+        value = found.choose_lambda([]) if asked.lam is None else asked.lam
+        return EachSlot.of(found, asked.contacts, used, value)
+
+    main = made(asked.method)
+    # Tables of what slots tell are of contacts that are followed.
+    by_place = main if isinstance(main, Follow) else None
+    if "information" in asked.names and by_place is None:
+        by_place = made("follow")
+    own = asked.tables
+    policies = {
+        name: own[name] if name in own else make_policy(sensor, name, by_place)
+        for name in asked.names
+    }
+    quick = None if asked.cheaper is None else made(asked.cheaper)
+    limits = asked.highest, asked.calibration
+    return Traced(sensor, main, quick, policies, used, *limits)
 
 
 def check_followed(contacts: int) -> None:

@@ -64,6 +64,12 @@ class Packing:
             at = slice(start, ends[number]) if shape else start
             kept = number or kind == np.int32
             self._leaves.append(Leaf(number, at, shape, kind, kept))
+        self._sizes = ends[True], ends[False]
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many numbers and whole numbers there are."""
+        return self._sizes
 
     def pack(self, tree: Any) -> Packed:
         """Packs a pytree into two arrays; compiled."""

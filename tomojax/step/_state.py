@@ -2,10 +2,11 @@
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._shown import tuple_shown
-from tomojax.kernels.images import Contacts
+from tomojax.kernels.images import Contacts, no_contacts
 from tomojax.step._policies import Plan
 
 
@@ -42,6 +43,12 @@ class Output(NamedTuple):
         return tuple_shown(self, residual=("V", 1.0))
 
 
+def silent(contacts: int, dtype: Any) -> Output:
+    """Returns an output without a contact: every output has its shapes and types."""
+    none = jnp.zeros((), jnp.int32)
+    return Output(no_contacts(contacts, dtype), jnp.zeros((), dtype), none, none)
+
+
 class Read(NamedTuple):
     """A slot, corrected and checked."""
 
@@ -70,3 +77,19 @@ class Remembered(NamedTuple):
     doubt: Doubt
     last: Slot
     used: Bool[Array, " M"]
+
+
+class About(NamedTuple):
+    """The facts of a step that its face needs; arithmetic is in `Traced`, or in C."""
+
+    electrode_count: int
+    condition_count: int
+    contact_count: int
+    policies: tuple[str, ...]
+    dtype: str
+    method: str
+    # Where the plan is among the state's whole numbers.
+    policy_at: int
+    length_at: int
+    ground_at: int  # the first ground
+    image: tuple[int, int]  # pixels

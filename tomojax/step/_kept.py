@@ -1,0 +1,124 @@
+"""Keeps compiled steps in the user's cache folder, by all that they were made of."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from tomojax._cache import cache_folder, drop_oldest
+from tomojax._programs import source_digest
+from tomojax._whole import ours
+from tomojax.native import compile_c, compiler
+from tomojax.step._native import write_code
+from tomojax.step._runs import NativeRuns
+from tomojax.step._state import About
+from tomojax.step._traced import Traced
+
+# The environment variable that names the folder of kept steps; empty, none are kept. And
+# the one that says whether steps run as C where nobody asks: "0" for not.
+FOLDER, WANTED = "TOMOJAX_STEPS", "TOMOJAX_NATIVE"
+
+# Bytes of all kept steps: one of 64 electrodes takes 23 MB, nearly all of it tables.
+LIMIT = 512 << 20
+
+# The files of a kept step.
+_LIBRARY, _TABLES, _ABOUT = "step.so", "step.tables", "about.json"
+
+
+def wanted() -> bool:
+    """Whether steps run as C where nobody says so: on a processor, with a compiler."""
+    asked = os.environ.get(WANTED, "1") != "0"
+    return asked and jax.default_backend() == "cpu" and compiler() is not None
+
+
+def folder_of(made_of: Any) -> Path | None:
+    """Names the folder of a step by what it is made of; None where none can be kept.
+
+    A class of the caller's own is code that no digest knows, and what lies in a folder that
+    others can write would be run.
+    """
+    place = os.environ.get(FOLDER)
+    if place == "":
+        return None
+    with suppress(OSError, RuntimeError):  # RuntimeError: the user has no home folder
+        root = cache_folder("steps") if place is None else Path(place)
+        key = _digest(made_of)
+        if root is None or key is None:
+            return None
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if ours(root) and os.access(root, os.W_OK):
+            return root / key
+    return None
+
+
+def kept(folder: Path | None) -> tuple[About, NativeRuns] | None:
+    """Reads a step that was kept; None where none is there, or it cannot be read."""
+    if folder is None or not (folder / _ABOUT).exists():
+        return None
+    try:
+        return _read(folder, 0)
+    except (OSError, ValueError, TypeError, KeyError):
+        shutil.rmtree(folder, ignore_errors=True)  # it was cut short, or is damaged
+        return None
+
+
+def compiled(traced: Traced, folder: Path | None) -> tuple[About, NativeRuns]:
+    """Compiles a step, and keeps it where there is a folder for it.
+
+    **Raises:** `ValueError` where an operation has no C, or the compiler fails.
+    """
+    code = write_code(traced)
+    home = tempfile.mkdtemp(prefix=".making-", dir=None if folder is None else folder.parent)
+    part = Path(home)
+    try:
+        (part / "tomojax_step.h").write_text(code.header)
+        (part / "step.c").write_text(code.source)
+        compile_c(part / "step.c", part / _LIBRARY, "-march=native")
+        (part / _TABLES).write_bytes(code.tables)
+        about = {**traced.about._asdict(), "code": code.name}
+        (part / _ABOUT).write_text(json.dumps(about))
+        if folder is not None:
+            # Another process may have been quicker.
+            with suppress(OSError):
+                part.rename(folder)
+                part = folder
+            drop_oldest(folder.parent.parent, "steps", LIMIT)
+        return _read(part, traced.traces)
+    finally:
+        if part != folder:  # what is mapped stays until the process ends
+            shutil.rmtree(home, ignore_errors=True)
+
+
+def _read(folder: Path, traces: int) -> tuple[About, NativeRuns]:
+    told = json.loads((folder / _ABOUT).read_text())
+    name = told.pop("code")
+    told["policies"], told["image"] = tuple(told["policies"]), tuple(told["image"])
+    about = About(**told)
+    runs = NativeRuns(about, folder / _LIBRARY, folder / _TABLES, name, traces)
+    with suppress(OSError):
+        os.utime(folder / _TABLES, (time.time(),) * 2)  # used: the oldest go first
+    return about, runs
+
+
+def _digest(made_of: Any) -> str | None:
+    """Digests what a step is made of; None where it holds what no digest knows."""
+    arrays, still = eqx.partition(made_of, eqx.is_array_like)
+    leaves, tree = jax.tree.flatten(arrays)
+    told = repr((tree, jax.tree.leaves(still), jax.config.jax_enable_x64))  # pyright: ignore
+    if re.search(r" at 0x[0-9a-f]+>", told):
+        return None
+    digest = hashlib.sha256((source_digest() + told).encode())
+    for leaf in leaves:
+        array = np.ascontiguousarray(leaf)
+        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()[:40]
