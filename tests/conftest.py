@@ -18,6 +18,8 @@ _QUICK = (
 )
 os.environ.setdefault("XLA_FLAGS", " ".join(_QUICK))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A step runs as C only where that is what is tested: a compiler takes seconds for each.
+os.environ.setdefault("TOMOJAX_NATIVE", "0")
 # What one process compiles serves the others, workers and commands that tests start, and
 # later runs: a folder of the user's, by versions and processor.
 if "PYTEST_XDIST_WORKER" not in os.environ:

@@ -45,8 +45,10 @@ def _processor() -> list[str]:
 def drop_oldest(cache: Path, kind: str, limit: int) -> None:
     """Removes the programs that were used longest ago, until the rest is under `limit`."""
     found = []
-    for path in cache.glob(f"{kind}-*/*"):
+    for path in cache.glob(f"{kind}-*/**/*"):
         with suppress(OSError):  # another command may have removed the file
+            if path.is_dir():
+                continue
             about = path.stat()
             found.append((max(about.st_atime, about.st_mtime), about.st_size, path))
     size = sum(size for _, size, _ in found)

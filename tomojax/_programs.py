@@ -176,7 +176,9 @@ def _is_array(leaf: Any) -> bool:
 
 
 def _named(function: Callable, key: Any) -> str:
-    told = "\n".join([source_digest(), function.__module__, function.__qualname__, repr(key)])
+    told = "\n".join(
+        [source_digest(), function.__module__, function.__qualname__, repr(key)]
+    )
     return f"{function.__name__.strip('_')}-{hashlib.sha256(told.encode()).hexdigest()}"
 
 

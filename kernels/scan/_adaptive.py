@@ -181,10 +181,14 @@ def around(
 def nearest_electrodes(
     targets: Float[Array, "T 2"], electrode_xy: Float[Array, "M 2"]
 ) -> Int[Array, " T"]:
-    """Picks for each target in turn the nearest electrode not yet taken."""
+    """Picks for each target in turn the nearest electrode not yet taken.
+
+    Of two that are equally near it is the first: rounding must not decide between them.
+    """
+    unit = 1e-4 * smallest_pitch(electrode_xy) ** 2
 
     def take(free: Array, target: Array) -> tuple[Array, Array]:
-        away = jnp.sum((electrode_xy - target) ** 2, 1)
+        away = jnp.round(jnp.sum((electrode_xy - target) ** 2, 1) / unit)
         chosen = jnp.argmin(jnp.where(free, away, jnp.inf))
         return free.at[chosen].set(False), chosen
 

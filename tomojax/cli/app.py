@@ -13,7 +13,7 @@ from tomojax.cli.compiled import keep_compiled
 from tomojax.cli.demo import demo
 from tomojax.cli.recordings import info, reconstruct, repair
 from tomojax.cli.results import export, track, view
-from tomojax.cli.rigs import calibrate, check, live, record
+from tomojax.cli.rigs import calibrate, check, compile_step, live, record
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -39,7 +39,9 @@ def app(context: click.Context, no_cache: bool) -> None:
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
     if not any(name in os.environ for name in names):
         os.environ.update(dict.fromkeys(names, "1"))
-    if not no_cache:
+    if no_cache:
+        os.environ["TOMOJAX_STEPS"] = ""
+    else:
         keep_compiled()
 
 
@@ -56,6 +58,7 @@ for command in (
     view,
     record,
     live,
+    compile_step,
     design,
     *studies(),
 ):

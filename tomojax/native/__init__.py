@@ -13,6 +13,7 @@ from tomojax.native._library import (
     compiler as compiler,
     FLAGS as FLAGS,
     make_archive as make_archive,
+    PLAIN as PLAIN,
 )
 from tomojax.native._program import program_of as program_of
 from tomojax.native._writer import c_type as c_type, Tables as Tables
@@ -26,6 +27,7 @@ __all__ = [
     "FLAGS",
     "function",
     "make_archive",
+    "PLAIN",
     "PRELUDE",
     "program_of",
     "Tables",

@@ -142,8 +142,7 @@ ELEMENTWISE.update(
     lt=_compared("<"), le=_compared("<="), gt=_compared(">"), ge=_compared(">="),
     eq=_compared("=="), ne=_compared("!="), convert_element_type=_converted,
     select_n=_select, bitcast_convert_type=_bits, **{"not": _not},
-    **{n: (lambda s: lambda op, a, b: f"({a} {s} {b})")(s)
-       for n, s in (("and", "&"), ("or", "|"), ("xor", "^"))},
+    **{n: _compared(s) for n, s in (("and", "&"), ("or", "|"), ("xor", "^"))},
 )  # fmt: skip
 
 
@@ -168,4 +167,3 @@ def identity(w: Writer, op: Op) -> None:
     """Gives values other names."""
     for of, to in zip(op.inputs, op.outputs, strict=True):
         w.places[id(to)] = w.place(of)
-

@@ -67,8 +67,9 @@ def scan(w: Writer, op: Op) -> None:
         for value, view in zip(body.inputs[count:], rows, strict=True):
             w.places[id(value)] = _row(view, at)
         w.body(body, emit)
-        _carry(w, body.outputs[:count], state)
+        # Rows first: they may be of the state as it was.
         _copied(w, body.outputs[count:], [_row(v, at) for v in results])
+        _carry(w, body.outputs[:count], state)
     for value, view in zip(op.outputs, state + results, strict=True):
         w.places[id(value)] = view
 
@@ -105,7 +106,7 @@ _OTHERS = {**MOVED, **SUMS, "cond": cond, "scan": scan, "while": while_, "copy":
 
 
 def function(name: str, body: Body, tables: Tables) -> str:
-    """Writes a program as a C function: `void name(const char *T, inputs ..., outputs ...)`.
+    """Writes a program as C: `void name(const char *T, inputs ..., outputs ...)`.
 
     All but T, the tables, are pointers to arrays. Outputs are written last: they may lie
     where inputs do.
@@ -129,7 +130,7 @@ def function(name: str, body: Body, tables: Tables) -> str:
 
 
 def _own(w: Writer, value: Value) -> View:
-    """Returns an output in memory that is no input's: outputs may be written over inputs."""
+    """Returns an output apart from all inputs: it may be written over them."""
     place = w.place(value)
     if isinstance(place, Lazy) or place.buffer.startswith("in"):
         return w.store(value, place)

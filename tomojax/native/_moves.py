@@ -122,6 +122,12 @@ def _part(w: Writer, op: Op, of: Value, out: Value, start: Any, step: Any) -> No
 
 def reshape(w: Writer, op: Op) -> None:
     (of, *_), (out,) = op.inputs, op.outputs
+    order = op.params.get("dimensions") if op.name == "reshape" else None
+    if order is not None and tuple(order) != tuple(range(len(of.shape))):
+        # JAX says with it that axes change places first.
+        turned = Value(tuple(of.shape[a] for a in order), of.dtype)
+        transpose(w, Op("transpose", {"permutation": order}, [of], [turned]))
+        of = turned
     if of.size == 1:
         number = w.number(of)
         w.places[id(out)] = Lazy(out.shape, lambda _: number)
@@ -190,15 +196,21 @@ def gather(w: Writer, op: Op) -> None:
     fills = "FILL" in str(op.params["mode"])
     window_axes = list(map(int, numbers.offset_dims))
     batch_axes = [a for a in range(len(out.shape)) if a not in window_axes]
-    gone = {*map(int, numbers.collapsed_slice_dims), *map(int, numbers.operand_batching_dims)}
+    gone = {
+        *map(int, numbers.collapsed_slice_dims),
+        *map(int, numbers.operand_batching_dims),
+    }
     kept = [a for a in range(len(of.shape)) if a not in gone]
     batch = [out.shape[a] for a in batch_axes]
-    view = w.stored(of)
+    # The last axis must be whole: its columns have a lowest value and a step each.
+    columns = kept[-1:] == [len(of.shape) - 1] and sizes[-1] == of.shape[-1]
+    half = w.half(of) if columns else None
+    view = w.stored(of) if half is None else half[0]
     start, good = _starts(w, view, of, indices, numbers, sizes, batch, fills)
     strides = [0] * len(out.shape)
     for to, axis in zip(window_axes, kept, strict=True):
         strides[to] = view.strides[axis]
-    if int(np.prod(batch)) == 1 and not fills:
+    if int(np.prod(batch)) == 1 and not fills and half is None:
         offset = f"{start.at([0] * len(batch))} + {view.offset}"
         w.places[id(out)] = View(view.buffer, offset, tuple(strides), out.shape)
         return
@@ -208,6 +220,9 @@ def gather(w: Writer, op: Op) -> None:
         at = [index[a] for a in batch_axes]
         where = linear(f"{start.at(at)} + {view.offset}", index, strides)
         text = f"{view.buffer}[{where}]"
+        if half is not None:
+            column = index[window_axes[-1]]
+            text = f"({half[1]}[{column}] + {half[2]}[{column}] * {text})"
         return text if good is None else f"({good.at(at)} ? {text} : {missing})"
 
     w.set(out, read)
@@ -275,7 +290,10 @@ def scatter(w: Writer, op: Op) -> None:
     if op.name not in ("scatter", "scatter-add", "scatter_add"):
         raise ValueError(f"operation: got {op.name}, expected scatter or scatter-add")
     window_axes = list(map(int, numbers.update_window_dims))
-    gone = {*map(int, numbers.inserted_window_dims), *map(int, numbers.operand_batching_dims)}
+    gone = {
+        *map(int, numbers.inserted_window_dims),
+        *map(int, numbers.operand_batching_dims),
+    }
     kept = [a for a in range(len(of.shape)) if a not in gone]
     sizes = [1] * len(of.shape)
     for axis, of_update in zip(kept, window_axes, strict=True):
@@ -319,9 +337,12 @@ def reverse(w: Writer, op: Op) -> None:
     turned, place = set(op.params["dimensions"]), w.place(of)
 
     def read(index: Index) -> str:
-        return place.at([
-            f"({out.shape[a] - 1} - ({i}))" if a in turned else i for a, i in enumerate(index)
-        ])
+        return place.at(
+            [
+                f"({out.shape[a] - 1} - ({i}))" if a in turned else i
+                for a, i in enumerate(index)
+            ]
+        )
 
     w.set(out, read)
 

@@ -104,9 +104,7 @@ def _constant(array: Any, told: bool) -> Value:
     return Value(values.shape, values.dtype, values, array, told)
 
 
-def _inline(
-    jaxpr: Any, given: Sequence[Value], ops: list[Op], seen: dict
-) -> list[Value]:
+def _inline(jaxpr: Any, given: Sequence[Value], ops: list[Op], seen: dict) -> list[Value]:
     """Appends the operations of `jaxpr` to `ops`; returns its outputs."""
     names = [*jaxpr.constvars, *jaxpr.invars]
     values: dict[Any, Value] = dict(zip(names, given, strict=True))
@@ -198,10 +196,13 @@ def _body(closed: Any, inputs: list[Value], args: list[Value], seen: dict) -> Bo
 
 def _once(equation: Any, args: list[Value], ops: list[Op], seen: dict) -> list[Value]:
     """Appends an operation, or finds the same one again."""
-    inside = any(hasattr(p, "eqns") or hasattr(p, "jaxpr") for p in equation.params.values())
+    inside = any(
+        hasattr(p, "eqns") or hasattr(p, "jaxpr") for p in equation.params.values()
+    )
     about = str(equation.params) if not inside else id(equation)
     which = [
-        (a.dtype.str, a.known.tobytes()) if a.told and a.size == 1 and a.known is not None
+        (a.dtype.str, a.known.tobytes())
+        if a.told and a.size == 1 and a.known is not None
         else id(a)
         for a in args
     ]
@@ -271,9 +272,7 @@ def _fold(body: Body) -> None:
 
 
 def _evaluate(known: list[Op], needed: list[Value]) -> None:
-    constants = {
-        id(v): v for op in known for v in op.inputs if v.known is not None
-    }
+    constants = {id(v): v for op in known for v in op.inputs if v.known is not None}
 
     def run(given: dict[int, Any]) -> list[Any]:
         env = dict(given)

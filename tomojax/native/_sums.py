@@ -189,9 +189,7 @@ def triangular_solve(w: Writer, op: Op) -> None:
     kind, turned, unit = c_type(out.dtype), params["transpose_a"], params["unit_diagonal"]
     flags = ", ".join(str(int(bool(f))) for f in (lower, turned, unit))
     matrix = f"&{view.buffer}[{view.offset}]"
-    w.line(
-        f"tj_triangular_{kind}({n}, {b.shape[1]}, {matrix}, {target.buffer}, {flags});"
-    )
+    w.line(f"tj_triangular_{kind}({n}, {b.shape[1]}, {matrix}, {target.buffer}, {flags});")
     w.places[id(out)] = target
 
 
@@ -215,7 +213,11 @@ def cumulative(w: Writer, op: Op) -> None:
         with w.block(f"for (int {i} = 1; {i} < {n}; {i}++)"):
             where = at(f"({n - 1} - {i})" if back else i)
             new = place.at(where)
-            text = f"{sum_} {sign} {new}" if sign in "+*" else f"tj_{sign}_{kind}({sum_}, {new})"
+            text = (
+                f"{sum_} {sign} {new}"
+                if sign in "+*"
+                else f"tj_{sign}_{kind}({sum_}, {new})"
+            )
             w.line(f"{sum_} = {text};")
             w.line(f"{target.at(where)} = {sum_};")
     w.places[id(out)] = target

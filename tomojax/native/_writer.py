@@ -20,16 +20,28 @@ C_TYPES = {
     "uint32": "uint32_t",
     "uint8": "uint8_t",
     "int8": "int8_t",
-    "bool": "uint8_t",
+    # As wide as most numbers: loops that mix widths are slower, and GCC 12.2 gets some wrong.
+    "bool": "int32_t",
 }
 
 Index = Sequence[str | int]
+
+# Elements of a table that is worth storing in half as many bits.
+_LARGE = 1 << 16
 
 # Tables begin on lines of a processor's memory.
 ALIGNED = 64
 
 # Operations that read each element of what they are given once: it need not be stored.
-READ_ONCE = {"reshape", "squeeze", "transpose", "expand_dims", "slice", "concatenate", "pad"}
+READ_ONCE = {
+    "reshape",
+    "squeeze",
+    "transpose",
+    "expand_dims",
+    "slice",
+    "concatenate",
+    "pad",
+}
 
 
 def c_type(dtype: np.dtype) -> str:
@@ -43,7 +55,8 @@ def literal(value: np.generic | float, dtype: np.dtype) -> str:
     """Writes a number in C, to the last bit."""
     if dtype.kind != "f":
         whole = int(value)
-        return f"({whole})" if whole > -(2**31) else "INT32_MIN"
+        least = {-(2**31): "INT32_MIN", -(2**63): "INT64_MIN"}
+        return least.get(whole, f"({whole})")
     number, suffix = float(value), "f" if dtype.itemsize == 4 else ""
     if math.isnan(number):
         return "NAN"
@@ -113,17 +126,25 @@ Place = View | Lazy
 
 
 class Tables:
-    """Constants that the code reads: where each begins does not depend on their values."""
+    """Constants that the code reads: where each begins does not depend on their values.
 
-    def __init__(self) -> None:
+    `halved`: large ones that are gathered from are stored in 16 bits, between the lowest and
+    the highest value of each column.
+    """
+
+    def __init__(self, halved: bool = False) -> None:
+        self.halved = halved
         self._arrays: list[tuple[int, np.ndarray]] = []
         self._offsets: dict[Any, int] = {}
+        self._halves: dict[Any, Any] = {}
         self._held: list[Any] = []  # else another array could get the name of one that went
         self.size = 0
 
     def offset(self, value: Value) -> int:
         """Returns where a constant begins, bytes; the same array is there once."""
         array = np.ascontiguousarray(value.known)
+        if array.dtype == np.bool_:
+            array = array.astype(np.int32)
         alike = array.dtype.str, array.shape, array.tobytes()
         origin = array if value.origin is None else value.origin
         key = alike if value.told else id(origin)
@@ -133,6 +154,19 @@ class Tables:
             self._arrays.append((self.size, array))
             self.size += -(-array.nbytes // ALIGNED) * ALIGNED
         return self._offsets[key]
+
+    def half(self, value: Value) -> tuple[int, int, int]:
+        """Returns where a constant in 16 bits begins, its columns' lowest values and steps."""
+        array = np.asarray(value.known)
+        key = "half", id(array if value.origin is None else value.origin)
+        if key not in self._halves:
+            flat = array.reshape(-1, array.shape[-1]).astype(np.float64)
+            low = flat.min(0)
+            step = (flat.max(0) - low) / (2**16 - 1)
+            codes = np.rint((array - low) / np.where(step > 0, step, 1)).astype(np.uint16)
+            parts = codes, low.astype(array.dtype), step.astype(array.dtype)
+            self._halves[key] = tuple(self.add(part) for part in parts)
+        return self._halves[key]
 
     def add(self, array: np.ndarray) -> int:
         """Returns where an array of one's own begins, bytes."""
@@ -159,6 +193,7 @@ class Writer:
         self._loops: list[tuple[int, int]] = []
         self._uses: dict[int, int] = {}
         self._reader: dict[int, Op] = {}
+        self._other: set[int] = set()  # values that are read otherwise than by `gather`
 
     # What reads what.
 
@@ -170,6 +205,8 @@ class Writer:
             self._uses[id(value)] = self._uses.get(id(value), 0) + (2 if often else 1)
             if op is not None:
                 self._reader[id(value)] = op
+            if op is None or op.name != "gather":
+                self._other.add(id(value))
 
         for op in body.ops:
             for value in op.inputs:
@@ -190,6 +227,17 @@ class Writer:
         if op.name == "broadcast_in_dim":
             return op.outputs[0].size == value.size
         return op.name in READ_ONCE or op.name.startswith("reduce_")
+
+    def half(self, value: Value) -> tuple[View, str, str] | None:
+        """Returns codes of a large constant, lowest values and steps of its last axis."""
+        large = value.known is not None and value.size >= _LARGE and not value.told
+        fits = large and value.dtype.kind == "f" and len(value.shape) > 1
+        if not (self.tables.halved and fits) or id(value) in self._other:
+            return None
+        codes, low, step = self.tables.half(value)
+        kind = c_type(value.dtype)
+        view = View(f"((const uint16_t *)(T + {codes}))", 0, row_major(value.shape), value.shape)
+        return view, f"((const {kind} *)(T + {low}))", f"((const {kind} *)(T + {step}))"
 
     # Names and lines.
 

@@ -12,11 +12,12 @@ from tomojax.step._policies import (
     POLICIES as POLICIES,
 )
 from tomojax.step._state import Output as Output
-from tomojax.step._step import Step as Step
+from tomojax.step._step import compile as compile, Step as Step
 from tomojax.step._tables import load_policy as load_policy, save_policy as save_policy
 
 __all__ = [
     "ADAPTIVE",
+    "compile",
     "load_policy",
     "Lookup",
     "make_step",

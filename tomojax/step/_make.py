@@ -10,12 +10,11 @@ from jaxtyping import Array, Bool
 from tomojax._require import one_of, require, require_whole
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
-from tomojax.step._kept import compiled, folder_of, kept, wanted
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
 from tomojax.step._policies import AbstractPolicy, policy as make_policy, policy_names
-from tomojax.step._runs import JaxRuns
 from tomojax.step._step import Step
 from tomojax.step._traced import Traced
+from tomojax.step.c import compiled, folder_of, JaxRuns, kept, wanted
 
 
 def make_step(
@@ -115,9 +114,9 @@ class Asked(NamedTuple):
 
 def _made(asked: Asked, native: bool | None) -> Step:
     """Reads a step that was kept, or makes one; C where it is wanted and can be had."""
-    again = partial(_made, asked, native)
+    again, trace = partial(_made, asked, native), partial(_traced, asked)
     if not (wanted() if native is None else native):
-        return _of_jax(_traced(asked), again)
+        return _of_jax(trace(), again)
     # A method or a policy that is a user's own is code that no digest knows.
     kinds = [METHODS[n] for n in (asked.method, asked.cheaper) if n in METHODS]
     kinds += [type(policy) for policy in asked.tables.values()]
@@ -125,18 +124,18 @@ def _made(asked: Asked, native: bool | None) -> Step:
     folder = folder_of(asked) if ours else None
     found = kept(folder)
     if found is None:
-        traced = _traced(asked)
+        traced = trace()
         try:
             found = compiled(traced, folder)
         except ValueError:
             if native:
                 raise
             return _of_jax(traced, again)
-    return Step(*found, again)
+    return Step(*found, again, trace)
 
 
 def _of_jax(traced: Traced, again: Callable[[], Step]) -> Step:
-    return Step(traced.about, JaxRuns(traced), again)
+    return Step(traced.about, JaxRuns(traced), again, lambda: traced)
 
 
 def _traced(asked: Asked) -> Traced:

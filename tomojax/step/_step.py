@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from tomojax._require import require
 from tomojax._shown import named
 from tomojax.step._packing import Packed, packed, Packing, State
-from tomojax.step._runs import AbstractRuns
+from tomojax.step._traced import Traced
+from tomojax.step.c import AbstractRuns, write_folder
 from tomojax.step._saving import load_state, save_state
 from tomojax.step._state import About, Output, silent
 
@@ -41,8 +42,14 @@ class Step:
     >>> state, out = step(step.load("state.npz"), volts[1], 15)  # goes on
     """
 
-    def __init__(self, about: About, runs: AbstractRuns, again: Callable[[], "Step"]):
-        self.about, self._runs, self._again = about, runs, again
+    def __init__(
+        self,
+        about: About,
+        runs: AbstractRuns,
+        again: Callable[[], "Step"],
+        trace: Callable[[], Traced],
+    ):
+        self.about, self._runs, self._again, self._trace = about, runs, again, trace
         self.electrode_count = about.electrode_count
         self.condition_count = about.condition_count
         self.contact_count = about.contact_count
@@ -133,6 +140,42 @@ class Step:
         whole[self.about.policy_at] = self.policies.index(policy)
         whole[self.about.length_at] = 0
         return self._runs.given(Packed(np.asarray(numbers), whole))
+
+
+def compile(  # noqa: A001
+    step: Step,
+    folder: Path | str,
+    *,
+    march: str = "native",
+    libraries: bool = True,
+    halved: bool = True,
+) -> str:
+    """Writes a step as a folder of C99: for programs and boards without Python.
+
+    The folder gets `step.c` and `tomojax_step.h`: code, which serves every rig of the same
+    shape; `step.tables`: the numbers of this one; `libtomojax_step.so` and `.a`, made by the
+    compiler that is there (CC, cc, gcc or clang) for the processor `march`; `example.c`,
+    which reads slots from standard input; `tomojax_step.hpp` for C++17; `CMakeLists.txt` and
+    `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX says of each, which
+    `check.c` runs. Without `libraries` no compiler is needed. `halved`
+    tables have 16 bits a number where they are largest: places move by half a micrometre.
+
+    Returns the name of the code, which its tables have to have.
+
+    **Raises:** `ValueError` for a folder that holds other files, for a step with an
+    operation that has no C, and where no compiler is there or it fails.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> step = tx.make_step(sensor, "source", ["all"], contacts=1, grid=8)
+    >>> name = tx.step.compile(step, "step", libraries=False)
+    >>> from pathlib import Path
+    >>> sorted(path.name for path in Path("step").glob("*.h*"))
+    ['tomojax_step.h', 'tomojax_step.hpp']
+    """
+    return write_folder(step._trace(), Path(folder), march, libraries, halved).name
 
 
 def _made_again(again: Callable[[], Step]) -> Step:

@@ -41,6 +41,7 @@ class Traced:
         highest: float,
         calibration: Calibration,
     ):
+        self.sensor = sensor
         self.electrode_count = m = sensor.electrode_count
         self.condition_count = sensor.condition_count
         self.names = tuple(policies)
@@ -59,7 +60,9 @@ class Traced:
         self.traces = 0
         self.contact_count = method.count
         self.packing = Packing(jax.eval_shape(self._begun), self.dtype)
-        self.said = Packing(jax.eval_shape(lambda: silent(method.count, self.dtype)), self.dtype)
+        self.said = Packing(
+            jax.eval_shape(lambda: silent(method.count, self.dtype)), self.dtype
+        )
         # One program for all of it: each operation by itself would be one to compile.
         self.state: Packed = jax.jit(lambda: self.packing.pack(self._begun()))()
 
@@ -79,6 +82,7 @@ class Traced:
             int(plan.length),
             int(plan.grounds[0]),
             tuple(jax.eval_shape(self.draw, self.state).shape),
+            float(self._highest),
         )
 
     @property

@@ -120,6 +120,8 @@ def live(
         print(_COMPILING, file=sys.stderr)
 
     def compiled(sensor: Any) -> Any:
+        import numpy as np
+
         from tomojax.step import load_policy, make_step
 
         table = policy is None and sensor.conditions is not None
@@ -134,7 +136,7 @@ def live(
         )
         # The view's image is compiled here as well: in the loop slots would wait for it.
         if not options["shapes"]:
-            step.image(step.state).block_until_ready()
+            np.asarray(step.image(step.state))
         return step
 
     with ExitStack() as stack:

@@ -14,7 +14,7 @@ from tomojax.step._packing import Packed
 from tomojax.step._traced import Traced
 
 # The files of the step's face in C.
-TEMPLATES = Path(__file__).parent / "c"
+TEMPLATES = Path(__file__).parent
 
 # A file of tables begins with a line of 64 bytes: what it is, the code that it belongs to
 # (32 letters from the 16th byte), and from the 48th byte on a checksum of what follows.
@@ -29,14 +29,15 @@ class Code(NamedTuple):
     header: str
     tables: bytes
     name: str  # of the code: a digest
+    told: dict[str, Any]  # facts that files of a folder are filled with
 
 
-def write_code(traced: Traced) -> Code:
-    """Writes a step as C99.
+def write_code(traced: Traced, halved: bool = False) -> Code:
+    """Writes a step as C99; `halved`: with its largest tables in 16 bits.
 
     **Raises:** `ValueError` for an operation that has no C.
     """
-    tables = Tables()
+    tables = Tables(halved)
     numbers, whole = (np.asarray(a) for a in traced.state)
     volts, slot = traced.slot
 
@@ -78,11 +79,13 @@ def write_code(traced: Traced) -> Code:
     text = "\n".join(parts)
     digest = hashlib.sha256((PRELUDE + text + repr(sorted(told.items()))).encode())
     name = told["CODE"] = digest.hexdigest()[:32]
-    face, header = (_filled(file, told) for file in ("step.c", "tomojax_step.h"))
-    return Code(PRELUDE + text + face, header, _with_head(tables.packed(), name), name)
+    face, header = (filled(file, told) for file in ("step.c", "tomojax_step.h"))
+    return Code(
+        PRELUDE + text + face, header, _with_head(tables.packed(), name), name, told
+    )
 
 
-def _filled(file: str, told: dict[str, Any]) -> str:
+def filled(file: str, told: dict[str, Any]) -> str:
     """Fills in what stands between two @."""
     text = (TEMPLATES / file).read_text()
     for name, value in told.items():

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tomojax._require import require
-from tomojax.step._native import check_tables
+from tomojax.step.c._code import check_tables
 from tomojax.step._packing import Packed, Packing
 from tomojax.step._state import About, silent
 from tomojax.step._traced import Traced
@@ -152,7 +152,9 @@ class NativeRuns(AbstractRuns):
             array = np.ascontiguousarray(array)
             if array.shape != (size,) or array.dtype != kind:
                 got = f"{array.dtype} {array.shape}"
-                require(False, "state", got, f"{kind} ({size},), as this step's first state")
+                require(
+                    False, "state", got, f"{kind} ({size},), as this step's first state"
+                )
             arrays.append(array)
         return Packed(*arrays)
 

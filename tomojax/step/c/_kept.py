@@ -18,9 +18,9 @@ import numpy as np
 from tomojax._cache import cache_folder, drop_oldest
 from tomojax._programs import source_digest
 from tomojax._whole import ours
-from tomojax.native import compile_c, compiler
-from tomojax.step._native import write_code
-from tomojax.step._runs import NativeRuns
+from tomojax.native import compile_c, compiler, PLAIN
+from tomojax.step.c._code import write_code
+from tomojax.step.c._runs import NativeRuns
 from tomojax.step._state import About
 from tomojax.step._traced import Traced
 
@@ -30,6 +30,9 @@ FOLDER, WANTED = "TOMOJAX_STEPS", "TOMOJAX_NATIVE"
 
 # Bytes of all kept steps: one of 64 electrodes takes 23 MB, nearly all of it tables.
 LIMIT = 512 << 20
+
+# Slots that check a compiler's work.
+_CHECKED = 400
 
 # The files of a kept step.
 _LIBRARY, _TABLES, _ABOUT = "step.so", "step.tables", "about.json"
@@ -78,15 +81,17 @@ def compiled(traced: Traced, folder: Path | None) -> tuple[About, NativeRuns]:
     **Raises:** `ValueError` where an operation has no C, or the compiler fails.
     """
     code = write_code(traced)
-    home = tempfile.mkdtemp(prefix=".making-", dir=None if folder is None else folder.parent)
+    home = tempfile.mkdtemp(
+        prefix=".making-", dir=None if folder is None else folder.parent
+    )
     part = Path(home)
     try:
         (part / "tomojax_step.h").write_text(code.header)
         (part / "step.c").write_text(code.source)
-        compile_c(part / "step.c", part / _LIBRARY, "-march=native")
         (part / _TABLES).write_bytes(code.tables)
-        about = {**traced.about._asdict(), "code": code.name}
-        (part / _ABOUT).write_text(json.dumps(about))
+        told = {**traced.about._asdict(), "code": code.name}
+        _compile_checked(part, traced.about, code.name)
+        (part / _ABOUT).write_text(json.dumps(told))
         if folder is not None:
             # Another process may have been quicker.
             with suppress(OSError):
@@ -97,6 +102,38 @@ def compiled(traced: Traced, folder: Path | None) -> tuple[About, NativeRuns]:
     finally:
         if part != folder:  # what is mapped stays until the process ends
             shutil.rmtree(home, ignore_errors=True)
+
+
+def _compile_checked(part: Path, about: About, name: str) -> None:
+    """Compiles a step, and checks what the optimiser has made by the same without one.
+
+    Both run from the same states. Sums are rounded otherwise, which decides otherwise where
+    a slot lies between two decisions: that is one slot in thousands.
+
+    **Raises:** `ValueError` where more slots differ.
+    """
+    plain = part / "plain.so"
+    compile_c(part / "step.c", plain, *PLAIN)
+    compile_c(part / "step.c", part / _LIBRARY, "-march=native")
+    files = part / _TABLES, name, 0
+    quick, slow = (NativeRuns(about, lib, *files) for lib in (part / _LIBRARY, plain))
+    plain.unlink()
+    rng, state, differ = np.random.default_rng(0), slow.first, 0
+    m, volts = about.electrode_count, np.zeros(0)
+    scale = about.highest if np.isfinite(about.highest) else 5.0
+    for k in range(_CHECKED):
+        if k % 20 == 0:  # as if a contact were near some electrode, or none
+            near = np.exp(-np.abs(np.arange(m) - rng.integers(m)) / rng.uniform(1, m / 4))
+            volts = scale * (0.1 + 0.6 * near) * (k % 80 > 0)
+        slot = np.array([rng.integers(about.condition_count), 0, 0], np.int32)
+        noisy = volts + rng.normal(0, 1e-3, m) * scale
+        noisy = noisy.astype(about.dtype)
+        others = quick.slot(state, noisy, slot)[1]
+        state, said = slow.slot(state, noisy, slot)
+        differ += not np.array_equal(said[1], others[1])
+    if differ > _CHECKED // 50:
+        told = f"{differ} of {_CHECKED} slots otherwise than without optimisation"
+        raise ValueError(f"compiler: {compiler()} made code that answers {told}")
 
 
 def _read(folder: Path, traces: int) -> tuple[About, NativeRuns]:

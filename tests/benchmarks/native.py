@@ -1,0 +1,242 @@
+"""Measures a step that runs as C beside the same step as JAX's program.
+
+    python tests/benchmarks/native.py [--slots 100000] [--out FOLDER]
+
+Equal: both are given the same state, slot after slot, with contacts that come and go on a
+rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags, counts or the next ground differ, and how far places are apart, are counted. Own: each
+goes on from its own state, and both are compared with where the contacts are. Time: both in
+turn in one process, from NumPy's voltages to NumPy's contacts; and C from C, by `replay`.
+Writes native.json.
+"""
+
+import argparse
+import functools
+import json
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+import numpy as np
+from rig import Rig
+
+import tomojax as tx
+
+POLICIES = ("around_contacts", "information", "around", "all")
+# Name: method, contacts at most, whether calibrated, and the shape.
+CASES = {
+    "follow, one": ("follow", 1, False, "grid"),
+    "follow, two": ("follow", 2, False, "grid"),
+    "follow, three": ("follow", 3, False, "grid"),
+    "follow, two, calibrated": ("follow", 2, True, "grid"),
+    "follow, two, 4 x 4": ("follow", 2, False, "small"),
+    "source, two": ("source", 2, False, "grid"),
+    "linear, two": ("linear", 2, False, "grid"),
+}
+QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
+# Slots that a scene holds, and scenes in all: seconds each, they are drawn again and again
+# with other noise.
+HELD, SCENES = 40, 32
+
+
+def sensor_of(shape: str) -> tx.Sensor:
+    if shape == "small":
+        return tx.Sensor.grid(4, 4, dtype=np.float32, divisions=(24, 24))
+    return tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+
+
+def pair(name: str) -> tuple[tx.step.Step, tx.step.Step]:
+    """The same step twice: as C, and as JAX's program."""
+    method, contacts, calibrated, shape = CASES[name]
+    sensor, rng = sensor_of(shape), np.random.default_rng(3)
+    m, known = sensor.electrode_count, None
+    good = np.ones(m, bool)
+    if calibrated:
+        offset, gain = rng.normal(0, 2e-3, m), 1 + rng.normal(0, 0.01, m)
+        known = tx.Calibration(offset=offset, gain=gain)
+        good[[5, 20]] = False
+    made = [
+        tx.make_step(sensor, method, POLICIES, contacts=contacts, calibration=known,
+                     good=good, native=native)
+        for native in (True, False)
+    ]  # fmt: skip
+    return made[0], made[1]
+
+
+@functools.cache
+def scenes(shape: str, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Volts of all grounds, and where contacts are: up to three, or none."""
+    sensor, rng = sensor_of(shape), np.random.default_rng(seed)
+    side = float(np.asarray(sensor.size)[0])
+    rig = Rig(rng) if shape == "grid" else None
+    made = []
+    for k in range(SCENES):
+        count = (1, 2, 0, 1, 3, 2, 1, 2)[k % 8]
+        places = rng.uniform(0.08 * side, 0.92 * side, (count, 2))
+        radii, given = rng.uniform(0.003, 0.009, count), rng.uniform(2e-5, 3e-4, count)
+        if rig is not None:
+            contacts = [(rig.disc(p, r), g) for p, r, g in zip(places, radii, given)]
+            volts = rig.measure(rig.scene(*contacts)[0])
+        else:
+            discs = [tx.Disc(p, r, 1.0) for p, r in zip(places, radii)]
+            discs = discs or [tx.Disc([0.03, 0.03], 0.004, 1e-9)]
+            exact = np.asarray(tx.voltages(sensor, tx.Scene(*discs)))
+            volts = exact + rng.normal(0, 1e-3, exact.shape)
+        made.append((volts.astype(np.float32), places))
+    return made
+
+
+def slots(rng: np.random.Generator, shape: str, count: int):
+    """Yields volts of a slot by ground, slots lost, whether hurried, and the places."""
+    made = scenes(shape, 7)
+    volts, places = made[0]
+    for k in range(count):
+        if k % HELD == 0:
+            volts, places = made[rng.integers(len(made))]
+        fault = rng.choice(9) if rng.random() < 0.08 else -1
+        yield lambda ground: faulty(rng, volts, ground, fault), places, fault
+
+
+def faulty(rng, volts, ground, fault):
+    """A slot's volts, the ground that it says it had, and how many were lost."""
+    v, lost = volts[ground].copy(), 0
+    v += rng.normal(0, 3e-4, v.shape).astype(np.float32)
+    m = len(v)
+    if fault == 0:
+        v[rng.integers(m)] = np.nan
+    elif fault == 1:
+        v[rng.integers(m, size=m // 2 + 2)] = np.inf
+    elif fault == 2:
+        v[:] = 0
+    elif fault == 3:
+        v[rng.integers(m)] = 40.0
+    elif fault == 4:
+        ground = int(rng.choice([-1, m, 2**31 - 1]))
+    elif fault == 5:
+        lost = int(rng.integers(1, 1000))
+    elif fault == 6:
+        v[rng.integers(m)] *= 0.5
+    elif fault == 7:
+        v = rng.normal(0, 2, m).astype(np.float32)
+    elif fault == 8:
+        v[:] = v.mean()
+    return v, ground, lost
+
+
+def equal(name: str, count: int) -> dict:
+    """Runs both from the same state."""
+    native, jax_ = pair(name)
+    rng = np.random.default_rng(11)
+    state, ground = tuple(map(np.asarray, jax_.state)), 0
+    apart, differs, faults = [], 0, 0
+    for k, (volts_of, _, fault) in enumerate(slots(rng, CASES[name][3], count)):
+        if k % (count // len(POLICIES) + 1) == 0:
+            policy = POLICIES[k // (count // len(POLICIES) + 1)]
+            state = tuple(map(np.asarray, jax_.switch(state, policy)))
+        slot = volts_of(ground)
+        faults += fault >= 0
+        after, a = native(state, *slot)
+        state, b = jax_(state, *slot)
+        same = all(int(x) == int(y) for x, y in (
+            (a.flags, b.flags), (a.ground, b.ground),
+            (a.contacts.count, b.contacts.count)))  # fmt: skip
+        differs += not same
+        if same and int(b.contacts.count):
+            gap = np.asarray(a.contacts.xy) - np.asarray(b.contacts.xy)
+            apart.append(float(np.nanmax(np.hypot(*gap.T))))
+        state, ground = tuple(map(np.asarray, state)), int(b.ground)
+    quantiles = {
+        f"place_p{q}_um": 1e6 * float(np.quantile(apart, q / 100)) for q in (50, 99)
+    }
+    return {"kind": "equal", "case": name, "slots": count, "faulty": int(faults),
+            "differ": int(differs), **quantiles, "place_max_um": 1e6 * max(apart)}  # fmt: skip
+
+
+def own(name: str, count: int) -> list[dict]:
+    """Runs each from its own state, beside the truth."""
+    rows = []
+    for step in pair(name):
+        rng = np.random.default_rng(12)
+        state, ground = step.state, 0
+        away, right, doubted, seen = [], 0, 0, 0
+        for k, (volts_of, places, fault) in enumerate(slots(rng, CASES[name][3], count)):
+            v, told, lost = volts_of(ground)
+            state, out = step(state, v, told, lost)
+            ground = int(out.ground)
+            if fault >= 0 or k % HELD < 10 or len(places) > CASES[name][1]:
+                continue
+            seen += 1
+            found = int(out.contacts.count)
+            right += found == len(places)
+            doubted += int(out.flags) != 0
+            if found == len(places) > 0:
+                gap = np.asarray(out.contacts.xy)[:found, None] - places
+                away += np.hypot(*gap.T).min(0).tolist()
+        rows.append({
+            "kind": "own", "case": name, "as": "C" if step.native else "JAX", "rows": seen,
+            "count_right": right / seen, "doubted": doubted / seen,
+            "place_median_mm": 1e3 * float(np.median(away)),
+            "place_p90_mm": 1e3 * float(np.quantile(away, 0.9)),
+        })  # fmt: skip
+    return rows
+
+
+def times(name: str, count: int) -> dict:
+    """Times both in turn, a thousand slots of each; then C alone."""
+    steps = dict(zip(("C", "JAX"), pair(name)))
+    rng = np.random.default_rng(13)
+    recorded = [f(0) for f, _, fault in slots(rng, CASES[name][3], 4000) if fault < 0]
+    spent = {as_: [] for as_ in steps}
+    states = {as_: step.state for as_, step in steps.items()}
+    while len(spent["C"]) < count:
+        for as_, step in steps.items():
+            state = states[as_]
+            for v, ground, _ in recorded[:1000]:
+                begin = time.perf_counter_ns()
+                state, out = step(state, v, ground)
+                spent[as_].append(time.perf_counter_ns() - begin)
+            states[as_] = state
+    row = {"kind": "time", "case": name, "slots": len(spent["C"])}
+    for as_, values in spent.items():
+        row[as_] = {n: float(np.quantile(values, q)) / 1e3 for n, q in QUANTILES.items()}
+    volts = np.stack([v for v, _, _ in recorded])
+    grounds = np.array([g for _, g, _ in recorded])
+    each = []
+    for _ in range(20):
+        begin = time.perf_counter_ns()
+        steps["C"].replay(states["C"], volts, grounds)
+        each.append((time.perf_counter_ns() - begin) / 1e3 / len(volts))
+    row["C from C"] = {"mean_us": float(np.median(each))}
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--slots", type=int, default=100_000)
+    parser.add_argument("--scenes", type=int, default=SCENES)
+    parser.add_argument("--case", choices=CASES, action="append")
+    parser.add_argument("--part", choices=("equal", "own", "time"), action="append")
+    parser.add_argument(
+        "--out", type=Path, default=HERE.parents[1] / "notebooks" / "results"
+    )
+    given = parser.parse_args()
+    globals()["SCENES"] = given.scenes
+    parts = given.part or ["equal", "own", "time"]
+    table = []
+    for name in given.case or CASES:
+        if "equal" in parts:
+            table.append(equal(name, given.slots))
+        if "own" in parts:
+            table += own(name, given.slots // 5)
+        if "time" in parts:
+            table.append(times(name, given.slots))
+        for row in table[-4:]:
+            print(json.dumps(row), flush=True)
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "native.json").write_text(json.dumps({"rows": table}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

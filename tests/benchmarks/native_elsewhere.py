@@ -1,0 +1,128 @@
+"""Runs a step's test vectors elsewhere: under Arm, in an empty root, under sanitizers.
+
+    python tests/benchmarks/native_elsewhere.py [--out FOLDER]
+
+Needs gcc, and where they are there: aarch64-linux-gnu-gcc and arm-linux-gnueabihf-gcc with
+qemu-user, valgrind, chroot (as root). Each row says what the vectors gave: slots that differ
+from JAX's program in flags, count or next condition, and places that are away. Writes
+native_elsewhere.json.
+"""
+
+import argparse
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parents[1])]
+
+from tomojax.native import FLAGS
+
+SHAPES = {"64 electrodes": (), "4 x 4": (4, 4)}
+ARM = {
+    "Arm 64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-march=armv8-a"),
+    "Arm 32": ("arm-linux-gnueabihf-gcc", "qemu-arm", "-mfpu=neon-vfpv4"),
+}
+
+
+def compiled(shape: tuple, folder: Path) -> float:
+    """Writes and compiles a step; returns the seconds it took."""
+    import numpy as np
+
+    import tomojax as tx
+
+    begun = time.perf_counter()
+    more = {"divisions": (20, 20)} if shape else {}
+    sensor = tx.Sensor.grid(*shape, dtype=np.float32, **more)
+    step = tx.make_step(sensor, "follow", ["around_contacts"], contacts=2, native=False)
+    tx.step.compile(step, folder)
+    return time.perf_counter() - begun
+
+
+def told(command: list, **more) -> dict:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **more)
+    found = re.search(r"(\d+) slots: (\d+) differ, (\d+) places are away", done.stdout)
+    if found is None:
+        return {"failed": (done.stderr or done.stdout)[-300:]}
+    slots, differ, away = map(int, found.groups())
+    return {"slots": slots, "differ": differ, "away": away, "status": done.returncode}
+
+
+def checker(cc: str, folder: Path, to: Path, *flags: str) -> Path:
+    sources = [folder / "check.c", folder / "step.c"]
+    command = [cc, *FLAGS, *flags, f"-I{folder}", *sources, "-lm", "-o", to]
+    subprocess.run(command, check=True)
+    return to
+
+
+def instructions(folder: Path, to: Path) -> dict:
+    """Counts by callgrind; AVX2, as valgrind knows no newer ones."""
+    made = checker("gcc", folder, to / "counted", "-march=x86-64-v3")
+    few = to / "few.bin"
+    whole = (folder / "vectors.bin").read_bytes()
+    few.write_bytes(whole[: len(whole) // 10])
+    out = to / "callgrind.out"
+    command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}", made]
+    row = told([*command, folder / "step.tables", few])
+    shown = subprocess.run(["callgrind_annotate", out], capture_output=True, text=True)
+    line = next(x for x in shown.stdout.splitlines() if "run_step" in x)
+    total = int(re.match(r"\s*([\d,]+)", line)[1].replace(",", ""))
+    return {**row, "instructions_a_slot": total / row["slots"]}
+
+
+def rooted(folder: Path, to: Path) -> dict:
+    """In a root with nothing but the C library and the mathematics."""
+    root, made = to / "root", checker("gcc", folder, to / "alone")
+    root.mkdir()
+    needed = subprocess.run(["ldd", made], capture_output=True, text=True, check=True)
+    for path in re.findall(r"(/\S+)", needed.stdout):
+        (root / path[1:]).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, root / path[1:])
+    for path in (made, folder / "step.tables", folder / "vectors.bin"):
+        shutil.copy(path, root / path.name)
+    row = told(["chroot", root, "/alone", "/step.tables", "/vectors.bin"])
+    return {**row, "files": sorted(p.name for p in root.rglob("*") if p.is_file())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks" / "results")
+    given, rows = parser.parse_args(), []
+    for name, shape in SHAPES.items():
+        with tempfile.TemporaryDirectory() as place:
+            to, folder = Path(place), Path(place) / "step"
+            seconds = compiled(shape, folder)
+            made = checker("gcc", folder, to / "here", "-march=native", "-fstack-usage")
+            stack = [x.split("\t") for p in to.glob("*.su") for x in p.read_text().splitlines()]
+            text = subprocess.run(
+                ["size", folder / "libtomojax_step.so"], capture_output=True, text=True
+            ).stdout.splitlines()[1]
+            rows.append({
+                "shape": name, "where": "here", "written_and_compiled_s": seconds,
+                "code_bytes": int(text.split()[0]), "stack_bytes": max(int(s[1]) for s in stack),
+                "tables_bytes": (folder / "step.tables").stat().st_size,
+                **told([made, folder / "step.tables", folder / "vectors.bin"]),
+            })  # fmt: skip
+            if shutil.which("valgrind"):
+                rows.append({"shape": name, "where": "callgrind", **instructions(folder, to)})
+            rows.append({"shape": name, "where": "root without Python", **rooted(folder, to)})
+            made = checker("gcc", folder, to / "checked", "-O1", "-fsanitize=address,undefined")
+            files = folder / "step.tables", folder / "vectors.bin"
+            rows.append({"shape": name, "where": "sanitizers", **told([made, *files])})
+            for where, (cc, emulator, flag) in ARM.items():
+                if shutil.which(cc) and shutil.which(emulator):
+                    made = checker(cc, folder, to / "arm", flag, "-static")
+                    rows.append({"shape": name, "where": where, **told([emulator, made, *files])})
+        for row in rows[-6:]:
+            print(json.dumps(row), flush=True)
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "native_elsewhere.json").write_text(json.dumps({"rows": rows}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""`tomojax compile-step`: writes a step as a C library."""
+
+from pathlib import Path
+
+import click
+
+from tomojax.cli import entry
+
+
+@click.command(cls=entry.Command)
+@click.option(
+    "--method",
+    default="follow",
+    help="Find contacts by this method: follow, or one that sees each slot alone.",
+)
+@click.option(
+    "--policy",
+    "policies",
+    multiple=True,
+    help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
+    "electrodes as 0,7,14, or a table of `tomojax design --policy`. May be repeated: a "
+    "program may switch between them. [default: around_contacts]",
+)
+@click.option("--cheaper", help="Method for slots that are late. [default: the same]")
+@click.option(
+    "--contacts", type=entry.COUNT, default=2, help="Find this many contacts at most."
+)
+@click.option(
+    "--rate", type=entry.AMOUNT, default=10_000.0, help="Slots a second, of the rig."
+)
+@entry.like_option
+@entry.calibration_option
+@click.option(
+    "--march",
+    default="native",
+    help="Compile for this processor, a name that the compiler knows. [default: this one]",
+)
+@click.option("--source", is_flag=True, help="Write the source alone: compile nothing.")
+@click.option(
+    "--out",
+    "-o",
+    type=entry.OutputFolder("tomojax_step.h", goes_on=True),
+    default="step",
+    help="Folder for the library and its files.",
+)
+def compile_step(
+    method: str,
+    policies: tuple[str, ...],
+    cheaper: str | None,
+    contacts: int,
+    rate: float,
+    like: Path | None,
+    calibration: Path | None,
+    march: str,
+    source: bool,
+    out: Path,
+) -> None:
+    """Write a step as C: for programs, threads and boards that have no Python.
+
+    The folder gets a library for this machine, its source, the tables of the rig, a header
+    for C and one for C++17, an example, and test vectors. Another rig of the same shape
+    takes the same library and its own tables.
+    """
+    for option, name in (("--method", method), ("--cheaper", cheaper)):
+        entry.check_name(option, name or method, ("follow", *entry.METHODS))
+    names = policies or ("around_contacts",)
+    for name in names:
+        if not name.endswith(".npz") and entry.ground_numbers("--policy", name) is None:
+            more = ", electrodes with commas: 0,7,14, or a table, .npz"
+            entry.check_name("--policy", name, entry.POLICIES, more)
+    rig, _, electrodes = entry.sheet_of(like)
+
+    import numpy as np
+
+    from tomojax.sensor import Calibration, Sensor
+    from tomojax.step import compile as compile_, load_policy, make_step
+
+    sensor = Sensor.grid() if rig is None else rig.sensor(dtype=np.float32)
+    known = None if calibration is None else Calibration.load(calibration, electrodes)
+    tables = {name: load_policy(name, sensor) for name in names if name.endswith(".npz")}
+    made = make_step(
+        sensor,
+        method,
+        list(names),
+        contacts=contacts,
+        f_switch=rate,
+        cheaper=cheaper,
+        calibration=known,
+        tables=tables,
+        native=False,
+    )
+    code = compile_(made, out, march=march, libraries=not source)
+    size = (out / "step.tables").stat().st_size / 1e6
+    print(f"{out}: a step of {method}, code {code}, tables of {size:.1f} MB")
+    print(f"cc {out}/check.c -I{out} -L{out} -ltomojax_step -lm   tries its test vectors")

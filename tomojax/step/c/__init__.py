@@ -1,0 +1,20 @@
+"""A step as C: its face, the folder that users get, and the library that Python calls."""
+
+from tomojax.step.c._folder import write_folder as write_folder
+from tomojax.step.c._kept import (
+    compiled as compiled,
+    folder_of as folder_of,
+    kept as kept,
+    wanted as wanted,
+)
+from tomojax.step.c._runs import AbstractRuns as AbstractRuns, JaxRuns as JaxRuns
+
+__all__ = [
+    "AbstractRuns",
+    "compiled",
+    "folder_of",
+    "JaxRuns",
+    "kept",
+    "wanted",
+    "write_folder",
+]
