@@ -73,7 +73,7 @@ def contact_region(
     summed = voltages.sum(0)
     good = jnp.isfinite(voltages).all()
     touched = good & (summed.max() > threshold)
-    middle = jnp.argmin(jnp.sum((electrode_xy - electrode_xy.mean(0)) ** 2, 1))
+    middle = jnp.argmin(_steps_away(electrode_xy, electrode_xy.mean(0)))
     centre = jnp.where(touched, jnp.argmax(summed), middle)
     index = jnp.arange(len(electrode_xy))
     inside = jnp.where(touched, summed >= alpha / 100 * summed.max(), index == centre)
@@ -178,17 +178,22 @@ def around(
     return nearest_electrodes(targets[: len(ground_xy)], ground_xy)
 
 
+def _steps_away(electrode_xy: Array, target: Array) -> Float[Array, " M"]:
+    """Computes squared distances in whole steps: rounding decides between no two."""
+    step = 1e-4 * smallest_pitch(electrode_xy) ** 2
+    return jnp.round(jnp.sum((electrode_xy - target) ** 2, 1) / step)
+
+
 def nearest_electrodes(
     targets: Float[Array, "T 2"], electrode_xy: Float[Array, "M 2"]
 ) -> Int[Array, " T"]:
     """Picks for each target in turn the nearest electrode not yet taken.
 
-    Of two that are equally near it is the first: rounding must not decide between them.
+    Of two that are equally near it is the first.
     """
-    unit = 1e-4 * smallest_pitch(electrode_xy) ** 2
 
     def take(free: Array, target: Array) -> tuple[Array, Array]:
-        away = jnp.round(jnp.sum((electrode_xy - target) ** 2, 1) / unit)
+        away = _steps_away(electrode_xy, target)
         chosen = jnp.argmin(jnp.where(free, away, jnp.inf))
         return free.at[chosen].set(False), chosen
 

@@ -91,14 +91,18 @@ def rooted(folder: Path, to: Path) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks" / "results")
+    parser.add_argument(
+        "--out", type=Path, default=HERE.parents[1] / "notebooks" / "results"
+    )
     given, rows = parser.parse_args(), []
     for name, shape in SHAPES.items():
         with tempfile.TemporaryDirectory() as place:
             to, folder = Path(place), Path(place) / "step"
             seconds = compiled(shape, folder)
             made = checker("gcc", folder, to / "here", "-march=native", "-fstack-usage")
-            stack = [x.split("\t") for p in to.glob("*.su") for x in p.read_text().splitlines()]
+            stack = [
+                x.split("\t") for p in to.glob("*.su") for x in p.read_text().splitlines()
+            ]
             text = subprocess.run(
                 ["size", folder / "libtomojax_step.so"], capture_output=True, text=True
             ).stdout.splitlines()[1]
@@ -109,15 +113,23 @@ def main() -> None:
                 **told([made, folder / "step.tables", folder / "vectors.bin"]),
             })  # fmt: skip
             if shutil.which("valgrind"):
-                rows.append({"shape": name, "where": "callgrind", **instructions(folder, to)})
-            rows.append({"shape": name, "where": "root without Python", **rooted(folder, to)})
-            made = checker("gcc", folder, to / "checked", "-O1", "-fsanitize=address,undefined")
+                rows.append(
+                    {"shape": name, "where": "callgrind", **instructions(folder, to)}
+                )
+            rows.append(
+                {"shape": name, "where": "root without Python", **rooted(folder, to)}
+            )
+            made = checker(
+                "gcc", folder, to / "checked", "-O1", "-fsanitize=address,undefined"
+            )
             files = folder / "step.tables", folder / "vectors.bin"
             rows.append({"shape": name, "where": "sanitizers", **told([made, *files])})
             for where, (cc, emulator, flag) in ARM.items():
                 if shutil.which(cc) and shutil.which(emulator):
                     made = checker(cc, folder, to / "arm", flag, "-static")
-                    rows.append({"shape": name, "where": where, **told([emulator, made, *files])})
+                    rows.append(
+                        {"shape": name, "where": where, **told([emulator, made, *files])}
+                    )
         for row in rows[-6:]:
             print(json.dumps(row), flush=True)
     given.out.mkdir(parents=True, exist_ok=True)

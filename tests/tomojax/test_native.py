@@ -151,7 +151,9 @@ def test_an_operation(library, name):
     # Truths are as wide as numbers in C.
     kept = [np.int32 if v.dtype == bool else v.dtype for v in outputs]
     found = [np.zeros(v.shape, kind) for v, kind in zip(outputs, kept, strict=True)]
-    given_c = [a.astype(np.int32) if a.dtype == bool else np.ascontiguousarray(a) for a in given]
+    given_c = [
+        a.astype(np.int32) if a.dtype == bool else np.ascontiguousarray(a) for a in given
+    ]
     arrays = [*given_c, *found]
     pointers = (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays))
     loaded[f"go{k}"](ctypes.c_void_p(data.ctypes.data), pointers)

@@ -33,7 +33,7 @@ PLAIN = ("-O0",)
 
 
 def compile_c(source: Path, target: Path, *flags: str) -> None:
-    """Compiles one file of C: to a shared library, or what `flags` ask for.
+    """Compiles one file of C: to a shared library, or what `flags` and CFLAGS ask for.
 
     **Raises:** `ValueError` where no compiler is there, or where it fails.
     """
@@ -42,7 +42,8 @@ def compile_c(source: Path, target: Path, *flags: str) -> None:
         found is not None, "compiler", "none", "a C compiler: cc, gcc, clang, or CC=..."
     )
     shared = () if "-c" in flags else ("-shared",)
-    command = [str(found), *FLAGS, *shared, *flags, str(source), "-o", str(target)]
+    own = os.environ.get("CFLAGS", "").split()
+    command = [str(found), *FLAGS, *shared, *flags, *own, str(source), "-o", str(target)]
     command += [] if "-c" in flags else ["-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

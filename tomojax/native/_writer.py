@@ -236,7 +236,9 @@ class Writer:
             return None
         codes, low, step = self.tables.half(value)
         kind = c_type(value.dtype)
-        view = View(f"((const uint16_t *)(T + {codes}))", 0, row_major(value.shape), value.shape)
+        view = View(
+            f"((const uint16_t *)(T + {codes}))", 0, row_major(value.shape), value.shape
+        )
         return view, f"((const {kind} *)(T + {low}))", f"((const {kind} *)(T + {step}))"
 
     # Names and lines.
