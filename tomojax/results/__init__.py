@@ -19,6 +19,8 @@ __all__ = [
     "open_results",
     "Outline",
     "outlines_of",
+    "Made",
+    "reconstruct_many",
     "reconstruct_recording",
     "Settings",
     "Touch",

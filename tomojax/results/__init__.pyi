@@ -13,7 +13,11 @@ from ._outlines import (
 )
 from ._settings import default_method as default_method, Settings as Settings
 from ._solving import Chosen as Chosen
-from ._stream import reconstruct_recording as reconstruct_recording
+from ._stream import (
+    Made as Made,
+    reconstruct_many as reconstruct_many,
+    reconstruct_recording as reconstruct_recording,
+)
 from ._track import (
     Touch as Touch,
     touches as touches,
@@ -28,6 +32,8 @@ __all__ = [
     "open_results",
     "Outline",
     "outlines_of",
+    "Made",
+    "reconstruct_many",
     "reconstruct_recording",
     "Settings",
     "Touch",

@@ -93,12 +93,7 @@ class Chosen:
 
 
 class AbstractSolver(ABC):
-    """Finds the rows of chunks. A solver that needs chunks in order has a memory.
-
-    `start` is the first chunk that is left to do.
-    """
-
-    start: int = 0
+    """Finds the rows of chunks. A solver that needs chunks in order has a memory."""
 
     @abstractmethod
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any] | None]:
@@ -108,10 +103,8 @@ class AbstractSolver(ABC):
         """Returns the present state, for `resume`."""
         return {}
 
-    def resume(self, kept: dict[str, np.ndarray]) -> None:
+    def resume(self, kept: dict[str, np.ndarray]) -> None:  # noqa: B027
         """Goes on from the state after a chunk; an empty state means the beginning."""
-        if kept:
-            self.start = int(kept["chunk"])
 
 
 class EachAlone(AbstractSolver):
