@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 
 import recordings  # noqa: E402
+
 from tomojax.cli.compiled import keep_compiled  # noqa: E402
 
 NODES = 20

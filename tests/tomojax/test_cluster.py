@@ -118,7 +118,7 @@ def test_a_folder_by_the_command(client, rec, tmp_path) -> None:
     assert tables[0] == tables[1] and len(tables[0]) == 8
 
 
-def test_no_scheduler_is_a_line(rec, tmp_path, monkeypatch) -> None:
+def test_no_scheduler_is_a_line(rec, tmp_path) -> None:
     import dask
 
     with dask.config.set({"distributed.comm.timeouts.connect": "0.2s"}):

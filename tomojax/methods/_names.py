@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tomojax._programs import remembered
 from tomojax._require import one_of, require, require_whole
 from tomojax.methods._auto import Auto
 from tomojax.methods._contract import AbstractMethod
@@ -66,10 +67,19 @@ def method(
     check_grid(grid)
     shape = (int(grid), int(grid))
     found = METHODS[name]
+    # The package's source names what is kept; a method of the user's is made each time.
+    make = _made if found.__module__.startswith("tomojax.") else _made.__wrapped__
+    return make(found, sensor, shape, calibration)
+
+
+@remembered
+def _made(
+    kind: type, sensor: Sensor, shape: tuple[int, int], calibration: Calibration | None
+) -> AbstractMethod:
     if calibration is None:
-        return found.of(sensor, shape)
-    fine = pixel_divisions(sensor, shape, found.cells_per_diameter)
-    return found.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+        return kind.of(sensor, shape)
+    fine = pixel_divisions(sensor, shape, kind.cells_per_diameter)
+    return kind.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
 
 
 def check_grid(grid: int) -> None:

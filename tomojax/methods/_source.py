@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -261,16 +262,19 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
-        return PreparedSource(
-            operators=jnp.asarray(forward * operators.reshape(slots * m, -1), dtype),
-            through=jnp.asarray(through / count, dtype),
-            misfits=jnp.asarray(misfits, dtype),
-            imaging=jnp.asarray(forward * imaging.reshape(slots * m, -1), dtype),
-            scaled=jnp.asarray(basis * np.sqrt(count / spread), dtype),
-            lowest=jnp.asarray(lowest, dtype),
-            used=jnp.asarray(good),
-            lam=jnp.asarray(lam, dtype),
+        made = PreparedSource(
+            operators=forward * operators.reshape(slots * m, -1),
+            through=through / count,
+            misfits=misfits,
+            imaging=forward * imaging.reshape(slots * m, -1),
+            scaled=basis * np.sqrt(count / spread),
+            lowest=np.asarray(lowest),
+            used=good,
+            lam=np.asarray(lam),
         )
+        # JAX would compile a conversion for each shape.
+        as_used = lambda a: jnp.asarray(a if a is good else a.astype(dtype))  # noqa: E731
+        return jax.tree.map(as_used, made)
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""

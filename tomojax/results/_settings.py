@@ -14,7 +14,6 @@ from tomojax.calibration import tare
 from tomojax.methods import AbstractMethod, check_grid, check_limits, frames_of, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
 from tomojax.sensor import Calibration
-from tomojax.step import check_followed
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
@@ -106,6 +105,8 @@ class Settings:
             slots = "'slot': follow goes from slot to slot"
             require(self.rate == "slot", "rate", repr(self.rate), slots)
             require(not self.images, "images", self.images, "none with follow")
+            from tomojax.step import check_followed  # which other runs need not
+
             check_followed(self.contacts)
             for name in ("lam", "threshold", "policy"):
                 given = getattr(self, name)

@@ -9,10 +9,8 @@ from jaxtyping import Float, Int
 
 from tomojax._require import require
 from tomojax.methods import Batch, method as make_method, Rows
-from tomojax.paper import exploration
 from tomojax.recordings import Chunk, Recording
 from tomojax.sensor import Calibration
-from tomojax.step import load_policy
 
 # Methods whose λ/σ₁² a table has.
 _WITH_LAMBDA = "linear", "source"
@@ -40,6 +38,9 @@ class Chosen:
     """
 
     def __init__(self, path: Path | str, recording: Recording, contacts: int, method: str):
+        from tomojax.paper import exploration
+        from tomojax.step import load_policy  # which runs without a table need not
+
         sensor = recording.rig.sensor()
         policy = load_policy(path, sensor)
         self.table = np.asarray(policy.table)

@@ -17,12 +17,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
 
+import jax
+
 from tomojax import methods
-from tomojax.calibration import force
 from tomojax.recordings import Chunk, read_chunk, Recording, Rig
-from tomojax.results._adapting import Adapting
 from tomojax.results._file import Dataset
-from tomojax.results._following import Following
 from tomojax.results._settings import (
     calibration_of,
     choose_lambda,
@@ -61,7 +60,10 @@ class Work:
         self.settings, self._size = settings, size
         recording = self.recording = opener()
         self._calibration = calibration_of(recording, settings)
+        # Each imports what other runs need not.
         if settings.method == "follow":
+            from tomojax.results._following import Following
+
             self._model = Following(recording, settings, self._calibration, size)
         else:
             sensor, grid = recording.rig.sensor(), settings.pixels
@@ -132,7 +134,7 @@ class Work:
     def _lam(self) -> float:
         """Returns λ: the settings', the table's, or the method's choice."""
         settings, model, chosen = self.settings, self._model, self._chosen
-        if isinstance(model, Following):
+        if settings.method == "follow":
             return model.scale()
         if settings.lam is None and chosen is not None and chosen.median:
             return chosen.median * model.scale()
@@ -163,7 +165,7 @@ class Work:
 
     def _solver(self, lam: float) -> AbstractSolver:
         recording, settings, model = self.recording, self.settings, self._model
-        if isinstance(model, Following):
+        if settings.method == "follow":
             solver, points = model, None
         else:
             batch = methods.Batch(
@@ -180,11 +182,15 @@ class Work:
             points = model if alone else getattr(model, "points", None)
         if not settings.adapt:
             return solver
+        from tomojax.results._adapting import Adapting
+
         return Adapting(recording, self._calibration, points, solver)
 
     def _forces(self, rows: methods.Rows) -> dict[str, Any]:
         if self._calibration.pressure is None:
             return {}
+        from tomojax.calibration import force
+
         g, radius = rows.contact_conductance, rows.contact_radius
         return {"contact_force": force(self._calibration, g, radius)}
 
@@ -279,7 +285,8 @@ class There(AbstractPlace):
                 self._client.cancel(list(running.futures))
 
     def _given(self, task: Callable, *args: Any) -> Any:
-        return self._client.submit(task, *args, pure=False)
+        wide = bool(jax.config.jax_enable_x64)  # pyright: ignore
+        return self._client.submit(_as_here, wide, task, *args, pure=False)
 
 
 def _result(future: Any) -> Any:
@@ -292,6 +299,11 @@ def _result(future: Any) -> Any:
     except (KilledWorker, CommClosedError, CancelledError) as error:
         told = " ".join(str(error).split())
         raise ValueError(f"cluster: gave up: {told}; --resume goes on") from None
+
+
+def _as_here(wide: bool, task: Callable, *args: Any) -> Any:
+    with jax.enable_x64(wide):
+        return task(*args)
 
 
 def _digest(opener: Opener) -> str:

@@ -49,17 +49,19 @@ def cluster(address: str | None) -> Iterator[Any]:
     require_library("distributed", "cluster")
     import distributed
 
-    class Keeping(distributed.WorkerPlugin):
-        def setup(self, worker: Any) -> None:
-            keep_compiled()
-
     with naming("--cluster"):
         name = "scheduler_file" if Path(address).is_file() else "address"
         given: dict[str, Any] = {name: address, "set_as_default": False}
         client = distributed.Client(**given)
     with client:
-        client.register_plugin(Keeping(), "tomojax")
+        keeps: Any = distributed.WorkerPlugin()
+        keeps.setup = _keep
+        client.register_plugin(keeps, "tomojax")
         yield client
+
+
+def _keep(worker: Any) -> None:
+    keep_compiled()
 
 
 def reconstruct_one(rec: Path, out: Path, options: dict[str, Any]) -> None:
