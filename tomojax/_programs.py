@@ -10,9 +10,9 @@ import hashlib
 import os
 import pickle
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,7 +132,8 @@ class _Program(NamedTuple):
 
     def __call__(self, flat: list) -> Any:
         try:
-            return self.compiled.result()(*flat)
+            found = self.compiled.result()(*flat)
+            return jax.tree.unflatten(jax.tree.structure(self.shapes), found)
         except KeyboardInterrupt:
             _stop_compiling()
             raise
@@ -229,14 +230,17 @@ def _source() -> str:
 
 def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Program:
     """Reads the program of a file; traces and writes one where no file can be read."""
-    wide = _wide()
+    wide, trees = _wide(), []
 
     def traced(name: str = function.__name__) -> Any:
         arrays, static = eqx.partition(args, _is_array)
         tree = jax.tree.structure(arrays)
 
         def flattened(*flat: Any) -> Any:
-            return function(*eqx.combine(jax.tree.unflatten(tree, flat), static))
+            found = function(*eqx.combine(jax.tree.unflatten(tree, flat), static))
+            leaves, told = jax.tree.flatten(found)
+            trees.append(told)
+            return tuple(leaves)
 
         flattened.__name__ = name  # JAX tells what it compiles by that
         return jax.jit(flattened, compiler_options=options()).trace(*flat)
@@ -250,24 +254,55 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
                 name = f"{function.__name__}_{os.urandom(4).hex()}"
                 compiled = traced(name).lower().compile()
             if path is not None:
-                _write(path, shapes, serialize_executable.serialize(compiled))
+                _write(path, serialize_executable.serialize(compiled), shapes)
             return compiled
 
-    def read(whole: bytes) -> Any:
+    def read(loading: Future) -> Any:
         with suppress(Exception):  # a file that was cut short, or is of another JAX
-            if b"lapack" in whole:
+            loaded, lapack = loading.result()
+            if lapack:
                 _prepare_lapack()
-            return serialize_executable.deserialize_and_load(*pickle.loads(whole))
+            return loaded
         return made(None)
 
     if path is not None:
+        _used.append(path.name)
         with suppress(Exception), path.open("rb") as file:
+            pickle.load(file)
             shapes = pickle.load(file)
-            return _Program(_compilers().submit(read, file.read()), shapes)
+            loading = _foreseen.pop(path.name, None) or _compilers().submit(_loaded, path)
+            return _Program(_compilers().submit(read, loading), shapes)
     begun = traced()
-    told = lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype)  # noqa: E731
-    shapes = jax.tree.map(told, begun.out_info)
+    told = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in begun.out_info]
+    shapes = jax.tree.unflatten(trees[0], told)
     return _Program(_compilers().submit(made, begun), shapes)
+
+
+def _loaded(path: Path) -> tuple[Any, bool]:
+    """Reads a program, and tells whether it calls LAPACK; imports nothing of ours."""
+    with path.open("rb") as file:
+        found = pickle.load(file)
+    return serialize_executable.deserialize_and_load(*found), b"lapack" in found[0]
+
+
+# Programs that load before they are asked for, and those asked for, by their files' names.
+_foreseen: dict[str, Future] = {}
+_used: list[str] = []
+
+
+@contextmanager
+def foreseen(work: str) -> Iterator[None]:
+    """Loads what the last process used for the same work, while this one goes on."""
+    path = _path(foreseen, work, ".used")
+    names = []
+    with suppress(OSError):
+        names = path.read_text().split() if path is not None else []
+    for name in names:
+        _foreseen[name] = _compilers().submit(_loaded, path.with_name(name))  # pyright: ignore
+    yield
+    if path is not None and sorted(names) != sorted(_used):
+        with suppress(OSError):
+            path.write_text("\n".join(_used))
 
 
 @functools.cache

@@ -68,7 +68,10 @@ def reconstruct_one(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """Makes the results of a recording, and tells of them."""
     with opened(rec, **stretch(options)) as recording:
         # JAX is imported from here on: what is wrong with REC is told without.
-        compiled = _reconstructed(recording, out, settings_of(options), options)
+        from tomojax._programs import foreseen
+
+        with foreseen(f"{options['method']} {options['rate']} {recording.slots}"):
+            compiled = _reconstructed(recording, out, settings_of(options), options)
     _tell(out, compiled, options)
 
 
