@@ -127,12 +127,15 @@ def _wide() -> bool:
 class _Program(NamedTuple):
     """A program that is compiled, or will be; and the shapes of what it returns."""
 
-    compiled: Future
+    compiled: Callable[[], Any]
     shapes: Any
+    name: str  # of its file
 
     def __call__(self, flat: list) -> Any:
+        if self.name:
+            _used[self.name] = None
         try:
-            found = self.compiled.result()(*flat)
+            found = self.compiled()(*flat)
             return jax.tree.unflatten(jax.tree.structure(self.shapes), found)
         except KeyboardInterrupt:
             _stop_compiling()
@@ -232,7 +235,7 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
     """Reads the program of a file; traces and writes one where no file can be read."""
     wide, trees = _wide(), []
 
-    def traced(name: str = function.__name__) -> Any:
+    def traced(called: str = function.__name__) -> Any:
         arrays, static = eqx.partition(args, _is_array)
         tree = jax.tree.structure(arrays)
 
@@ -242,7 +245,7 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
             trees.append(told)
             return tuple(leaves)
 
-        flattened.__name__ = name  # JAX tells what it compiles by that
+        flattened.__name__ = called  # JAX tells what it compiles by that
         return jax.jit(flattened, compiler_options=options()).trace(*flat)
 
     def made(begun: Any) -> Any:
@@ -251,31 +254,31 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
             compiled = (begun or traced()).lower().compile()
             # JAX cannot write what it found in its own cache; another name is not there.
             if path is not None and _hits() > hits:
-                name = f"{function.__name__}_{os.urandom(4).hex()}"
-                compiled = traced(name).lower().compile()
+                anew = f"{function.__name__}_{os.urandom(4).hex()}"
+                compiled = traced(anew).lower().compile()
             if path is not None:
                 _write(path, serialize_executable.serialize(compiled), shapes)
             return compiled
 
-    def read(loading: Future) -> Any:
+    @functools.cache  # once it is called: it may never be
+    def read() -> Any:
         with suppress(Exception):  # a file that was cut short, or is of another JAX
-            loaded, lapack = loading.result()
+            loading = _foreseen.pop(name, None)
+            loaded, lapack = loading.result() if loading else _loaded(path)
             if lapack:
                 _prepare_lapack()
             return loaded
         return made(None)
 
+    name = "" if path is None else path.name
     if path is not None:
-        _used.append(path.name)
         with suppress(Exception), path.open("rb") as file:
             pickle.load(file)
-            shapes = pickle.load(file)
-            loading = _foreseen.pop(path.name, None) or _compilers().submit(_loaded, path)
-            return _Program(_compilers().submit(read, loading), shapes)
+            return _Program(read, pickle.load(file), name)
     begun = traced()
     told = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in begun.out_info]
     shapes = jax.tree.unflatten(trees[0], told)
-    return _Program(_compilers().submit(made, begun), shapes)
+    return _Program(_compilers().submit(made, begun).result, shapes, name)
 
 
 def _loaded(path: Path) -> tuple[Any, bool]:
@@ -287,7 +290,7 @@ def _loaded(path: Path) -> tuple[Any, bool]:
 
 # Programs that load before they are asked for, and those asked for, by their files' names.
 _foreseen: dict[str, Future] = {}
-_used: list[str] = []
+_used: dict[str, None] = {}
 
 
 @contextmanager

@@ -96,7 +96,7 @@ class Auto(AbstractMethod):
         return self.shapes.source
 
     @property
-    def drive_sign(self) -> Float[Array, ""]:
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
         return self.points.drive_sign
 
     @property
