@@ -178,7 +178,7 @@ class Work:
             )
             own = settings.lam is None
             solver = EachAlone(batch, self._calibration, self._chosen, own)
-            alone = isinstance(model, methods.Points)
+            alone = settings.method == "points"
             points = model if alone else getattr(model, "points", None)
         if not settings.adapt:
             return solver
