@@ -264,7 +264,7 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
     def read() -> Any:
         with suppress(Exception):  # a file that was cut short, or is of another JAX
             loading = _foreseen.pop(name, None)
-            loaded, lapack = loading.result() if loading else _loaded(path)
+            loaded, lapack = loading.result() if loading else _loaded(path)  # pyright: ignore
             if lapack:
                 _prepare_lapack()
             return loaded

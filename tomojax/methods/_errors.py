@@ -1,7 +1,7 @@
 """Models the errors of a frame's voltages: the converter's noise, and the model's own."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -137,7 +137,7 @@ class Errors(eqx.Module):
         local = own * parts[:, None, None] * bends_and_slopes(xy, channels)
         # As many σ² as there are channels: twice what errors leave that are as told.
         tolerance = max(1, used.sum(1).max(initial=0))
-        made = PreparedErrors(
+        made: dict[str, Any] = dict(
             grounds=np.asarray(grounds, np.int32),
             used=used,
             grounded=self.grounded,
@@ -150,7 +150,7 @@ class Errors(eqx.Module):
             compared=compared,
             tolerance=np.asarray(tolerance, dtype),
         )
-        return jax.tree.map(jnp.asarray, made)
+        return PreparedErrors(**jax.tree.map(jnp.asarray, made))
 
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
         """Returns one slot's errors for a `step`, with the sheet's longest waves alone."""

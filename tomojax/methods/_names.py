@@ -81,11 +81,10 @@ def method(
     shape = (int(grid), int(grid))
     found = METHODS[name]
     # The package's source names what is kept; a method of the user's is made each time.
-    make = _made if found.__module__.startswith("tomojax.") else _made.__wrapped__
+    make = _kept if found.__module__.startswith("tomojax.") else _made
     return make(found, sensor, shape, calibration)
 
 
-@remembered
 def _made(
     kind: type, sensor: Sensor, shape: tuple[int, int], calibration: Calibration | None
 ) -> AbstractMethod:
@@ -93,6 +92,9 @@ def _made(
         return kind.of(sensor, shape)
     fine = pixel_divisions(sensor, shape, kind.cells_per_diameter)
     return kind.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+
+
+_kept = remembered(_made)
 
 
 def check_grid(grid: int) -> None:

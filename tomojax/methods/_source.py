@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -262,7 +261,7 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
-        made = PreparedSource(
+        made = dict(
             operators=forward * operators.reshape(slots * m, -1),
             through=through / count,
             misfits=misfits,
@@ -273,8 +272,10 @@ class Source(AbstractMethod):
             lam=np.asarray(lam),
         )
         # JAX would compile a conversion for each shape.
-        as_used = lambda a: jnp.asarray(a if a is good else a.astype(dtype))  # noqa: E731
-        return jax.tree.map(as_used, made)
+        kinds = {name: bool if a is good else dtype for name, a in made.items()}
+        return PreparedSource(
+            **{name: jnp.asarray(a.astype(kinds[name])) for name, a in made.items()}
+        )
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""

@@ -24,10 +24,15 @@ from ._track import (
     track as track,
     Tracks as Tracks,
 )
-from .loading import LoadedResults as LoadedResults, open_results as open_results
+from .loading import (
+    apply as apply,
+    LoadedResults as LoadedResults,
+    open_results as open_results,
+)
 
 # The rest serves other rooms.
 __all__ = [
+    "apply",
     "LoadedResults",
     "open_results",
     "Outline",

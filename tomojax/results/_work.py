@@ -60,7 +60,7 @@ class Work:
         self.settings, self._size = settings, size
         recording = self.recording = opener()
         self._calibration = calibration_of(recording, settings)
-        # Each imports what other runs need not.
+        self._model: Any
         if settings.method == "follow":
             from tomojax.results._following import Following
 
