@@ -2,15 +2,26 @@
 
 This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. The room knows
 nothing of the ladder of methods, nor of files.
-
-The names of `__init__.pyi` are imported when they are first used.
 """
 
-import lazy_loader as _lazy
-
-# The names are in the stub.
-# pyright: reportUnsupportedDunderAll=false
-__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
+from tomojax.paper._merit import (
+    cell_size as cell_size,
+    Figures as Figures,
+    figures_of_merit as figures_of_merit,
+    pixels as pixels,
+)
+from tomojax.paper._patterns import (
+    AdaptivePattern as AdaptivePattern,
+    AdaptiveScan as AdaptiveScan,
+    exploration as exploration,
+    pattern as pattern,
+    PATTERNS as PATTERNS,
+)
+from tomojax.paper._reconstruct import (
+    reconstruct as reconstruct,
+    Reconstruction as Reconstruction,
+    reduce_jacobian as reduce_jacobian,
+)
 
 __all__ = [
     "AdaptivePattern",

@@ -22,7 +22,7 @@ from tomojax._stopping import stop_if_asked
 from tomojax.recordings import open_recording, Progress, Recording
 from tomojax.results._file import check_output, partial_path, ResultsFile, RowWriter
 from tomojax.results._settings import chunk_scans, configuration, require_same, Settings
-from tomojax.results._work import AbstractPlace, Here, There
+from tomojax.results._work import Here, There
 from tomojax.results.loading import attributes as attributes_of
 
 # What a disk says that is full, may hold no larger file, or fails.
@@ -73,8 +73,9 @@ def reconstruct_recording(
     file = ResultsFile(out, -(-recording.scans // size))
     with file.locked():
         check_output(out, resume, overwrite)  # as another run has left it
-        place = _place(client, recording, settings, size)
-        config = configuration(recording, settings, size, place.digest())
+        given = recording, settings, size
+        place = There(client, *given) if client else Here(*given)
+        config = configuration(*given, place.digest())
         begun = file.partial.exists()
         if begun and resume and not overwrite:
             require_same(config, attributes_of(file.partial), file.partial)
@@ -191,16 +192,8 @@ def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
     return places
 
 
-def _place(
-    client: Any, recording: Recording, settings: Settings, size: int
-) -> AbstractPlace:
-    if client is None:
-        return Here(recording, settings, size)
-    return There(client, recording, settings, size)
-
-
 def _make(
-    place: AbstractPlace,
+    place: Here | There,
     file: ResultsFile,
     config: dict[str, Any],
     begun: bool,
@@ -232,7 +225,7 @@ def _make(
 
 
 def _write(
-    place: AbstractPlace,
+    place: Here | There,
     file: ResultsFile,
     todo: list[int],
     lam: float,

@@ -6,12 +6,11 @@ was killed to another worker.
 """
 
 import json
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from threading import Lock
@@ -41,8 +40,6 @@ _AHEAD = 8
 # A program uses all cores that it has: a worker computes one chunk at a time.
 _ONE = Lock()
 
-Opener = Callable[[], Recording]
-
 
 class Found(NamedTuple):
     """The rows of a chunk by their names, and what is kept after them, if anything."""
@@ -56,9 +53,9 @@ class Found(NamedTuple):
 class Work:
     """Finds the rows of chunks of `size` scans."""
 
-    def __init__(self, opener: Opener, settings: Settings, size: int):
+    def __init__(self, recording: Any, settings: Settings, size: int):
         self.settings, self._size = settings, size
-        recording = self.recording = opener()
+        recording = self.recording = _opened(recording)
         self._calibration = calibration_of(recording, settings)
         self._model: Any
         if settings.method == "follow":
@@ -126,10 +123,9 @@ class Work:
 
     def alone(self, lam: float, chunk: int, state: dict[str, Any] | None) -> Found:
         """Returns the rows of a chunk on a worker; `state` is of the chunk before."""
-        with _ONE:
-            if self.settings.in_order:
-                self.solver(lam).resume(state or {})
-            return self.found(lam, chunk, self.read(chunk))
+        if self.settings.in_order:
+            self.solver(lam).resume(state or {})
+        return self.found(lam, chunk, self.read(chunk))
 
     def _lam(self) -> float:
         """Returns λ: the settings', the table's, or the method's choice."""
@@ -195,42 +191,28 @@ class Work:
         return {"contact_force": force(self._calibration, g, radius)}
 
 
-class AbstractPlace(ABC):
-    """A place where chunks are computed; `in_order` says why one after the other."""
-
-    in_order: str
-
-    @abstractmethod
-    def digest(self) -> str:
-        """Returns the SHA-256 of the recording."""
-
-    @abstractmethod
-    def ask(self, name: str, *args: Any) -> Any:
-        """Calls a method of the work."""
-
-    @abstractmethod
-    def run(
-        self, todo: list[int], lam: float, state: dict[str, Any] | None
-    ) -> Generator[Found]:
-        """Yields each chunk of `todo` once it is found; `state` is of the chunk before."""
-
-
-class Here(AbstractPlace):
+class Here:
     """This process: reads a chunk while another one is computed."""
 
     def __init__(self, recording: Recording, settings: Settings, size: int):
-        self._recording, self.in_order = recording, settings.in_order
-        self._work = Work(lambda: recording, settings, size)
+        self._given, self.in_order = (recording, settings, size), settings.in_order
+
+    @cached_property
+    def _work(self) -> Work:
+        return Work(*self._given)
 
     def digest(self) -> str:
-        return self._recording.digest()
+        """Returns the SHA-256 of the recording."""
+        return self._given[0].digest()
 
     def ask(self, name: str, *args: Any) -> Any:
+        """Calls a method of the work."""
         return getattr(self._work, name)(*args)
 
     def run(
         self, todo: list[int], lam: float, state: dict[str, Any] | None
     ) -> Generator[Found]:
+        """Yields each chunk of `todo` once it is found; `state` is of the chunk before."""
         work = self._work
         if state:
             work.solver(lam).resume(state)
@@ -241,21 +223,25 @@ class Here(AbstractPlace):
                 yield work.found(lam, chunk, coming.pop(0).result())
 
 
-class There(AbstractPlace):
-    """The workers of a cluster, by a client of Dask `distributed`."""
+class There:
+    """The workers of a cluster, by a client of Dask `distributed`; as `Here`."""
 
     def __init__(self, client: Any, recording: Recording, settings: Settings, size: int):
         self._client, self.in_order = client, settings.in_order
-        # An opener's error is the task's; a recording that is pickled opens on arrival.
-        self._opener = recording.opener or partial(_itself, recording)
         # Files count by their paths on the workers' disks.
         paths = {name: getattr(settings, name) for name in FILES}
         paths = {name: str(Path(path).absolute()) for name, path in paths.items() if path}
+        # An opener's error is the task's; a recording that is pickled opens on arrival.
+        self._recording = recording.opener or recording
+        self._settings, self._size = replace(settings, **paths), size
+
+    @cached_property
+    def _work(self) -> Any:
         # A worker that is killed takes along what it holds: another one makes it again.
-        self._work = self._given(Work, self._opener, replace(settings, **paths), size)
+        return self._given(Work, self._recording, self._settings, self._size)
 
     def digest(self) -> str:
-        return _result(self._given(_digest, self._opener))
+        return _result(self._given(_digest, self._recording))
 
     def ask(self, name: str, *args: Any) -> Any:
         return _result(self._given(_asked, self._work, name, *args))
@@ -271,7 +257,7 @@ class There(AbstractPlace):
             threads = sum(self._client.nthreads().values())
             most = 1 if self.in_order else 2 * threads + _AHEAD
             for chunk in islice(left, max(0, most - running.count())):
-                running.add(self._given(_found, self._work, lam, chunk, state))
+                running.add(self._given(_asked, self._work, "alone", lam, chunk, state))
 
         try:
             give()
@@ -302,26 +288,20 @@ def _result(future: Any) -> Any:
 
 
 def _as_here(wide: bool, task: Callable, *args: Any) -> Any:
-    with jax.enable_x64(wide):
+    with jax.enable_x64(wide), _ONE:
         return task(*args)
 
 
-def _digest(opener: Opener) -> str:
-    with opener() as recording:
-        return recording.digest()
+def _digest(recording: Any) -> str:
+    return _opened(recording).digest()
+
+
+def _opened(recording: Any) -> Recording:
+    return recording if isinstance(recording, Recording) else recording()
 
 
 def _asked(work: Work, name: str, *args: Any) -> Any:
-    with _ONE:
-        return getattr(work, name)(*args)
-
-
-def _found(work: Work, *args: Any) -> Found:
-    return work.alone(*args)
-
-
-def _itself(recording: Recording) -> Recording:
-    return recording
+    return getattr(work, name)(*args)
 
 
 def _outline(rig: Rig) -> dict[str, str]:

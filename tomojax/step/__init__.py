@@ -2,15 +2,18 @@
 
 The folder holds policies and their tables too. The folder knows nothing of files of slots,
 nor of the rig that a slot comes from.
-
-The names of `__init__.pyi` are imported when they are first used.
 """
 
-import lazy_loader as _lazy
-
-# The names are in the stub.
-# pyright: reportUnsupportedDunderAll=false
-__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
+from tomojax.step._make import check_followed as check_followed, make_step as make_step
+from tomojax.step._packing import Packed as Packed
+from tomojax.step._policies import (
+    ADAPTIVE as ADAPTIVE,
+    Lookup as Lookup,
+    POLICIES as POLICIES,
+)
+from tomojax.step._state import Output as Output
+from tomojax.step._step import Step as Step
+from tomojax.step._tables import load_policy as load_policy, save_policy as save_policy
 
 __all__ = [
     "ADAPTIVE",
