@@ -196,9 +196,11 @@ def _listen() -> None:
     jax.monitoring.register_event_listener(heard)
 
 
-def _device() -> str:
-    """Tells the device that a program is compiled for."""
-    return str(jax.devices()[0].device_kind)
+def _device() -> tuple:
+    """Tells what else a program is compiled for: device, version, and the user's words."""
+    precision = jax.config.jax_default_matmul_precision  # pyright: ignore
+    told = jax.devices()[0].device_kind, jax.__version__, precision
+    return *told, os.environ.get("XLA_FLAGS", "")
 
 
 def _path(function: Callable, key: Any, ending: str) -> Path | None:
