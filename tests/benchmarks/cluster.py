@@ -20,6 +20,7 @@ from pathlib import Path
 
 os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # as the command does
 
+import dask
 from distributed import Client, LocalCluster
 
 HERE = Path(__file__).parent
@@ -39,6 +40,7 @@ def main() -> None:
     parser.add_argument("--method", default="source")
     given = parser.parse_args()
     keep_compiled()
+    dask.config.set({"distributed.scheduler.allowed-failures": 100})
     import tomojax as tx
 
     settings = tx.results.Settings(method=given.method, chunk=500)
@@ -78,10 +80,13 @@ def main() -> None:
                     continue
                 ended = threading.Event()
 
-                def torture(cluster=cluster, ended=ended) -> None:
+                def torture(cluster=cluster, client=client, ended=ended) -> None:
                     while not ended.wait(5.0):
-                        pid = next(iter(cluster.workers.values())).pid
-                        os.kill(pid, signal.SIGKILL)
+                        there = client.nthreads()  # one that starts is left alone
+                        every = cluster.workers.values()
+                        some = [one for one in every if one.worker_address in there]
+                        if len(some) > 1:
+                            os.kill(some[0].pid, signal.SIGKILL)
 
                 torturer = threading.Thread(target=torture)
                 torturer.start()

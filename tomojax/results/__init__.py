@@ -20,7 +20,6 @@ __all__ = [
     "open_results",
     "Outline",
     "outlines_of",
-    "Made",
     "reconstruct_many",
     "reconstruct_recording",
     "Settings",

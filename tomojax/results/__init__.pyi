@@ -37,7 +37,6 @@ __all__ = [
     "open_results",
     "Outline",
     "outlines_of",
-    "Made",
     "reconstruct_many",
     "reconstruct_recording",
     "Settings",
