@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tomojax._require import library, require
-from tomojax.methods import AbstractMethod, Batch, fields_of_rows
+from tomojax.methods import fields_of_rows
 from tomojax.results.loading._labels import coordinates, variables
 
 _NEEDED = "time", "slot", "electrode"
@@ -30,7 +30,7 @@ def dataset(
     )
 
 
-def apply(data: Any, method: AbstractMethod, **options: Any) -> Any:
+def apply(data: Any, method: Any, **options: Any) -> Any:
     """Returns the rows of a Dataset of voltages as a Dataset.
 
     Voltages in chunks of Dask along `time` stay lazy: each chunk is a task. xarray is an
@@ -53,6 +53,8 @@ def apply(data: Any, method: AbstractMethod, **options: Any) -> Any:
     >>> print(1e3 * rows.contact_x.values.round(3).ravel(), rows.contact_x.units)
     [30. nan] m
     """
+    from tomojax.methods import Batch  # imports JAX: files are read without
+
     for name in ("voltages", "ground"):
         require(name in data, name, sorted(map(str, data)), f"a variable {name}")
     missing = sorted(set(_NEEDED) - set(data.voltages.dims))
