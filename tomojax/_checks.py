@@ -33,7 +33,7 @@ def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
         array = array.astype(np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {value!r}, expected numbers") from None
-    return jnp.asarray(array, dtype)
+    return jnp.asarray(array.astype(dtype), dtype)  # JAX would compile a conversion
 
 
 def require_finite(name: str, value: jax.Array) -> None:

@@ -1,36 +1,33 @@
-"""Compiled functions whose programs are kept between processes.
+"""Compiled functions whose programs are kept between processes; and kept values.
 
-JAX's own cache keeps compiled programs, under a key from tracing and lowering. This file
-keeps lowered programs too. A `reconstruct --method points` of the demo's first 0.1 s takes
-8 s of a processor's time with both, 22 s with JAX's cache alone, and 46 s with none.
+JAX's own cache finds a program by what tracing and lowering give, which takes longer than
+all the rest of a short command. This file finds a program by its name, source and
+arguments.
 """
 
 import functools
 import hashlib
-import importlib.util
 import os
+import pickle
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, get_args, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.export
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.experimental import serialize_executable
 
 from tomojax._whole import ours
 
 # The environment variable that names the folder; without it nothing is kept, nor in a
 # folder that others can write: a program that is read is run.
 FOLDER = "TOMOJAX_PROGRAMS"
-
-# JAX writes programs with this package.
-_WRITES = importlib.util.find_spec("flatbuffers") is not None
 
 # XLA's CPU compiler takes half the time with these. What it makes runs as fast within 8 %,
 # but `linear` 10 to 15 % slower: thousands of small operations gain little from the rest.
@@ -45,13 +42,10 @@ class Kept:
     A program that cannot be kept is compiled all the same. Compilers run beside the caller:
     `begin` lets several programs compile side by side.
 
-    A file holds what `jax.export` writes. The function's annotation names what it returns:
-    arrays, and tuples of arrays with and without names.
     """
 
     def __init__(self, function: Callable):
         functools.update_wrapper(self, function)
-        _register(function.__annotations__.get("return"))
         self._function, self._inside = function, eqx.filter_jit(function)
         # On several devices arrays come in parts, which a program that is kept does not.
         self._shared = functools.cache(lambda: _with_options(function))
@@ -85,10 +79,8 @@ class Kept:
         key = tree, still, tuple((type(a), a) for a in leaves), shapes, _wide()
         with self._lock:
             if key not in self._programs:
-                folder, path = os.environ.get(FOLDER), None
-                if folder and _WRITES and ours(folder):
-                    told = tree, still, tuple(map(repr, leaves)), shapes, _wide()
-                    path = Path(folder) / f"{_named(self._function, told)}.program"
+                told = tree, still, tuple(map(repr, leaves)), shapes, _wide(), _device()
+                path = _path(self._function, told, ".program")
                 self._programs[key] = _made(self._function, args, flat, path)
         return self._programs[key], flat
 
@@ -101,23 +93,30 @@ def kept(function: Callable) -> Kept:
     return Kept(function)
 
 
+def remembered(function: Callable) -> Callable:
+    """Wraps a function of values that pickle; keeps on disk what the function returns."""
+
+    @functools.wraps(function)
+    def found(*args: Any) -> Any:
+        told = _wide(), _device()
+        if os.environ.get(FOLDER):
+            told += (hashlib.sha256(pickle.dumps(args)).hexdigest(),)
+        path = _path(function, told, ".value")
+        if path is None:
+            return function(*args)
+        with suppress(Exception):  # a file that is not there yet, or was cut short
+            return pickle.loads(path.read_bytes())
+        made = function(*args)
+        _write(path, made)
+        return made
+
+    return found
+
+
 def forget() -> None:
     """Drops all kept programs of this process; `jax.clear_caches` drops JAX's own."""
     for one in _KEPT:
         one.forget()
-
-
-@functools.cache
-def _register(kind: Any) -> None:
-    """Lets JAX write and read the named tuples that a type is made of."""
-    parts = get_args(kind)
-    if isinstance(kind, type) and hasattr(kind, "_fields"):
-        name = f"{kind.__module__}.{kind.__qualname__}"
-        with suppress(ValueError):  # another function returns it, too
-            jax.export.register_namedtuple_serialization(kind, serialized_name=name)
-        parts = kind.__annotations__.values()
-    for part in parts:
-        _register(part)
 
 
 def _wide() -> bool:
@@ -128,12 +127,16 @@ def _wide() -> bool:
 class _Program(NamedTuple):
     """A program that is compiled, or will be; and the shapes of what it returns."""
 
-    compiled: Future
+    compiled: Callable[[], Any]
     shapes: Any
+    name: str  # of its file
 
     def __call__(self, flat: list) -> Any:
+        if self.name:
+            _used[self.name] = None
         try:
-            return self.compiled.result()(*flat)
+            found = self.compiled()(*flat)
+            return jax.tree.unflatten(jax.tree.structure(self.shapes), found)
         except KeyboardInterrupt:
             _stop_compiling()
             raise
@@ -175,11 +178,47 @@ def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
 
-def _named(function: Callable, key: Any) -> str:
-    told = "\n".join(
-        [source_digest(), function.__module__, function.__qualname__, repr(key)]
-    )
-    return f"{function.__name__.strip('_')}-{hashlib.sha256(told.encode()).hexdigest()}"
+_heard = threading.local()  # programs that JAX's cache had, in each thread
+
+
+def _hits() -> int:
+    """Counts what JAX found in its cache in this thread."""
+    _listen()
+    return getattr(_heard, "hits", 0)
+
+
+@functools.cache
+def _listen() -> None:
+    def heard(event: str, **_: Any) -> None:
+        if event == "/jax/compilation_cache/cache_hits":
+            _heard.hits = getattr(_heard, "hits", 0) + 1
+
+    jax.monitoring.register_event_listener(heard)
+
+
+def _device() -> tuple:
+    """Tells what else a program is compiled for: device, version, and the user's words."""
+    precision = jax.config.jax_default_matmul_precision  # pyright: ignore
+    told = jax.devices()[0].device_kind, jax.__version__, precision
+    return *told, os.environ.get("XLA_FLAGS", "")
+
+
+def _path(function: Callable, key: Any, ending: str) -> Path | None:
+    """Returns the file for what a function makes under a key; None where none is kept."""
+    folder = os.environ.get(FOLDER)
+    if not folder or not ours(folder):
+        return None
+    told = "\n".join([source_digest(), function.__module__, function.__qualname__, repr(key)])
+    digest = hashlib.sha256(told.encode()).hexdigest()
+    return Path(folder) / f"{function.__name__.strip('_')}-{digest}{ending}"
+
+
+def _write(path: Path, *things: Any) -> None:
+    """Pickles things to a file, whole or not at all; what cannot be kept is not."""
+    with suppress(Exception):  # a full disk, or something that does not pickle
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(b"".join(map(pickle.dumps, things)))
+        part.replace(path)
 
 
 @functools.cache
@@ -196,48 +235,79 @@ def source_digest() -> str:
 
 def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Program:
     """Reads the program of a file; traces and writes one where no file can be read."""
-    if path is not None:
-        with suppress(Exception):  # a file that was cut short, or is of another JAX
-            exported = jax.export.deserialize(bytearray(path.read_bytes()))
-            _prepare_lapack()
-            return _of_exported(exported, flat)
-    arrays, static = eqx.partition(args, _is_array)
-    tree = jax.tree.structure(arrays)
+    wide, trees = _wide(), []
 
-    def flattened(*flat: Any) -> Any:
-        return function(*eqx.combine(jax.tree.unflatten(tree, flat), static))
+    def traced(called: str = function.__name__) -> Any:
+        arrays, static = eqx.partition(args, _is_array)
+        tree = jax.tree.structure(arrays)
 
-    flattened.__name__ = function.__name__
-    if path is None:
-        traced = jax.jit(flattened, compiler_options=options()).trace(*flat)
-        return _later(traced.lower, traced.out_info)
-    exported = jax.export.export(jax.jit(flattened))(*flat)
-    with suppress(OSError, ValueError):  # a full disk, or a class that is not registered
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_bytes(exported.serialize())
-        part.replace(path)
-    return _of_exported(exported, flat)
+        def flattened(*flat: Any) -> Any:
+            found = function(*eqx.combine(jax.tree.unflatten(tree, flat), static))
+            leaves, told = jax.tree.flatten(found)
+            trees.append(told)
+            return tuple(leaves)
 
+        flattened.__name__ = called  # JAX tells what it compiles by that
+        return jax.jit(flattened, compiler_options=options()).trace(*flat)
 
-def _of_exported(exported: jax.export.Exported, flat: list) -> _Program:
-    def call(*flat: Any) -> Any:
-        return exported.call(*flat)
-
-    call.__name__ = exported.fun_name  # JAX tells what it compiles by that
-    program = jax.jit(call, compiler_options=options())
-    shapes = jax.tree.unflatten(exported.out_tree, exported.out_avals)
-    return _later(functools.partial(program.lower, *flat), shapes)
-
-
-def _later(lower: Callable, shapes: Any) -> _Program:
-    wide = _wide()
-
-    def compiled() -> Any:
+    def made(begun: Any) -> Any:
         with jax.enable_x64(wide):  # which holds in the calling thread alone
-            return lower().compile()
+            hits = _hits()
+            compiled = (begun or traced()).lower().compile()
+            # JAX cannot write what it found in its own cache; another name is not there.
+            if path is not None and _hits() > hits:
+                anew = f"{function.__name__}_{os.urandom(4).hex()}"
+                compiled = traced(anew).lower().compile()
+            if path is not None:
+                _write(path, serialize_executable.serialize(compiled), shapes)
+            return compiled
 
-    told = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), shapes)
-    return _Program(_compilers().submit(compiled), told)
+    @functools.cache  # once it is called: it may never be
+    def read() -> Any:
+        with suppress(Exception):  # a file that was cut short, or is of another JAX
+            loading = _foreseen.pop(name, None)
+            loaded, lapack = loading.result() if loading else _loaded(path)  # pyright: ignore
+            if lapack:
+                _prepare_lapack()
+            return loaded
+        return made(None)
+
+    name = "" if path is None else path.name
+    if path is not None:
+        with suppress(Exception), path.open("rb") as file:
+            pickle.load(file)
+            return _Program(read, pickle.load(file), name)
+    begun = traced()
+    told = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in begun.out_info]
+    shapes = jax.tree.unflatten(trees[0], told)
+    return _Program(_compilers().submit(made, begun).result, shapes, name)
+
+
+def _loaded(path: Path) -> tuple[Any, bool]:
+    """Reads a program, and tells whether it calls LAPACK; imports nothing of ours."""
+    with path.open("rb") as file:
+        found = pickle.load(file)
+    return serialize_executable.deserialize_and_load(*found), b"lapack" in found[0]
+
+
+# Programs that load before they are asked for, and those asked for, by their files' names.
+_foreseen: dict[str, Future] = {}
+_used: dict[str, None] = {}
+
+
+@contextmanager
+def foreseen(work: str) -> Iterator[None]:
+    """Loads what the last process used for the same work, while this one goes on."""
+    path = _path(foreseen, work, ".used")
+    names = []
+    with suppress(OSError):
+        names = path.read_text().split() if path is not None else []
+    for name in names:
+        _foreseen[name] = _compilers().submit(_loaded, path.with_name(name))  # pyright: ignore
+    yield
+    if path is not None and sorted(names) != sorted(_used):
+        with suppress(OSError):
+            path.write_text("\n".join(_used))
 
 
 @functools.cache

@@ -5,15 +5,11 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from time import monotonic, sleep
 
 try:
     import fcntl
 except ImportError:  # Windows: nobody is kept from a file
     fcntl = None
-
-# Seconds in which a lock that others share is asked for again.
-_MOMENT = 1.0
 
 # What is being written: a process that ends at once removes these.
 _unfinished: set[Path] = set()
@@ -89,44 +85,32 @@ def remove(part: Path) -> None:
 
 
 @contextmanager
-def held(path: Path, shared: bool) -> Iterator[None]:
+def held(path: Path) -> Iterator[None]:
     """Holds the lock file `path`; the system releases the file when the process ends.
 
-    `shared` lets others hold the file as well. A disk without locks keeps nobody out.
+    A disk without locks keeps nobody out.
 
     **Raises:** `ValueError` where another run holds the file.
     """
-    file = _taken(path, shared)
-    if file is not None and not shared:
+    file = _taken(path)
+    if file is not None:
         _unfinished.add(path)
     try:
         yield
     finally:
         _unfinished.discard(path)
-        if file is not None and fcntl is not None:
-            # The last one removes it, while it is held alone: who opened it meanwhile finds
-            # another in its place.
-            with suppress(OSError):
-                if shared:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                path.unlink()
+        if file is not None:
+            remove(path)
             os.close(file)
 
 
-def _taken(path: Path, shared: bool) -> int | None:
-    if fcntl is None:
-        return None
-    # Of those that share, whoever leaves holds it alone for a moment.
-    end = monotonic() + (_MOMENT if shared else 0.0)
-    while True:
+def _taken(path: Path) -> int | None:
+    while fcntl is not None:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             os.close(file)
-            if monotonic() < end:
-                sleep(0.05)
-                continue
             out = path.name.removesuffix(".partial.lock")
             raise ValueError(
                 f"{path.with_name(out)}: another run is writing it; wait for it, or stop it"
@@ -134,7 +118,9 @@ def _taken(path: Path, shared: bool) -> int | None:
         except OSError:
             os.close(file)
             return None
+        # Its holder may have removed it meanwhile, and another one made it anew.
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file), os.stat(path)):
                 return file
         os.close(file)
+    return None

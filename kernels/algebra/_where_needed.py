@@ -1,6 +1,7 @@
 """Computes one result in two ways, and takes the costlier way only where it is needed."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -49,4 +50,14 @@ def where_needed(
         found = lax.while_loop(lambda state: state[0] < left, again, start)[1]
         return found, jax.tree.map(lambda _: True, found)
 
-    return either
+    # The rule above has no slopes in reverse; a plain condition has.
+    @jax.custom_jvp
+    def told(needed, *arrays):
+        return either(needed, *arrays)
+
+    @told.defjvp
+    def _(primals, tangents):
+        plain = partial(lax.cond, primals[0], whole, simple)
+        return jax.jvp(plain, primals[1:], tangents[1:])
+
+    return told

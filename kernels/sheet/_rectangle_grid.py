@@ -6,8 +6,8 @@ ends after a dozen terms. Each term is a product of a function of x and one of y
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.linalg import cholesky, solve_triangular
 
 from tomojax.kernels.rectangle import Series
 
@@ -66,11 +66,13 @@ def rectangle_grid_fields(
         pairs = np.stack(slopes, -1) / (2 * step)  # (M, 2, M, 2)
         own = pairs.reshape(count, count)
         weaker = (1 / shunt - 1) / (2 * np.pi * radius**2)
-        chol = cholesky((own + own.T) / 2 + weaker * np.eye(count), lower=True)
-        answer = solve_triangular(chol, at_places[:, 1:].reshape(count, -1), lower=True)
+        chol = scipy.linalg.cholesky((own + own.T) / 2 + weaker * np.eye(count), lower=True)
+        answer = scipy.linalg.solve_triangular(
+            chol, at_places[:, 1:].reshape(count, -1), lower=True
+        )
         ee = ee - answer.T @ answer
         # What the dipoles take from the field at a point is linear in their field there.
-        answer = solve_triangular(chol, answer, lower=True, trans=1)
+        answer = scipy.linalg.solve_triangular(chol, answer, lower=True, trans=1)
 
     def rows(x: _Points, y: _Points) -> _Points:
         there = fields(x, y)

@@ -7,8 +7,8 @@ coefficient of φ to four others, (a ± i, b ± j).
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
-from scipy import special
 
 # Half periods along x and y together of the waves that a sheet's errors are told in.
 _LONGEST = 4
@@ -65,7 +65,7 @@ def rectangle_wave_fields(
     square = k[0][:, None] ** 2 + k[1] ** 2
     square[0, 0] = np.inf  # the mean is free
     # Fed through the electrodes' rims.
-    rim = special.j0(np.sqrt(np.where(np.isinf(square), 0, square)) * radius)
+    rim = scipy.special.j0(np.sqrt(np.where(np.isinf(square), 0, square)) * radius)
     twice = np.where(np.arange(most) > 0, 2.0, 1.0)
     norm = twice[:, None] * twice / (size[0] * size[1])
     at = [np.cos(places[:, i, None] * k[i]) for i in (0, 1)]  # (M, most)
@@ -83,7 +83,7 @@ def rectangle_wave_fields(
 
 def disc_mean(ka: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Computes 2J₁(ka)/ka: the mean of a wave of vector k over a disc of radius a."""
-    return np.where(ka > 0, 2 * special.j1(ka) / np.where(ka > 0, ka, 1), 1)
+    return np.where(ka > 0, 2 * scipy.special.j1(ka) / np.where(ka > 0, ka, 1), 1)
 
 
 def _moved(

@@ -2,12 +2,16 @@
 
     git worktree add /tmp/older COMMIT
     python tests/benchmarks/start.py --beside /tmp/older [--seed 7] [--only points auto]
+    python tests/benchmarks/start.py --twelve [points] [--beside /tmp/older]
 
 Each row is a new process with JAX's cache in a folder of its own. The cache is empty at
 first, and then as the first run left it. A resistor network makes the recordings
 (tests/rig.py). One has 16 scans of 64 slots with a bar in each. The other has 2 s of ten
 slots a scan with a contact. Writes start.json and start.png; parts that --only leaves out
 stay in them. Takes half an hour.
+
+`--twelve` prints seconds of `tomojax reconstruct` on twelve scans of two slots, and of
+`import jax` beside: with an empty cache, and the median of five runs after it.
 """
 
 import argparse
@@ -16,6 +20,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +110,32 @@ def measured(job: str, root: Path, folder: Path) -> list[dict]:
     return rows
 
 
+def twelve(method: str, root: Path, folder: Path) -> dict:
+    """Seconds of whole processes: `import jax`, the first run and those after it."""
+    path, out = folder / "twelve.h5", folder / "out.h5"
+    main = "from tomojax.cli import main; main()"
+    words = ["reconstruct", str(path), "-o", str(out), "--overwrite", "--method", method]
+
+    def seconds(*command: str) -> float:
+        began = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-P", "-c", *command],
+            env=env,
+            check=True,
+            capture_output=True,
+        )
+        return time.perf_counter() - began
+
+    with tempfile.TemporaryDirectory() as cache:
+        env = os.environ | {"PYTHONPATH": str(root), "XDG_CACHE_HOME": cache}
+        env.pop("JAX_COMPILATION_CACHE_DIR", None)
+        first = seconds(main, *words)
+        both = [(seconds("import jax"), seconds(main, *words)) for _ in range(6)][1:]
+    unit, again = np.median(both, 0)
+    told = {"import_jax_s": unit, "first_s": first, "again_s": again}
+    return told | {"first": first / unit, "again": again / unit}
+
+
 # How the bars of both commits are drawn; the blue is `tomojax._pictures.BLUE`.
 COMMITS = {
     "older": {"color": "0.75", "hatch": "//", "edgecolor": "w", "label": "older commit"},
@@ -144,13 +175,25 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--beside", type=Path, help="Checkout of an older commit.")
     parser.add_argument("--only", nargs="*", choices=JOBS, default=list(JOBS))
+    parser.add_argument("--twelve", nargs="*", metavar="METHOD")
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
     commits = {"now": HERE.parents[1]}
+    sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
     if options.beside:
         commits = {"older": options.beside.resolve()} | commits
     rows = []
     with tempfile.TemporaryDirectory() as folder:
+        if options.twelve is not None:
+            from recordings import touched, write
+
+            write(Path(folder) / "twelve.h5", touched(scans=12)[0], [0, 63])
+            for method in options.twelve or ("source", "points", "auto", "follow"):
+                for commit, root in commits.items():
+                    told = {"method": method, "commit": commit}
+                    told |= twelve(method, root, Path(folder))
+                    print(json.dumps(told), flush=True)
+            return
         recordings(options.seed, Path(folder))
         for job in options.only:
             for commit, root in commits.items():

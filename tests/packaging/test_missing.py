@@ -22,6 +22,7 @@ ROWS = [
     ("h5py", "app", "reconstruct {h5} -o {out}"),
     ("h5py", "app", "record udp://127.0.0.1:9 -o {out}"),
     ("matplotlib", "app", "demo"),
+    ("distributed", "cluster", "reconstruct {h5} -o {out} --cluster tcp://127.0.0.1:9"),
     ("nptdms", "tdms", "info {tdms}"),
     ("serial", "serial", "record serial:/dev/null -o {out}"),
     ("cobs", "serial", "record serial:/dev/null -o {out}"),

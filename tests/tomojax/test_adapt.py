@@ -153,8 +153,6 @@ def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
     assert not other.exists()
     tx.reconstruct_recording(recording, other, given, resume=True)
     assert other.read_bytes() == found[True]["bytes"]
-    with pytest.raises(ValueError, match="^--processes: got 2, expected one process"):
-        tx.reconstruct_recording(recording, tmp_path / "c.h5", given, share=(0, 2))
 
 
 def adapter_after(sensor, volts, place, minutes=60, grounds=GROUNDS, seed=0):
@@ -282,6 +280,3 @@ def test_command_with_adapt(sensor, touches, tmp_path):
     with h5py.File(tmp_path / "rec.results.h5") as file:
         assert np.std(file["adapted_gain"][-1]) > 5e-3
         assert json.loads(file.attrs["configuration"])["adapt"] is True
-    shared = ["--coordinator", "localhost:1", "--processes", "2", "--process", "0"]
-    with pytest.raises(ValueError, match="--adapt goes in order; use one process"):
-        CliRunner().invoke(app, [*words, "--overwrite", *shared], catch_exceptions=False)

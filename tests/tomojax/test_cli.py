@@ -205,9 +205,6 @@ def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_pa
         (["--chunk", "0"], "chunk"),
         (["--tdms", "slots=3"], "header"),
         (["--tdms", "what"], "tdms"),
-        (["--process", "1"], "--coordinator"),
-        (["--coordinator", "x", "--processes", "2", "--process", "5"], "--process"),
-        (["--coordinator", "x", "--processes", "2", "--process", "1"], "--coordinator"),
         (["--picture", "/absent/p.png"], "/absent"),
     ],
 )

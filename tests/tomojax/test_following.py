@@ -153,10 +153,6 @@ def test_a_state_that_is_none_of_the_run_is_a_line(path, whole, tmp_path):
         (("--images",), "images: got True, expected none with follow"),
         (("--lam", "2"), "lam: got 2.0, expected none with follow"),
         (("--contacts", "9"), "contacts: got 9, expected a whole number from 1 to 8"),
-        (
-            ("--coordinator", "localhost:1", "--processes", "2", "--process", "0"),
-            "--coordinator: follow goes from slot to slot; use one process",
-        ),
     ],
 )
 def test_what_cannot_be_is_said_in_a_line(

@@ -136,9 +136,11 @@ print(factor(2 * jnp.eye(40, dtype="float32"))[0, 0])
     assert len(list(tmp_path.glob("*.program"))) == 1
 
 
-def test_the_library_says_what_its_programs_return() -> None:
-    """Without a word of it, files of named tuples could not be written."""
-    tx.methods.METHODS  # noqa: B018  (all methods are imported)
-    ours = [one for one in _programs._KEPT if one.__module__.startswith("tomojax.")]
-    assert len(ours) > 8
-    assert not [one.__qualname__ for one in ours if "return" not in one.__annotations__]
+def test_a_value_is_made_once_for_all_processes(folder) -> None:
+    tables = [tx.method(tx.Sensor.grid(4, 4, divisions=(16, 16)), grid=16)]
+    assert len(list(folder.glob("*.value"))) == 1
+    tables.append(tx.method(tx.Sensor.grid(4, 4, divisions=(16, 16)), grid=16))
+    assert len(list(folder.glob("*.value"))) == 1
+    assert eqx.tree_equal(*tables)
+    tx.method(tx.Sensor.grid(4, 4, divisions=(16, 16), drive_voltage=4.0), grid=16)
+    assert len(list(folder.glob("*.value"))) == 2

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -152,11 +151,6 @@ def finish(process) -> None:
     assert process.returncode == 0, errors
 
 
-def chunks_done(out: Path) -> int:
-    marks = partial_path(out).with_name(partial_path(out).name + ".done")
-    return sum(marks.read_bytes()) if marks.exists() else 0
-
-
 def wait_for(condition, process, seconds=60.0):
     end = time.monotonic() + seconds
     while not condition() and process.poll() is None and time.monotonic() < end:
@@ -200,25 +194,6 @@ def test_ctrl_c_ends_with_a_line_and_130(long_path, tmp_path):
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "--resume goes on" in errors
     assert partial_path(out).exists() and not out.exists()
-
-
-@pytest.mark.long
-def test_two_processes_and_one_killed(long_path, uninterrupted, tmp_path):
-    """On loopback: one is killed half way and started again; the same file as alone."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    out = tmp_path / "o.h5"
-    share = ["--coordinator", f"127.0.0.1:{port}", "--processes", 2, "--process"]
-    first, second = (command(long_path, out, *share, k) for k in (0, 1))
-    wait_for(lambda: chunks_done(out) > 0, second)
-    second.kill()
-    second.communicate()
-    again = command(long_path, out, *share, 1, "--resume")
-    for process in (first, again):
-        finish(process)
-    assert out.read_bytes() == uninterrupted.read_bytes()
-    assert sorted(tmp_path.iterdir()) == [out]
 
 
 @pytest.mark.long

@@ -96,3 +96,33 @@ def test_a_missing_library_is_said(path, name, monkeypatch) -> None:
     with tx.results.open_results(path) as results:
         with pytest.raises(ModuleNotFoundError, match=told):
             getattr(results, f"to_{name}")()
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_a_dataset_of_voltages_gives_one_of_rows(each) -> None:
+    """As `Batch` gives, in chunks too; a ground for each slot of each scan, or of all."""
+    xarray = pytest.importorskip("xarray")
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    volts = np.asarray(tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15]))
+    volts, ground = np.stack([volts, 0 * volts, volts, volts]), np.array([0, 15])
+    volts[3, 0, 4] = np.nan
+    told = (("time", "slot"), np.tile(ground, (4, 1))) if each else ("slot", ground)
+    data = xarray.Dataset(
+        {"voltages": (("slot", "time", "electrode"), volts.swapaxes(0, 1)), "ground": told},
+        coords={"time": 0.1 * np.arange(4)},
+    )
+    method = tx.method(sensor, "source", 16)
+    rows = tx.results.apply(data, method, contacts=2)
+    wanted = tx.Batch(method, contacts=2)(volts, np.tile(ground, (4, 1)))
+    np.testing.assert_array_equal(rows.contact_x, wanted.contact_xy[..., 0])
+    np.testing.assert_array_equal(rows.image, wanted.image)
+    assert rows.image.dims == ("time", "x", "y") and rows.image.units == "A/m^2"
+    np.testing.assert_allclose(rows.x, (np.arange(16) + 0.5) * 0.08 / 16)
+    np.testing.assert_array_equal(rows.time, data.time)
+    lazy = tx.results.apply(data.chunk(time=3), method, contacts=2)
+    assert lazy.image.chunks is not None
+    xarray.testing.assert_allclose(lazy.compute(scheduler="synchronous"), rows)
+    with pytest.raises(ValueError, match="^ground: got"):
+        tx.results.apply(data.drop_vars("ground"), method)
+    with pytest.raises(ValueError, match="^voltages: got .*, expected dimensions"):
+        tx.results.apply(data.rename(slot="turn"), method)

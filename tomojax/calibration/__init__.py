@@ -2,44 +2,15 @@
 
 This room makes a `tomojax.Calibration`; the sensor room applies calibrations. This room
 knows nothing of results.
+
+The names of `__init__.pyi` are imported when they are first used.
 """
 
-from tomojax.calibration._calibrate import (
-    calibrate as calibrate,
-    Calibrated as Calibrated,
-    calibrated as calibrated,
-)
-from tomojax.calibration._held import HeldCalibration as HeldCalibration
-from tomojax.calibration._pressure import (
-    calibrate_presses as calibrate_presses,
-    force as force,
-    pressure as pressure,
-)
-from tomojax.calibration._recording import (
-    calibrate_recording as calibrate_recording,
-    calibrated_recording as calibrated_recording,
-    read_places as read_places,
-)
-from tomojax.calibration._report import (
-    picture as picture,
-    rub_more as rub_more,
-    squares_touched as squares_touched,
-    summary as summary,
-    text as text,
-)
-from tomojax.calibration._slopes import (
-    rig_slopes as rig_slopes,
-    slopes_by_rig as slopes_by_rig,
-)
-from tomojax.calibration._tare import tare as tare
-from tomojax.calibration._unknowns import unknowns_of as unknowns_of
-from tomojax.calibration.drift import (
-    Adapter as Adapter,
-    fit_text as fit_text,
-    lone_places as lone_places,
-    still_fits as still_fits,
-    stretches as stretches,
-)
+import lazy_loader as _lazy
+
+# The names are in the stub.
+# pyright: reportUnsupportedDunderAll=false
+__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 
 # The rest serves the command and tests.
 __all__ = [

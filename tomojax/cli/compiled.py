@@ -15,8 +15,8 @@ from typing import Any
 from tomojax._cache import cache_folder, drop_oldest
 from tomojax._whole import ours
 
-# Bytes of all folders together; the programs of `points` for one number of slots take 40
-# MB. JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
+# Bytes of all folders together; programs and tables of `points` for one sensor take 40 MB.
+# JAX's own limit (jax_compilation_cache_max_size) needs the package `filelock`, and
 # reads the times of all files again for each program that it writes.
 LIMIT = 512 << 20
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float, Int, Integer
-from scipy.ndimage import convolve
 
 from tomojax._checks import require
 from tomojax._custom_types import Numbers
@@ -230,7 +230,7 @@ def _mean_over_disc(
     fine = (np.arange((2 * reach + 1) * _PARTS) + 0.5) / _PARTS - reach - 0.5
     within = np.hypot(*np.meshgrid(fine, fine)) < radius
     part = within.reshape(2 * reach + 1, _PARTS, -1, _PARTS).mean((1, 3))
-    return np.stack([convolve(one, part / part.sum()) for one in table.T]).T
+    return np.stack([scipy.ndimage.convolve(one, part / part.sum()) for one in table.T]).T
 
 
 def _best(

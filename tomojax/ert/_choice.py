@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.dtypes import canonicalize_dtype
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
-from scipy.spatial import KDTree
 
 from tomojax._require import require
 from tomojax.design import AbstractObjective, design
@@ -249,7 +249,7 @@ def _slopes(
     at: Float[np.ndarray, "G 2"], mapped: Float[np.ndarray, "G K"]
 ) -> tuple[Int[np.ndarray, " H"], Float[np.ndarray, "H K 2"]]:
     """Returns the candidates that have neighbours along both axes, and ∂f/∂(x, y) there."""
-    tree = KDTree(at)
+    tree = scipy.spatial.KDTree(at)
     spacing = tree.query(at[:1], 2)[0][0, 1]
     apart, ahead = tree.query(at[:, None] + spacing * np.eye(2))
     here = np.flatnonzero((apart < 0.1 * spacing).all(1))

@@ -3,18 +3,15 @@
 HDF5, MCAP and TDMS are read in a process of their own, with limits. On damaged bytes, their
 libraries may loop, crash or open other files. The folder knows nothing of recordings or
 results, and imports no JAX.
+
+The names of `__init__.pyi` are imported when they are first used.
 """
 
-from tomojax.files._npz import read_npz as read_npz
-from tomojax.files._open import (
-    open_container as open_container,
-    OpenContainer as OpenContainer,
-)
-from tomojax.files._text import (
-    read_json as read_json,
-    read_table as read_table,
-    read_toml as read_toml,
-)
+import lazy_loader as _lazy
+
+# The names are in the stub.
+# pyright: reportUnsupportedDunderAll=false
+__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 
 __all__ = [
     "open_container",
@@ -23,4 +20,5 @@ __all__ = [
     "read_npz",
     "read_table",
     "read_toml",
+    "readers",
 ]

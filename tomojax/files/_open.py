@@ -1,20 +1,16 @@
 """Opens a container of datasets, HDF5, MCAP or TDMS, in a process with limits."""
 
-import atexit
 import json
 import math
 import os
-import socket
-import subprocess
-import sys
 import threading
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from operator import index
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex, TYPE_CHECKING
 
 import numpy as np
+
+from tomojax.files._readers import readers
 
 if TYPE_CHECKING:
     from tomojax.files._served import Served
@@ -54,7 +50,7 @@ class OpenContainer:
         self.path = path
         self._lock = threading.Lock()
         self._served: Served | None = None
-        self._connection = _readers.connect({"kind": kind, "path": os.path.abspath(path)})
+        self._connection = readers.connect({"kind": kind, "path": os.path.abspath(path)})
         about = self._about(kind)
         self.growing: bool = about["growing"]
         self._attributes, self._members = about["attributes"], about["members"]
@@ -273,65 +269,3 @@ def memory() -> int:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # not on every system
         return 1 << 33
-
-
-class _Readers:
-    """The process that forks for each file; begun with the first file."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._control: socket.socket | None = None
-        self._process: subprocess.Popen | None = None
-        self._owner = 0
-
-    def connect(self, asked: dict[str, Any]) -> Connection | None:
-        """Returns a connection to a new fork; None where the system has no forks."""
-        # Others have no such sockets (macOS), no limit of memory, or no fork (Windows).
-        if sys.platform != "linux" or not hasattr(os, "fork") or not sys.executable:
-            return None
-        ours, theirs = Pipe()
-        with self._lock:
-            for _ in range(2):  # it may have been killed
-                if self._control is None or self._owner != os.getpid():
-                    self._begin()
-                assert self._control is not None
-                try:
-                    message = json.dumps(asked).encode()
-                    socket.send_fds(self._control, [message], [theirs.fileno()])
-                    break
-                except OSError:
-                    self.close()
-        theirs.close()
-        return ours
-
-    def _begin(self) -> None:
-        self._control, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._owner = os.getpid()
-        path = os.pathsep.join(p for p in sys.path if p)
-        environment = os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
-        command = [sys.executable, "-P", "-m", "tomojax.files.reader"]
-        with other:
-            self._process = subprocess.Popen(
-                command,
-                stdin=other.fileno(),
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=environment,
-            )
-
-    def close(self) -> None:
-        """Ends the process, with the forks that nobody asks any more."""
-        if self._control is not None:
-            self._control.close()
-            self._control = None
-        if self._process is not None and self._owner == os.getpid():
-            try:
-                self._process.wait(5)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-        self._process = None
-
-
-_readers = _Readers()
-atexit.register(_readers.close)

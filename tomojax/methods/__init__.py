@@ -30,6 +30,7 @@ __all__ = [
     "METHODS",
     "NO_ANSWER",
     "Points",
+    "Ready",
     "Rows",
     "Rung",
     "Source",

@@ -4,7 +4,6 @@ from ._batch import (
     check_limits as check_limits,
     frames_of as frames_of,
 )
-from ._by_sensor import estimate as estimate
 from ._contract import (
     AbstractMethod as AbstractMethod,
     bits_of as bits_of,
@@ -22,6 +21,7 @@ from ._errors import noise_of as noise_of
 from ._linear import Linear as Linear
 from ._names import check_grid as check_grid, method as method, METHODS as METHODS
 from ._pixels import pixel_divisions as pixel_divisions
+from ._pure import estimate as estimate, Ready as Ready
 from ._rows import (
     DOUBT as DOUBT,
     empty_rows as empty_rows,
@@ -54,6 +54,7 @@ __all__ = [
     "METHODS",
     "NO_ANSWER",
     "Points",
+    "Ready",
     "Rows",
     "Rung",
     "Source",

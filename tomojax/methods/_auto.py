@@ -19,6 +19,7 @@ from tomojax.methods._contract import (
     AbstractMethod,
     Estimate,
     Frame,
+    judge,
     judged,
     Part,
     Rung,
@@ -96,7 +97,7 @@ class Auto(AbstractMethod):
         return self.shapes.source
 
     @property
-    def drive_sign(self) -> Float[Array, ""]:
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
         return self.points.drive_sign
 
     @property
@@ -120,7 +121,10 @@ class Auto(AbstractMethod):
         points = self.points.estimate(prepared.errors, voltages, count)
         some = points.contacts.count > 0
         points = points._replace(rung=jnp.where(some, Rung.POINTS.value, 0))
-        left = points.flags & Flag.HIGH_RESIDUAL.value > 0
+        told = points.contacts, points.residual, points.flags, voltages
+        # As `block` judges.
+        _, flags = judge(*told, self.points.residual_limit, self.noise)
+        left = flags & Flag.HIGH_RESIDUAL.value > 0
 
         larger = partial(self.larger, prepared, voltages, count)
         return jax.lax.cond(left, larger, lambda: points)

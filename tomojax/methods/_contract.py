@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Integer
 
+from tomojax._checks import known
 from tomojax._programs import kept
 from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
@@ -186,7 +187,7 @@ class AbstractMethod(eqx.Module):
 
     @property
     @abstractmethod
-    def drive_sign(self) -> Float[Array, ""]:
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
         """Returns the drive's direction: 1 or −1."""
 
     @property
@@ -195,9 +196,12 @@ class AbstractMethod(eqx.Module):
         """Returns the noise of a reading, V rms."""
 
     @property
-    def threshold(self) -> Float[Array, ""]:
+    def threshold(self) -> Float[Array | np.ndarray, ""]:
         """Returns volts that no channel exceeds without a contact; skips lower frames."""
-        return self.stands_out * self.noise
+        noise = self.noise
+        if not known(noise):
+            return self.stands_out * noise
+        return np.asarray(self.stands_out * np.asarray(noise))  # JAX would compile this
 
     def sizes(self, contacts: int, images: bool) -> dict[str, int]:
         """Returns the sizes of a row's fields, by the sizes' names in `Rows`."""
@@ -277,6 +281,11 @@ def grounded_of(method: AbstractMethod) -> Bool[np.ndarray, "L M"]:
     """
     told = getattr(method, "grounded", None)
     return np.eye(method.electrode_count, dtype=bool) if told is None else told
+
+
+def sign_of(volts: Float[Array, ""]) -> Float[Array | np.ndarray, ""]:
+    """Returns the sign of a drive voltage."""
+    return np.asarray(np.sign(np.asarray(volts))) if known(volts) else jnp.sign(volts)
 
 
 def judged(

@@ -1,7 +1,7 @@
 """Models the errors of a frame's voltages: the converter's noise, and the model's own."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from tomojax._programs import kept
 from tomojax.kernels.contacts import Noise, whiten, WhitenedFrame
 from tomojax.kernels.sheet import Slots, smooth_modes
 from tomojax.methods._contract import centred
@@ -136,19 +137,20 @@ class Errors(eqx.Module):
         local = own * parts[:, None, None] * bends_and_slopes(xy, channels)
         # As many σ² as there are channels: twice what errors leave that are as told.
         tolerance = max(1, used.sum(1).max(initial=0))
-        return PreparedErrors(
-            grounds=jnp.asarray(grounds, int),
-            used=jnp.asarray(used),
+        made: dict[str, Any] = dict(
+            grounds=np.asarray(grounds, np.int32),
+            used=used,
             grounded=self.grounded,
-            own=jnp.asarray(own * _OWN, dtype),
-            local=jnp.asarray(local, dtype),
-            smooth=spread * self.smooth(self.electrode_xy),
-            spread=jnp.asarray(spread, dtype),
-            offset=jnp.asarray(spread * _OFFSET, dtype),
+            own=np.asarray(own * _OWN, dtype),
+            local=local.astype(dtype),
+            smooth=np.asarray(spread, dtype) * np.asarray(self.smooth(self.electrode_xy)),
+            spread=np.asarray(spread, dtype),
+            offset=np.asarray(spread * _OFFSET, dtype),
             noise=self.noise,
-            compared=jnp.asarray(compared),
-            tolerance=jnp.asarray(tolerance, dtype),
+            compared=compared,
+            tolerance=np.asarray(tolerance, dtype),
         )
+        return PreparedErrors(**jax.tree.map(jnp.asarray, made))
 
     def in_slot(self, good: Bool[np.ndarray, " M"]) -> Noise:
         """Returns one slot's errors for a `step`, with the sheet's longest waves alone."""
@@ -170,7 +172,7 @@ class Errors(eqx.Module):
         return _smooth(places, self.size)
 
 
-@jax.jit  # as one program to compile
+@kept
 def _smooth(places: Float[Array, "n 2"], size: Float[Array, "2"]) -> Float[Array, "q n"]:
     modes, strength = smooth_modes(places, size)
     return modes * jnp.asarray(_SMOOTH * strength[:, None], modes.dtype)

@@ -1,24 +1,38 @@
 """Lists the ladder's methods by name, and makes a method by its name."""
 
+from importlib import import_module
+from typing import Any
+
 import numpy as np
 
+from tomojax._programs import remembered
 from tomojax._require import one_of, require, require_whole
-from tomojax.methods._auto import Auto
 from tomojax.methods._contract import AbstractMethod
-from tomojax.methods._linear import Linear
 from tomojax.methods._pixels import pixel_divisions
-from tomojax.methods._source import Source
-from tomojax.methods.points import Points
-from tomojax.methods.shapes import ImageShape
 from tomojax.sensor import Calibration, Sensor
 
-METHODS: dict[str, type] = {
-    "auto": Auto,
-    "source": Source,
-    "linear": Linear,
-    "points": Points,
-    "shape": ImageShape,
-}
+
+class _Methods(dict):
+    """Methods by name; one that is told as "module:class" is imported when looked up."""
+
+    def __getitem__(self, name: str) -> type:
+        found = super().__getitem__(name)
+        if not isinstance(found, str):
+            return found
+        module, _, kind = found.partition(":")
+        return getattr(import_module(f"tomojax.methods.{module}"), kind)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self[name] if name in self else default
+
+
+METHODS: dict[str, type] = _Methods(
+    auto="_auto:Auto",
+    source="_source:Source",
+    linear="_linear:Linear",
+    points="points:Points",
+    shape="shapes:ImageShape",
+)
 
 # For each pitch: `source` reads a place around a peak, for which fewer are too few.
 _PIXELS = 4
@@ -66,10 +80,21 @@ def method(
     check_grid(grid)
     shape = (int(grid), int(grid))
     found = METHODS[name]
+    # The package's source names what is kept; a method of the user's is made each time.
+    make = _kept if found.__module__.startswith("tomojax.") else _made
+    return make(found, sensor, shape, calibration)
+
+
+def _made(
+    kind: type, sensor: Sensor, shape: tuple[int, int], calibration: Calibration | None
+) -> AbstractMethod:
     if calibration is None:
-        return found.of(sensor, shape)
-    fine = pixel_divisions(sensor, shape, found.cells_per_diameter)
-    return found.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+        return kind.of(sensor, shape)
+    fine = pixel_divisions(sensor, shape, kind.cells_per_diameter)
+    return kind.of(calibration.sensor(sensor, fine), shape).calibrated(calibration)
+
+
+_kept = remembered(_made)
 
 
 def check_grid(grid: int) -> None:

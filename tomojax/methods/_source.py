@@ -261,15 +261,20 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
+        made = dict(
+            operators=forward * operators.reshape(slots * m, -1),
+            through=through / count,
+            misfits=misfits,
+            imaging=forward * imaging.reshape(slots * m, -1),
+            scaled=basis * np.sqrt(count / spread),
+            lowest=np.asarray(lowest),
+            used=good,
+            lam=np.asarray(lam),
+        )
+        # JAX would compile a conversion for each shape.
+        kinds = {name: bool if a is good else dtype for name, a in made.items()}
         return PreparedSource(
-            operators=jnp.asarray(forward * operators.reshape(slots * m, -1), dtype),
-            through=jnp.asarray(through / count, dtype),
-            misfits=jnp.asarray(misfits, dtype),
-            imaging=jnp.asarray(forward * imaging.reshape(slots * m, -1), dtype),
-            scaled=jnp.asarray(basis * np.sqrt(count / spread), dtype),
-            lowest=jnp.asarray(lowest, dtype),
-            used=jnp.asarray(good),
-            lam=jnp.asarray(lam, dtype),
+            **{name: jnp.asarray(a.astype(kinds[name])) for name, a in made.items()}
         )
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:

@@ -1,5 +1,6 @@
 """Opens a recording in any of its forms."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,7 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         raise ValueError(f"{path}: {reason}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+    recording.opener = partial(open_recording, path.absolute(), **options)
     return recording
 
 

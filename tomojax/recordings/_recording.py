@@ -2,6 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TYPE_CHECKING
@@ -181,6 +182,7 @@ class Recording(ABC):
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
     stretch: tuple[int, int] | None = None  # of a longer one: its first scan, and the end
     marks: tuple[tuple[float, str], ...] = ()  # moments that somebody marked: s, text
+    opener: Callable[[], "Recording"] | None = None  # opens the file again; pickles
 
     @abstractmethod
     def read(self, start: int, stop: int) -> Scans:
@@ -201,6 +203,10 @@ class Recording(ABC):
             ("duration", shown(float((self.scans + lost) * self.interval), "s")),
             ("rig", repr(self.rig)),
         ]
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Pickles an open file by its path."""
+        return (self.opener, ()) if self.opener else super().__reduce_ex__(protocol)
 
     def close(self) -> None:  # noqa: B027 (arrays have nothing to close)
         """Closes the file; nothing is read after this."""

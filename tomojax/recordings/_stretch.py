@@ -1,5 +1,8 @@
 """Makes a stretch of a recording a recording itself."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from tomojax._require import naming
@@ -12,6 +15,8 @@ class Stretch(Recording):
 
     def __init__(self, whole: Recording, start: int, stop: int):
         self._whole, self._start = whole, start
+        if whole.opener is not None:
+            self.opener = partial(_again, whole.opener, start, stop)
         self.path, self.rig = whole.path, whole.rig
         self.slots, self.electrodes = whole.slots, whole.electrodes
         self.scans, self.stretch = stop - start, (start, stop)
@@ -58,3 +63,7 @@ def between(recording: Recording, since: float | None, until: float | None) -> R
     with naming(recording.path):
         start, stop = stretch_of(recording.t0, since, until)
     return Stretch(recording, start, stop)
+
+
+def _again(opener: Callable[[], Recording], start: int, stop: int) -> Stretch:
+    return Stretch(opener(), start, stop)

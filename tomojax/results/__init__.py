@@ -15,10 +15,12 @@ __getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
 
 # The rest serves other rooms.
 __all__ = [
+    "apply",
     "LoadedResults",
     "open_results",
     "Outline",
     "outlines_of",
+    "reconstruct_many",
     "reconstruct_recording",
     "Settings",
     "Touch",

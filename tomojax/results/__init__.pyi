@@ -13,21 +13,31 @@ from ._outlines import (
 )
 from ._settings import default_method as default_method, Settings as Settings
 from ._solving import Chosen as Chosen
-from ._stream import reconstruct_recording as reconstruct_recording
+from ._stream import (
+    Made as Made,
+    reconstruct_many as reconstruct_many,
+    reconstruct_recording as reconstruct_recording,
+)
 from ._track import (
     Touch as Touch,
     touches as touches,
     track as track,
     Tracks as Tracks,
 )
-from .loading import LoadedResults as LoadedResults, open_results as open_results
+from .loading import (
+    apply as apply,
+    LoadedResults as LoadedResults,
+    open_results as open_results,
+)
 
 # The rest serves other rooms.
 __all__ = [
+    "apply",
     "LoadedResults",
     "open_results",
     "Outline",
     "outlines_of",
+    "reconstruct_many",
     "reconstruct_recording",
     "Settings",
     "Touch",

@@ -1,10 +1,11 @@
-"""Follows zeros and gains along a recording: chunks in order, by one process.
+"""Follows zeros and gains along a recording: chunks in order.
 
 The adapter corrects each stretch of a chunk with the zeros and gains so far. The adapter
 then learns from the stretch's rows. A file beside OUT.partial holds the adapter's memory
 after the marked chunks. The results hold zeros and gains at the end of each chunk.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,15 +30,16 @@ class Adapting(AbstractSolver):
         points: Points | None,
         solver: AbstractSolver,
     ):
-        self.adapter = Adapter(recording.rig.sensor(), calibration, points=points)
+        self._adapter = partial(Adapter, recording.rig.sensor(), calibration, points=points)
+        self.adapter = self._adapter()
         self._before, self._solver = calibration, solver
 
     def remembered(self) -> dict[str, np.ndarray]:
         return {**self._solver.remembered(), **self.adapter.state()}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
-        super().resume(kept)
         self._solver.resume(kept)
+        self.adapter = self._adapter()
         if kept:
             self.adapter.restore(kept)
 

@@ -1,10 +1,10 @@
 """Writes results, version 1 (HDF5), so that no finished chunk is ever lost.
 
 The file is laid out whole before the first row: every dataset contiguous at a fixed
-place. Plain writes then fill in rows, chunk by chunk, in any order, by any number of
-processes. HDF5's own structures are never touched again: a process may be killed at any
-moment. OUT.partial.done lies beside OUT.partial: one byte a chunk, set after the chunk is
-on disk. The finished file gets its own name at the end.
+place. Plain writes then fill in rows, chunk by chunk, in any order. HDF5's own structures
+are never touched again: the process may be killed at any moment. OUT.partial.done lies
+beside OUT.partial: one byte a chunk, set after the chunk is on disk. The finished file gets
+its own name at the end.
 """
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportIndexIssue=false
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
@@ -95,18 +95,11 @@ class ResultsFile:
             ) from None
 
     def done(self) -> np.ndarray:
-        """Returns the chunks that are written; all, once any process finished the file."""
-        try:
-            marks = (path := self.beside(".done")).read_bytes()
-        except FileNotFoundError:
-            return np.ones(self.chunks, bool)
+        """Returns the chunks that are written."""
+        marks = (path := self.beside(".done")).read_bytes()
         fits = len(marks) == self.chunks
         require(fits, f"{path}", f"{len(marks)} marks", f"{self.chunks}: --overwrite")
         return np.frombuffer(marks, np.uint8) == 1
-
-    def finished(self, chunk: int) -> bool:
-        """Tells whether that chunk is written by now."""
-        return bool(self.done()[chunk])
 
     def keep(self, **arrays: Any) -> None:
         """Puts arrays beside the rows, replacing earlier arrays: at once or not at all."""
@@ -145,9 +138,9 @@ class ResultsFile:
         require(fits, f"{where}: chunk", chunk, f"1 to {done.sum()}, as are done{again}")
         return kept
 
-    def locked(self, shared: bool) -> contextlib.AbstractContextManager[None]:
-        """Keeps other runs from this file; `shared` admits runs that share the work."""
-        return held(self.beside(".lock"), shared)
+    def locked(self) -> contextlib.AbstractContextManager[None]:
+        """Keeps other runs from this file."""
+        return held(self.beside(".lock"))
 
     def discard(self) -> None:
         """Removes the files that an earlier run left."""
@@ -156,9 +149,8 @@ class ResultsFile:
 
     def finish(self) -> None:
         """Renames OUT.partial to OUT."""
-        with contextlib.suppress(FileNotFoundError):  # another process was first
-            self.partial.replace(self.out)
-            self.beside(".done").unlink()
+        self.partial.replace(self.out)
+        self.beside(".done").unlink(missing_ok=True)
         self.beside(".state").unlink(missing_ok=True)
 
 
@@ -174,7 +166,7 @@ def write_rows(
     """
     check_output(out, False, overwrite)
     file = ResultsFile(out, 1)
-    with file.locked(shared=False):
+    with file.locked():
         file.discard()
         file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
         with contextlib.closing(RowWriter(file)) as writer:
@@ -254,22 +246,6 @@ def is_results(path: Path) -> bool:
 def partial_path(out: Path, ending: str = "") -> Path:
     """Returns the path of a results file in the making, or of a file beside it."""
     return out.with_name(f"{out.name}.partial{ending}")
-
-
-def nothing_left(out: Path) -> bool:
-    """Tells whether every row is written, whether the file has its name or not."""
-    if not partial_path(out).exists():
-        return out.exists()
-    marks = partial_path(out, ".done")
-    return not marks.exists() or all(marks.read_bytes())
-
-
-def chunks_done(out: Path) -> int | None:
-    """Counts the chunks done so far; None for a file that is not in the making."""
-    try:
-        return sum(partial_path(out, ".done").read_bytes())
-    except FileNotFoundError:
-        return None
 
 
 def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -> None:

@@ -1,8 +1,7 @@
 """Runs `follow` on a recording: slots in order; the memory is kept beside the rows.
 
-A chunk depends on the chunks before, so one process does chunks in order. OUT.partial.state
-lies beside OUT.partial: the step's memory after the marked chunks. So a resumed run gives
-the results of an uninterrupted run.
+A chunk depends on the chunks before. OUT.partial.state lies beside OUT.partial: the step's
+memory after the marked chunks. So a resumed run gives the results of an uninterrupted run.
 """
 
 from typing import Any
@@ -53,7 +52,7 @@ class Following(AbstractSolver):
         return {"numbers": numbers, "whole": whole}
 
     def resume(self, kept: dict[str, np.ndarray]) -> None:
-        super().resume(kept)
+        self.state, self._last = self._step.state, None
         if kept:
             self.state = Packed(kept["numbers"], kept["whole"])  # pyright: ignore
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Integer
-from scipy import ndimage
 
 from tomojax._require import require
 from tomojax._whole import whole
@@ -86,7 +86,7 @@ def outlines_of(
         for n, c, s in zip(touch.shape, cell, sides)
     )
     made = contour_generator(x, y, wide.T, fill_type=FillType.OuterOffset)
-    label: Any = ndimage.label(touch > _HALF, np.ones((3, 3)))
+    label: Any = scipy.ndimage.label(touch > _HALF, np.ones((3, 3)))
     label = label[0]
     found = []
     for points, offsets in zip(*made.filled(_HALF, np.inf)):

@@ -14,7 +14,6 @@ from tomojax.calibration import tare
 from tomojax.methods import AbstractMethod, check_grid, check_limits, frames_of, METHODS
 from tomojax.recordings import CHUNK_SLOTS, Rate, read_chunk, Recording
 from tomojax.sensor import Calibration
-from tomojax.step import check_followed
 
 # Bytes of a chunk's images.
 _CHUNK_IMAGES = 1 << 26
@@ -33,7 +32,7 @@ _WORTH = 20_000
 _LAMBDA_FRAMES = 8
 
 # Settings that are files.
-_FILES = "calibration", "policy"
+FILES = "calibration", "policy"
 
 _CHOSEN: Any = None  # stands for a value that follows from the other settings
 
@@ -106,6 +105,8 @@ class Settings:
             slots = "'slot': follow goes from slot to slot"
             require(self.rate == "slot", "rate", repr(self.rate), slots)
             require(not self.images, "images", self.images, "none with follow")
+            from tomojax.step import check_followed  # which other runs need not
+
             check_followed(self.contacts)
             for name in ("lam", "threshold", "policy"):
                 given = getattr(self, name)
@@ -163,9 +164,9 @@ def _asked_or_fitting(recording: Recording, settings: Settings) -> int:
     return max(1, scans)
 
 
-def configuration(recording: Recording, settings: Settings, size: int) -> dict:
+def configuration(recording: Recording, settings: Settings, size: int, digest: str) -> dict:
     """Lists all that decides the rows: two runs with the same list make the same bytes."""
-    given = {name: getattr(settings, name) for name in _FILES}
+    given = {name: getattr(settings, name) for name in FILES}
     digests = {f"{n}_sha256": _digest(n, path) for n, path in given.items() if path}
     return {
         **asdict(settings),
@@ -174,7 +175,7 @@ def configuration(recording: Recording, settings: Settings, size: int) -> dict:
         "chunk": size,
         "scans": recording.scans,
         **({"stretch": list(recording.stretch)} if recording.stretch else {}),
-        "recording_sha256": recording.digest(),
+        "recording_sha256": digest,
         "rig_sha256": _digest_of_rig(recording),
         "versions": environment(),
     }
@@ -242,7 +243,7 @@ def require_same(config: dict, attributes: dict, path: Path) -> None:
     for name in sorted({*config, *before}):
         was, now = before.get(name), config.get(name)
         # A file counts by its content, wherever it lies.
-        if was == now or (name in _FILES and was and now):
+        if was == now or (name in FILES and was and now):
             continue
         was, now = _shortened(was, now)
         raise ValueError(

@@ -9,10 +9,8 @@ from jaxtyping import Float, Int
 
 from tomojax._require import require
 from tomojax.methods import Batch, method as make_method, Rows
-from tomojax.paper import exploration
 from tomojax.recordings import Chunk, Recording
 from tomojax.sensor import Calibration
-from tomojax.step import load_policy
 
 # Methods whose λ/σ₁² a table has.
 _WITH_LAMBDA = "linear", "source"
@@ -40,6 +38,9 @@ class Chosen:
     """
 
     def __init__(self, path: Path | str, recording: Recording, contacts: int, method: str):
+        from tomojax.paper import exploration
+        from tomojax.step import load_policy  # which runs without a table need not
+
         sensor = recording.rig.sensor()
         policy = load_policy(path, sensor)
         self.table = np.asarray(policy.table)
@@ -93,12 +94,7 @@ class Chosen:
 
 
 class AbstractSolver(ABC):
-    """Finds the rows of chunks. A solver that needs chunks in order has a memory.
-
-    `start` is the first chunk that is left to do.
-    """
-
-    start: int = 0
+    """Finds the rows of chunks. A solver that needs chunks in order has a memory."""
 
     @abstractmethod
     def __call__(self, chunk: int, frames: Chunk) -> tuple[Rows, dict[str, Any] | None]:
@@ -108,10 +104,8 @@ class AbstractSolver(ABC):
         """Returns the present state, for `resume`."""
         return {}
 
-    def resume(self, kept: dict[str, np.ndarray]) -> None:
+    def resume(self, kept: dict[str, np.ndarray]) -> None:  # noqa: B027
         """Goes on from the state after a chunk; an empty state means the beginning."""
-        if kept:
-            self.start = int(kept["chunk"])
 
 
 class EachAlone(AbstractSolver):

@@ -1,49 +1,35 @@
-"""Turns a recording of any length into a results file: reads ahead, writes behind.
+"""Turns recordings of any length into results files: reads ahead, writes behind.
 
-Chunks are judged, solved and written one by one; no chunk depends on another. A later run,
-or another process, writes the chunks left undone with the same bytes. `follow` and
-`--adapt` do chunks in order, see `_following` and `_adapting`.
+Chunks are judged, solved and written one by one, in this process or on a cluster. No chunk
+depends on another. A later run writes the chunks left undone with the same bytes. `follow`
+and `--adapt` do chunks in order, see `_following` and `_adapting`. One process writes a
+file.
 """
 
 import errno
 import json
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import as_completed, Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from time import monotonic, sleep
-from typing import Any
+from time import monotonic
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tomojax import methods
 from tomojax._require import require
-from tomojax.calibration import force
-from tomojax.recordings import Chunk, Progress, read_chunk, Recording, Rig
-from tomojax.results._adapting import Adapting
-from tomojax.results._file import check_output, Dataset, ResultsFile, RowWriter
-from tomojax.results._following import Following
-from tomojax.results._settings import (
-    calibration_of,
-    choose_lambda,
-    chunk_scans,
-    configuration,
-    film_rows,
-    require_same,
-    Settings,
-)
-from tomojax.results._solving import AbstractSolver, Chosen, EachAlone
+from tomojax._stopping import stop_if_asked
+from tomojax.recordings import open_recording, Progress, Recording
+from tomojax.results._file import check_output, partial_path, ResultsFile, RowWriter
+from tomojax.results._settings import chunk_scans, configuration, require_same, Settings
+from tomojax.results._work import Here, There
 from tomojax.results.loading import attributes as attributes_of
-
-# The datasets of contacts on a curved sheet, and their units.
-_IN_SPACE = {"contact_xyz": "m", "contact_normal": "1"}
-
-_PATIENCE = 600.0  # s, in which the first process lays the file out
 
 # What a disk says that is full, may hold no larger file, or fails.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+
+# Files that a cluster's workers share, at least and at most.
+_FEW, _MANY = 4, 64
 
 
 def reconstruct_recording(
@@ -53,14 +39,15 @@ def reconstruct_recording(
     *,
     resume: bool = False,
     overwrite: bool = False,
-    share: tuple[int, int] = (0, 1),
+    client: Any = None,
     progress: Progress = lambda done, total: None,
 ) -> Path:
     """Writes images and contacts of every scan (or slot) of a recording to a results file.
 
     **Arguments:** `resume` goes on with OUT.partial of a run that ended; `overwrite`
-    begins anew over OUT.partial and OUT; `share` (i, n): this process is the i-th of n that
-    work on the same file; `progress` is called with the chunks done and the number of all.
+    begins anew over OUT.partial and OUT; `client` of Dask `distributed`: its cluster's
+    workers compute the chunks; `progress` is called with the chunks done and the number of
+    all.
     **Returns:** the path of the finished file.
     **Raises:** `ValueError`; `KeyboardInterrupt` leaves OUT.partial to be resumed.
 
@@ -81,25 +68,23 @@ def reconstruct_recording(
     """
     settings, out = settings or Settings(), Path(out)
     settings.check()
-    fits, why = share[1] == 1 or not settings.in_order, settings.in_order
-    require(fits, "--processes", share[1], f"one process: {why}")
-    goes_on = resume or share[0] > 0
-    check_output(out, goes_on, overwrite)
+    check_output(out, resume, overwrite)
     size = chunk_scans(recording, settings)
     file = ResultsFile(out, -(-recording.scans // size))
-    config = configuration(recording, settings, size)
-    with file.locked(shared=share[1] > 1):
-        check_output(out, goes_on, overwrite)  # as another run has left it
+    with file.locked():
+        check_output(out, resume, overwrite)  # as another run has left it
+        given = recording, settings, size
+        place = There(client, *given) if client else Here(*given)
+        config = configuration(*given, place.digest())
         begun = file.partial.exists()
         if begun and resume and not overwrite:
             require_same(config, attributes_of(file.partial), file.partial)
-        if goes_on and out.exists() and not begun:
+        if resume and out.exists() and not begun:
             require_same(config, attributes_of(out), out)
-            if share == (0, 1):
-                file.discard()  # the marks of a run that was killed as it ended
+            file.discard()  # the marks of a run that was killed as it ended
             return out
         try:
-            _Run(recording, settings, file, config).make(share, overwrite, progress)
+            _make(place, file, config, begun and not overwrite, progress)
         except OSError as error:
             if error.errno not in _DISK:
                 raise
@@ -109,217 +94,158 @@ def reconstruct_recording(
     return out
 
 
-class _Run:
-    """The work of one process on a results file; `config` decides the rows."""
+class Made(NamedTuple):
+    """A recording that `reconstruct_many` is done with; `error` says why it has no rows."""
 
-    def __init__(
-        self,
-        recording: Recording,
-        settings: Settings,
-        file: ResultsFile,
-        config: dict[str, Any],
-    ):
-        self._recording, self._settings = recording, settings
-        self._file, self._config, self._size = file, config, config["chunk"]
-        self._rows_of_a_scan = recording.slots if settings.rate == "slot" else 1
-        self._calibration = calibration_of(recording, settings)
-        if settings.method == "follow":
-            self._model = Following(recording, settings, self._calibration, self._size)
-        else:
-            sensor, grid = recording.rig.sensor(), settings.pixels
-            self._model = methods.method(sensor, settings.method, grid, self._calibration)
-        outline, self._curved = recording.rig.outline, None
-        if outline is not None and outline.surface is not None:
-            self._curved = recording.rig.sensor()
-        self._chosen = None
-        if settings.policy:
-            contacts, method = settings.contacts, settings.method
-            self._chosen = Chosen(settings.policy, recording, contacts, method)
+    file: Path
+    results: Path
+    seconds: float
+    error: OSError | ValueError | None
 
-    def make(self, share: tuple[int, int], overwrite: bool, progress: Progress) -> None:
-        """Makes the file, or goes on with OUT.partial."""
-        file = self._file
-        if share[0] > 0:
-            _wait_for(file.partial)
-        begun = file.partial.exists() and not (overwrite and share[0] == 0)
-        if not begun:
-            lam = self._lam()
-            file.discard()
-            self._create(lam)
+
+def reconstruct_many(
+    files: Iterable[Path | str],
+    folder: Path | str,
+    settings: Settings | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    client: Any = None,
+    opened: Callable[[Path], Recording] = open_recording,
+    begun: Callable[[Path], Progress] = lambda file: lambda done, total: None,
+    done: Callable[[Made], None] = lambda made: None,
+) -> list[Made]:
+    """Writes results of each recording to a folder; an error stops that recording alone.
+
+    **Arguments:** `client` of Dask `distributed`: its cluster's workers compute the chunks
+    of several files at once. `opened` opens a file. `begun` is called with each file as its
+    turn comes, and returns what the file's progress is told. `done` is called after each
+    file. The rest is as for `reconstruct_recording`.
+    **Returns:** for each file its results, FOLDER/NAME.results.h5, or the error.
+    **Raises:** `ValueError` where results are there already, or two files' would have one
+    name.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> import tomojax as tx
+    >>> demo = Path(tx.__file__).with_name("demo.h5")  # comes with the package
+    >>> settings = tx.results.Settings(method="source", images=False)
+    >>> made = tx.results.reconstruct_many([demo, "none.h5"], "found", settings)
+    >>> print(made[0].results.name, made[1].error)
+    demo.results.h5 none.h5: no such file; give the path of a recording
+    """
+    places = places_of([Path(file) for file in files], Path(folder))
+    there = [one for one in places.values() if one.exists() or partial_path(one).exists()]
+    mend = "--resume to go on, --overwrite, or another folder"
+    asked = not there or resume or overwrite
+    require(asked, f"{folder}", f"results of {len(there)} already", mend)
+    Path(folder).mkdir(exist_ok=True)
+
+    def one(file: Path) -> Made:
+        stop_if_asked()
+        began, error = monotonic(), None
         try:
-            attributes = attributes_of(file.partial)
-            require_same(self._config, attributes, file.partial)
-            solver = self._solver(float(attributes["lam"]))
-            solver.resume(file.kept(solver.remembered()))
-            with closing(RowWriter(file)) as writer:
-                work = partial(self._work, solver, writer, progress)
-                if self._settings.in_order:
-                    work(range(solver.start, file.chunks))
-                else:
-                    self._share_out(share, work)
-        except ValueError:
-            if share == (0, 1) and not begun and not file.done().any():
-                file.discard()  # bad input: the next run does not stumble over it
+            with opened(file) as recording:
+                given: dict[str, Any] = {"client": client, "progress": begun(file)}
+                given |= {"resume": resume, "overwrite": overwrite}
+                reconstruct_recording(recording, places[file], settings, **given)
+        except (OSError, ValueError) as wrong:
+            error = wrong
+        return Made(file, places[file], monotonic() - began, error)
+
+    made: dict[Path, Made] = {}
+
+    def add(new: Made) -> None:
+        made[new.file] = new
+        done(new)
+
+    if client is None:
+        for file in places:
+            add(one(file))
+        return list(made.values())
+    at_once = min(max(sum(client.nthreads().values()), _FEW), _MANY)
+    with ThreadPoolExecutor(at_once) as pool:
+        try:
+            for ready in as_completed([pool.submit(one, file) for file in places]):
+                add(ready.result())
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
             raise
-        # Process 0 gives the file its name: the others may still be about to write.
-        if share[0] == 0 and file.done().all():
-            file.finish()
+    return [made[file] for file in places]
 
-    def _lam(self) -> float:
-        """Returns λ: the settings', the table's, or the method's choice."""
-        settings, model, chosen = self._settings, self._model, self._chosen
-        if isinstance(model, Following):
-            return model.scale()
-        if settings.lam is None and chosen is not None and chosen.median:
-            return chosen.median * model.scale()
-        return choose_lambda(self._recording, model, settings, self._calibration)
 
-    def _create(self, lam: float) -> None:
-        recording, settings, model = self._recording, self._settings, self._model
-        marks = {"marks": json.dumps(recording.marks)} if recording.marks else {}
-        attributes = {
-            "method": settings.method,
-            "rate": settings.rate,
-            "lam": lam,
-            "lam_relative": lam / model.scale(),
-            "pattern": recording.read(0, 1).grounds[0],  # of the first scan
-            "size": recording.rig.size,
-            "electrode_xy": recording.rig.electrode_xy,
-            "drive_voltage": recording.rig.drive_voltage,
-            "sheet_resistance": recording.rig.sheet_resistance,
-            "calibration": json.dumps(asdict(self._calibration)),
-            "recording": recording.path.name,
-            "recording_sha256": self._config["recording_sha256"],
-            "versions": json.dumps(self._config["versions"]),
-            **marks,
-            **_outline(recording.rig),
-            "configuration": json.dumps(self._config, sort_keys=True),
+def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
+    """Returns the results file of each recording.
+
+    **Raises:** `ValueError` for two recordings whose results would have one name.
+    """
+    places: dict[Path, Path] = {}
+    taken: dict[Path, Path] = {}
+    for one in recordings:
+        place = out / f"{one.stem}.results.h5"
+        if place in taken:
+            place = out / f"{one.name}.results.h5"
+        other = f"{place}, as {taken.get(place)} has"
+        require(place not in taken, f"{one}", other, "recordings of other names")
+        taken[place] = places[one] = place
+    return places
+
+
+def _make(
+    place: Here | There,
+    file: ResultsFile,
+    config: dict[str, Any],
+    begun: bool,
+    progress: Progress,
+) -> None:
+    """Makes the file, or goes on with OUT.partial; `config` decides the rows."""
+    if not begun:
+        datasets, attributes = place.ask("head")
+        attributes |= {
+            "recording_sha256": config["recording_sha256"],
+            "versions": json.dumps(config["versions"]),
+            "configuration": json.dumps(config, sort_keys=True),
         }
-        self._file.create(self._datasets(), attributes)
+        file.discard()
+        file.create(datasets, attributes)
+    try:
+        attributes = attributes_of(file.partial)
+        require_same(config, attributes, file.partial)
+        lam, left = float(attributes["lam"]), np.flatnonzero(~file.done())
+        state = file.kept(place.ask("remembered", lam))
+        if place.in_order:  # marked chunks behind the state are done again
+            left = np.arange(int(state.get("chunk", 0)), file.chunks)
+        _write(place, file, left.tolist(), lam, state, progress)
+    except ValueError:
+        if not begun and not file.done().any():
+            file.discard()  # bad input: the next run does not stumble over it
+        raise
+    file.finish()
 
-    def _datasets(self) -> dict[str, Dataset]:
-        """Lists the file's datasets: of rows, and what `--adapt` logs for each chunk."""
-        settings, model = self._settings, self._model
-        count = self._recording.scans * self._rows_of_a_scan
-        empty = methods.empty_rows(0, model.sizes(settings.contacts, settings.images))
-        told = {"contact_covariance": model.tells_covariance, "rung": model.tells_rung}
-        found = {"t": Dataset((count,), "<f8", "s")}
-        for name, values in empty._asdict().items():
-            if values is not None and told.get(name, True):
-                field, shape = methods.fields_of_rows()[name], (count, *values.shape[1:])
-                found[name] = Dataset(shape, field.kind, field.unit or model.image_unit)
-            if name == "contact_conductance" and self._calibration.pressure is not None:
-                found["contact_force"] = Dataset((count, settings.contacts), "<f4", "N")
-        if self._curved is not None:
-            for name, unit in _IN_SPACE.items():
-                found[name] = Dataset((count, settings.contacts, 3), "<f4", unit)
-        if settings.adapt:
-            chunks, m = self._file.chunks, self._recording.electrodes
-            found["adapted_t"] = Dataset((chunks,), "<f8", "s")
-            found["adapted_zero"] = Dataset((chunks, m), "<f8", "V")
-            found["adapted_gain"] = Dataset((chunks, m), "<f8", "1")
-        return found
 
-    def _solver(self, lam: float) -> AbstractSolver:
-        recording, settings, model = self._recording, self._settings, self._model
-        if isinstance(model, Following):
-            solver, points = model, None
-        else:
-            batch = methods.Batch(
-                model,
-                lam,
-                settings.contacts,
-                settings.images,
-                settings.threshold,
-                film=film_rows(recording, settings),
-            )
-            own = settings.lam is None
-            solver = EachAlone(batch, self._calibration, self._chosen, own)
-            alone = isinstance(model, methods.Points)
-            points = model if alone else getattr(model, "points", None)
-        if not settings.adapt:
-            return solver
-        return Adapting(recording, self._calibration, points, solver)
-
-    def _share_out(
-        self, share: tuple[int, int], work: Callable[[Iterable[int]], None]
-    ) -> None:
-        left = np.flatnonzero(~self._file.done())
-        mine = left % share[1] == share[0]
-        work(left[mine].tolist())
-        if share != (0, 1):
-            # What another process has not done comes last, from its end: done twice it is
-            # the same bytes, and nobody need wait for a process that was killed.
-            left = np.flatnonzero(~self._file.done())
-            work(left[::-1].tolist())
-
-    def _work(
-        self,
-        solver: AbstractSolver,
-        writer: RowWriter,
-        progress: Progress,
-        todo: Iterable[int],
-    ) -> None:
-        """Does chunks `todo`: reads a chunk and writes a chunk while computing a third."""
-        file, done = self._file, int(self._file.done().sum())
-        progress(done, file.chunks)
-        writing: Future | None = None
-        with ThreadPoolExecutor(1) as reader, ThreadPoolExecutor(1) as behind:
-            try:
-                for chunk, frames in _read_ahead(reader, self._read, list(todo)):
-                    # What is marked may be done again where the state is of earlier.
-                    if file.finished(chunk) and not self._settings.in_order:
-                        continue
-                    rows, state = solver(chunk, frames)
-                    values = {"t": frames.t, **rows._asdict(), **self._forces(rows)}
-                    if self._curved is not None:
-                        values |= zip(_IN_SPACE, self._curved.in_space(rows.contact_xy))
-                    start = chunk * self._size * self._rows_of_a_scan
+def _write(
+    place: Here | There,
+    file: ResultsFile,
+    todo: list[int],
+    lam: float,
+    state: dict[str, Any],
+    progress: Progress,
+) -> None:
+    """Does chunks `todo`: writes a chunk while another one is computed."""
+    done = file.chunks - len(todo)
+    progress(done, file.chunks)
+    writing: Future | None = None
+    with closing(RowWriter(file)) as writer, ThreadPoolExecutor(1) as behind:
+        try:
+            with closing(place.run(todo, lam, state)) as coming:
+                for found in coming:
                     if writing:
                         writing.result()
-                    writing = behind.submit(writer.write, chunk, start, values, state)
-                    done = min(done + 1, file.chunks)
+                    writing = behind.submit(writer.write, *found)
+                    done += 1
                     progress(done, file.chunks)
-            finally:  # also when interrupted: what is computed is kept
-                if writing:
-                    writing.result()
-                writer.mark()
-
-    def _read(self, chunk: int) -> Chunk:
-        start = chunk * self._size
-        stop = min(start + self._size, self._recording.scans)
-        return read_chunk(self._recording, start, stop, self._settings.rate)
-
-    def _forces(self, rows: methods.Rows) -> dict[str, np.ndarray]:
-        if self._calibration.pressure is None:
-            return {}
-        g, radius = rows.contact_conductance, rows.contact_radius
-        return {"contact_force": force(self._calibration, g, radius)}
-
-
-def _wait_for(path: Path) -> None:
-    """Waits until the first process has laid the file out."""
-    end = monotonic() + _PATIENCE
-    while not path.exists():
-        told = f"nothing in {_PATIENCE:g} s"
-        require(monotonic() < end, f"{path}", told, "process 0's file")
-        sleep(0.1)
-
-
-def _read_ahead(
-    reader: Executor, read: Callable[[int], Chunk], todo: list[int]
-) -> Iterator[tuple[int, Chunk]]:
-    """Yields each chunk of `todo` with its data; reads the next chunk meanwhile."""
-    coming = [(c, reader.submit(read, c)) for c in todo[:2]]
-    for following in [*todo[2:], None, None][: len(todo)]:
-        chunk, result = coming.pop(0)
-        if following is not None:
-            coming.append((following, reader.submit(read, following)))
-        yield chunk, result.result()
-
-
-def _outline(rig: Rig) -> dict[str, str]:
-    """Returns the outline of a sheet that does not fill its box, as lines, m."""
-    if rig.outline is None:
-        return {}
-    return {"outline": json.dumps([line.tolist() for line in rig.outline.lines(rig.size)])}
+        finally:  # also when interrupted: what is computed is kept
+            if writing:
+                writing.result()
+            writer.mark()

@@ -134,6 +134,8 @@ class Calibration:
 
     def sheet_factor(self, places: np.ndarray, size: np.ndarray) -> np.ndarray:
         """Computes the sheet's resistance over its mean at places (n, 2); `size`: sides."""
+        if not any(self.sheet):
+            return np.ones(len(places))
         at, sides = (jnp.asarray(np.asarray(a, float)) for a in (places, size))
         modes, _ = smooth_modes(at, sides, WAVES[len(self.sheet)])
         return 1 + np.asarray(self.sheet) @ np.asarray(modes)

@@ -11,8 +11,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy import sparse
 
 from tomojax.kernels.contacts import Among
 from tomojax.kernels.sheet import (
@@ -252,7 +252,7 @@ def _centred(
 
 def _weights(
     at: Float[np.ndarray, "n 2"], size: np.ndarray, mesh: tuple[int, int]
-) -> sparse.csr_array:
+) -> "scipy.sparse.csr_array":
     """Computes weights (n, nodes) of the four nodes around each place: linear."""
     cells = np.array(mesh)
     index = at / size * cells
@@ -266,7 +266,7 @@ def _weights(
             weights.append(np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1]))
     rows = np.tile(np.arange(len(at)), 4)
     entries = np.concatenate(weights), (rows, np.concatenate(columns))
-    return sparse.csr_array(entries, shape=(len(at), numbers.size))
+    return scipy.sparse.csr_array(entries, shape=(len(at), numbers.size))
 
 
 @eqx.filter_jit

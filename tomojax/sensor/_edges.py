@@ -5,8 +5,8 @@ from abc import abstractmethod
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy.spatial import KDTree
 
 from tomojax._checks import (
     checked,
@@ -126,7 +126,11 @@ class PolygonEdge(AbstractEdge):
             x, y = (np.interp(at, np.append(0, way), ring[:, c]) for c in (0, 1))
             samples.append(np.stack([x, y, at, np.full_like(at, way[-1]), 0 * at + k]))
         x, y, at, whole, loop = np.concatenate(samples, 1)
-        one, other = KDTree(np.stack([x, y], 1)).query_pairs(wide, output_type="ndarray").T
+        one, other = (
+            scipy.spatial.KDTree(np.stack([x, y], 1))
+            .query_pairs(wide, output_type="ndarray")
+            .T
+        )
         across = np.hypot(x[one] - x[other], y[one] - y[other])
         along = np.abs(at[one] - at[other])
         along = np.minimum(along, whole[one] - along)

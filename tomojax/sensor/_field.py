@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import fft
 
 from tomojax._require import require
 from tomojax.kernels.contacts import Among, Field
@@ -155,11 +155,11 @@ def _variation(
     )
     # From the cells' middles to the table's points, which mirror at the same edges.
     middles = ek.reshape(-1, *mesh, 2).mean(-1)
-    waves = np.asarray(fft.dctn(middles, 2, axes=(1, 2), norm="forward"))
+    waves = np.asarray(scipy.fft.dctn(middles, 2, axes=(1, 2), norm="forward"))
     padded = np.zeros((len(ee), *(np.maximum(cells, mesh) + 1)))
     padded[:, : mesh[0], : mesh[1]] = waves
     padded = padded[:, : cells[0] + 1, : cells[1] + 1]
-    return ee, np.asarray(fft.dctn(padded, 1, axes=(1, 2)))
+    return ee, np.asarray(scipy.fft.dctn(padded, 1, axes=(1, 2)))
 
 
 def disc_averages(
@@ -168,6 +168,6 @@ def disc_averages(
     """Yields means of a table, mirrored at its edges, over discs around its points."""
     k = [np.pi * np.arange(n) / side for n, side in zip(values.shape[-2:], size)]
     length = np.hypot(*np.meshgrid(*k, indexing="ij"))
-    waves = fft.dctn(values, 1, axes=(-2, -1))
+    waves = scipy.fft.dctn(values, 1, axes=(-2, -1))
     for a in radii:
-        yield np.asarray(fft.idctn(waves * disc_mean(length * a), 1, axes=(-2, -1)))
+        yield np.asarray(scipy.fft.idctn(waves * disc_mean(length * a), 1, axes=(-2, -1)))

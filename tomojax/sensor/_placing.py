@@ -5,8 +5,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy import ndimage
 
 from tomojax._checks import float_array, known
 from tomojax._custom_types import Numbers
@@ -133,12 +133,12 @@ def check_skin(sensor: Any) -> None:
         return
     shape = sensor.divisions
     part = np.asarray(sensor.parts())
-    labelled: Any = ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
+    labelled: Any = scipy.ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
     parts = labelled[0]
     cells = np.clip(
         (xy / np.asarray(sensor.size) * shape).astype(int), 0, np.array(shape) - 1
     )
-    near = ndimage.grey_dilation(parts, 3)
+    near = scipy.ndimage.grey_dilation(parts, 3)
     which = np.where(parts[tuple(cells.T)] > 0, parts[tuple(cells.T)], near[tuple(cells.T)])
     apart = np.flatnonzero(which != which[0])
     require(

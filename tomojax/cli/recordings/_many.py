@@ -3,9 +3,9 @@
 import csv
 import json
 import sys
-import time
 import zipfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from tomojax._require import require
 from tomojax._whole import whole
 from tomojax.cli import entry
 from tomojax.cli.compiled import compiling
-from tomojax.cli.recordings._one import COMPILING, settings_of
+from tomojax.cli.recordings._one import cluster, COMPILING, settings_of
 from tomojax.cli.recordings._opened import opened, stretch
 
 # What recordings are called.
@@ -47,14 +47,13 @@ def reconstruct_all(given: Sequence[Path], out: Path, options: dict[str, Any]) -
 
     **Raises:** `SystemExit` if a recording failed.
     """
-    for name in ("picture", "outlines", "coordinator", "processes", "process"):
+    for name in ("picture", "outlines"):
         require(options[name] is None, f"--{name}", "several recordings", "one")
     fits = out.is_dir() or not out.exists()
     require(fits, f"--out: {out}", "a file", "a folder for several")
     if not out.absolute().parent.is_dir():
         raise ValueError(f"{out}: no such folder; make it, or give another")
-    places = places_of(found_in(given), out)
-    rows, wrong = _rows(places, out, options, settings_of(options))
+    rows, wrong = _rows(found_in(given), out, options)
     print(text(rows, wrong, out))
     summary = {"recordings": len(rows), "done": len(rows) - wrong}
     entry.write_report(options["json_path"], rows=rows, summary=summary)
@@ -92,74 +91,56 @@ def _is_recording(path: Path) -> bool:
     return True
 
 
-def places_of(recordings: list[Path], out: Path) -> dict[Path, Path]:
-    """Returns the results file of each recording.
-
-    **Raises:** `ValueError` for two recordings whose results would have one name.
-    """
-    places: dict[Path, Path] = {}
-    taken: dict[Path, Path] = {}
-    for one in recordings:
-        place = out / f"{one.stem}.results.h5"
-        if place in taken:
-            place = out / f"{one.name}.results.h5"
-        other = f"{place}, as {taken.get(place)} has"
-        require(place not in taken, f"{one}", other, "recordings of other names")
-        taken[place] = places[one] = place
-    return places
-
-
 def _rows(
-    places: dict[Path, Path], out: Path, options: dict[str, Any], settings: Any
+    found: list[Path], out: Path, options: dict[str, Any]
 ) -> tuple[list[dict[str, Any]], int]:
     """Reconstructs each recording; an error gives one line, and the next recording follows.
 
     Returns the rows of the table, and how many recordings failed. The table is written anew
     after each recording.
     """
-    from tomojax.results import partial_path
+    from tomojax.results import Made, reconstruct_many
 
-    there = [one for one in places.values() if one.exists() or partial_path(one).exists()]
-    asked = not there or options["resume"] or options["overwrite"]
-    mend = "--resume to go on, --overwrite, or another folder"
-    require(asked, f"{out}", f"results of {len(there)} already", mend)
-    out.mkdir(exist_ok=True)
-    rows, wrong = [], 0
-    with entry.Progress(unit="chunks") as progress, entry.interrupts():
-        begun = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
-        with compiling(begun=begun):
-            for number, (rec, place) in enumerate(places.items(), 1):
-                began = time.monotonic()
-                row: dict[str, Any] = dict.fromkeys(_COLUMNS, "") | {"file": str(rec)}
-                progress.label = f"{number} of {len(places)}: {rec.name}"
-                try:
-                    _reconstruct(rec, place, options, settings, progress)
-                    row |= {"status": "done", "results": str(place)} | _counted(place)
-                except KeyboardInterrupt:
-                    done = f"{number - 1 - wrong} of {len(places)}"
-                    told = f"tomojax: stopped after {done}; --resume goes on in {out}"
-                    print(f"\n{told}", file=sys.stderr)
-                    raise SystemExit(entry.STOPPED) from None
-                except (OSError, ValueError) as error:
-                    wrong += 1
-                    row["status"] = " ".join(str(error).splitlines())
-                    progress.above(f"tomojax: {row['status']}")
-                row["took"] = f"{time.monotonic() - began:.2f}"
-                rows.append(row)
-                write_table(rows, out / "table.csv")
-    return rows, wrong
+    settings, rows = settings_of(options), []
+    given = {name: options[name] for name in ("resume", "overwrite")}
+    wrong = lambda: sum(row["status"] != "done" for row in rows)  # noqa: E731
+    with (
+        entry.Progress(unit="chunks") as progress,
+        entry.interrupts(),
+        cluster(options["cluster"]) as client,
+    ):
 
+        def begun(rec: Path) -> Any:
+            label = f"{found.index(rec) + 1} of {len(found)}: {rec.name}"
 
-def _reconstruct(
-    rec: Path, place: Path, options: dict[str, Any], settings: Any, progress: entry.Progress
-) -> None:
-    from tomojax.results import reconstruct_recording
+            def told(done: int, total: int) -> None:
+                progress.label = label
+                progress(done, total)
 
-    if not rec.is_file():
-        raise ValueError(f"{rec}: no such file")
-    with opened(rec, **stretch(options)) as recording:
-        given = {name: options[name] for name in ("resume", "overwrite")}
-        reconstruct_recording(recording, place, settings, **given, progress=progress)
+            return told
+
+        def done(made: Made) -> None:
+            row = dict.fromkeys(_COLUMNS, "") | {"file": str(made.file)}
+            row["took"] = f"{made.seconds:.2f}"
+            if made.error is None:
+                row |= {"status": "done", "results": str(made.results)}
+                row |= _counted(made.results)
+            else:
+                row["status"] = " ".join(str(made.error).splitlines())
+                progress.above(f"tomojax: {row['status']}")
+            rows.append(row)
+            write_table(rows, out / "table.csv")
+
+        told = {"opened": partial(opened, **stretch(options)), "begun": begun, "done": done}
+        first = lambda: progress.above(COMPILING.format(settings.method))  # noqa: E731
+        try:
+            with compiling(begun=first):
+                reconstruct_many(found, out, settings, **given, client=client, **told)
+        except KeyboardInterrupt:
+            told = f"stopped after {len(rows) - wrong()} of {len(found)}"
+            print(f"\ntomojax: {told}; --resume goes on in {out}", file=sys.stderr)
+            raise SystemExit(entry.STOPPED) from None
+    return rows, wrong()
 
 
 def _counted(place: Path) -> dict[str, Any]:

@@ -14,6 +14,10 @@ from tomojax.cli import entry
 
 def is_pairs(rec: Path) -> bool:
     """Tells whether a file is a recording of current between pairs of electrodes."""
+    from tomojax.files import readers
+
+    if rec.suffix.lower() not in (".csv", ".npz", ".tsv", ".txt"):
+        readers.begin()  # while this process imports what it needs itself
     from tomojax.recordings import kind_of
 
     return rec.is_file() and kind_of(rec) == "conductivity"

@@ -104,9 +104,12 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--verbose", is_flag=True, help="Print each compiled program, and how long it took, s."
 )
-@click.option("--coordinator", help="Share the work; HOST:PORT of process 0.")
-@click.option("--processes", type=int, help="Processes that share the work.")
-@click.option("--process", type=int, help="This process's number, from 0.")
+@click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Share the work among the workers of a Dask cluster: tcp://HOST:8786 of its "
+    "scheduler, or the scheduler's file.",
+)
 @layout_option
 @entry.stretch_options
 def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
@@ -117,9 +120,8 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     recording that cannot be read gives a line on standard error, and the exit status is 2.
 
     Ctrl-C, a crash or a full disk leave OUT.partial. --resume goes on with OUT.partial, and
-    makes the same file as an unbroken run. To share the work, run one command on each of
-    several machines that share a folder. Give each command the same --coordinator and
-    --processes. Start a killed command again with --resume.
+    makes the same file as an unbroken run. With --cluster, the workers of a Dask cluster
+    compute the rows, and this command writes them. The workers read REC by the same path.
 
     Each frame of a recording of kind conductivity gives the place of one press: by the
     response that `tomojax calibrate` learned, or by the nominal sheet. --contacts 2 finds

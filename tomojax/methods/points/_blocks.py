@@ -108,9 +108,6 @@ def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
 def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
     """Climbs the ladder with some frames."""
     rungs = steps(frames.most)
-    shapes = begun(frames, _first)
-    if rungs:  # a quarter of lone contacts ask for it: it compiles beside the first
-        begun(frames, _step, shapes, 0)
     ladder: Ladder = called(frames, rows, _first)
     high = np.array(ladder.discs.high)
     for number, (due, _) in enumerate(rungs):
@@ -120,7 +117,7 @@ def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
         for later in range(number, len(rungs)):
             # After two discs it is a curve's turn, where one leaves more than errors.
             if rungs[later][0](ladder).any() or (later == 1 and high.any()):
-                begun(frames, _step, shapes, later)
+                begun(frames, _step, ladder, later)
         part = jax.tree.map(lambda a, asking=asking: a[asking], ladder)
         new = called(frames, rows[asking], _step, part, number)
         put(ladder, asking, new, len(rows))

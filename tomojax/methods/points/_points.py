@@ -15,7 +15,14 @@ from tomojax.kernels.contacts import field_at, Sheet
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image, Spots
 from tomojax.kernels.sheet import cell_centres, lengthened
-from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged, Part
+from tomojax.methods._contract import (
+    AbstractMethod,
+    bits_of,
+    Estimate,
+    judged,
+    Part,
+    sign_of,
+)
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
@@ -101,8 +108,8 @@ class Points(AbstractMethod):
         return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
 
     @property
-    def drive_sign(self) -> Float[Array, ""]:
-        return jnp.sign(self.sheet.drive_voltage)
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
+        return sign_of(self.sheet.drive_voltage)
 
     @property
     def noise(self) -> Float[Array, ""]:

@@ -18,7 +18,7 @@ from tomojax.kernels.sheet import (
     Slots,
     voltage_drop,
 )
-from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode
+from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode, sign_of
 from tomojax.methods._errors import (
     Errors,
     misfit_cost,
@@ -148,8 +148,8 @@ class AbstractShape(AbstractMethod):
     pitch: Float[Array, ""]
 
     @property
-    def drive_sign(self) -> Float[Array, ""]:
-        return jnp.sign(self.drive_voltage)
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
+        return sign_of(self.drive_voltage)
 
     @property
     def noise(self) -> Float[Array, ""]:

@@ -3,6 +3,7 @@
 The folder opens and checks. The folder writes nothing and knows only the rows of methods.
 """
 
+from tomojax.results.loading._dataset import apply as apply
 from tomojax.results.loading._labels import (
     coordinates as coordinates,
     flag_names as flag_names,

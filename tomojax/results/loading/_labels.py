@@ -68,7 +68,7 @@ def variables(field: str, axes: int) -> list[Variable]:
 def coordinates(
     sizes: Mapping[str, int],
     size: Float[np.ndarray, "2"],
-    electrode_xy: Callable[[], Float[np.ndarray, "M 2"]],
+    electrode_xy: Callable[[], Float[np.ndarray, "M 2"]] | None,
 ) -> dict[str, tuple[str, np.ndarray]]:
     """Returns the places of pixels and electrodes along the dimensions in `sizes`, m."""
     found = {}
@@ -77,7 +77,7 @@ def coordinates(
             if axis in sizes:
                 count = sizes[axis]
                 found[axis] = axis, (np.arange(count) + 0.5) * side / count
-    if "electrode" in sizes:
+    if "electrode" in sizes and electrode_xy is not None:
         for axis, places in zip("xy", electrode_xy().T):
             found[f"electrode_{axis}"] = "electrode", places
     return found

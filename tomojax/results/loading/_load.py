@@ -11,14 +11,8 @@ from tomojax._require import library, require
 from tomojax._shown import html_table, named
 from tomojax.files import open_container
 from tomojax.methods import DOUBT, fields_of_rows
-from tomojax.results.loading._labels import (
-    coordinates,
-    flag_names,
-    IMAGES,
-    label,
-    parts_of,
-    variables,
-)
+from tomojax.results.loading._dataset import dataset
+from tomojax.results.loading._labels import flag_names, IMAGES, label, parts_of
 
 SCHEMA = "tomojax-results"
 VERSION = 1
@@ -191,19 +185,9 @@ class LoadedResults:
 
         All is read into memory, images too. xarray is an extra, `tomojax[tables]`.
         """
-        xarray = library("xarray", _EXTRA)
-        found: dict[str, Any] = {}
-        for name in self._by_row():
-            values, about = self.read(name), {"units": self.unit(name)}
-            for one in variables(name, values.ndim):
-                found[one.name] = (one.dimensions, values[one.part], about)
+        columns = ((name, self.read(name), self.unit(name)) for name in self._by_row())
         told = {n: value for n, value in self.attributes.items() if n != "electrode_xy"}
-        made = xarray.Dataset(found, attrs=told)
-        places = coordinates(made.sizes, self.size(), self.electrode_xy)
-        metres = {"units": "m"}
-        return made.assign_coords(
-            {name: (dimension, at, metres) for name, (dimension, at) in places.items()}
-        )
+        return dataset(columns, told, self.size(), self.electrode_xy)
 
     def _by_row(self) -> list[str]:
         """Returns datasets with an entry for each row, the usual ones first."""

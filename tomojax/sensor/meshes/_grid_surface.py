@@ -7,9 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from tomojax._checks import checked, require_finite, require_positive
 from tomojax._custom_types import Numbers
@@ -135,17 +134,19 @@ def _extended(
         return grid
 
     def differences(n: int, row: list[float]) -> Any:
-        return sparse.diags_array(row, offsets=range(len(row)), shape=(n - len(row) + 1, n))  # pyright: ignore
+        return scipy.sparse.diags_array(
+            row, offsets=range(len(row)), shape=(n - len(row) + 1, n)
+        )  # pyright: ignore
 
     nx, ny = known.shape
     slope, bend = [-1.0, 1.0], [1.0, -2.0, 1.0]
-    twist = sparse.kron(differences(nx, slope), differences(ny, slope))
+    twist = scipy.sparse.kron(differences(nx, slope), differences(ny, slope))
     rows = [
-        sparse.kron(differences(nx, bend), sparse.eye_array(ny)),
-        sparse.kron(sparse.eye_array(nx), differences(ny, bend)),
+        scipy.sparse.kron(differences(nx, bend), scipy.sparse.eye_array(ny)),
+        scipy.sparse.kron(scipy.sparse.eye_array(nx), differences(ny, bend)),
         np.sqrt(2) * twist,
     ]
-    bends = sparse.vstack(rows).tocsr()
+    bends = scipy.sparse.vstack(rows).tocsr()
     free = ~known.ravel()
     values = grid.reshape(-1, 3).copy()
     values[free] = held_solve((bends.T @ bends).tocsr(), free, values)
@@ -157,7 +158,7 @@ def held_solve(matrix: Any, free: np.ndarray, values: np.ndarray) -> np.ndarray:
     some = matrix[free]
     given = -(some[:, ~free] @ values[~free])
     symmetric: Any = {"SymmetricMode": True}
-    factor = splu(
+    factor = scipy.sparse.linalg.splu(
         some[:, free].tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric
     )
     return factor.solve(given)

@@ -4,9 +4,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float, Int
-from scipy.ndimage import distance_transform_edt
 
 from tomojax._checks import float_array, known, require, require_finite, require_shape
 from tomojax._custom_types import Numbers
@@ -58,7 +58,9 @@ class ToldSheet(eqx.Module):
             require(apart < 1e-2, "electrodes", f"{apart:.0%} off its transpose", "R = Rᵀ")
             off = np.isnan(np.asarray(rows)).any(0)
             require(not off.all(), "potentials", "NaN alone", "numbers on the sheet")
-            index = distance_transform_edt(off, return_distances=False, return_indices=True)
+            index = scipy.ndimage.distance_transform_edt(
+                off, return_distances=False, return_indices=True
+            )
             self.nearest = np.ravel_multi_index(tuple(index), off.shape).ravel()  # pyright: ignore
         self.potentials = jnp.nan_to_num(rows)
 

@@ -3,9 +3,8 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy import sparse
-from scipy.spatial import ConvexHull
 
 from tomojax._require import require
 from tomojax.sensor.meshes._grid_surface import gridded, GridSurface, held_solve
@@ -119,8 +118,8 @@ def _loops(triangles: np.ndarray) -> list[np.ndarray]:
     ways_once = len(np.unique(ways @ [n, 1])) == len(ways)
     expected = "corners of all triangles in the same order, seen from one side"
     require(ways_once, name, "two neighbours that are turned", expected)
-    links = sparse.coo_array((np.ones(len(ways)), ways.T), shape=(n, n))
-    parts = sparse.csgraph.connected_components(links, directed=False)[0]
+    links = scipy.sparse.coo_array((np.ones(len(ways)), ways.T), shape=(n, n))
+    parts = scipy.sparse.csgraph.connected_components(links, directed=False)[0]
     require(parts == 1, name, f"{parts} parts that are not connected", "one sheet")
     rim = ways[count[which] == 1]
     cut = "a sheet with an edge: cut it open along a line, with vertices on either side"
@@ -155,7 +154,7 @@ def _conformal(
     weights = np.roll(plane, -2, 1) - np.roll(plane, -1, 1)
     weights /= np.sqrt(long * high)[:, None]
     rows = np.arange(len(triangles)).repeat(3)
-    matrix = sparse.csr_array((weights.ravel(), (rows, triangles.ravel())))
+    matrix = scipy.sparse.csr_array((weights.ravel(), (rows, triangles.ravel())))
     loss = (matrix.conj().T @ matrix).tocsc()
     rim = max(loops, key=len)
     held = rim[((places[rim] - places[rim].mean(0)) ** 2).sum(1).argmax()]
@@ -166,7 +165,7 @@ def _conformal(
     free[[held, rim[apart.argmax()]]] = False
     chart[free] = held_solve(loss, free, chart)
     # The box with the least area around it, the longer side along x.
-    hull = chart[ConvexHull(chart.view(float).reshape(-1, 2)).vertices]
+    hull = chart[scipy.spatial.ConvexHull(chart.view(float).reshape(-1, 2)).vertices]
     turns = np.exp(-1j * np.angle(np.roll(hull, -1) - hull))
     boxes = np.stack([np.ptp(f(turns[:, None] * hull), 1) for f in (np.real, np.imag)])
     best = boxes.prod(0).argmin()

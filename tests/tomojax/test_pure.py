@@ -1,0 +1,143 @@
+"""Methods as pure functions: of a frame's voltages, and of the sensor."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tomojax as tx
+
+GROUNDS = np.array([1, 3, 5])
+ANGLE = 2 * np.pi * np.arange(7) / 7
+RING = 0.031 + 0.022 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], 1)
+
+
+KINDS = np.array([[0, 15], [3, 12]])  # grounds of two kinds of scan
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return tx.Sensor.grid(4, 4, divisions=(16, 16))
+
+
+@pytest.fixture(scope="module")
+def frames(sensor):
+    """Four frames of either kind: two touched, one quiet, one against its drive."""
+    discs = [tx.Disc([0.03, 0.05], 0.006, 1.0), tx.Disc([0.051, 0.037], 0.006, 1.0)]
+    volts = [np.asarray(tx.voltages(sensor, d, KINDS[k])) for k, d in enumerate(discs)]
+    which = np.array([0, 1, 1, 0])
+    return np.stack([*volts, 0 * volts[0], -volts[0]]), which
+
+
+@pytest.mark.parametrize("name", ["source", "linear", "points", "auto", "shape"])
+def test_rows_are_those_of_a_batch(sensor, frames, name) -> None:
+    method, (volts, which) = tx.method(sensor, name, 16), frames
+    good = np.ones((2, 2, 16), bool)
+    good[1, :, 5] = False
+    wanted = tx.Batch(method, contacts=2)(volts, KINDS[which], good[which])
+    ready = tx.methods.Ready(method, KINDS, good, contacts=2)
+    given = jnp.asarray(volts), jnp.asarray(which)
+    if name == "auto":  # its larger models are for few frames
+        found = jax.jit(lambda *a: jax.lax.map(lambda one: ready(*one), a))(*given)
+    else:
+        found = jax.jit(jax.vmap(ready))(*given)
+    for field, one in found._asdict().items():
+        other = getattr(wanted, field)
+        if one is None or other is None:
+            assert one is None and other is None, field
+        elif field in ("flags", "contact_count", "rung"):
+            np.testing.assert_array_equal(one, other, field)
+        else:
+            close = 1e-4 * float(np.nanmax(np.abs(other), initial=1e-9))
+            np.testing.assert_allclose(one, other, atol=close, err_msg=field)
+
+
+@pytest.mark.parametrize("name", ["source", "points"])
+def test_slopes_by_voltages_beside_differences(sensor, frames, name, rng) -> None:
+    """Of place and current, in float64; along a direction of no meaning."""
+    method, volts = tx.method(sensor, name, 16), jnp.asarray(frames[0][0])
+    if name == "points":
+        method = replace(method, exact=True)
+    ready = tx.methods.Ready(method, KINDS[0], contacts=1)
+    assert volts.dtype == np.float64
+
+    def told(v: jax.Array) -> jax.Array:
+        row = ready(v)
+        return jnp.append(row.contact_xy[0], 1e3 * row.contact_current[0])
+
+    along = jnp.asarray(rng.normal(size=volts.shape)) * abs(volts).max()
+    found = jax.jit(jax.jacrev(told))(volts)
+    one, other = (jax.jit(told)(volts + side * 1e-6 * along) for side in (1, -1))
+    wanted = (one - other) / 2e-6
+    slope = jnp.tensordot(found, along, 2)
+    np.testing.assert_allclose(slope, wanted, rtol=0, atol=1e-5 * float(abs(wanted).max()))
+
+
+def test_a_number_that_is_none_fails_its_frame_alone(sensor, frames) -> None:
+    ready = tx.methods.Ready(tx.method(sensor, "source", 16), KINDS[0], contacts=1)
+    volts = jnp.asarray(frames[0][[0, 0]]).at[1, 0, 3].set(jnp.nan)
+    rows = jax.vmap(ready)(volts)
+    assert not rows.flags[0] & tx.Flag.SOLVE_FAILED.value
+    assert rows.flags[1] & tx.Flag.SOLVE_FAILED.value and rows.contact_count[1] == 0
+
+
+@pytest.mark.parametrize(
+    "given, told",
+    [
+        (dict(grounds=[0, 16]), "grounds: got"),
+        (dict(grounds=[0], good=np.ones((2, 16))), "good: got shape"),
+        (dict(grounds=[0], good=np.zeros((1, 16))), "good: got none"),
+        (dict(grounds=[0], contacts=0), "contacts: got 0"),
+    ],
+)
+def test_mistakes_are_named(sensor, given, told) -> None:
+    with pytest.raises(ValueError, match=told):
+        tx.methods.Ready(tx.method(sensor, "source", 16), **given)
+
+
+def button(moved: jax.Array) -> tx.Sensor:
+    """A disc whose radius, and whose inner electrode's x, are off by `moved`, m."""
+    edge = tx.sensor.RoundEdge([0.032, 0.031], 0.031)
+    edge = eqx.tree_at(lambda e: e.radius, edge, edge.radius + moved[0])
+    xy = jnp.asarray([[0.03, 0.031], *RING]).at[0, 0].add(moved[1])
+    return tx.Sensor([0.064, 0.064], xy, outline=edge, divisions=(39, 39))
+
+
+@pytest.fixture(scope="module")
+def place():
+    touch = tx.Disc([0.036, 0.025], 0.004, 1.0)
+    volts = tx.voltages(button(jnp.zeros(2)), touch, GROUNDS)
+
+    def found(moved: jax.Array) -> jax.Array:
+        one = tx.methods.estimate(button(moved), volts, GROUNDS, grid=8)
+        return one.contacts.xy[0]
+
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("which, close", [("radius", 2e-3), ("electrode", 1e-5)])
+def test_slopes_of_a_place_by_the_sensor(place, which, close) -> None:
+    """Along a tangent, beside differences of whole estimates.
+
+    By the radius these differences change by 1e-3 with their step: points of the table
+    beyond the edge stand for mirrored places, which bend where an edge passes a point.
+    """
+    at, h = jnp.zeros(2), 1e-6
+    along = jnp.array([1.0, 0.0] if which == "radius" else [0.0, 1.0])
+    xy, slope = jax.jvp(place, (at,), (along,))
+    assert np.hypot(*(xy - np.array([0.036, 0.025]))) < 2e-4
+    wanted = (place(at + h * along) - place(at - h * along)) / (2 * h)
+    assert abs(wanted).max() > 0.01
+    np.testing.assert_allclose(slope, wanted, rtol=0, atol=close * float(abs(wanted).max()))
+
+
+@pytest.mark.long
+def test_slopes_in_reverse(place) -> None:
+    at = jnp.zeros(2)
+    _, along = jax.jvp(place, (at,), (jnp.array([1.0, 0.0]),))
+    by_radius = jax.grad(lambda r: place(jnp.stack([r, 0.0]))[0])(0.0)
+    np.testing.assert_allclose(by_radius, along[0], rtol=1e-6)

@@ -1,0 +1,52 @@
+# What the room offers, imported when it is first used.
+from ._calibrate import (
+    calibrate as calibrate,
+    Calibrated as Calibrated,
+    calibrated as calibrated,
+)
+from ._held import HeldCalibration as HeldCalibration
+from ._pressure import (
+    calibrate_presses as calibrate_presses,
+    force as force,
+    pressure as pressure,
+)
+from ._recording import (
+    calibrate_recording as calibrate_recording,
+    calibrated_recording as calibrated_recording,
+    read_places as read_places,
+)
+from ._report import (
+    picture as picture,
+    rub_more as rub_more,
+    squares_touched as squares_touched,
+    summary as summary,
+    text as text,
+)
+from ._slopes import (
+    rig_slopes as rig_slopes,
+    slopes_by_rig as slopes_by_rig,
+)
+from ._tare import tare as tare
+from ._unknowns import unknowns_of as unknowns_of
+from .drift import (
+    Adapter as Adapter,
+    fit_text as fit_text,
+    lone_places as lone_places,
+    still_fits as still_fits,
+    stretches as stretches,
+)
+
+# The rest serves the command and tests.
+__all__ = [
+    "Adapter",
+    "HeldCalibration",
+    "calibrate",
+    "calibrate_presses",
+    "calibrate_recording",
+    "calibrated_recording",
+    "force",
+    "pressure",
+    "read_places",
+    "still_fits",
+    "tare",
+]
