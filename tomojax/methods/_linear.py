@@ -109,7 +109,7 @@ class Linear(AbstractMethod):
     """
 
     image_unit: ClassVar[str] = "V"  # pyright: ignore
-    residual_limit: ClassVar[float] = 0.5  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
 
     shape: tuple[int, int] = eqx.field(static=True)
     reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
