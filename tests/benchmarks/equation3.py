@@ -48,7 +48,7 @@ def changed(maps: np.ndarray, grounds: np.ndarray, change: str) -> Frames:
     for rows in parts:
         wide = len(rows) <= rows.shape[1]
         gram = rows @ rows.T if wide else rows.T @ rows
-        damped = gram + TABLE1 * np.linalg.norm(gram, 2) * np.eye(len(gram))
+        damped = gram + TABLE1 * np.linalg.eigvalsh(gram)[-1] * np.eye(len(gram))
         operator = np.linalg.solve(damped, rows if wide else rows.T)
         operators.append(operator if wide else operator.T)
         seen = seen + (operators[-1] * rows).sum(0)

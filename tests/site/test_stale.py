@@ -1,4 +1,4 @@
-"""Figures that pages show are as old as the code that they describe, or the page says why."""
+"""Figures on pages are as old as the code that they describe, or a page says why."""
 
 import json
 import sys
@@ -25,8 +25,8 @@ def test_every_result_names_its_code() -> None:
 
 
 def test_a_changed_constant_is_seen_and_a_moved_line_is_not() -> None:
-    before = '"""Words."""\n# why\n_A, B = 1, 2\n\n\ndef f(x):\n    """Says."""\n    return x\n'
-    moved = '"""Other."""\n\n\n_A, B = 1, 2  # so\n\n\ndef f(x):\n    """More."""\n    return x\n'
+    code = '"""{}"""\n{}\n_A, B = 1, 2\n\n\ndef f(x):\n    """Says."""\n    return x\n'
+    before, moved = code.format("Words.", "# why"), code.format("Other.", "\n\n# so")
     for entry, changed in (("a.py", "B = 1, 3"), ("a.py::f", "return x + 1")):
         old = {"a.py": "B = 1, 2", "a.py::f": "return x"}[entry]
         same, other = moved, before.replace(old, changed)

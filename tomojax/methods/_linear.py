@@ -206,9 +206,8 @@ class Linear(AbstractMethod):
             centre = centring(good[k], own)
             rows[k] = centre @ factors[k]
             # λ is relative to each slot's own σ₁².
-            operator = tikhonov_operator(
-                rows[k], relative * np.linalg.norm(rows[k], 2) ** 2
-            )
+            strongest = float(np.linalg.norm(rows[k], 2)) ** 2
+            operator = tikhonov_operator(rows[k], relative * strongest)
             operators[k] = operator.T / len(there)
             misfits[k] = rows[k] @ operator - centre
             seen += ((operator.T @ basis) * (rows[k] @ basis)).sum(0)
