@@ -167,7 +167,7 @@ def shown(rows: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
     """Chooses a row for each method and pattern: contacts alone, most frames in a call."""
 
     def rank(row: dict[str, Any]) -> tuple:
-        return row["output"] == "contacts", row["batch"], -row["p50_us"]
+        return row.get("output") == "contacts", row["batch"], -row["p50_us"]
 
     found: dict[tuple, dict[str, Any]] = {}
     for row in rows:
