@@ -111,6 +111,7 @@ def compared(sensor, trials) -> Iterator[dict[str, Any]]:
     every = [[p for p in some if p.name in EQ3] for some in zip(*peers_of(sensor, PIXELS))]
     every = [list(some) for some in zip(*every)]
     for name in PATTERNS:
+        print(name, file=sys.stderr, flush=True)
         grounds = grounds_of(sensor, name, trials.volts)
         volts = np.take_along_axis(trials.volts, grounds[..., None], 1).astype("f4")
         common = {"pattern": name, "slots": grounds.shape[1]}

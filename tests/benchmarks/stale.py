@@ -74,7 +74,8 @@ def _of_numbers(one: ast.stmt) -> bool:
 def stale() -> list[str]:
     """Returns the names of results whose code has another hash than when they were made."""
     told = json.loads(CODE.read_text())
-    return [name for name, one in told.items() if hash_of(one["of"]) != one["code"]]
+    there = {n: one for n, one in told.items() if (RESULTS / f"{n}.json").exists()}
+    return [name for name, one in there.items() if hash_of(one["of"]) != one["code"]]
 
 
 def excused() -> dict[str, str]:

@@ -21,7 +21,7 @@ def test_stale_results_are_named_on_the_page() -> None:
 
 def test_every_result_names_its_code() -> None:
     kept = {path.stem for path in stale.RESULTS.glob("*.json")} - {stale.CODE.stem}
-    assert set(json.loads(stale.CODE.read_text())) == kept
+    assert kept <= set(json.loads(stale.CODE.read_text()))
 
 
 def test_a_changed_constant_is_seen_and_a_moved_line_is_not() -> None:
