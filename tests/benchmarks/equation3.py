@@ -21,7 +21,7 @@ sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent), str(HERE)]
 
 import numpy as np  # noqa: E402
 
-PATTERNS = ("corner", "corners", "edge", "around", "all")
+PATTERNS = ("corner", "corners", "edge", "all")
 EQ3 = ("scikit-fem + NumPy", "pyEIT")
 # The kinds of scene that have a bar to reach.
 SHOWN = ("one", "two", "bar", "large")
