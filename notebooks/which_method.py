@@ -40,9 +40,7 @@ for name, value in found["environment"].items():
 # ## Speed against accuracy
 #
 # To the left is quicker, down is nearer. No method of ours is both quicker and nearer
-# than the line, the front. Peers, which a lab would write without this package, are drawn
-# hollow. A peer is full where it is ahead of all of ours of the same dtype, output and
-# batch.
+# than the line, the front. Peers, which a lab would write without this package, are grey.
 
 # %% tags=["hide-input"]
 display(report.chart(rows))
@@ -66,34 +64,3 @@ for kind in report.KINDS:
                 f"({best['slots']} slots), {best['pixels']} pixels, {best['dtype']}: "
                 f"{best['p50_us']:.0f} µs a frame, {best['batch']} in a call"
             )
-
-# %% [markdown]
-# ## Which rung a scene needs
-#
-# The middle column says how often a method doubts itself. Contacts read off an image are
-# flagged where the image shows more. `auto` takes the smallest model that
-# explains a frame.
-
-# %% tags=["hide-input"]
-display(report.rungs(rows))
-
-# %% [markdown]
-# A day of a robot's frames is mostly nothing: 70 % empty, 20 % one contact, 8 % two or
-# three, 2 % something large. `auto` beside always taking its largest rung:
-
-# %% tags=["hide-input"]
-for line in report.machine_lines([], found["day"]):
-    print(line)
-
-# %% [markdown]
-# ## What the machine could do
-#
-# The chart shows images of one-slot and eight-slot frames against the frames in a call.
-# The dashed bound is the longer of two times: the bytes at the rate of a copy, and the
-# multiplications at the rate of a matrix product. The same run measured both rates. Below
-# some 256 frames a call's dispatch is what takes the time; above, the product is.
-
-# %% tags=["hide-input"]
-display(report.rate_chart(found["rates"]))
-for line in report.machine_lines(found["rates"], []):
-    print(line)

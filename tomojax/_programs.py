@@ -208,7 +208,8 @@ def _path(function: Callable, key: Any, ending: str) -> Path | None:
     folder = os.environ.get(FOLDER)
     if not folder or not ours(folder):
         return None
-    told = "\n".join([source_digest(), function.__module__, function.__qualname__, repr(key)])
+    names = function.__module__, function.__qualname__
+    told = "\n".join([source_digest(), *names, repr(key)])
     digest = hashlib.sha256(told.encode()).hexdigest()
     return Path(folder) / f"{function.__name__.strip('_')}-{digest}{ending}"
 

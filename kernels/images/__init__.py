@@ -17,9 +17,9 @@ from tomojax.kernels.images._drawing import (
     Spots as Spots,
 )
 from tomojax.kernels.images._explained import (
+    explained as explained,
     explained_by as explained_by,
     point_sources as point_sources,
-    unexplained as unexplained,
 )
 from tomojax.kernels.images._merit import (
     greit_figures as greit_figures,
@@ -31,4 +31,5 @@ from tomojax.kernels.images._merit import (
     pixel_places as pixel_places,
 )
 from tomojax.kernels.images._peaks import find_peaks as find_peaks
+from tomojax.kernels.images._place import highest_place as highest_place
 from tomojax.kernels.images._regions import read_regions as read_regions

@@ -24,27 +24,21 @@ def point_sources(
     return jnp.where(there[:, None], columns, 0)
 
 
-def unexplained(
+def explained(
     columns: Float[Array, "S C q"], seen: Float[Array, "S q"]
-) -> Float[Array, ""]:
-    """Computes √(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): the part that contacts leave.
+) -> tuple[Float[Array, "S C"], Float[Array, ""]]:
+    """Fits a factor to each contact's column, slot by slot, and measures what is left.
 
-    Each of S slots has its own a. The result is 1 where all columns are 0.
+    That is √(Σ_s min_a ‖d_s − aP_s‖² / Σ_s‖d_s‖²): 1 where all columns are 0.
     """
 
-    def one(p: Float[Array, "C q"], d: Float[Array, " q"]) -> Float[Array, ""]:
-        return ((d - matmul(amplitudes(p, d), p)) ** 2).sum()
+    def one(p: Float[Array, "C q"], d: Float[Array, " q"]) -> tuple[Array, Array]:
+        a = solve_small(regular(matmul(p, p.T)), matmul(p, d)[:, None])[:, 0]
+        return a, ((d - matmul(a, p)) ** 2).sum()
 
-    rest = jax.vmap(one)(columns, seen).sum()
-    return jnp.sqrt(rest / jnp.maximum((seen**2).sum(), jnp.finfo(seen.dtype).tiny))
-
-
-def amplitudes(
-    columns: Float[Array, "C r"], seen: Float[Array, " r"]
-) -> Float[Array, " C"]:
-    """Fits a factor to each column, so that the columns add up to `seen`; 0 for none."""
-    fit = solve_small(regular(matmul(columns, columns.T)), matmul(columns, seen)[:, None])
-    return fit[:, 0]
+    factors, rest = jax.vmap(one)(columns, seen)
+    whole = jnp.maximum((seen**2).sum(), jnp.finfo(seen.dtype).tiny)
+    return factors, jnp.sqrt(rest.sum() / whole)
 
 
 def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
@@ -67,7 +61,8 @@ def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
         contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
     ) -> tuple[Array, Array]:
         points = matmul(point_sources(basis, contacts, shape, cell), through.T)
-        return amplitudes(points, seen), unexplained(points[None], seen[None])
+        factors, left = explained(points[None], seen[None])
+        return factors[0], left
 
     def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)

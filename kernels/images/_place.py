@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul
+from tomojax.kernels.images._peaks import find_peaks
 
 # A lone point source at the right place leaves this part of an image unexplained: the sheet
 # and the contact differ from what the image is told.
@@ -15,6 +16,14 @@ _LEFT = 0.07
 # Steps of the finer places, in each direction from a peak.
 _STEPS = 8
 _AT = np.arange(-_STEPS, _STEPS + 1) / _STEPS
+
+
+def highest_place(
+    image: Float[Array, "nx ny"], reach: tuple[int, int]
+) -> Float[Array, "2"]:
+    """Places the image's highest peak, in pixels: see `place_around`."""
+    peak = find_peaks(image, 1)
+    return place_around(image, peak.i[0], peak.j[0], reach)
 
 
 def place_around(

@@ -55,8 +55,6 @@ def frontier(told: dict, path: Path) -> None:
     from bench.frontier import report
 
     report.chart(told["rows"]).savefig(path, dpi=110)
-    report.rungs(told["rows"]).savefig(path.with_name("frontier_rungs.png"), dpi=110)
-    report.rate_chart(told["rates"]).savefig(path.with_name("frontier_rates.png"), dpi=110)
 
 
 def live(told: dict, path: Path) -> None:

@@ -8,22 +8,17 @@ import pytest
 
 import tomojax as tx
 from bench.frontier import (
-    DAY,
-    day_rows,
     Job,
     KINDS,
     load_trials,
     make_trials,
     measured,
     method_rows,
-    rate_rows,
-    report,
     run as run_study,
     save_trials,
 )
 from bench.network import Network
 from tomojax.cli.app import run
-from tomojax.sensor import nominal_noise
 
 
 @pytest.fixture(scope="module")
@@ -167,85 +162,3 @@ def test_missing_peers_are_named(monkeypatch, capsys, tmp_path):
     with pytest.raises(SystemExit):
         run()
     assert "tomojax[app,peers]" in capsys.readouterr().err
-
-
-@pytest.mark.long
-def test_rates_stay_below_the_machine_s(kept, monkeypatch):
-    sensor, trials = load_trials(kept, "float32")
-    monkeypatch.setattr("bench.frontier._rates.machine", lambda dtype: (1e15, 1e18))
-    job = Job("rates", ("corner",), batches=(1, 4), pixels=16)
-    rates = list(rate_rows(job, sensor, trials))
-    assert [(r["method"], r["batch"]) for r in rates] == [
-        *(("linear", 1), ("linear", 4), ("source", 1), ("source", 4))
-    ]
-    assert all(0 < r["part_of_bound"] < 1 and 0 < r["error"] < 1e-5 for r in rates)
-    one = rates[2]  # a frame of 64 voltages through 64 rows to 256 pixels
-    flops, numbers = 2 * (64 * 64 + 64 * 256), 64 + 256 + 64 * (64 + 256)
-    expected = max(flops / 1e18, 4 * numbers / 1e15)
-    assert one["bound_frames_per_s"] == pytest.approx(1 / expected)
-    assert one["bound"] == "bytes"
-    assert report.rate_chart(rates).axes
-    lines = list(report.machine_lines(rates, []))
-    assert len(lines) == 2 and "256" not in lines[0] and "16 x 16" in lines[0]
-
-
-@pytest.mark.long
-def test_a_day_is_the_same_frames_for_both(kept, monkeypatch):
-    """Two quick methods stand in; frames and figures are compared with the trials."""
-    sensor, trials = load_trials(kept, "float32")
-    quick = {
-        "auto": tx.method(sensor, "source", 16),
-        "shape": tx.method(sensor, "linear", 16),
-    }
-    rates, given, told = "bench.frontier._rates", [], []
-
-    def watched(model, *options):
-        batch = tx.Batch(model, *options)
-
-        def call(volts, grounds):
-            given.append((volts, grounds))
-            told.append(batch(volts, grounds))
-            return told[-1]
-
-        return call
-
-    monkeypatch.setattr(f"{rates}.make_method", lambda _, name, pixels: quick[name])
-    monkeypatch.setattr(f"{rates}.Batch", watched)
-    # A process of its own runs a job; here others' programs stay compiled.
-    monkeypatch.setattr("jax.clear_caches", lambda: None)
-    auto, largest = day_rows(Job("day", ("corners",)), sensor, trials)
-    assert auto["frames"] == largest["frames"] == 100
-    volts, grounds = given[0]
-    for more, same in given[1:]:
-        np.testing.assert_array_equal(more, volts)
-        np.testing.assert_array_equal(same, grounds)
-    assert len(given) == 6 and (grounds == [0, 63]).all()
-
-    # First the scenes of each kind, then frames of nothing but noise.
-    chosen, start = [], 0
-    for kind, count in DAY.items():
-        of_kind = np.flatnonzero(trials.kind == kind)
-        some = volts[start : start + count, None]
-        same = (some == trials.volts[of_kind][:, [0, 63]].astype("f4")).all((2, 3))
-        assert (same.sum(1) == 1).all()
-        chosen.append(of_kind[same.argmax(1)])
-        start += count
-    assert len(volts) == start + 70
-    assert np.std(volts[start:]) == pytest.approx(nominal_noise(tx.Sensor.grid()), rel=0.1)
-
-    # Places of single contacts, once more from what each method told.
-    ones = trials.xy[chosen[0], 0]
-    for said, rows in ((auto, told[0]), (largest, told[3])):
-        away = np.full(len(ones), np.inf)
-        for k, place in enumerate(ones):
-            found = rows.contact_xy[k, : rows.contact_count[k]]
-            away[k] = min(np.linalg.norm(found - place, axis=1), default=np.inf)
-        figures = said["kinds"]["one"]
-        assert figures["place_median_mm"] == pytest.approx(1e3 * np.median(away))
-        assert {k: v["scenes"] for k, v in said["kinds"].items()} == DAY
-        nothing = int((rows.contact_count[start:] > 0).sum())
-        assert said["contacts_where_nothing_is"] == nothing
-    assert auto["contacts_where_nothing_is"] == 0
-    assert auto["kinds"]["one"] != largest["kinds"]["one"]
-    (line,) = report.machine_lines([], [auto])
-    assert "a day of frames, auto" in line

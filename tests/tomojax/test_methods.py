@@ -1,6 +1,5 @@
 """Methods on frames: `source` and `linear`, and what any of them must do."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from rig import Rig
@@ -37,26 +36,24 @@ def batch(method, **options):
 
 def test_finds_the_contact(method, volts):
     rows = batch(method)(volts, np.tile(GROUNDS, (20, 1)))
-    linear = "Source" not in type(method).__name__
-    limit = 0.03 if linear else 2e-3  # the paper's blur
-    # J(0)'s contact is millimetres off: it says that it is not all that is seen.
-    expected = tx.Flag.CONTACTS_UNEXPLAINED if linear else 0
-    assert (rows.contact_count == 1).all() and (rows.flags == expected).all()
+    assert (rows.contact_count == 1).all() and (rows.flags == 0).all()
     apart = np.hypot(*(rows.contact_xy[:, 0] - [0.094, 0.067]).T)
-    assert apart.max() < limit
+    assert apart.max() < 2e-3
     assert np.isfinite(rows.image).all() and rows.image.shape == (20, 32, 32)
     assert np.isnan(rows.contact_conductance).all()  # neither method tells
 
 
-def test_source_has_the_current(sensor, volts):
+def test_it_has_the_current(sensor, method, volts):
     """A contact's current is that from the object, within the model's error."""
-    method = tx.method(sensor, "source", 32)
     rows = batch(method)(volts, np.tile(GROUNDS, (20, 1)))
     fine = tx.Sensor.grid(divisions=(80, 80))
     g = tx.sensor.contact_conductance(fine, tx.Disc([0.094, 0.067], 0.006, 0.05))
     # One contact: its current is V0 − u through g, from the ground path's own drop.
     into_ground = np.asarray(tx.voltages(fine, g, GROUNDS))[np.arange(3), GROUNDS] / 4.0
-    np.testing.assert_allclose(rows.contact_current[:, 0], into_ground.mean(), rtol=0.05)
+    near = 0.05 if method.image_unit == "A/m^2" else 0.2  # as if electrodes were no metal
+    np.testing.assert_allclose(rows.contact_current[:, 0], into_ground.mean(), rtol=near)
+    if method.image_unit != "A/m^2":
+        return
     # Of the image the most: how much it is in all is in the slots' offsets, not used.
     total = rows.image.sum((1, 2)) * float(method.cell.prod())
     assert (0.6 * into_ground.mean() < total).all() and (total < into_ground.mean()).all()
@@ -154,23 +151,6 @@ def test_lambda_of_a_recording(sensor, volts):
     rows = tx.Batch(method, method.choose_lambda(frames))(volts, np.tile(GROUNDS, (20, 1)))
     part = rows.residual / np.sqrt((volts**2).mean((1, 2)))
     assert ((part > 0.007) & (part < 0.03)).all()
-
-
-def test_a_plain_jacobian_of_elements(volts):
-    """`Linear` takes any J: the image of the elements themselves."""
-    from tomojax.methods import Linear
-
-    sensor = tx.Sensor.grid(divisions=(32, 32), dtype=np.float32)
-    maps = tx.jacobian(sensor)
-    ones = jnp.ones(maps.shape[::2], maps.dtype)
-    linear = Linear.from_maps(
-        maps, ones, (32, 64), sensor.size / jnp.array([32.0, 64.0], np.float32)
-    )
-    prepared = linear.prepare(GROUNDS, np.ones((3, 64), bool), 9e-4 * linear.scale())
-    image, _ = linear.image(prepared, jnp.asarray(volts[0]))
-    lam = jnp.asarray(9e-4 * linear.scale(), np.float32)
-    want = tx.reconstruct(maps, volts[0], GROUNDS, lam=lam).image
-    np.testing.assert_allclose(image, want, atol=5e-3 * float(jnp.abs(want).max()))
 
 
 def test_bad_arguments(sensor):

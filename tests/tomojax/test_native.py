@@ -11,8 +11,8 @@ from jax import lax
 from tomojax.native import (
     compile_c,
     compiler,
-    function,
     FLAGS,
+    function,
     PRELUDE,
     program_of,
     Tables,

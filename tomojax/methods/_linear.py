@@ -1,7 +1,14 @@
-"""`linear`: the paper's Eq. 3 with J(0), prepared once for a ground set."""
+"""`linear`: the paper's Eq. 3 with J(0), slot by slot, prepared once for a ground set.
+
+Three changes of the plain form (`tomojax.reconstruct`) place contacts as well as Eq. 3 can;
+tests/benchmarks/equation3.py has the gain of each. A slot's level is left out, as ground
+paths are hardly known. Each slot has an image of its own, and the image is their mean, as
+strong contacts draw another current in every slot. Places are read off pixels that are
+divided by their resolution, as J's columns are longest at electrodes.
+"""
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,22 +18,25 @@ from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
-from tomojax.kernels.images import Contacts, point_sources, read_contacts, unexplained
-from tomojax.kernels.sheet import (
-    contact_jacobian,
-    Resistances,
-    Slots,
+from tomojax.kernels.images import (
+    Contacts,
+    explained,
+    highest_place,
+    point_sources,
+    read_contacts,
+    strongest_first,
 )
-from tomojax.methods._contract import (
-    AbstractMethod,
-    bits_of,
-    centred,
-    Estimate,
-    Frame,
-    rms_by_electrode,
-)
+from tomojax.kernels.sheet import contact_jacobian, Resistances, Slots
+from tomojax.methods._contract import AbstractMethod, bits_of, centred, Estimate, Frame
 from tomojax.methods._errors import noise_as
-from tomojax.methods._maps import tikhonov_operator
+from tomojax.methods._maps import (
+    centring,
+    factors_of,
+    Shared,
+    shared_maps,
+    slots_left,
+    tikhonov_operator,
+)
 from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
@@ -42,8 +52,19 @@ _RANK = 4
 _FEWER = 2
 _FROM = 1e-3
 
+# Rows of the basis that stands for columns of length 1, for each electrode: places differ
+# by a tenth of a millimetre.
+_MATCHED_RANK = 5
+
+# A column that is shorter than this part of the longest is of a pixel at the ground: it
+# points anywhere.
+_SHORT = 1e-2
+
+# A lone contact's place is read from this part of a pitch around its peak.
+_NEAR = 0.75
+
 # What the contacts leave of the slots' voltages, each slot with currents of its own and
-# without its mean. J(0) places even lone contacts only so well: half of them leave more.
+# without its mean.
 _UNEXPLAINED = 0.09
 
 # Slots that are looked at for that.
@@ -52,22 +73,31 @@ _SOME = 8
 # λ/σ₁² below which an image in float32 is another than in float64, by 20 mm in one of ten.
 _SMALLEST = 1e-6
 
-# λ/σ₁² of `tomojax table1`.
-_RELATIVE = 1.8e-3
+# λ/σ₁² that tells contacts from 60 mm on apart, and leaves a bar of 75 mm one contact, on
+# simulated rigs.
+_RELATIVE = 3e-3
 
 
 class PreparedLinear(NamedTuple):
     """Arrays for one ground set with its good channels."""
 
-    operator: Float[Array, "SM r"]  # coefficients of φ from the voltages
-    rows: Float[Array, "SM r"]  # and back
-    current: Float[Array, " pixels"]  # A per volt of φ, the mean over the slots
+    image: tuple[Array, ...]  # these in turn turn voltages (SM,) into φ (pixels,)
+    matched: tuple[Array, ...]  # and into their likeness to each pixel's column
+    sharp: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
+    rows: Float[Array, "some M r"]  # centred J of the slots that are looked at
+    looked: Bool[Array, "some M"]  # their channels, less the ground's
+    misfits: Float[Array, "S M M"]  # J A − I on the good channels
+    current: Float[Array, "1 pixels"]  # A per volt of φ, the mean over the slots
     used: Bool[Array, "S M"]
     small: Bool[Array, ""]  # whether λ is less than numbers and basis hold
 
 
 class Linear(AbstractMethod):
-    """φ = (J_sᵀJ_s + λI)⁻¹J_sᵀV_s with J(0) in a basis of its strongest rows.
+    """φ = mean over slots of (JᵀJ + λI)⁻¹JᵀV with J(0), each slot less its mean.
+
+    Contacts are peaks of φ_k/√(resolution matrix)_kk. A lone contact's place is that of the
+    highest Σ_l J_kᵀV/|J_k|, the same for λ → ∞: it is highest at the place itself, whatever
+    current the contact draws in each slot.
 
     **Example:**
 
@@ -79,13 +109,16 @@ class Linear(AbstractMethod):
     """
 
     image_unit: ClassVar[str] = "V"  # pyright: ignore
-    # Strong contacts draw another current in every slot; J(0) has one for all.
-    residual_limit: ClassVar[float] = 0.5  # pyright: ignore
+    residual_limit: ClassVar[float] = 0.1  # pyright: ignore
 
     shape: tuple[int, int] = eqx.field(static=True)
+    reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
     factors: Float[Array, "L M r"]  # J^l Bᵀ
+    strongest: float  # σ₁² of all slots
+    shared: Shared  # what all slots' T^l share, host
+    alike: Float[np.ndarray, "q pixels"]  # basis of T's columns of length 1, host
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
     polarity: Float[Array, ""]  # of the drive: 1 or −1
@@ -101,43 +134,39 @@ class Linear(AbstractMethod):
         sensor = pixels.sensor
         table = resistances(sensor, "series" if sensor.even else "fem")
         grounds = jnp.asarray(sensor.all_grounds())
-        slots = sensor.slots(table.electrodes)
-        maps, conductance = _pixel_jacobian(pixels, table, slots, grounds)
-        noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
-        made = cls.from_maps(maps, conductance, shape, pixels.cell, noise, sign)
-        grounded = np.asarray(slots.grounded(grounds))
-        return replace(made, inside=pixels.inside, grounded=grounded)
+        maps, conductance = _pixel_jacobian(
+            pixels, table, sensor.slots(table.electrodes), grounds
+        )
+        rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
+        reduced = reduce_jacobian(maps, rank)
+        # The strongest directions first, so that any number of them is the best choice.
+        strength, turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))
+        turn = jnp.asarray(turn[:, ::-1].copy(), maps.dtype)
+        shared, grounded = shared_maps(pixels)
+        good = np.ones(maps.shape[1], bool)
+        every = [_alike(shared, k, good, own) for k, own in enumerate(grounded)]
+        alike = _rows_of(np.concatenate(every), _MATCHED_RANK * len(good))
+        near = _NEAR * sensor.mean_pitch / np.asarray(pixels.cell, float)
+        near = np.maximum(1, np.round(near)).astype(int)
+        return cls(
+            shape=shape,
+            reach=(int(near[0]), int(near[1])),
+            cell=pixels.cell,
+            basis=matmul(turn.T, reduced.basis),
+            factors=matmul(reduced.factors, turn),
+            strongest=float(strength[-1]),
+            shared=shared,
+            alike=alike,
+            conductance=conductance,
+            reading_noise=jnp.asarray(nominal_noise(sensor), pixels.cell.dtype),
+            polarity=jnp.sign(jnp.asarray(sensor.drive_voltage, pixels.cell.dtype)),
+            grounded=grounded,
+            inside=pixels.inside,
+        )
 
     def all_factors(self) -> Float[Array, "L M r"]:
         """Returns J^lBᵀ of all slots."""
         return self.factors
-
-    @classmethod
-    def from_maps(
-        cls,
-        maps: Array,
-        conductance: Array,
-        shape: tuple[int, int],
-        cell: Array,
-        noise: float = 0.0,
-        polarity: float = 1.0,
-    ) -> "Linear":
-        """Makes the method of any J (L, M, pixels); `noise` V; `polarity` of the drive."""
-        rank = min(_RANK * maps.shape[1], maps.shape[0] * maps.shape[1], maps.shape[2])
-        reduced = reduce_jacobian(maps, rank)
-        # The strongest directions first, so that any number of them is the best choice.
-        turn = np.linalg.eigh(np.asarray(reduced.grams, float).sum(0))[1][:, ::-1]
-        turn = jnp.asarray(turn.copy(), maps.dtype)
-        return cls(
-            shape=shape,
-            cell=cell,
-            basis=matmul(turn.T, reduced.basis),
-            factors=matmul(reduced.factors, turn),
-            conductance=conductance,
-            reading_noise=jnp.asarray(noise, cell.dtype),
-            polarity=jnp.asarray(polarity, cell.dtype),
-            grounded=np.eye(*maps.shape[:2], dtype=bool),
-        )
 
     def calibrated(self, calibration: Calibration) -> "Linear":
         return replace(self, reading_noise=noise_as(calibration, self.noise))
@@ -151,11 +180,10 @@ class Linear(AbstractMethod):
         return self.reading_noise
 
     def scale(self) -> float:
-        rows = np.asarray(self.factors, float).reshape(-1, self.factors.shape[-1])
-        return float(np.linalg.eigvalsh(rows.T @ rows)[-1])
+        return self.strongest
 
     def choose_lambda(self, frames: list[Frame]) -> float:
-        """Returns Table I's λ for any frames: this λ makes *All* as wide as the paper's.
+        """Returns one λ for any frames.
 
         `tomojax.reconstruct`'s own rule goes decades lower, for the least error of the
         image. Such an image has a peak at every electrode: contacts cannot be read off the
@@ -165,61 +193,131 @@ class Linear(AbstractMethod):
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedLinear:
         dtype = self.cell.dtype
-        scale = self.scale()
-        fewer = self.electrode_count * (_FEWER if lam >= _FROM * scale else _RANK)
-        rows = np.asarray(self.factors[..., :fewer], float)[grounds] * good[:, :, None]
-        rows = rows.reshape(-1, rows.shape[-1])
-        current = np.asarray(self.conductance, float)[grounds[good.any(1)]].mean(0)
+        relative = lam / self.scale()
+        rank = self.electrode_count * (_FEWER if relative >= _FROM else _RANK)
+        basis, factors = (np.asarray(a, float) for a in (self.basis, self.factors))
+        basis, factors = basis[:rank], factors[grounds, :, :rank]
+        (slots, m), (rank, count) = good.shape, basis.shape
+        rows, operators = np.zeros((2, slots, m, rank))
+        misfits, alike = np.zeros((slots, m, m)), np.zeros((slots, m, count))
+        seen, there = np.zeros(count), np.flatnonzero(good.any(1))
+        for k in there:
+            own = self.grounded[grounds[k]]
+            centre = centring(good[k], own)
+            rows[k] = centre @ factors[k]
+            # λ is relative to each slot's own σ₁².
+            strongest = float(np.linalg.norm(rows[k], 2)) ** 2
+            operator = tikhonov_operator(rows[k], relative * strongest)
+            operators[k] = operator.T / len(there)
+            misfits[k] = rows[k] @ operator - centre
+            seen += ((operator.T @ basis) * (rows[k] @ basis)).sum(0)
+            alike[k] = _alike(self.shared, grounds[k], good[k], own)
+        step = max(1, slots // _SOME)
+        current = np.asarray(self.conductance, float)[grounds[there]].mean(0)
+        sharp = np.where(seen > 0, 1 / np.sqrt(np.maximum(seen, 1e-30)), 0)
         return PreparedLinear(
-            operator=jnp.asarray(tikhonov_operator(rows, lam).T, dtype),
-            rows=jnp.asarray(rows, dtype),
-            current=jnp.asarray(current, dtype),
+            image=_in_turn(operators.reshape(-1, rank), basis, dtype),
+            matched=_in_turn(
+                alike.reshape(-1, count) @ self.alike.T.astype(float), self.alike, dtype
+            ),
+            sharp=jnp.asarray(sharp, dtype),
+            rows=jnp.asarray(rows[::step], dtype),
+            looked=jnp.asarray((good & ~self.grounded[grounds])[::step]),
+            misfits=jnp.asarray(misfits, dtype),
+            current=jnp.asarray(current[None], dtype),
             used=jnp.asarray(good),
-            small=jnp.asarray(lam < _SMALLEST * scale),
+            small=jnp.asarray(relative < _SMALLEST),
         )
 
     def image(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"]
-    ) -> tuple[Array, Array]:
-        """Returns φ per pixel (or element, for a J of elements) and its coefficients."""
-        coefficients = matmul(voltages.ravel(), prepared.operator)
-        return matmul(coefficients, self.basis[: len(coefficients)]), coefficients
+    ) -> Float[Array, " pixels"]:
+        """Computes φ per pixel, V."""
+        return _applied(prepared.image, voltages)
 
     def estimate(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
-        phi, coefficients = self.image(prepared, voltages)
-        forward = self.drive_sign * phi
-        current = (forward * prepared.current).reshape(self.shape)
-        # As the paper reads its images: above half the maximum.
-        heights = forward.reshape(self.shape)
-        contacts = read_contacts(heights, current, self.cell, count, 0.5, False)
-        misfit = matmul(prepared.rows, coefficients) - voltages.ravel()
-        misfit = misfit.reshape(voltages.shape)
+        phi = self.image(prepared, voltages)
+        sharp, alike = (
+            self.drive_sign * image.reshape(self.shape)
+            for image in (phi * prepared.sharp, _applied(prepared.matched, voltages))
+        )
+        found = read_contacts(sharp, None, self.cell, count, reach=self.reach)
+        lone = (found.count == 1) & (jnp.arange(count) == 0)
+        place = self.cell * (highest_place(alike, self.reach) + 0.5)
+        found = found._replace(xy=jnp.where(lone[:, None], place, found.xy))
+        carried, left = self._explained(prepared, voltages, found)
+        there = jnp.arange(count) < found.count.astype(int)
+        residual, by_electrode = slots_left(prepared.misfits, voltages, prepared.used)
         flags = bits_of(
-            (self._unexplained(prepared, voltages, contacts), Flag.CONTACTS_UNEXPLAINED),
+            ((left > _UNEXPLAINED) & there[0], Flag.CONTACTS_UNEXPLAINED),
             (prepared.small, Flag.BAD_LAMBDA),
         )
         return Estimate(
-            contacts._replace(current=self.drive_sign * contacts.current),
+            strongest_first(found._replace(current=carried), there),
             phi.reshape(self.shape),
-            residual=jnp.sqrt(jnp.mean(misfit**2, where=prepared.used)),
+            residual,
             flags=flags,
-            by_electrode=rms_by_electrode(misfit, prepared.used),
+            by_electrode=by_electrode,
         )
 
-    def _unexplained(
-        self, prepared: PreparedLinear, voltages: Float[Array, "S M"], contacts: Contacts
-    ) -> Bool[Array, ""]:
-        """Tells whether contacts leave too much; J(0)'s columns have T's shape."""
+    def _explained(
+        self, prepared: PreparedLinear, voltages: Float[Array, "S M"], found: Contacts
+    ) -> tuple[Float[Array, " C"], Float[Array, ""]]:
+        """Computes the currents of contacts as points, A, and the part that they leave."""
+        rows, rank = prepared.rows, prepared.rows.shape[-1]
         step = max(1, len(voltages) // _SOME)
-        rows = prepared.rows.reshape(*voltages.shape, -1)[::step]
-        used = prepared.used[::step]
-        basis = self.basis[: rows.shape[-1]]
-        points = point_sources(basis, contacts, self.shape, self.cell)
-        columns = jnp.einsum("smr,cr->scm", rows, points, precision="highest")
-        left = unexplained(centred(columns, used[:, None]), centred(voltages[::step], used))
-        return (left > _UNEXPLAINED) & (contacts.count > 0)
+        maps = jnp.concatenate([self.basis[:rank], prepared.current])
+        points = point_sources(maps, found, self.shape, self.cell)
+        columns = jnp.einsum("smr,cr->scm", rows, points[:, :-1], precision="highest")
+        seen = centred(voltages[::step], prepared.looked)
+        carried, left = explained(columns, seen)
+        return carried.mean(0) * points[:, -1], left
+
+
+def _alike(
+    shared: Shared,
+    ground: int,
+    good: Bool[np.ndarray, " M"],
+    grounded: Bool[np.ndarray, " M"],
+) -> Float[np.ndarray, "M pixels"]:
+    """Computes T^l's columns less their mean, of length 1; J's are the same but for it."""
+    maps = factors_of(shared.slots, shared.rows, np.array([ground]))[0]
+    columns = centring(good, grounded) @ maps
+    length = np.linalg.norm(columns, axis=0)
+    return columns / np.hypot(length, _SHORT * length.max() + 1e-30)
+
+
+def _rows_of(
+    matrix: Float[np.ndarray, "n pixels"], most: int
+) -> Float[np.ndarray, "q pixels"]:
+    """Finds orthonormal rows that hold the `most` strongest of a matrix, in float32."""
+    rows = matrix.astype(np.float32)
+    count = rows.shape[1]
+    basis = np.random.default_rng(0).normal(size=(count, min(most, count)))
+    for _ in range(3):
+        image = rows.T @ (rows @ basis.astype(np.float32))
+        basis = np.linalg.qr(image.astype(float))[0]
+    return basis.T.astype(np.float32)
+
+
+def _in_turn(
+    operator: Float[np.ndarray, "SM r"], basis: Float[np.ndarray, "r pixels"], dtype: Any
+) -> tuple[Array, ...]:
+    """Makes matrices whose product is operator times basis; one if that is less."""
+    whole = len(operator) <= len(basis)
+    parts = (operator @ basis,) if whole else (operator, basis)
+    return tuple(jnp.asarray(part, dtype) for part in parts)
+
+
+def _applied(
+    matrices: tuple[Array, ...], voltages: Float[Array, "S M"]
+) -> Float[Array, " pixels"]:
+    values = voltages.ravel()
+    for matrix in matrices:
+        values = matmul(values, matrix)
+    return values
 
 
 @eqx.filter_jit

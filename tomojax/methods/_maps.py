@@ -2,9 +2,12 @@
 
 from typing import Any, NamedTuple, TypeVar
 
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from tomojax.kernels.algebra import matmul
 from tomojax.kernels.sheet import Slots
 from tomojax.methods._pixels import Pixels
 from tomojax.sensor import resistances
@@ -69,5 +72,25 @@ def centring(
 def tikhonov_operator(
     rows: Float[np.ndarray, "n r"], lam: float
 ) -> Float[np.ndarray, "r n"]:
-    """Computes (AᵀA + λI)⁻¹Aᵀ, A the rows."""
-    return np.linalg.solve(rows.T @ rows + lam * np.eye(rows.shape[1]), rows.T)
+    """Computes (AᵀA + λI)⁻¹Aᵀ, A the rows; in the smaller of two forms."""
+    n, r = rows.shape
+    if n <= r:
+        return np.linalg.solve(rows @ rows.T + lam * np.eye(n), rows).T
+    return np.linalg.solve(rows.T @ rows + lam * np.eye(r), rows.T)
+
+
+def slots_left(
+    misfits: Float[Array, "S M M"],
+    voltages: Float[Array, "S M"],
+    used: Bool[Array, "S M"],
+) -> tuple[Float[Array, ""], Float[Array, " M"]]:
+    """Computes what slots' own images leave, V rms: of all voltages, by electrode."""
+
+    # Slot by slot: of a batch each is one product, where a batch of products is slow.
+    def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
+        misfit, v = slot
+        return total + matmul(misfit, v) ** 2, None
+
+    squares, _ = lax.scan(add, jnp.zeros_like(voltages[0]), (misfits, voltages))
+    count = jnp.sum(used, 0).astype(squares.dtype)
+    return jnp.sqrt(squares.sum() / count.sum()), jnp.sqrt(squares / count)

@@ -13,7 +13,6 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import gaussian, matmul
@@ -27,6 +26,7 @@ from tomojax.methods._maps import (
     factors_of,
     Shared,
     shared_maps,
+    slots_left,
     tikhonov_operator,
 )
 from tomojax.methods._pixels import pixels_of
@@ -311,22 +311,14 @@ class Source(AbstractMethod):
         carried = contacts._replace(current=self.drive_sign * carried)
         missing = (left > _UNEXPLAINED) & (contacts.count > 0)
 
-        # Slot by slot: of a batch each is one product, where a batch of products is slow.
-        def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
-            misfit, v = slot
-            return total + matmul(misfit, v) ** 2, None
-
-        squares, _ = lax.scan(
-            add, jnp.zeros_like(voltages[0]), (prepared.misfits, voltages)
-        )
-        used = jnp.sum(prepared.used, 0).astype(squares.dtype)
+        residual, by_electrode = slots_left(prepared.misfits, voltages, prepared.used)
         image = self.smooth_image(prepared, voltages)
         return Estimate(
             strongest_first(carried, there),
             image * (self.drive_sign / self.cell.prod()),
-            residual=jnp.sqrt(squares.sum() / used.sum()),
+            residual,
             flags=bits_of((missing, Flag.CONTACTS_UNEXPLAINED)),
-            by_electrode=jnp.sqrt(squares / used),
+            by_electrode=by_electrode,
         )
 
 

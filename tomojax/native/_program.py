@@ -80,10 +80,7 @@ class Body:
 
 
 def program_of(f: Callable, *examples: Any) -> Body:
-    """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads.
-
-    **Raises:** `ValueError` for an operation that XLA has and C has not, once it is written.
-    """
+    """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads."""
     closed = jax.make_jaxpr(f)(*examples)
     constants = [_constant(c, False) for c in closed.consts]
     inputs = [_fresh(v.aval) for v in closed.jaxpr.invars]

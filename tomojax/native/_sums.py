@@ -95,7 +95,7 @@ def argument(w: Writer, op: Op) -> None:
 
 
 def dot_general(w: Writer, op: Op) -> None:
-    """Writes Σ_k a(b, i, k) · c(b, k, j), along the axis whose elements lie side by side."""
+    """Writes Σ_k a(b, i, k) · c(b, k, j), along the axis that lies in a row."""
     (a, c), (out,) = op.inputs, op.outputs
     (over_a, over_c), (batch_a, batch_c) = op.params["dimension_numbers"]
     free_a = [n for n in range(len(a.shape)) if n not in (*over_a, *batch_a)]

@@ -20,7 +20,7 @@ C_TYPES = {
     "uint32": "uint32_t",
     "uint8": "uint8_t",
     "int8": "int8_t",
-    # As wide as most numbers: loops that mix widths are slower, and GCC 12.2 gets some wrong.
+    # As wide as most numbers: GCC 12.2 gets some loops wrong that mix widths.
     "bool": "int32_t",
 }
 
@@ -128,8 +128,8 @@ Place = View | Lazy
 class Tables:
     """Constants that the code reads: where each begins does not depend on their values.
 
-    `halved`: large ones that are gathered from are stored in 16 bits, between the lowest and
-    the highest value of each column.
+    `halved`: large ones that are gathered from are stored in 16 bits, between the lowest
+    and the highest value of each column.
     """
 
     def __init__(self, halved: bool = False) -> None:
@@ -156,7 +156,7 @@ class Tables:
         return self._offsets[key]
 
     def half(self, value: Value) -> tuple[int, int, int]:
-        """Returns where a constant in 16 bits begins, its columns' lowest values and steps."""
+        """Returns where 16-bit codes begin, columns' lowest values and steps."""
         array = np.asarray(value.known)
         key = "half", id(array if value.origin is None else value.origin)
         if key not in self._halves:

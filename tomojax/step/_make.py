@@ -49,8 +49,8 @@ def make_step(
     channel can have, V.
 
     A step runs as C that a compiler makes of it, ten times as fast as JAX's program: where
-    a C compiler is there, on a processor. It is kept in the user's cache folder, so that the
-    same step is there at once the next time. `native` decides it: False for JAX's program,
+    a C compiler is there, on a processor. It is kept in the user's cache folder: the same
+    step is there at once the next time. `native` decides it: False for JAX's program,
     True for C. The variable TOMOJAX_NATIVE=0 stands for False where nobody decides;
     TOMOJAX_STEPS names the folder, and with nothing in it nothing is kept.
 

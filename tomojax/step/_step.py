@@ -11,10 +11,10 @@ from jaxtyping import Array, Float
 from tomojax._require import require
 from tomojax._shown import named
 from tomojax.step._packing import Packed, packed, Packing, State
-from tomojax.step._traced import Traced
-from tomojax.step.c import AbstractRuns, write_folder
 from tomojax.step._saving import load_state, save_state
 from tomojax.step._state import About, Output, silent
+from tomojax.step._traced import Traced
+from tomojax.step.c import AbstractRuns, write_folder
 
 
 class Step:
@@ -65,7 +65,7 @@ class Step:
 
     @property
     def traces(self) -> int:
-        """How often the step was traced: never where it was kept, once where it was made."""
+        """How often the step was traced: never where it was kept."""
         return self._runs.traces
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -153,10 +153,10 @@ def compile(  # noqa: A001
     """Writes a step as a folder of C99: for programs and boards without Python.
 
     The folder gets `step.c` and `tomojax_step.h`: code, which serves every rig of the same
-    shape; `step.tables`: the numbers of this one; `libtomojax_step.so` and `.a`, made by the
-    compiler that is there (CC, cc, gcc or clang) for the processor `march`; `example.c`,
-    which reads slots from standard input; `tomojax_step.hpp` for C++17; `CMakeLists.txt` and
-    `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX says of each, which
+    shape; `step.tables`: the numbers of this one; `libtomojax_step.so` and `.a`, made by
+    the compiler that is there (CC, cc, gcc or clang) for the processor `march`;
+    `example.c`, which reads slots from standard input; `tomojax_step.hpp` for C++17;
+    `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX says of each, which
     `check.c` runs. Without `libraries` no compiler is needed. `halved`
     tables have 16 bits a number where they are largest: places move by half a micrometre.
 

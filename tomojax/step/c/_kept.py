@@ -19,10 +19,10 @@ from tomojax._cache import cache_folder, drop_oldest
 from tomojax._programs import source_digest
 from tomojax._whole import ours
 from tomojax.native import compile_c, compiler, PLAIN
-from tomojax.step.c._code import write_code
-from tomojax.step.c._runs import NativeRuns
 from tomojax.step._state import About
 from tomojax.step._traced import Traced
+from tomojax.step.c._code import write_code
+from tomojax.step.c._runs import NativeRuns
 
 # The environment variable that names the folder of kept steps; empty, none are kept. And
 # the one that says whether steps run as C where nobody asks: "0" for not.

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from tomojax._require import require
-from tomojax.step.c._code import check_tables
 from tomojax.step._packing import Packed, Packing
 from tomojax.step._state import About, silent
 from tomojax.step._traced import Traced
+from tomojax.step.c._code import check_tables
 
 # Slots of a compiled call of `replay`: a tenth of a second of work, 1 MB.
 _BLOCK = 4096

@@ -56,29 +56,17 @@ def frontier(
             only,
         )
     failed = [row for row in rows if row.get("failed")]
-    rates, day = ([r for r in rows if r["scene"] == name] for name in ("rate", "day"))
     rows = [row for row in rows if row["scene"] in KINDS]
     mark_front(rows)
     print(report.text(rows))
-    for line in report.machine_lines(rates, day):
-        print(line)
     for row in failed:
         print(f"failed: {row['method']}, {row['dtype']}: {row['failed']}")
-    summary = report.summary(rows) | {"failed": failed}
-    told = {"rows": rows, "rates": rates, "day": day, "summary": summary}
+    told = {"rows": rows, "summary": report.summary(rows) | {"failed": failed}}
     told["environment"] = environment()
     write_text(json_path, json.dumps(told, indent=1) + "\n")
-    for draw, name in (
-        (report.chart, "frontier.png"),
-        (report.rungs, "frontier_rungs.png"),
-    ):
-        with whole(out / name) as part:
-            draw(rows).savefig(part, dpi=110)
-        print(f"picture: {out / name}")
-    if rates:
-        with whole(out / "frontier_rates.png") as part:
-            report.rate_chart(rates).savefig(part, dpi=110)
-        print(f"picture: {out / 'frontier_rates.png'}")
+    with whole(out / "frontier.png") as part:
+        report.chart(rows).savefig(part, dpi=110)
+    print(f"picture: {out / 'frontier.png'}")
 
 
 def _peers_there() -> None:

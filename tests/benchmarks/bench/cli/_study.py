@@ -60,7 +60,7 @@ def study_options(name: str, report: str, scenes: str) -> Callable[[Any], Any]:
 def _names(name: str) -> list[str]:
     """Lists the files in the folder, beside the report."""
     pictures = {
-        "frontier": ("frontier.png", "frontier_rungs.png", "frontier_rates.png"),
+        "frontier": ("frontier.png",),
         "stability": ("stability.png", "stability_numbers.png"),
     }[name]
     kept = ("-run.json", "-rows.jsonl", "-scenes.npz")

@@ -22,11 +22,6 @@ from bench.frontier._peers import (
     best_lambda as best_lambda,
     peer_rows as peer_rows,
 )
-from bench.frontier._rates import (
-    DAY as DAY,
-    day_rows as day_rows,
-    rate_rows as rate_rows,
-)
 from bench.frontier._rows import (
     method_rows as method_rows,
     rows_of_steps as rows_of_steps,

@@ -2,12 +2,11 @@
 
     python -m bench.frontier._job SCENES.npz JOB
 
-Prints a JSON row for each pattern, rule for λ, kind of scene, batch size and output. The
+Prints a JSON row for each pattern, kind of scene, batch size and output. The
 process's memory is the job's own. A crash loses only this job.
 """
 
 import json
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import numpy as np
 
 from bench.frontier._measure import Job, kinds_of
 from bench.frontier._peers import peer_rows
-from bench.frontier._rates import day_rows, rate_rows
 from bench.frontier._rows import follow_rows, method_rows
 from bench.frontier._scenes import load_trials
 
@@ -40,8 +38,6 @@ def main() -> None:
         k: tuple(v) if isinstance(v, list) else v for k, v in words.items()
     }
     job = Job(**told)
-    if job.threads:  # before JAX makes its threads
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job.threads])
     sensor, trials = load_trials(path, job.dtype)
     if job.most:
         trials = trials.of(np.concatenate([at[: job.most] for _, at in kinds_of(trials)]))
@@ -49,9 +45,6 @@ def main() -> None:
         rows = follow_rows(job, sensor, trials)
     elif job.method == "peers":
         rows = peer_rows(job, sensor, trials)
-    elif job.method in ("rates", "day"):
-        kinds = {"rates": rate_rows, "day": day_rows}
-        rows = kinds[job.method](job, sensor, trials)
     else:
         rows = method_rows(job, sensor, trials)
     made = list(rows)

@@ -14,7 +14,7 @@ from tomojax.paper import AdaptivePattern, AdaptiveScan, exploration, pattern
 from tomojax.sensor import Sensor
 
 # Seconds for which a call is repeated, and calls at least and at most.
-_SECONDS, _LEAST, _MOST = 0.5, 3, 300
+_SECONDS, _LEAST, _MOST = 0.2, 3, 300
 
 
 class Job(NamedTuple):
@@ -22,24 +22,19 @@ class Job(NamedTuple):
 
     method: str
     patterns: tuple[str, ...]
-    rules: tuple[str, ...] = ("own",)
     batches: tuple[int, ...] = (1, 256)
     pixels: int = 32
     dtype: str = "float32"
-    designed: tuple[int, ...] = ()
-    threads: int = 0  # of "rates": cores that it may use; 0 is all
     most: int = 0  # scenes of each kind; 0 is all
 
 
 def grounds_of(
-    sensor: Sensor, name: str, volts: Float[np.ndarray, "n M M"], designed: tuple = ()
+    sensor: Sensor, name: str, volts: Float[np.ndarray, "n M M"]
 ) -> Integer[np.ndarray, "n S"]:
     """Returns the grounded electrodes; "corners" explore, "ten" adds *Around* to them."""
     n, corners = len(volts), np.asarray(exploration(sensor))
     if name in ("corner", "corners"):
         return np.tile(corners[: 1 if name == "corner" else 2], (n, 1))
-    if name == "designed":
-        return np.tile(np.array(designed), (n, 1))
     if name == "ten":
         around = grounds_of(sensor, "around", volts)
         return np.concatenate([np.tile(corners, (n, 1)), around], 1)

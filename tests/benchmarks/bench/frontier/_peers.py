@@ -59,7 +59,7 @@ def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
     size, pixels = np.asarray(sensor.size, float), job.pixels
     peers = list(peers_of(sensor, pixels))
     for name in job.patterns:
-        grounds = grounds_of(sensor, name, trials.volts, job.designed)
+        grounds = grounds_of(sensor, name, trials.volts)
         volts = np.take_along_axis(trials.volts, grounds[..., None], 1)
         volts = volts.reshape(len(volts), -1).astype(job.dtype)
         for variants in peers:

@@ -11,12 +11,10 @@ import numpy as np
 
 from bench.frontier._measure import grounds_of, Job, kinds_of, repeated, timing
 from bench.frontier._scenes import score, Trials
-from tomojax.kernels.inverse import choose_lambda, lambda_grid, lambda_scores, spectrum
 from tomojax.methods import (
     AbstractMethod,
     Batch,
     Frame,
-    Linear,
     method as make_method,
     Part,
     pixel_divisions,
@@ -38,36 +36,34 @@ def method_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, 
     size = np.asarray(sensor.size)
     mesh = pixel_divisions(sensor, (job.pixels, job.pixels), model.cells_per_diameter)
     for name in job.patterns:
-        grounds = grounds_of(sensor, name, trials.volts, job.designed)
+        grounds = grounds_of(sensor, name, trials.volts)
         volts = np.take_along_axis(trials.volts, grounds[..., None], 1)
         volts = volts.astype(job.dtype)
         frames = [Frame(v, g, np.isfinite(v)) for v, g in zip(volts, grounds)]
-        frames = frames[:: max(1, len(frames) // _FRAMES)]
-        for rule in job.rules:
-            lam = chosen_lambda(model, rule, frames)
-            found, firsts = {}, {}
-            for kind, at in kinds_of(trials):
-                begin = time.perf_counter()
-                found[kind] = Batch(model, lam, _CONTACTS)(volts[at], grounds[at])
-                firsts[kind] = time.perf_counter() - begin
-            common = {
-                "method": job.method,
-                "pattern": name,
-                "slots": grounds.shape[1],
-                "lam_rule": rule,
-                "lam": lam,
-                "pixels": job.pixels,
-                "elements": 2 * mesh[0] * mesh[1],
-            }
-            scores = {
-                kind: score(found[kind], trials.of(at), size) | _rungs(model, found[kind])
-                for kind, at in kinds_of(trials)
-            }
-            for kind, times in _times(job, model, lam, trials, volts, grounds):
-                if kind:  # compiled by then: the first that were fitted took that time
-                    times["first_s"] = firsts[kind]
-                for one in [kind] if kind else scores:
-                    yield {"scene": one, **common, **times, **scores[one]}
+        lam = float(model.choose_lambda(frames[:: max(1, len(frames) // _FRAMES)]))
+        found, firsts = {}, {}
+        for kind, at in kinds_of(trials):
+            begin = time.perf_counter()
+            found[kind] = Batch(model, lam, _CONTACTS)(volts[at], grounds[at])
+            firsts[kind] = time.perf_counter() - begin
+        common = {
+            "method": job.method,
+            "pattern": name,
+            "slots": grounds.shape[1],
+            "lam_rule": "own",
+            "lam": lam,
+            "pixels": job.pixels,
+            "elements": 2 * mesh[0] * mesh[1],
+        }
+        scores = {
+            kind: score(found[kind], trials.of(at), size) | _rungs(model, found[kind])
+            for kind, at in kinds_of(trials)
+        }
+        for kind, times in _times(job, model, lam, trials, volts, grounds):
+            if kind:  # compiled by then: the first that were fitted took that time
+                times["first_s"] = firsts[kind]
+            for one in [kind] if kind else scores:
+                yield {"scene": one, **common, **times, **scores[one]}
 
 
 def _rungs(model: AbstractMethod, rows: Rows) -> dict[str, list[int]]:
@@ -117,22 +113,6 @@ def _times(
                 told = timing(*repeated(call), batch)
                 output = "image" if images else "contacts"
                 yield kind, {"output": output, "prepare_ms": spent, **told}
-
-
-def chosen_lambda(model: AbstractMethod, rule: str, frames: list[Frame]) -> float:
-    """Returns λ for a recording by one of the rules; "own" is the method's own rule."""
-    if rule == "own":
-        return float(model.choose_lambda(frames))
-    assert isinstance(model, Linear)
-    chosen = []
-    for frame in frames:
-        values = spectrum(model.factors[frame.grounds])
-        grid = lambda_grid(values)
-        noise = jnp.asarray(0.01 * np.sqrt(np.mean(frame.voltages**2)), grid.dtype)
-        v = jnp.asarray(frame.voltages)
-        scores = lambda_scores(values, v, grid, rule, noise)  # pyright: ignore
-        chosen.append(float(choose_lambda(grid, scores)))
-    return float(np.exp(np.nanmedian(np.log(chosen))))
 
 
 def follow_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, Any]]:

@@ -14,65 +14,40 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from bench.frontier._measure import Job
 from bench.frontier._scenes import (
     identity,
-    load_trials,
     make_trials,
     save_trials,
 )
-from tomojax.design import design, design_objective, design_places
-from tomojax.paper import PATTERNS
 from tomojax.sensor import Sensor
 
 _HERE = Path(__file__).parents[2]  # the folder of `bench`, for processes of jobs
 # Scenes of each kind.
 SCENES, QUICK_SCENES = 20, 6
 
-_RULES = ("own", "cautious", "gcv", "discrepancy", "l_curve")
+# What each method is measured on: settings that somebody would choose.
+_EVERY = ("corner", "corners", "ten", "around", "boundary", "all")
 
 
-def jobs(quick: bool, designed: tuple[int, ...] = ()) -> list[Job]:
-    """Lists the jobs. A choice that only `linear` has is swept with `linear` alone."""
+def jobs(quick: bool) -> list[Job]:
+    """Lists the jobs: a process for each method."""
     if quick:
         return [
-            Job("linear", ("around",), batches=(256,)),
-            Job("source", ("corner",), batches=(256,)),
-            Job("source", ("corner",), batches=(256,), pixels=16),
+            Job("linear", ("around",), (256,)),
+            Job("source", ("corner",), (256,)),
             Job("follow", ("around_contacts",)),
-            Job("peers", ("corner",), batches=(256,)),
+            Job("peers", ("corner",), (256,)),
         ]
-    batches, own = (1, 32, 256, 1024), ("own",)
-    every = ("corner", "corners", "ten", *PATTERNS, "designed")
-    few = ("corners", "around", "all")
-    # Grounds that do not depend on the scene, and one pattern that follows it.
-    fixed = ("corner", "corners", "boundary", "v_line", "edge", "all", "designed", "around")
-    rated, counts = ("corner", "edge"), tuple(4**k for k in range(7))
     return [
-        Job("linear", every, own, batches, designed=designed),
-        Job("linear", ("around", "all"), _RULES[1:], (256,)),
-        Job("linear", ("around", "all"), own, (1, 256), dtype="float64"),
-        *(Job("linear", ("around", "all"), own, (256,), pixels) for pixels in (16, 64)),
-        Job("source", every, own, batches, designed=designed),
-        Job("source", few, own, (1, 256), dtype="float64"),
-        Job("source", ("corner", *few), own, (256, 1024), 16),
-        Job("source", few, own, (256,), 64),
+        Job("linear", _EVERY),
+        Job("source", _EVERY),
         # Slow ones, on some of the scenes.
-        Job("points", ("corner", "corners", "all"), own, (64,)),
-        Job("points", ("corners",), own, (64,), dtype="float64"),
-        Job("shape", ("corners", "all"), own, (2,), most=6),
-        Job("auto", ("corners", "all"), own, (32,), most=10),
-        Job("follow", ("around_contacts", "around", "all")),
-        # What our methods get, and an image of the paper's 4 mm besides.
-        Job("peers", fixed, own, batches, designed=designed),
-        Job("peers", ("corner", "corners", "around", "all"), own, (256, 1024), 16),
-        Job("peers", ("corner", "corners", "edge", "all"), own, (256, 1024), 40),
-        Job("peers", ("corners",), own, (256,), 64),
-        *(Job("rates", rated, own, counts, pixels) for pixels in (16, 32, 64)),
-        Job("rates", rated, own, counts, threads=1),
-        Job("day", ("corners", "ten")),
+        Job("points", ("corners", "all"), (64,)),
+        Job("shape", ("corners",), (2,), most=6),
+        Job("auto", ("corners", "all"), (32,), most=10),
+        Job("follow", ("around_contacts",)),
+        Job("peers", tuple(name for name in _EVERY if name != "ten")),
     ]
 
 
@@ -104,7 +79,7 @@ def run(
         new.rename(path)
     progress("scenes")
     done, rows = _kept(folder / "frontier-rows.jsonl")
-    for job in jobs(quick, () if quick else _designed(path)):
+    for job in jobs(quick):
         if only and job.method not in only:
             continue
         key = json.dumps(job._asdict())
@@ -152,15 +127,6 @@ def _kept(path: Path) -> tuple[set[str], list[dict[str, Any]]]:
         done.add(kept["job"])
         rows += kept["rows"]
     return done, rows
-
-
-def _designed(path: Path) -> tuple[int, ...]:
-    """Designs eight grounds for the whole sheet, by their place error."""
-    with jax.enable_x64(True):
-        sensor, _ = load_trials(path, "float64")
-        places = design_places(sensor)
-        found = design(design_objective(sensor, places, "points", "place"), 8)
-    return tuple(int(g) for g in found.grounds)
 
 
 def measured(path: Path, job: Job) -> list[dict[str, Any]]:

@@ -1,9 +1,6 @@
 """Prints and draws the results of `tomojax frontier`."""
 
-from collections.abc import Iterator
 from typing import Any
-
-import numpy as np
 
 from bench.frontier._beside import (
     beside_peers,
@@ -12,11 +9,10 @@ from bench.frontier._beside import (
     front_of_alike,
 )
 from bench.frontier._scenes import KINDS
-from tomojax._pictures import GREY, METHODS, plain, style
+from tomojax._pictures import METHODS, plain
 
 _PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D", "NumPy sLORETA": "^"}
 _TOLD = ("pattern", "slots", "pixels", "dtype", "output", "batch", "p50_us")
-_RUNGS = ("nothing", "points", "source", "conductance", "shape")
 WORDS = {
     "one": "one contact",
     "two": "two, 15 to 40 mm apart",
@@ -120,171 +116,62 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def chart(rows: list[dict[str, Any]]) -> Any:
     """Draws a panel for each kind of scene: time of a frame against place error.
 
-    Peers are hollow, and full where they are ahead of all our rows that are alike.
+    A method has one mark for each ground set; its name stands at its nearest.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 9.4), layout="constrained")
-    figure.suptitle("How near, and how fast: every method on the same frames")
+    figure = Figure(figsize=(15, 9), layout="constrained")
+    figure.suptitle("How near, and how fast: down and to the left is better")
     panels = figure.subplots(2, 3).ravel()
     for axes, kind in zip(panels, KINDS):
-        some = [r for r in rows if r["scene"] == kind and error_mm(r) is not None]
-        ahead = {id(f["peer"]) for f in beside_peers(some) if f["ahead"]}
-        for row in some:
-            at = row["p50_us"], error_mm(row)
-            if row["peer"]:
-                full = GREY if id(row) in ahead else "none"
-                look = {"marker": _PEERS[row["method"]], "facecolors": full}
-                look |= {"edgecolors": "0.4", "zorder": 1, "linewidths": 0.6}
+        some = shown(rows, kind)
+        for name in dict.fromkeys(row["method"] for row in some):
+            mine = sorted(
+                (r for r in some if r["method"] == name), key=lambda r: r["slots"]
+            )
+            x = [row["p50_us"] for row in mine]
+            y = [error_mm(row) for row in mine]
+            if mine[0]["peer"]:
+                look = {"marker": _PEERS[name], "color": "0.5", "fillstyle": "none"}
             else:
-                look = METHODS[row["method"]]
-                look = {"marker": look.marker, "color": look.color, "zorder": 2}
-                look |= {"edgecolors": "w", "linewidths": 0.4, "alpha": 0.8}
-            area = _area(row["slots"]) * (0.5 if row["peer"] else 1.0)
-            axes.scatter(*at, s=area, **look)
-        peers = [r for r in some if r["peer"]]
-        ours = [r for r in some if not r["peer"]]
-        for them, line in ((ours, "-"), (peers, "--")):
-            steps = [(r["p50_us"], error_mm(r)) for r in front(them)]
+                look = {"marker": METHODS[name].marker, "color": METHODS[name].color}
+            axes.plot(x, y, lw=0.6, ms=6, zorder=1 if mine[0]["peer"] else 2, **look)
+            if mine[0]["peer"]:
+                continue
+            best = min(mine, key=lambda r: error_mm(r) or 0)
+            at, text = (best["p50_us"], error_mm(best) or 0), {"fontsize": 10}
+            text |= {"color": look["color"], "textcoords": "offset points"}
+            axes.annotate(name, at, (5, -11), **text)
+        for peer, line in ((False, "-"), (True, "--")):
+            steps = front([r for r in some if r["peer"] == peer])
             if steps:
-                axes.step(*zip(*steps), where="post", color="k", lw=1, ls=line, zorder=3)
+                at = [(r["p50_us"], error_mm(r)) for r in steps]
+                axes.step(*zip(*at), where="post", color="k", lw=1.2, ls=line, zorder=0)
         axes.set(xscale="log", yscale="log", title=WORDS[kind].capitalize())
         axes.set(xlabel="time of a frame, µs (median)", ylabel="place error, mm (median)")
         axes.grid(alpha=0.3)
         plain(axes.yaxis)
-    _legend(panels[-1], {r["method"] for r in rows})
+    last = panels[len(KINDS)]
+    last.plot([], [], "k-", label="front of these methods")
+    last.plot([], [], "k--", label="front of the peers")
+    for name, marker in _PEERS.items():
+        last.plot([], [], marker=marker, color="0.5", ls="", fillstyle="none", label=name)
+    last.plot([], [], "0.5", lw=0.6, label="one method, from one slot to all 64")
+    last.legend(loc="center", fontsize=11, frameon=False)
+    for axes in panels[len(KINDS) :]:
+        axes.set_axis_off()
     return figure
 
 
-def _area(slots: int) -> float:
-    """Returns the area of a mark, square points."""
-    return 24 + 14 * np.log2(slots)
+def shown(rows: list[dict[str, Any]], kind: str) -> list[dict[str, Any]]:
+    """Chooses a row for each method and pattern: contacts alone, most frames in a call."""
 
+    def rank(row: dict[str, Any]) -> tuple:
+        return row.get("output") == "contacts", row["batch"], -row["p50_us"]
 
-def _legend(axes: Any, there: set[str]) -> None:
-    for method in (name for name in METHODS if name in there):
-        look = METHODS[method]
-        axes.scatter([], [], s=50, color=look.color, marker=look.marker, label=method)
-    axes.plot([], [], "k", lw=1, label="front of these methods")
-    for peer, marker in _PEERS.items():
-        look = {"marker": marker, "facecolors": "none", "edgecolors": "0.4"}
-        axes.scatter([], [], s=50, **look, label=peer)
-    axes.scatter([], [], s=50, marker="s", color=GREY, label="peer ahead of all alike")
-    axes.plot([], [], "k--", lw=1, label="front of the peers")
-    for slots in (1, 8, 64):
-        axes.scatter(
-            [], [], s=_area(slots), color="0.7", label=f"{slots} slot{'s' * (slots > 1)}"
-        )
-    axes.legend(loc="center", fontsize=10, ncols=2, frameon=False)
-    axes.set_axis_off()
-
-
-def rungs(rows: list[dict[str, Any]]) -> Any:
-    """Draws the rung that each kind of scene needs: error, doubt, time, `auto`'s choice."""
-    from matplotlib.figure import Figure
-
-    # Rows of runs before `shape` have `conductance`.
-    known = ("linear", "source", "points", "conductance", "shape", "auto")
-    models = [name for name in known if any(r["method"] == name for r in rows)]
-    patterns = [p for p in ("corners", "all") if any(r["pattern"] == p for r in rows)]
-    figure = Figure(figsize=(13, 3.8 * len(patterns) + 0.8), layout="constrained")
-    figure.suptitle("Which model each kind of scene needs")
-    panels = figure.subplots(len(patterns), 3, squeeze=False)
-    for line, pattern in zip(panels, patterns):
-        chosen = {}
-        for row in rows:
-            usual = row["pattern"] == pattern and row["lam_rule"] == "own"
-            if usual and row["pixels"] == 32 and row["dtype"] == "float32":
-                chosen.setdefault((row["method"], row["scene"]), row)
-        x = np.arange(len(KINDS))
-        for k, model in enumerate(models):
-            some = [chosen.get((model, kind), {}) for kind in KINDS]
-            look = {"color": METHODS[model].color, "edgecolor": "w", "label": model}
-            errors = [(row and error_mm(row)) or np.nan for row in some]
-            line[0].bar(x + 0.16 * (k - 2), errors, 0.16, **look)
-            doubt = [100 * row.get("doubted", np.nan) for row in some]
-            line[1].bar(x + 0.16 * (k - 2), doubt, 0.16, **look)
-        line[0].set(yscale="log", ylabel="place error, mm (median)")
-        line[1].set(ylabel="part of the scenes, %", ylim=(0, 100))
-        bottom = np.zeros(len(KINDS))
-        for k, rung in enumerate(_RUNGS):
-            shares = [chosen.get(("auto", kind), {}).get("rungs") for kind in KINDS]
-            # Rows of runs before `shape` have four rungs.
-            part = [100 * s[k] / sum(s) if s and k < len(s) else 0 for s in shares]
-            part = np.array(part)
-            if part.any():
-                colour = METHODS[rung].color if rung in METHODS else "0.8"
-                line[2].bar(x, part, 0.7, bottom=bottom, color=colour, label=rung)
-            bottom += part
-        line[2].set(ylabel="part of the scenes, %", ylim=(0, 100))
-        slots = "two slots, the corners" if pattern == "corners" else "every ground"
-        titles = "Place error", "Scenes flagged", "Model that auto took"
-        for axes, title in zip(line, titles):
-            axes.set_title(f"{title}: {slots}", fontsize=11)
-            axes.set_xticks(x, KINDS)
-            axes.set_xlabel("what touches")
-        plain(line[0].yaxis)
-    told = {
-        label: handle
-        for axes in panels.ravel()
-        for handle, label in zip(*axes.get_legend_handles_labels())
-    }
-    figure.legend(
-        told.values(), told, loc="outside lower center", ncols=len(told), frameon=False
-    )
-    return figure
-
-
-def machine_lines(rates: list[dict[str, Any]], day: list[dict[str, Any]]) -> Iterator[str]:
-    """Yields lines on images a second, beside the bound, and on a day of frames."""
-    sets = {(r["method"], r["slots"], r["pixels"], r["threads"]) for r in rates}
-    for method, slots, pixels, threads in sorted(sets):
-        some = [
-            r
-            for r in rates
-            if (r["method"], r["slots"], r["pixels"], r["threads"])
-            == (method, slots, pixels, threads)
-        ]
-        best = max(some, key=lambda r: r["frames_per_s"])
-        yield (
-            f"images, {method}, slots {slots}, {pixels} x {pixels}, threads {threads}: "
-            f"{best['frames_per_s']:.3g}/s from a batch of {best['batch']}, "
-            f"{100 * best['part_of_bound']:.0f} % of the bound ({best['bound']})"
-            + (f", {best['error']:.0e} from float64" if "error" in best else "")
-        )
-    for row in day:
-        yield (
-            f"a day of frames, {row['method']}, {row['slots']} slots: "
-            f"{row['mean_us']:.0f} µs a frame; rungs {row['rungs']}"
-        )
-
-
-def rate_chart(rates: list[dict[str, Any]]) -> Any:
-    """Draws images a second against the batch; dashed lines are the machine's bound."""
-    from matplotlib.figure import Figure
-
-    panels = sorted({(r["pixels"], r["threads"]) for r in rates})
-    figure = Figure(figsize=(4.2 * len(panels) + 1, 4.8), layout="constrained")
-    figure.suptitle("Images a second in calls of many frames")
-    for axes, (pixels, threads) in zip(
-        figure.subplots(1, len(panels), squeeze=False, sharey=True)[0], panels
-    ):
-        some = [r for r in rates if (r["pixels"], r["threads"]) == (pixels, threads)]
-        for method, slots in sorted({(r["method"], r["slots"]) for r in some}):
-            mine = [r for r in some if (r["method"], r["slots"]) == (method, slots)]
-            x = [r["batch"] for r in mine]
-            full = METHODS[method].color if slots > 1 else "w"
-            look = style(method, linestyle="-", markerfacecolor=full)
-            label = f"{method}, {slots} slot{'s' * (slots > 1)}"
-            axes.loglog(x, [r["frames_per_s"] for r in mine], **look, label=label)
-            look |= {"linestyle": "--" if slots > 1 else ":", "marker": "none"}
-            axes.loglog(x, [r["bound_frames_per_s"] for r in mine], **look)
-        axes.set_title(f"{pixels} × {pixels} pixels, threads: {threads}")
-        axes.set_xlabel("frames in a call")
-        axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("images a second")
-    for line, label in ((":", "bound, 1 slot"), ("--", "bound, more slots")):
-        figure.axes[-1].plot([], [], "0.4", ls=line, label=f"the machine's {label}")
-    figure.legend(*figure.axes[-1].get_legend_handles_labels(), fontsize=9,
-                  loc="outside right center", frameon=False)  # fmt: skip
-    return figure
+    found: dict[tuple, dict[str, Any]] = {}
+    for row in rows:
+        if row["scene"] == kind and error_mm(row) is not None:
+            key = row["method"], row["pattern"]
+            found[key] = max(found.get(key, row), row, key=rank)
+    return list(found.values())
