@@ -3,10 +3,11 @@
     python tests/benchmarks/native.py [--slots 100000] [--out FOLDER]
 
 Equal: both are given the same state, slot after slot, with contacts that come and go on a
-rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags, counts or the next ground differ, and how far places are apart, are counted. Own: each
-goes on from its own state, and both are compared with where the contacts are. Time: both in
-turn in one process, from NumPy's voltages to NumPy's contacts; and C from C, by `replay`.
-Writes native.json.
+rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags,
+counts or the next ground differ, and how far places are apart, are counted. Own: each goes
+on from its own state, and both are compared with where the contacts are. Time: both in turn
+in one process, from NumPy's voltages to NumPy's contacts; and C from C, by `replay`. Writes
+native.json.
 """
 
 import argparse
@@ -19,10 +20,10 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 
-import numpy as np
-from rig import Rig
+import numpy as np  # noqa: E402
+from rig import Rig  # noqa: E402
 
-import tomojax as tx
+import tomojax as tx  # noqa: E402
 
 POLICIES = ("around_contacts", "information", "around", "all")
 # Name: method, contacts at most, whether calibrated, and the shape.
@@ -96,10 +97,11 @@ def slots(rng: np.random.Generator, shape: str, count: int):
         if k % HELD == 0:
             volts, places = made[rng.integers(len(made))]
         fault = rng.choice(9) if rng.random() < 0.08 else -1
-        yield lambda ground: faulty(rng, volts, ground, fault), places, fault
+        slot = functools.partial(faulty, rng, volts, fault)
+        yield slot, places, fault
 
 
-def faulty(rng, volts, ground, fault):
+def faulty(rng, volts, fault, ground):
     """A slot's volts, the ground that it says it had, and how many were lost."""
     v, lost = volts[ground].copy(), 0
     v += rng.normal(0, 3e-4, v.shape).astype(np.float32)
@@ -150,8 +152,10 @@ def equal(name: str, count: int) -> dict:
     quantiles = {
         f"place_p{q}_um": 1e6 * float(np.quantile(apart, q / 100)) for q in (50, 99)
     }
-    return {"kind": "equal", "case": name, "slots": count, "faulty": int(faults),
-            "differ": int(differs), **quantiles, "place_max_um": 1e6 * max(apart)}  # fmt: skip
+    return {
+        "kind": "equal", "case": name, "slots": count, "faulty": int(faults),
+        "differ": int(differs), **quantiles, "place_max_um": 1e6 * max(apart),
+    }  # fmt: skip
 
 
 def own(name: str, count: int) -> list[dict]:

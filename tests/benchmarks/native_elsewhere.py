@@ -3,9 +3,9 @@
     python tests/benchmarks/native_elsewhere.py [--out FOLDER]
 
 Needs gcc, and where they are there: aarch64-linux-gnu-gcc and arm-linux-gnueabihf-gcc with
-qemu-user, valgrind, chroot (as root). Each row says what the vectors gave: slots that differ
-from JAX's program in flags, count or next condition, and places that are away. Writes
-native_elsewhere.json.
+qemu-user, valgrind, chroot (as root). Each row says what the vectors gave: slots that
+differ from JAX's program in flags, count or next condition, and places that are away.
+Writes native_elsewhere.json.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1])]
 
-from tomojax.native import FLAGS
+from tomojax.native import FLAGS  # noqa: E402
 
 SHAPES = {"64 electrodes": (), "4 x 4": (4, 4)}
 ARM = {
@@ -108,7 +108,8 @@ def main() -> None:
             ).stdout.splitlines()[1]
             rows.append({
                 "shape": name, "where": "here", "written_and_compiled_s": seconds,
-                "code_bytes": int(text.split()[0]), "stack_bytes": max(int(s[1]) for s in stack),
+                "code_bytes": int(text.split()[0]),
+                "stack_bytes": max(int(s[1]) for s in stack),
                 "tables_bytes": (folder / "step.tables").stat().st_size,
                 **told([made, folder / "step.tables", folder / "vectors.bin"]),
             })  # fmt: skip

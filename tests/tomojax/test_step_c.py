@@ -311,10 +311,10 @@ def test_a_folder_with_other_files(written, tmp_path):
 def test_wrong_arguments_of_the_command(given, expected, tmp_path):
     code = "from tomojax.cli.app import run; run()"
     command = [sys.executable, "-c", code, "compile-step", *given, "--out", "made"]
-    more = [] if "--method" in given else ["--method", "source", "--contacts", "1"]
+    if "--method" not in given:
+        command += ["--method", "source"]
     done = subprocess.run(
-        command + [x for x in more if "--contacts" not in given or x not in ("--contacts", "1")],
-        capture_output=True, text=True, cwd=tmp_path, check=False,
+        command, capture_output=True, text=True, cwd=tmp_path, check=False,
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert expected in done.stderr.splitlines()[-1]
@@ -363,8 +363,9 @@ int main(int count, char **arguments)
         if (next() % 1000 == 0)
             for (size_t n = 0; n < sizeof state.whole / sizeof *state.whole; n++)
                 state.whole[n] = (int32_t)next();
-        tomojax_step(&tables, &state, volts, (int32_t)(next() % 20) - 2 + (k % 99 ? 0 : 2000000),
-                     (int32_t)(next() % 3 ? 0 : next()), next() >> 31, &out);
+        const int32_t condition = (int32_t)(next() % 20) - 2 + (k % 99 ? 0 : 2000000);
+        const int32_t lost = (int32_t)(next() % 3 ? 0 : next());
+        tomojax_step(&tables, &state, volts, condition, lost, next() >> 31, &out);
         tomojax_step_switch(&state, (int32_t)(next() % 9) - 3);
     }
     printf("%d slots\\n", 100000);

@@ -108,7 +108,8 @@ def _inline(jaxpr: Any, given: Sequence[Value], ops: list[Op], seen: dict) -> li
 
     def read(v: Any) -> Value:
         if isinstance(v, jex.core.Literal):
-            return _constant(np.asarray(v.val, v.aval.dtype), True)
+            dtype = v.aval.dtype  # pyright: ignore (of a shaped value)
+            return _constant(np.asarray(v.val, dtype), True)
         return values[v]
 
     for equation in jaxpr.eqns:

@@ -22,8 +22,9 @@ class Packed(NamedTuple):
     (True, 1)
     """
 
-    numbers: Float[Array, "*batch n"]
-    whole: Int[Array, "*batch k"]  # int32; also truths
+    # Of JAX's program or of C.
+    numbers: Float[Array, "*batch n"] | Float[np.ndarray, "*batch n"]
+    whole: Int[Array, "*batch k"] | Int[np.ndarray, "*batch k"]  # int32; also truths
 
     def __repr__(self) -> str:
         return tuple_shown(self)

@@ -156,8 +156,8 @@ def compile(  # noqa: A001
     shape; `step.tables`: the numbers of this one; `libtomojax_step.so` and `.a`, made by
     the compiler that is there (CC, cc, gcc or clang) for the processor `march`;
     `example.c`, which reads slots from standard input; `tomojax_step.hpp` for C++17;
-    `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX says of each, which
-    `check.c` runs. Without `libraries` no compiler is needed. `halved`
+    `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX
+    says of each, which `check.c` runs. Without `libraries` no compiler is needed. `halved`
     tables have 16 bits a number where they are largest: places move by half a micrometre.
 
     Returns the name of the code, which its tables have to have.

@@ -1,6 +1,7 @@
 """`tomojax compile-step`: writes a step as a C library."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -77,7 +78,9 @@ def compile_step(
 
     sensor = Sensor.grid() if rig is None else rig.sensor(dtype=np.float32)
     known = None if calibration is None else Calibration.load(calibration, electrodes)
-    tables = {name: load_policy(name, sensor) for name in names if name.endswith(".npz")}
+    tables: dict[str, Any] = {
+        name: load_policy(name, sensor) for name in names if name.endswith(".npz")
+    }
     made = make_step(
         sensor,
         method,

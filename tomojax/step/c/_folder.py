@@ -77,6 +77,7 @@ def _write_vectors(traced: Traced, home: Path) -> None:
     rng, sensor = np.random.default_rng(0), traced.sensor
     state, (volts, _) = traced.state, traced.slot
     ground = int(np.asarray(state.whole)[traced.about.ground_at])
+    levels = _levels(sensor, rng, 0)
     with (home / "vectors.bin").open("wb") as file:
         for k in range(_VECTORS):
             if k % _HELD == 0:

@@ -143,7 +143,8 @@ def _read(folder: Path, traces: int) -> tuple[About, NativeRuns]:
     about = About(**told)
     runs = NativeRuns(about, folder / _LIBRARY, folder / _TABLES, name, traces)
     with suppress(OSError):
-        os.utime(folder / _TABLES, (time.time(),) * 2)  # used: the oldest go first
+        now = time.time()
+        os.utime(folder / _TABLES, (now, now))  # used: the oldest go first
     return about, runs
 
 

@@ -159,5 +159,5 @@ class NativeRuns(AbstractRuns):
         return Packed(*arrays)
 
 
-def _address(array: np.ndarray) -> int:
+def _address(array: Any) -> int:
     return array.__array_interface__["data"][0]
