@@ -49,6 +49,8 @@ class Found(NamedTuple):
     vague: Bool[Array, " C"]  # whether a conductance is hardly told
     high: Bool[Array, ""]  # whether too much is left to be errors
     limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
+    faults: Int[Array, ""]  # of the rig, that explain a part of the frame
+    unsure: Bool[Array, ""]  # whether faults or contacts explain the frame
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]  # the same of each
 
@@ -135,6 +137,8 @@ def found_of(
         **{name: _padded(values, scene.most) for name, values in each.items()},
         high=cost > highest_cost(prepared.tolerance),
         limited=limited,
+        faults=jnp.asarray(0),
+        unsure=jnp.asarray(False),
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
     )
@@ -201,7 +205,7 @@ def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C
     # What is left ends with the common errors, in standard deviations, see `whiten`.
     found = rest[:, scene.voltages.shape[1] :]
     at = prepared.spread * scene.method.errors.smooth(fitted.place)
-    relative = jnp.matmul(found[:, :-1], at, precision="highest")
+    relative = jnp.matmul(found[:, -1 - len(at) : -1], at, precision="highest")
     u = sheet.drive_voltage - fitted.drop
     lifted = (found[:, -1] * scene.errors.offset)[:, None]
     mean = prepared.mean(fitted.drop - jnp.abs(u) * relative - lifted)

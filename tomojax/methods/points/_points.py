@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
@@ -19,11 +19,12 @@ from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, judged,
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
-from tomojax.methods.points._blocks import called, Frames, searched
+from tomojax.methods.points._blocks import called, Frames
+from tomojax.methods.points._faults import searched
 from tomojax.methods.points._films import filmed
 from tomojax.methods.points._found import fitting_of, Found
 from tomojax.methods.points._ladder import first, steps
-from tomojax.methods.points._sheet import sheet_of, UNIT
+from tomojax.methods.points._sheet import neighbours_of, sheet_of, UNIT
 from tomojax.sensor import Calibration, Sensor
 
 # Candidates for each pitch.
@@ -63,6 +64,7 @@ class Points(AbstractMethod):
     potentials: Float[Array, "K M"]  # of a usual contact at each
     errors: Errors
     spacing: Float[Array, ""]  # of the candidates along y, m
+    neighbours: Int[Array, "n 2"]  # electrodes that a wire may join
     inside: Bool[Array, "nx ny"] | None
     grounded: Bool[np.ndarray, "L M"]
     # Whether a fit goes on to the lowest cost itself: for differences beside slopes.
@@ -90,6 +92,7 @@ class Points(AbstractMethod):
             potentials=potentials,
             errors=errors,
             spacing=jnp.asarray(size[1] / across[1], sensor.dtype),
+            neighbours=jnp.asarray(neighbours_of(sensor), jnp.int32),
             inside=None if sensor.outline is None else pixels_of(sensor, shape).inside,
             grounded=np.asarray(errors.grounded),
         )
@@ -127,7 +130,7 @@ class Points(AbstractMethod):
         volts, grounds = np.asarray(part.voltages), np.asarray(part.grounds)
         frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
         if part.films is None:
-            found = searched(frames, every).best
+            found = searched(frames, every)
         else:
             found = filmed(frames, part.films)
         return called(frames, every, _described_all, found, images)
@@ -142,9 +145,10 @@ class Points(AbstractMethod):
         apart = largest_variance(found.covariance) > limit**2
         flags = bits_of(
             (found.limited, Flag.MODEL_LIMITED),
+            (found.faults > 0, Flag.RIG_FAULT),
             # Of all channels together: what is left of a part is little of the whole.
             (found.high, Flag.HIGH_RESIDUAL),
-            (apart.any(), Flag.PLACE_UNCERTAIN),
+            (apart.any() | found.unsure, Flag.PLACE_UNCERTAIN),
             (found.vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
         )
         each = found.by_electrode
