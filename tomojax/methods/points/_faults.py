@@ -30,6 +30,9 @@ _MOST = 6
 # crosstalk from the channel before and from the next.
 _COMMON = 3
 
+# Slots that faults are looked for in: those that are explained least.
+_SLOTS = 8
+
 # Faults that explain a frame better by less are not told from contacts.
 _SURE = GAIN / 2
 
@@ -58,7 +61,8 @@ def searched(frames: Frames, rows: Int[np.ndarray, " n"]) -> Found:
     for size in range(1, min(frames.most, 2) + 1):
         base = ladder.one if size == 1 else ladder.discs
         larger = _extra_of(best) > extra(size)
-        asking = (base.count == size) & (best.high | larger) & (best.faults == 0)
+        asking = (base.count == size) & (best.high | larger | best.unsure)
+        asking = asking & (best.faults == 0)
         _blame(frames, rows, base, best, np.flatnonzero(asking), size)
     return best
 
@@ -164,9 +168,9 @@ def _common(scene: Fitting) -> Float[Array, "3 S M"]:
     return jnp.stack([film, before, after])
 
 
-def _looks(scene: Fitting) -> list[Look]:
-    """Whitens all patterns in the compared slots: of channels, of leaks, of shorts, …"""
-    leaks, some = look_of(scene), scene.prepared.compared
+def _looks(scene: Fitting, some: Int[Array, " s"]) -> list[Look]:
+    """Whitens all patterns in some slots: of channels, of leaks, of shorts, and others."""
+    leaks = look_of(scene, some)
     sheet, pairs = scene.method.sheet, scene.method.neighbours
     table, m = sheet.field.electrodes, scene.voltages.shape[1]
     frame, blocks, dtype = leaks.frame, leaks.blocks, scene.voltages.dtype
@@ -194,7 +198,8 @@ def _next(
     which: Int[Array, " F"],
 ) -> Suspect:
     """Finds the fault that lowers the cost most, beside contacts and faults `which`."""
-    some, m = scene.prepared.compared, scene.voltages.shape[1]
+    m, squares = scene.voltages.shape[1], (ended.rest**2).sum(1)
+    some = jax.lax.top_k(squares, min(_SLOTS, len(squares)))[1]
     scale = beside.frame.scale[some]
     rest, slope = ended.rest[some], ended.slope[some].transpose(1, 0, 2)
     normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
@@ -203,9 +208,9 @@ def _next(
     heavy = (scale[:, None] * column[..., :m]).transpose(1, 0, 2)
     gram = jnp.einsum("scw,sdw->scd", column, column, precision="highest")
     gram = jax.vmap(model.regular)(gram)
-    alone = _looks(scene)
+    alone = _looks(scene, some)
     own, left, slopes = [], [], []
-    for at, before in zip(alone if beside is scene else _looks(beside), alone):
+    for at, before in zip(alone if beside is scene else _looks(beside, some), alone):
         across = model.along(at, heavy).transpose(1, 0, 2)  # (s, C, K)
         free = at.own - (across * solve_positive(gram, across)).sum(1)
         own.append(jnp.where(free > _OWN * before.own, free, 0))
@@ -221,7 +226,7 @@ def _next(
     takes = (number >= m) & (number < 2 * m) | (number == len(gains) - _COMMON)
     feeds = (lefts.sum(0) * forward > 0) & takes
     known = (number[:, None] == which).any(1)
-    gains = jnp.where(feeds | known, 0, gains) / len(some)
+    gains = jnp.where(feeds | known, 0, gains) / scene.prepared.slot_count
     best = jnp.argmax(gains).astype(jnp.int32)
     # Cauchy's loss of what is left, as if all slots were alike.
     tolerance = scene.prepared.tolerance

@@ -27,6 +27,9 @@ from tomojax.methods._errors import (
 # of are nearly the largest of what is usual.
 LEFT = 0.37
 
+# A current against the drive, which no contact makes, is no error beyond so many σ.
+_AGAINST = 5.0
+
 # Beyond so many times that, errors are unusual.
 _UNUSUAL = 4.0
 
@@ -77,9 +80,9 @@ def fitting_of(
     return Fitting(method, prepared, whitened(prepared, voltages), voltages, most)
 
 
-def look_of(scene: Fitting) -> Look:
+def look_of(scene: Fitting, some: Int[Array, " s"] | None = None) -> Look:
     """Whitens the candidates' voltages, and the frame's, in the compared slots."""
-    some, sheet = scene.prepared.compared, scene.method.sheet
+    some, sheet = scene.prepared.compared if some is None else some, scene.method.sheet
     which, slots = scene.frame.grounds[some], sheet.slots
     part = jax.tree.map(lambda a: a[some], scene.frame)
     if not isinstance(slots, Grounds):
@@ -113,6 +116,9 @@ def found_of(
     current = prepared.mean(fitted.current)
     conductance = current / _drop(scene, fitted, rest)
     count = len(fitted.radius)
+    forward = jnp.sign(scene.method.sheet.drive_voltage)
+    size = jnp.sqrt((explained.column**2).sum(-1))
+    against = (forward * fitted.current * size).min() < -_AGAINST
     # What is long is not added to.
     of_discs = ended.parameters if are_discs else jnp.zeros(model.DISC, rest.dtype)
     # How sure a place is is not differentiated.
@@ -138,7 +144,7 @@ def found_of(
         high=cost > highest_cost(prepared.tolerance),
         limited=limited,
         faults=jnp.asarray(0),
-        unsure=jnp.asarray(False),
+        unsure=against,
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
     )
