@@ -30,6 +30,9 @@ _MOST = 6
 # crosstalk from the channel before and from the next.
 _COMMON = 3
 
+# More faults at once are less likely than a large object.
+_LIKELY = 2
+
 # Slots that faults are looked for in: those that are explained least.
 _SLOTS = 8
 
@@ -131,6 +134,7 @@ def _fit(scene: Fitting, given: tuple[Found, Array], size: int) -> Blamed:
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
         high=found.cost > highest_cost(scene.prepared.tolerance),
+        unsure=found.unsure | ((which >= 0).sum() > _LIKELY),
     )
     column = explained.column
     return Blamed(found, _next(scene, beside, ended, column, found.cost, which))
