@@ -57,7 +57,7 @@ def lone(sensor: Sensor, seed: int, rigs: int, each: int, place=None) -> list[Lo
         for _ in range(each):
             touch = draw_touch(sensor, "usual", rng)
             if place is not None:
-                touch = replace(touch, xy=place(rng))
+                touch = touch._replace(xy=np.array(place(rng)))
             found.append(loaded(rig, [touch], exact))
     return found
 
@@ -73,8 +73,8 @@ def pairs(sensor: Sensor, seed: int, rigs: int, each: int, apart: float, ratio=1
             if np.hypot(*np.subtract(one.xy, two.xy)) < apart:
                 continue
             if ratio != 1.0:
-                one = replace(one, conductance=max(one.conductance, 3e-4))
-                two = replace(two, conductance=one.conductance / ratio)
+                one = one._replace(conductance=max(one.conductance, 3e-4))
+                two = two._replace(conductance=one.conductance / ratio)
             found.append(loaded(rig, [one, two], exact))
     return found
 

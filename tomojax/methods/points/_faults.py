@@ -226,7 +226,7 @@ def _next(
     )
     # A leak and a film take current out of the sheet, which no contact does.
     forward = jnp.sign(scene.method.sheet.drive_voltage)
-    number = jnp.arange(len(gains))
+    number = jnp.arange(len(gains), dtype=jnp.int32)
     takes = (number >= m) & (number < 2 * m) | (number == len(gains) - _COMMON)
     feeds = (lefts.sum(0) * forward > 0) & takes
     known = (number[:, None] == which).any(1)
