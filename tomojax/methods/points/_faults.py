@@ -21,7 +21,7 @@ from tomojax.methods._errors import highest_cost, with_faults, without_offset
 from tomojax.methods.points._blocks import called, climbed, each_frame, Frames, put
 from tomojax.methods.points._fit import best_fit, DISCS
 from tomojax.methods.points._found import Ended, Fitting, Found, look_of
-from tomojax.methods.points._ladder import extra, GAIN, shaped
+from tomojax.methods.points._ladder import extra, GAIN, seen_at_all, shaped
 
 # Faults of one frame, at most.
 _MOST = 6
@@ -64,7 +64,9 @@ def searched(frames: Frames, rows: Int[np.ndarray, " n"]) -> Found:
     for size in range(1, min(frames.most, 2) + 1):
         base = ladder.one if size == 1 else ladder.discs
         larger = _extra_of(best) > extra(size)
-        asking = (base.count == size) & (best.high | larger | best.unsure)
+        # A fault may also hide a contact.
+        there = (base.count == size) | (base.count == 0) & (size == 1)
+        asking = there & (best.high | larger | best.unsure)
         asking = asking & (best.faults == 0)
         _blame(frames, rows, base, best, np.flatnonzero(asking), size)
     return best
@@ -95,7 +97,7 @@ def _blame(
         given, suspect = new.found, new.suspect
         score = given.cost + price
         now = (best.cost + GAIN * _extra_of(best))[asking]
-        better = ~given.high & (score < now)
+        better = ~given.high & (given.count > 0) & (score < now)
         put(best, asking[better], jax.tree.map(lambda a: a[better], given), 0)
         close = ~unexplained[asking] & (np.abs(score - alone[asking]) < _SURE)
         best.unsure[asking[close]] = True
@@ -129,6 +131,8 @@ def _fit(scene: Fitting, given: tuple[Found, Array], size: int) -> Blamed:
     made = jnp.einsum("sf,sfm->sm", amount, known, precision="highest")
     misfit = explained.fitted.voltages + made - scene.voltages
     misfit, used = without_offset(scene.prepared, misfit)
+    if size == 1:
+        found = seen_at_all(beside, found)
     found = found._replace(
         faults=(which >= 0).sum().astype(found.faults.dtype),
         residual=rms(misfit, used),
