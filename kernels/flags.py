@@ -195,7 +195,7 @@ _TOLD = {
     ),
     Flag.RIG_FAULT: (
         "a short, a leak, crosstalk or a wrong channel explains what contacts do not",
-        "the row holds; tomojax info and check name the fault",
+        "the row holds; look at wires and switches with tomojax info and check",
     ),
 }
 

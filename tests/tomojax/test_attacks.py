@@ -8,10 +8,10 @@ import h5py
 import numpy as np
 import pytest
 import recordings
-from bench import attacked
 from faulty import grid
 
 import tomojax as tx
+from bench import attacked
 from tomojax.bringup.signs import find_signs
 
 FAULT, DOUBT = int(tx.Flag.RIG_FAULT), int(tx.methods.DOUBT)
@@ -41,19 +41,9 @@ def read(scenes, attack, grounds=CORNERS):
     )
 
 
-def short(one: int, other: int):
-    def attack(scene, grounds, rng):
-        to = scene.grounded(grounds)
-        to[:, [one, other], [one, other]] += 1.0
-        to[:, [one, other], [other, one]] -= 1.0
-        return scene.rig.chain.read(scene.under(to), rng)
-
-    return attack
-
-
 ATTACKS = {
-    "short to the grounded corner": short(0, 6),
-    "short": short(14, 15),
+    "short to the grounded corner": attacked.short_of(0, 6),
+    "short": attacked.short_of(14, 15),
     "crosstalk": attacked.crosstalk(0.01, (-1,)),
     "leak": attacked.leaky(1e3),
     "film": attacked.film(5e4),
@@ -87,7 +77,7 @@ def recording_of(sensor, volts):
 
 
 def test_channels_that_read_the_same_are_named(sensor, lone):
-    found = find_signs(recording_of(sensor, read(lone, short(14, 15))))
+    found = find_signs(recording_of(sensor, read(lone, attacked.short_of(14, 15))))
     assert [s.text[:18] for s in found if s.kind == "alike"] == ["channels 14 and 15"]
     assert not find_signs(recording_of(sensor, read(lone, attacked.sound)))
 

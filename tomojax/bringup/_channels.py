@@ -38,7 +38,10 @@ _NEAR = 0.02
 
 
 def alike(
-    volts: Float[np.ndarray, "n M"], good: Bool[np.ndarray, "n M"], drive: float, noise: float
+    volts: Float[np.ndarray, "n M"],
+    good: Bool[np.ndarray, "n M"],
+    drive: float,
+    noise: float,
 ) -> list[tuple[int, int]]:
     """Finds pairs of channels that read the same in every slot with a contact."""
     high = np.where(good, volts, -np.inf).max(1)

@@ -208,7 +208,9 @@ def with_faults(
     """Frees a frame of what faults of the rig may make, V; common errors come after."""
     frame, common = errors.frame, jnp.concatenate([known, errors.common], 1)
     own = jnp.where(frame.scale > 0, 1 / jnp.where(frame.scale > 0, frame.scale, 1), 0)
-    return errors._replace(frame=whiten(voltages, frame.grounds, own, common), common=common)
+    return errors._replace(
+        frame=whiten(voltages, frame.grounds, own, common), common=common
+    )
 
 
 def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:

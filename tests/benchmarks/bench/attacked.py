@@ -105,13 +105,29 @@ def neighbours(scene: Loaded, rng: np.random.Generator) -> tuple[int, int]:
     return one, int(rng.choice(near))
 
 
+def short_of(one: int, other: int, resistance: float = 1.0) -> Attack:
+    """A wire of so many Ω between two electrodes."""
+
+    def attack(scene: Loaded, grounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        to = scene.grounded(grounds)
+        to[:, [one, other], [one, other]] += 1 / resistance
+        to[:, [one, other], [other, one]] -= 1 / resistance
+        return _read(scene, scene.under(to), rng)
+
+    return attack
+
+
 def shorted(scene: Loaded, grounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """An electrode shorted to its neighbour, 1 Ω."""
-    to = scene.grounded(grounds)
-    a, b = neighbours(scene, _of_rig(scene))
-    to[:, [a, b], [a, b]] += 1.0
-    to[:, [a, b], [b, a]] -= 1.0
-    return _read(scene, scene.under(to), rng)
+    """An electrode shorted to its neighbour, anywhere."""
+    return short_of(*neighbours(scene, _of_rig(scene)))(scene, grounds, rng)
+
+
+def shorted_ground(scene: Loaded, grounds: np.ndarray, rng) -> np.ndarray:
+    """The electrode that is grounded first, shorted to its neighbour."""
+    xy = np.asarray(scene.rig.sensor.electrode_xy, float)
+    away = np.hypot(*(xy - xy[grounds[0]]).T)
+    other = int(np.argsort(away)[1 + int(_of_rig(scene).integers(2))])
+    return short_of(int(grounds[0]), other)(scene, grounds, rng)
 
 
 def same_channel(scene: Loaded, grounds: np.ndarray, rng) -> np.ndarray:
@@ -124,23 +140,17 @@ def same_channel(scene: Loaded, grounds: np.ndarray, rng) -> np.ndarray:
 
 
 def crosstalk(part: float, ways: Sequence[int] = (-1, 1), lost: bool = True) -> Attack:
-    """`part` of channels so many numbers away is in each channel."""
+    """`part` of the channels so many numbers away is in each; the channels are a ring."""
 
     def attack(scene: Loaded, grounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         v = scene.under(scene.grounded(grounds))
-        read = v.copy()
-        for way in ways:
-            other = np.zeros_like(v)
-            to = slice(max(0, -way), v.shape[1] - max(0, way))
-            of = slice(max(0, way), v.shape[1] - max(0, -way))
-            other[:, to] = v[:, of] - (v[:, to] if lost else 0)
-            read = read + part * other
-        return _read(scene, read, rng)
+        each = [np.roll(v, -way, 1) - (v if lost else 0) for way in ways]
+        return _read(scene, v + part * sum(each), rng)
 
     return attack
 
 
-def bits(count: int, low: float | None = None) -> Attack:
+def bits(count: int) -> Attack:
     """A converter of so many bits; unipolar."""
 
     def attack(scene: Loaded, grounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -193,11 +203,13 @@ def lifted(joint: float) -> Attack:
 ATTACKS: dict[str, Attack] = {
     "none": sound,
     "short to a neighbour": shorted,
+    "short of the grounded corner": shorted_ground,
     "one channel reads its neighbour": same_channel,
     "crosstalk 1 %": crosstalk(0.01),
     "crosstalk 0.5 %": crosstalk(0.005),
     "crosstalk 1 %, added": crosstalk(0.01, lost=False),
     "crosstalk 1 % from the channel before": crosstalk(0.01, (-1,)),
+    "crosstalk 0.5 % from the channel before": crosstalk(0.005, (-1,)),
     "crosstalk 1 % from the next channel": crosstalk(0.01, (1,)),
     "8 bits": bits(8),
     "leaky switch, 1 kΩ": leaky(1e3),

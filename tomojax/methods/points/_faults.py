@@ -91,16 +91,20 @@ def _blame(
         if not going.any():
             return
         asking, which = asking[going], which[going]
-        suspect, given = jax.tree.map(lambda a: a[going], (suspect, given))
+        suspect, given = _part((suspect, given), going)
         which[:, n - 1] = suspect.fault
         new: Blamed = called(frames, rows[asking], _fit, (given, which), size)
         given, suspect = new.found, new.suspect
         score = given.cost + price
         now = (best.cost + GAIN * _extra_of(best))[asking]
         better = ~given.high & (given.count > 0) & (score < now)
-        put(best, asking[better], jax.tree.map(lambda a: a[better], given), 0)
+        put(best, asking[better], _part(given, better), 0)
         close = ~unexplained[asking] & (np.abs(score - alone[asking]) < _SURE)
         best.unsure[asking[close]] = True
+
+
+def _part(tree: Any, which: np.ndarray) -> Any:
+    return jax.tree.map(lambda a: a[which], tree)
 
 
 def _extra_of(found: Any) -> Any:
