@@ -36,7 +36,8 @@ class Points(AbstractMethod):
 
     The model grows while the fit gains: one disc; two discs, a bar or a ring; three discs.
     Slots share places and sizes, not currents. λ multiplies the variance of the model's
-    error: 1 for nominal values.
+    error: 1 for nominal values. A batch also tries faults of the rig where one disc does
+    not do: a short, a leak, a film, crosstalk, wrong channels. `estimate` does not.
 
     **Example:**
 
