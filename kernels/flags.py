@@ -63,6 +63,7 @@ class Flag(enum.IntFlag):
     CLOCK_MENDED = 2097152
     GROUND_NOT_LOWEST = 4194304
     AGAINST_DRIVE = 8388608
+    RIG_FAULT = 16777216
 
     @classmethod
     def _missing_(cls, value: object) -> "Flag | None":
@@ -191,6 +192,10 @@ _TOLD = {
     Flag.AGAINST_DRIVE: (
         "voltages are against the direction of the drive",
         "check the sign of drive_voltage and of the converter's scale",
+    ),
+    Flag.RIG_FAULT: (
+        "a short, a leak, crosstalk or a wrong channel explains what contacts do not",
+        "the row holds; look at wires and switches with tomojax info and check",
     ),
 }
 

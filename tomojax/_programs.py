@@ -23,6 +23,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.experimental import serialize_executable
 
+from tomojax._forked import refuse_fork
 from tomojax._whole import ours
 
 # The environment variable that names the folder; without it nothing is kept, nor in a
@@ -54,6 +55,7 @@ class Kept:
         _KEPT.append(self)
 
     def __call__(self, *args: Any) -> Any:
+        refuse_fork()
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(args)):
             return self._inside(*args)  # within another program
         if jax.device_count() > 1:

@@ -16,18 +16,18 @@ class Look(NamedTuple):
     All frames share the products with one table.
     """
 
-    potential: Float[Array, "K M"]  # Ω; in each slot its `offset` comes to it
+    potential: Float[Array, "K n"]  # Ω; in each slot its `offset` comes to it
     offset: Float[Array, "s M"]
-    blocks: Float[Array, "s M M"] | None  # what each slot makes of it; None: it stays
+    blocks: Float[Array, "s M n"] | None  # what each slot makes of it; None: it stays
     frame: WhitenedFrame  # these slots
     own: Float[Array, "s K"]  # |c|² of each column c, whitened
 
 
 def look(
-    potential: Float[Array, "K M"],
+    potential: Float[Array, "K n"],
     offset: Float[Array, "s M"],
     frame: WhitenedFrame,
-    blocks: Float[Array, "s M M"] | None = None,
+    blocks: Float[Array, "s M n"] | None = None,
 ) -> Look:
     """Weighs each candidate's column c: cᵀC⁻¹c, C the errors' covariance.
 
@@ -50,7 +50,7 @@ def look(
     return at._replace(own=jnp.maximum(square - (common * found).sum(0), 0))
 
 
-def _columns(at: Look, potential: Float[Array, "n M"]) -> Float[Array, "n s M"]:
+def _columns(at: Look, potential: Float[Array, "k n"]) -> Float[Array, "n s M"]:
     if at.blocks is None:
         return potential[:, None] + at.offset
     turned = jnp.einsum("sim,nm->nsi", at.blocks, potential, precision="highest")

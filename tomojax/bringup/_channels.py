@@ -23,9 +23,52 @@ _ALL_LOUD = 5.0
 # Hum is a fault from so many times a converter's noise on.
 _HUM = 2.0
 
+# Channels are alike that differ by less than so many times the noise, and by this part of
+# their voltage, in slots that span so much of the drive.
+_SAME = 6.0, 2e-3
+_WIDE = 0.05
+
+# Such slots that are needed, and electrodes that the contacts must be nearest to: a contact
+# that holds still may lie as near to one electrode as to another.
+_ALIKE_SLOTS, _ALIKE_PLACES = 16, 4
+
 # Mains, Hz, and how near its frequency must be.
 _MAINS = 50.0, 60.0
 _NEAR = 0.02
+
+
+def alike(
+    volts: Float[np.ndarray, "n M"],
+    good: Bool[np.ndarray, "n M"],
+    drive: float,
+    noise: float,
+) -> list[tuple[int, int]]:
+    """Finds pairs of channels that read the same in every slot with a contact."""
+    high = np.where(good, volts, -np.inf).max(1)
+    wide = high - np.where(good, volts, np.inf).min(1) > _WIDE * drive + 100 * noise
+    v, there = volts[wide], good[wide] & (np.abs(volts[wide]) > 10 * noise)
+    places = np.unique(np.where(good[wide], v, -np.inf).argmax(1))
+    if len(v) < _ALIKE_SLOTS or len(places) < _ALIKE_PLACES:
+        return []
+    found = []
+    for a in range(v.shape[1] - 1):
+        both = there[:, a, None] & there[:, a + 1 :]
+        near = np.abs(v[:, a, None] - v[:, a + 1 :])
+        near = near < _SAME[0] * noise + _SAME[1] * np.abs(v[:, a, None])
+        same = (near | ~both).all(0) & (both.sum(0) >= _ALIKE_SLOTS // 2)
+        found += [(a, a + 1 + int(k)) for k in np.flatnonzero(same)]
+    return found
+
+
+def shorted(slots: Slots, volts: Float[np.ndarray, "n M"], silent: Silence) -> list[Fault]:
+    """Finds channels that read the same in every touch; `volts` of touched slots."""
+    noise = max(float(np.nan_to_num(np.median(silent.noise))), slots.nominal_noise)
+    faults = []
+    for a, b in alike(volts, np.isfinite(volts), slots.drive, noise):
+        text = f"channels {a} and {b} read the same in every touch"
+        mend = f"look for a short between the wires of channels {a} and {b}"
+        faults.append(Fault("shorted", (a, b), 0.0, "V", 0.99, text, mend))
+    return faults
 
 
 def unresponsive(

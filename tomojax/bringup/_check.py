@@ -11,7 +11,7 @@ from tomojax.bringup._amounts import (
     sheet_factor,
     sheet_faults,
 )
-from tomojax.bringup._channels import hum_faults, noise_faults
+from tomojax.bringup._channels import hum_faults, noise_faults, shorted
 from tomojax.bringup._corners import Corners
 from tomojax.bringup._fault import Checked, Fault, Seen
 from tomojax.bringup._places import joint_faults, place_faults
@@ -90,6 +90,7 @@ def check(
 
 def _judge_silence(reading: Reading) -> None:
     slots, silent = reading.slots, reading.silent
+    reading.faults += shorted(slots, reading.volts, silent)
     reading.faults += noise_faults(slots, silent, reading.usable)
     reading.faults += hum_faults(slots, silent, reading.usable)
     if np.isnan(silent.noise).any():

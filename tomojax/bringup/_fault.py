@@ -11,6 +11,7 @@ from tomojax.bringup.sheet._plane import Plane
 Kind = Literal[
     "dead",
     "stuck",
+    "shorted",
     "swapped",
     "mirrored",
     "turned",

@@ -23,6 +23,7 @@ from tomojax.bringup._fault import Checked, Fault
 _MARKS = {
     "dead": ("x", VERMILION),
     "stuck": ("s", VERMILION),
+    "shorted": ("p", VERMILION),
     "gain": ("^", ORANGE),
     "noise": ("*", ORANGE),
     "hum": ("H", ORANGE),

@@ -25,6 +25,9 @@ from tomojax.files._superblock import Growing, growing
 # bring with them. Others would be loaded from a folder of plugins.
 _FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 
+# Blosc, LZ4, bitshuffle, Zstd and Blosc2, which `hdf5plugin` brings.
+_PLUGGED = (32001, 32004, 32008, 32015, 32026)
+
 _CHUNK = 1 << 27  # bytes of a chunk once it is unpacked
 _NAMES = 4096  # in a file
 _ATTRIBUTE = 1 << 24  # bytes
@@ -37,6 +40,13 @@ _SLACK = 1 << 24  # bytes that any dataset may have, whatever the ratio
 
 # A file that is being written may be torn as it is opened: again, s.
 _AGAIN = (0.02, 0.1, 0.3)
+
+
+# Imported before a file is open, beside which nothing else may be opened.
+try:
+    import hdf5plugin as _PLUGIN
+except ImportError:
+    _PLUGIN = None
 
 
 class Refused(Exception):
@@ -173,7 +183,9 @@ def _require_own(found: Any, size: int, stored: int) -> None:
         raise Refused("data in another file")
     filters = [plist.get_filter(k)[0] for k in range(plist.get_nfilters())]
     for number in filters:
-        if number not in _FILTERS:
+        if number in _PLUGGED and not _PLUGIN:
+            raise Refused(f"filter {number} without hdf5plugin: tomojax[filters]")
+        if number not in _FILTERS + _PLUGGED:
             raise Refused(f"data packed by filter {number}")
     item = found.get_type().get_size()
     shape = found.shape

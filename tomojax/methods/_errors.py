@@ -204,6 +204,17 @@ def whitened(prepared: PreparedErrors, voltages: Float[Array, "S M"]) -> Whitene
     return Whitened(frame, own, common, offset)
 
 
+def with_faults(
+    errors: Whitened, voltages: Float[Array, "S M"], known: Float[Array, "S F M"]
+) -> Whitened:
+    """Frees a frame of what faults of the rig may make, V; common errors come after."""
+    frame, common = errors.frame, jnp.concatenate([known, errors.common], 1)
+    own = jnp.where(frame.scale > 0, 1 / jnp.where(frame.scale > 0, frame.scale, 1), 0)
+    return errors._replace(
+        frame=whiten(voltages, frame.grounds, own, common), common=common
+    )
+
+
 def _not_grounded(prepared: PreparedErrors) -> Bool[Array, "S M"]:
     return prepared.used & ~prepared.grounded[prepared.grounds]
 

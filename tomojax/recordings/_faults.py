@@ -21,6 +21,10 @@ HALO = 16
 # Part of the channels that change by more than one code, where noise is of a code or more.
 _BY_CODES = 0.25
 
+# Codes coarser than this part of the drive stand still by themselves: of 128 readings of 8
+# bits all repeat in 4 of 10 scans.
+_COARSE = 1e-3
+
 # A voltage below 0 or above the drive by this part of it is no potential of the sheet.
 _BEYOND = 0.1
 
@@ -56,7 +60,9 @@ def find_faults(
     **Arguments:** `voltages` V; `grounds` electrode numbers; `drive_voltage` V0;
     `rails` of the converter, V; `repeats` False does not look for stuck and dead channels
     and scans (voltages without noise); `resolution`: of one code, V, if known. A sound
-    channel may repeat itself if noise moves the channel by less than a code.
+    channel may repeat itself if noise moves the channel by less than a code, so coarse
+    codes are not searched for repeats. A rail where the sheet's own potentials end, at 0 V
+    or at the drive, is no saturation.
     `conditions`: how many there are, where grounds number a table of them.
 
     Bits: BAD_VOLTAGES, SATURATED, UNKNOWN_GROUND, DEAD_CHANNEL, STUCK_CHANNEL, ALL_ZERO,
@@ -75,8 +81,12 @@ def find_faults(
     scans, slots, channels = voltages.shape
     finite = np.isfinite(voltages)
     beyond = abs(_BEYOND * drive_voltage)
-    low = max(rails[0], min(0.0, drive_voltage) - beyond)
-    high = min(rails[1], max(0.0, drive_voltage) + beyond)
+    ends = min(0.0, drive_voltage), max(0.0, drive_voltage)
+    low, high = ends[0] - beyond, ends[1] + beyond
+    if not low < rails[0] <= ends[0] + resolution:
+        low = max(rails[0], low)
+    if not ends[1] - resolution <= rails[1] < high:
+        high = min(rails[1], high)
     saturated = finite & ((voltages <= low) | (voltages >= high))
     unknown = (grounds < 0) | (grounds >= (channels if conditions is None else conditions))
     zero = np.logical_not(voltages.any(-1))
@@ -87,7 +97,7 @@ def find_faults(
         | _bit(unknown, Flag.UNKNOWN_GROUND)
         | _bit(zero, Flag.ALL_ZERO)
     )
-    if repeats:
+    if repeats and resolution <= _COARSE * abs(drive_voltage):
         frozen = (_repeated_scans(voltages) & ~zero.all(1))[:, None]
         still = _unchanging(voltages.reshape(-1, channels), resolution)
         still = still.reshape(voltages.shape)

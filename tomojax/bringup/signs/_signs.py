@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
+from tomojax.bringup._channels import alike
 from tomojax.bringup._wiring import (
     floating,
     Lines,
@@ -73,8 +74,9 @@ def find_signs(recording: Recording) -> list[Sign]:
     """Looks at some slots of a recording for signs of a fault.
 
     Kinds: "drive" (voltages against the drive), "offset" (of all codes), "ground" (lines
-    ground other electrodes than is told, or none), "channels" (in another order). Fewer
-    than eight touched slots show an offset at most.
+    ground other electrodes than is told, or none), "channels" (in another order), "alike"
+    (two channels read the same in every slot). Fewer than eight touched slots show an
+    offset at most.
 
     **Example:**
 
@@ -97,10 +99,21 @@ def find_signs(recording: Recording) -> list[Sign]:
         some, more = judge(some, touched)
         signs += more
     some = some.take(np.flatnonzero(touched))
+    signs += _alike(some)
     # What a wire ends at is judged on a rectangle with one ground a slot.
     if len(some.asked) < _FEW or recording.rig.version > 1:
         return signs
     return signs + _wired(some, Plane(recording.rig))
+
+
+def _alike(some: Some) -> list[Sign]:
+    """Finds channels that a short, or a multiplexer that hangs, makes the same."""
+    pairs = alike(some.volts, some.good, some.drive, some.noise)
+    if not pairs:
+        return []
+    told = ", ".join(f"{a} and {b}" for a, b in pairs[:4])
+    text = f"channels {told} read the same in every slot: look for a short between them"
+    return [Sign("alike", text, len(some.asked))]
 
 
 def _against(some: Some, touched: Bool[np.ndarray, " n"]) -> tuple[Some, list[Sign]]:

@@ -105,7 +105,7 @@ def put(whole: Any, rows: np.ndarray, new: Any, count: int) -> Any:
     return whole
 
 
-def searched(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
+def climbed(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
     """Climbs the ladder with some frames."""
     rungs = steps(frames.most)
     ladder: Ladder = called(frames, rows, _first)

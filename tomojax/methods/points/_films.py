@@ -15,8 +15,8 @@ from tomojax.methods.points._blocks import (
     each_frame,
     Frames,
     put,
-    searched,
 )
+from tomojax.methods.points._faults import searched
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS
 from tomojax.methods.points._found import Ended, Fitting, Found
 from tomojax.methods.points._ladder import (
@@ -53,7 +53,7 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
     """
     n = len(films)
     _, firsts, film = np.unique(films, return_index=True, return_inverse=True)
-    whole = searched(frames, firsts).best
+    whole = searched(frames, firsts)
     found: Any = put(None, firsts, whole, n)
     done = np.zeros(n, bool)
     done[firsts] = True
@@ -71,14 +71,14 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
         done[rows[good]] = True
     left = np.flatnonzero(~done)
     if len(left):
-        put(found, left, searched(frames, left).best, n)
+        put(found, left, searched(frames, left), n)
     return found
 
 
 def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
     """Tells whether `size` discs were found; a `size` of 0 stands for a bar or a ring."""
     each = np.where(shaped(found), 0, found.count)
-    return (each == size) & (found.count > 0) & ~found.high
+    return (each == size) & (found.count > 0) & ~found.high & (found.faults == 0)
 
 
 @each_frame

@@ -27,6 +27,9 @@ from tomojax.methods._errors import (
 # of are nearly the largest of what is usual.
 LEFT = 0.37
 
+# A current against the drive, which no contact makes, is no error beyond so many σ.
+_AGAINST = 5.0
+
 # Beyond so many times that, errors are unusual.
 _UNUSUAL = 4.0
 
@@ -49,6 +52,8 @@ class Found(NamedTuple):
     vague: Bool[Array, " C"]  # whether a conductance is hardly told
     high: Bool[Array, ""]  # whether too much is left to be errors
     limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
+    faults: Int[Array, ""]  # of the rig, that explain a part of the frame
+    unsure: Bool[Array, ""]  # whether faults or contacts explain the frame
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]  # the same of each
 
@@ -75,9 +80,9 @@ def fitting_of(
     return Fitting(method, prepared, whitened(prepared, voltages), voltages, most)
 
 
-def look_of(scene: Fitting) -> Look:
+def look_of(scene: Fitting, some: Int[Array, " s"] | None = None) -> Look:
     """Whitens the candidates' voltages, and the frame's, in the compared slots."""
-    some, sheet = scene.prepared.compared, scene.method.sheet
+    some, sheet = scene.prepared.compared if some is None else some, scene.method.sheet
     which, slots = scene.frame.grounds[some], sheet.slots
     part = jax.tree.map(lambda a: a[some], scene.frame)
     if not isinstance(slots, Grounds):
@@ -111,6 +116,9 @@ def found_of(
     current = prepared.mean(fitted.current)
     conductance = current / _drop(scene, fitted, rest)
     count = len(fitted.radius)
+    forward = jnp.sign(scene.method.sheet.drive_voltage)
+    size = jnp.sqrt((explained.column**2).sum(-1))
+    against = (forward * fitted.current * size).min() < -_AGAINST
     # What is long is not added to.
     of_discs = ended.parameters if are_discs else jnp.zeros(model.DISC, rest.dtype)
     # How sure a place is is not differentiated.
@@ -135,6 +143,8 @@ def found_of(
         **{name: _padded(values, scene.most) for name, values in each.items()},
         high=cost > highest_cost(prepared.tolerance),
         limited=limited,
+        faults=jnp.asarray(0),
+        unsure=against,
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
     )
@@ -201,7 +211,7 @@ def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C
     # What is left ends with the common errors, in standard deviations, see `whiten`.
     found = rest[:, scene.voltages.shape[1] :]
     at = prepared.spread * scene.method.errors.smooth(fitted.place)
-    relative = jnp.matmul(found[:, :-1], at, precision="highest")
+    relative = jnp.matmul(found[:, -1 - len(at) : -1], at, precision="highest")
     u = sheet.drive_voltage - fitted.drop
     lifted = (found[:, -1] * scene.errors.offset)[:, None]
     mean = prepared.mean(fitted.drop - jnp.abs(u) * relative - lifted)

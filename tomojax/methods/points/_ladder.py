@@ -67,7 +67,7 @@ def _due(ladder: Ladder, size: int) -> Any:
     # A promise that is no number is no reason not to try.
     worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
-    best, more = ladder.best, GAIN * (_extra(size) - 1)
+    best, more = ladder.best, GAIN * (extra(size) - 1)
     return worth & ~(shaped(best) & (best.cost < best.usual + more))
 
 
@@ -219,11 +219,11 @@ def _promise(
 
 def _score(found: Found) -> Array:
     """Returns the cost plus the gain that `_gains` asks of further contacts or a shape."""
-    extra = jnp.where(shaped(found), 1, jnp.asarray(_extra(found.count)))
-    return found.cost + GAIN * extra.astype(found.cost.dtype)
+    more = jnp.where(shaped(found), 1, jnp.asarray(extra(found.count)))
+    return found.cost + GAIN * more.astype(found.cost.dtype)
 
 
-def _extra(count: Any) -> Any:
+def extra(count: Any) -> Any:
     """Returns how often `_gains` asks for a gain, from one disc to `count`."""
     return count * (count - 1) // 2
 

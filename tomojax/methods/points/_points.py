@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._programs import kept
 from tomojax.kernels.contacts import field_at, Sheet
@@ -26,11 +26,12 @@ from tomojax.methods._contract import (
 from tomojax.methods._errors import Errors, PreparedErrors
 from tomojax.methods._pixels import pixels_of
 from tomojax.methods._rows import Rows
-from tomojax.methods.points._blocks import called, Frames, searched
+from tomojax.methods.points._blocks import called, Frames
+from tomojax.methods.points._faults import searched
 from tomojax.methods.points._films import filmed
 from tomojax.methods.points._found import fitting_of, Found
 from tomojax.methods.points._ladder import first, steps
-from tomojax.methods.points._sheet import sheet_of, UNIT
+from tomojax.methods.points._sheet import neighbours_of, sheet_of, UNIT
 from tomojax.sensor import Calibration, Sensor
 
 # Candidates for each pitch.
@@ -42,7 +43,8 @@ class Points(AbstractMethod):
 
     The model grows while the fit gains: one disc; two discs, a bar or a ring; three discs.
     Slots share places and sizes, not currents. λ multiplies the variance of the model's
-    error: 1 for nominal values.
+    error: 1 for nominal values. A batch also tries faults of the rig where one disc does
+    not do: a short, a leak, a film, crosstalk, wrong channels. `estimate` does not.
 
     **Example:**
 
@@ -70,6 +72,7 @@ class Points(AbstractMethod):
     potentials: Float[Array, "K M"]  # of a usual contact at each
     errors: Errors
     spacing: Float[Array, ""]  # of the candidates along y, m
+    neighbours: Int[Array, "n 2"]  # electrodes that a wire may join
     inside: Bool[Array, "nx ny"] | None
     grounded: Bool[np.ndarray, "L M"]
     # Whether a fit goes on to the lowest cost itself: for differences beside slopes.
@@ -97,6 +100,7 @@ class Points(AbstractMethod):
             potentials=potentials,
             errors=errors,
             spacing=jnp.asarray(size[1] / across[1], sensor.dtype),
+            neighbours=jnp.asarray(neighbours_of(sensor), jnp.int32),
             inside=None if sensor.outline is None else pixels_of(sensor, shape).inside,
             grounded=np.asarray(errors.grounded),
         )
@@ -134,7 +138,7 @@ class Points(AbstractMethod):
         volts, grounds = np.asarray(part.voltages), np.asarray(part.grounds)
         frames, every = Frames(self, prepared, volts, grounds, count), np.arange(len(volts))
         if part.films is None:
-            found = searched(frames, every).best
+            found = searched(frames, every)
         else:
             found = filmed(frames, part.films)
         return called(frames, every, _described_all, found, images)
@@ -149,9 +153,10 @@ class Points(AbstractMethod):
         apart = largest_variance(found.covariance) > limit**2
         flags = bits_of(
             (found.limited, Flag.MODEL_LIMITED),
+            (found.faults > 0, Flag.RIG_FAULT),
             # Of all channels together: what is left of a part is little of the whole.
             (found.high, Flag.HIGH_RESIDUAL),
-            (apart.any(), Flag.PLACE_UNCERTAIN),
+            (apart.any() | found.unsure, Flag.PLACE_UNCERTAIN),
             (found.vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
         )
         each = found.by_electrode

@@ -2,7 +2,8 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Integer
 
 from tomojax.kernels.contacts import Field, NARROW, Sheet, thin_of
 from tomojax.sensor import make_field, Sensor
@@ -10,6 +11,9 @@ from tomojax.sensor import make_field, Sensor
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
 # can be told of a contact grows with the pitch, whatever the electrodes' size.
 USUAL, UNIT = 0.3, 0.05
+
+# Electrodes nearer than so many pitches are neighbours.
+_BESIDE = 1.6
 
 
 def sheet_of(sensor: Sensor) -> Sheet:
@@ -27,6 +31,14 @@ def sheet_of(sensor: Sensor) -> Sheet:
         jnp.asarray(UNIT * pitch, sensor.dtype),
         usual,
     )
+
+
+def neighbours_of(sensor: Sensor) -> Integer[np.ndarray, "n 2"]:
+    """Lists pairs of electrodes that lie beside each other, or across from a corner."""
+    xy = np.asarray(sensor.electrode_xy, float)
+    apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1))
+    near = np.argwhere(np.triu(apart < _BESIDE * sensor.mean_pitch, 1))
+    return near if len(near) else np.zeros((1, 2), int)
 
 
 @jax.jit  # as one program to compile

@@ -106,5 +106,5 @@ def check_tables(bytes_: bytes | np.ndarray, name: str) -> None:
     head = bytes(bytes_[:_HEAD])
     require(head.startswith(_MAGIC), "tables", "another kind of file", "tables of a step")
     require(head[16:48] == name.encode(), "tables", "those of another code", name)
-    same = zlib.crc32(memoryview(bytes_)[_HEAD:]) == int.from_bytes(head[48:52], "little")
+    same = zlib.crc32(memoryview(bytes_)[_HEAD:])  # pyright: ignore == int.from_bytes(head[48:52], "little")
     require(same, "tables", "bytes that have changed", "those of their checksum")
