@@ -142,7 +142,7 @@ def test_what_is_wrong_is_flagged_and_goes_on(step, scenes):
             assert int(out.contacts.count) == count
         if flags & Flag.NO_DATA:
             assert np.isnan(out.residual)
-            memories = (step._packing.unpack(s).memory for s in (after, state))
+            memories = (step._trace().packing.unpack(s).memory for s in (after, state))
             same = jax.tree.map(np.array_equal, *memories)
             assert all(jax.tree.leaves(same))
         _, out = step(after, volts[9], 9)
