@@ -20,6 +20,7 @@ ROOMS = {
     "tomojax.paper": "ground patterns, Eq. 3, figures of merit",
     "tomojax.methods": "the ladder of models",
     "tomojax.step": "one slot in, contacts and the next ground out",
+    "tomojax.native": "JAX functions written as C",
     "tomojax.recordings": "files of measured scans",
     "tomojax.ert": "current between pairs of electrodes, on a sheet that changes",
     "tomojax.results": "recordings to results, tracks, reports, plots",

@@ -72,7 +72,7 @@ AT_PEAK = ("read at the peak", "divided by resolution", "all but the lone place"
 
 def rows_of_change(method, volts, grounds, size, change: str) -> Any:
     """Reads contacts of all frames, each under its own grounds, with this change."""
-    from bench.frontier._peers import _rows
+    from bench.frontier import peer_contacts
 
     maps = np.asarray(method.factors) @ np.asarray(method.basis)
     read, phi = np.zeros((2, len(volts), PIXELS**2))
@@ -81,7 +81,7 @@ def rows_of_change(method, volts, grounds, size, change: str) -> Any:
         mine = member.ravel() == k
         read[mine], phi[mine] = changed(maps, own, change)(volts[mine])
     reading = "peak" if change in AT_PEAK else "half"
-    return _rows("image", reading, read, phi, size)
+    return peer_contacts("image", reading, read, phi, size)
 
 
 def figures(rows, trials, size) -> Iterator[dict[str, Any]]:
@@ -99,10 +99,16 @@ def compared(sensor, trials) -> Iterator[dict[str, Any]]:
     import jax
     import jax.numpy as jnp
 
-    import bench.frontier._peers as peers
     import tomojax as tx
-    from bench.frontier import peers_of, repeated
-    from bench.frontier._measure import grounds_of
+    from bench.frontier import (
+        contact_of,
+        grounds_of,
+        hindsight,
+        peer_contacts,
+        peer_images,
+        peers_of,
+        repeated,
+    )
     from tomojax.methods import Part
 
     size = np.asarray(sensor.size, float)
@@ -137,17 +143,17 @@ def compared(sensor, trials) -> Iterator[dict[str, Any]]:
         for variants in every:
             if variants[0].name == "pyEIT" and (grounds != grounds[0]).any():
                 continue
-            best = peers._hindsight(variants, flat, grounds, trials, size)
+            best = hindsight(variants, flat, grounds, trials, size)
             for output, chosen in best.items():
-                made = peers._images(chosen.peer, flat, grounds, chosen.lam)
+                made = peer_images(chosen.peer, flat, grounds, chosen.lam)
                 solve = chosen.peer.prepare(own, chosen.lam, "float32")
-                call = peers._contact_of(solve, chosen.reading, PIXELS, size)
+                call = contact_of(solve, chosen.reading, PIXELS, size)
                 call = solve if output == "image" else call
                 flat_frames = frames.reshape(BATCH, -1)
                 key = variants[0].name, output
                 calls[key] = lambda c=call, f=flat_frames: c(f)
                 told = {"lam": chosen.lam, "reading": chosen.reading}
-                found[key] = peers._rows(output, chosen.reading, *made, size), told
+                found[key] = peer_contacts(output, chosen.reading, *made, size), told
         times: dict[Any, list] = {key: [] for key in calls}
         for _ in range(3):  # in turn, so that what else runs is shared
             for key, call in calls.items():

@@ -112,6 +112,23 @@ def function(name: str, body: Body, tables: Tables) -> str:
     where inputs do.
 
     **Raises:** `ValueError` for an operation that has no C.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.native import function, program_of, Tables
+    >>> body = program_of(lambda a: (2 * a,), np.zeros(3, np.float32))
+    >>> print(function("twice", body, Tables()))
+    static void twice(
+        const char *T, const float *in0, float *out0) {
+    float m0[3] TJ_ALIGNED;
+    for (int i1 = 0; i1 < 3; i1++) {
+    m0[i1] = (2.0f * in0[i1]);
+    }
+    for (int i2 = 0; i2 < 3; i2++) {
+    out0[i2] = m0[i2];
+    }
+    }
     """
     w = Writer(tables)
     w.count(body)

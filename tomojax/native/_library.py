@@ -22,7 +22,14 @@ FLAGS = (
 
 
 def compiler() -> str | None:
-    """Returns the C compiler: what CC names, or the first that is there; None for none."""
+    """Returns the C compiler: what CC names, or the first that is there; None for none.
+
+    **Example:**
+
+    >>> from tomojax.native import compiler
+    >>> compiler() is None or compiler().startswith("/")
+    True
+    """
     names = [os.environ["CC"]] if os.environ.get("CC") else ["cc", "gcc", "clang"]
     return next((found for name in names if (found := shutil.which(name))), None)
 
@@ -36,6 +43,14 @@ def compile_c(source: Path, target: Path, *flags: str) -> None:
     """Compiles one file of C: to a shared library, or what `flags` and CFLAGS ask for.
 
     **Raises:** `ValueError` where no compiler is there, or where it fails.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.native import compile_c, compiler
+    >>> count = Path("one.c").write_text("int one(void) { return 1; }")
+    >>> if compiler() is not None:
+    ...     compile_c(Path("one.c"), Path("one.so"))
     """
     found = compiler()
     require(
@@ -57,6 +72,15 @@ def make_archive(objects: Path, target: Path) -> None:
     """Makes a static library of an object file.
 
     **Raises:** `ValueError` where no `ar` is there, or where it fails.
+
+    **Example:**
+
+    >>> from pathlib import Path
+    >>> from tomojax.native import compile_c, compiler, make_archive
+    >>> count = Path("one.c").write_text("int one(void) { return 1; }")
+    >>> if compiler() is not None:
+    ...     compile_c(Path("one.c"), Path("one.o"), "-c")
+    ...     make_archive(Path("one.o"), Path("libone.a"))
     """
     ar = os.environ.get("AR") or shutil.which("ar")
     require(ar is not None, "archiver", "none", "`ar`, which comes with a compiler")

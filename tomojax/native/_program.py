@@ -80,7 +80,16 @@ class Body:
 
 
 def program_of(f: Callable, *examples: Any) -> Body:
-    """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads."""
+    """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.native import program_of
+    >>> body = program_of(lambda a, b: (a + b, a.sum()), np.zeros(3), np.zeros(3))
+    >>> [op.name for op in body.ops], [value.shape for value in body.outputs]
+    (['add', 'reduce_sum'], [(3,), ()])
+    """
     closed = jax.make_jaxpr(f)(*examples)
     constants = [_constant(c, False) for c in closed.consts]
     inputs = [_fresh(v.aval) for v in closed.jaxpr.invars]

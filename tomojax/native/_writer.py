@@ -45,13 +45,21 @@ READ_ONCE = {
 
 
 def c_type(dtype: np.dtype) -> str:
-    """Names C's type. **Raises:** `ValueError` for a type that no step has."""
+    """Names C's type. **Raises:** `ValueError` for a type that no step has.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.native import c_type
+    >>> c_type(np.dtype(np.float32)), c_type(np.dtype(bool))
+    ('float', 'int32_t')
+    """
     if dtype.name not in C_TYPES:
         raise ValueError(f"dtype: got {dtype}, expected one of {', '.join(C_TYPES)}")
     return C_TYPES[dtype.name]
 
 
-def literal(value: np.generic | float, dtype: np.dtype) -> str:
+def literal(value: Any, dtype: np.dtype) -> str:
     """Writes a number in C, to the last bit."""
     if dtype.kind != "f":
         whole = int(value)
@@ -130,6 +138,14 @@ class Tables:
 
     `halved`: large ones that are gathered from are stored in 16 bits, between the lowest
     and the highest value of each column.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> from tomojax.native import Tables
+    >>> tables = Tables()
+    >>> tables.add(np.zeros(3, np.float32)), tables.add(np.ones(5)), tables.size
+    (0, 64, 128)
     """
 
     def __init__(self, halved: bool = False) -> None:

@@ -1,4 +1,7 @@
-"""A step as C: its face, the folder that users get, and the library that Python calls."""
+"""A step as C: the folder that users get, and the library that Python calls.
+
+The files beside these modules are the step's face in C, with gaps to be filled in.
+"""
 
 from tomojax.step.c._folder import write_folder as write_folder
 from tomojax.step.c._kept import (

@@ -101,10 +101,11 @@ def _with_head(tables: bytes, name: str) -> bytes:
     return bytes(head) + tables
 
 
-def check_tables(bytes_: bytes | np.ndarray, name: str) -> None:
+def check_tables(bytes_: Any, name: str) -> None:
     """Checks a file of tables, as the C does. **Raises:** `ValueError` for a wrong one."""
     head = bytes(bytes_[:_HEAD])
     require(head.startswith(_MAGIC), "tables", "another kind of file", "tables of a step")
     require(head[16:48] == name.encode(), "tables", "those of another code", name)
-    same = zlib.crc32(memoryview(bytes_)[_HEAD:])  # pyright: ignore == int.from_bytes(head[48:52], "little")
+    told = int.from_bytes(head[48:52], "little")
+    same = zlib.crc32(memoryview(bytes_)[_HEAD:]) == told
     require(same, "tables", "bytes that have changed", "those of their checksum")

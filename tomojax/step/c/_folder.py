@@ -78,10 +78,11 @@ def _write_vectors(traced: Traced, home: Path) -> None:
     state, (volts, _) = traced.state, traced.slot
     ground = int(np.asarray(state.whole)[traced.about.ground_at])
     levels = _levels(sensor, rng, 0)
+    most = min(2, traced.contact_count)
     with (home / "vectors.bin").open("wb") as file:
         for k in range(_VECTORS):
             if k % _HELD == 0:
-                levels = _levels(sensor, rng, k // _HELD % 3)
+                levels = _levels(sensor, rng, k // _HELD % (1 + most))
             volts = levels[ground] + rng.normal(0, 3e-4, levels.shape[1])
             slot = np.array([ground, 0, 0], np.int32)
             if rng.random() < 0.05:
@@ -98,9 +99,10 @@ def _levels(sensor: Sensor, rng: np.random.Generator, count: int) -> np.ndarray:
     """Computes volts of all conditions with so many discs somewhere."""
     if count == 0:
         return np.zeros((sensor.condition_count, sensor.electrode_count))
-    places = np.asarray(sensor.electrode_xy)[
-        rng.integers(sensor.electrode_count, size=count)
-    ]
+    # Between electrodes: one on a ground is read as well as nothing.
+    ends = rng.integers(sensor.electrode_count, size=(2, count))
+    one, other = np.asarray(sensor.electrode_xy)[ends]
+    places = one + 0.37 * (other - one)
     radius = 0.6 * float(np.max(np.asarray(sensor.electrode_diameter)))
     return np.asarray(voltages(sensor, Scene(*(Disc(p, radius, 1.0) for p in places))))
 

@@ -9,7 +9,11 @@ from bench.frontier._beside import (
     front as front,
     mark_front as mark_front,
 )
-from bench.frontier._measure import Job as Job, repeated as repeated
+from bench.frontier._measure import (
+    grounds_of as grounds_of,
+    Job as Job,
+    repeated as repeated,
+)
 from bench.frontier._peer_operators import (
     paper_jacobian as paper_jacobian,
     peer_table as peer_table,
@@ -20,6 +24,10 @@ from bench.frontier._peer_operators import (
 )
 from bench.frontier._peers import (
     best_lambda as best_lambda,
+    contact_of as contact_of,
+    hindsight as hindsight,
+    peer_contacts as peer_contacts,
+    peer_images as peer_images,
     peer_rows as peer_rows,
 )
 from bench.frontier._rows import (

@@ -68,15 +68,15 @@ def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
                 continue  # one product is the smaller one
             if peer.name == "pyEIT" and (grounds != grounds[0]).any():
                 continue  # up to seconds for each new ground set
-            best = _hindsight(variants, volts, grounds, trials, size)
+            best = hindsight(variants, volts, grounds, trials, size)
             for output, chosen in best.items():
-                made = _images(chosen.peer, volts, grounds, chosen.lam)
-                rows = _rows(output, chosen.reading, *made, size)
+                made = peer_images(chosen.peer, volts, grounds, chosen.lam)
+                rows = peer_contacts(output, chosen.reading, *made, size)
                 scores = _scores(rows, trials, size)
                 begin = time.perf_counter()
                 solve = chosen.peer.prepare(grounds[0], chosen.lam, job.dtype)
                 ready = 1e3 * (time.perf_counter() - begin)
-                call = _contact_of(solve, chosen.reading, pixels, size)
+                call = contact_of(solve, chosen.reading, pixels, size)
                 call = solve if output == "image" else call
                 for batch in job.batches:
                     frames = np.resize(volts, (batch, volts.shape[1]))
@@ -105,13 +105,13 @@ def peer_rows(job: Job, sensor: Sensor, trials: Trials) -> Iterator[dict[str, An
                         }
 
 
-def _contact_of(solve: Images, reading: str, pixels: int, size: np.ndarray) -> Images:
+def contact_of(solve: Images, reading: str, pixels: int, size: np.ndarray) -> Images:
     """Returns a function from frames to places."""
     read = _READINGS[reading]
     return lambda frames: read(solve(frames), pixels, size)
 
 
-def _hindsight(
+def hindsight(
     variants: list[Peer],
     volts: np.ndarray,
     grounds: np.ndarray,
@@ -128,7 +128,7 @@ def _hindsight(
 
             def error(lam: float, made=made, output=output, reading=reading) -> float:
                 images, currents = made(lam)
-                rows = _rows(output, reading, images, currents, size)
+                rows = peer_contacts(output, reading, images, currents, size)
                 value = score(rows, trials, size)["with_ghosts_median_mm"]
                 return np.inf if value is None else value
 
@@ -159,7 +159,7 @@ def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
     return grid[int(np.argmin(errors)) if at_end else inner], at_end
 
 
-def _images(
+def peer_images(
     peer: Peer, volts: np.ndarray, grounds: np.ndarray, lam: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns images and currents of frames, each by its own ground set's operator."""
@@ -174,7 +174,7 @@ def _images(
     return np.concatenate(images)[back], np.concatenate(currents)[back]
 
 
-def _rows(
+def peer_contacts(
     output: str, reading: str, images: np.ndarray, currents: np.ndarray, size: np.ndarray
 ) -> Rows:
     """Returns contacts of images.
