@@ -384,20 +384,24 @@ class Writer:
             for name, begun in first.items():
                 if begun <= start and start < last[name] <= end:
                     last[name] = end
-        free: dict[tuple[str, int], list[tuple[int, str]]] = {}
+        made: list[tuple[str, int]] = []  # types and sizes of arrays
+        until: list[int] = []  # and the unit in which each was read last
         shared: dict[str, str] = {}
-        declared = []
         for name in sorted(first, key=lambda n: first[n]):
-            kind = self.buffers[name]
-            spare = free.setdefault(kind, [])
-            at = next((i for i, (end, _) in enumerate(spare) if end < first[name]), None)
-            if at is None:
-                own = f"m{len(declared)}"
-                declared.append(f"{kind[0]} {own}[{kind[1]}] TJ_ALIGNED;")
+            kind, size = self.buffers[name]
+            # The smallest array that is free and large enough.
+            spare = [
+                (n, i) for i, (k, n) in enumerate(made)
+                if k == kind and n >= size and until[i] < first[name]
+            ]  # fmt: skip
+            if spare:
+                at = min(spare)[1]
             else:
-                own = spare.pop(at)[1]
-            shared[name] = own
-            spare.append((last[name], own))
+                at = len(made)
+                made.append((kind, size))
+                until.append(0)
+            shared[name], until[at] = f"m{at}", last[name]
+        declared = [f"{k} m{i}[{n}] TJ_ALIGNED;" for i, (k, n) in enumerate(made)]
         swap = lambda found: shared[found.group()]  # noqa: E731
         lines = [re.sub(r"\bb\d+\b", swap, text) for _, text in self.lines]
         return "\n".join(declared + lines)

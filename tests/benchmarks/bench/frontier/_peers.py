@@ -123,7 +123,7 @@ def hindsight(
     volts, grounds, trials = volts[one], grounds[one], trials.of(one)
     found: dict[str, list[Choice]] = {output: [] for output in _OUTPUTS}
     for peer in variants:
-        made = cache(partial(_images, peer, volts, grounds))
+        made = cache(partial(peer_images, peer, volts, grounds))
         for output, reading in product(_OUTPUTS, _READINGS):
 
             def error(lam: float, made=made, output=output, reading=reading) -> float:
