@@ -23,7 +23,9 @@ _NO_FLAGS = {
     "JAX_COMPILATION_CACHE_DIR",
     "PREEMPT_RT",
     "SCHED_FIFO",
+    "TOMOJAX_NATIVE",
     "TOMOJAX_NO_CACHE",
+    "TOMOJAX_STEPS",
     "XDG_CACHE_HOME",
 }
 _WRITTEN = [SITE / "reference" / name for name in GENERATED]

@@ -108,6 +108,8 @@ CASES = {
                floats(3)),
     "rows": (lambda a: lax.scan(lambda s, x: (s + x.sum(), x * s), 0 * a[0, 0], a),
              floats(5, 3)),
+    "rows with work between": (lambda a: lax.map(
+        lambda x: ((a * x) @ a.T, jnp.sort(a @ x), (a + x).sum(0)), a), floats(5, 5)),
     "rows backwards": (lambda a: lax.scan(lambda s, x: (s * x, s), jnp.ones((), a.dtype), a,
                                           reverse=True), floats(5)),
     "until": (lambda a: lax.while_loop(lambda s: s[0].sum() < 50,

@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from tomojax._cache import cache_folder, drop_oldest
+from tomojax._environment import cache_folder, drop_oldest
 from tomojax._whole import ours
 
 # Bytes of all folders together; programs and tables of `points` for one sensor take 40 MB.

@@ -59,6 +59,8 @@ def scan(w: Writer, op: Op) -> None:
     carried, rows = op.inputs[:count], [w.stored(v) for v in op.inputs[count:]]
     state = [w.store(v, w.place(v)) for v in carried]
     results = _results(w, op.outputs[count:])
+    for view in results:
+        w.begin(view)
     i = w.name("i")
     at = f"({length - 1} - {i})" if op.params["reverse"] else i
     with w.repeated(f"for (int {i} = 0; {i} < {length}; {i}++)"):

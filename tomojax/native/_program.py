@@ -214,6 +214,8 @@ def _once(equation: Any, args: list[Value], ops: list[Op], seen: dict) -> list[V
         for a in args
     ]
     key = equation.primitive.name, about, *which
+    # A value that went would leave its name to another.
+    seen.setdefault("held", []).append((args, equation))
     op = seen.get(key)
     if op is None:
         outputs = [_fresh(v.aval) for v in equation.outvars]

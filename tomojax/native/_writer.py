@@ -207,6 +207,7 @@ class Writer:
         self._names = itertools.count()
         self._unit = 0
         self._loops: list[tuple[int, int]] = []
+        self._begun: dict[str, int] = {}  # buffers in use before they are written
         self._uses: dict[int, int] = {}
         self._reader: dict[int, Op] = {}
         self._other: set[int] = set()  # values that are read otherwise than by `gather`
@@ -303,6 +304,10 @@ class Writer:
         self._unit += 1
         self._loops.append((start, self._unit))
 
+    def begin(self, view: View) -> None:
+        """Takes a buffer into use: each turn of a loop writes a part, and none the rest."""
+        self._begun[view.buffer] = self._unit
+
     # Values.
 
     def place(self, value: Value) -> Place:
@@ -375,7 +380,7 @@ class Writer:
 
     def text(self) -> str:
         """Returns the lines, with buffers that are never in use together as one."""
-        first, last = {}, {}
+        first, last = dict(self._begun), {}
         for unit, text in self.lines:
             for name in re.findall(r"\bb\d+\b", text):
                 first.setdefault(name, unit)

@@ -86,6 +86,11 @@ class Traced:
         )
 
     @property
+    def zero_and_gain(self) -> tuple[np.ndarray, np.ndarray]:
+        """Returns what the rig's readings are taken to have: V, and a factor."""
+        return np.asarray(self._zero), np.asarray(self._gain)
+
+    @property
     def slot(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns a slot's arrays, as a program takes them."""
         return np.zeros(self.electrode_count, self.dtype), np.zeros(3, np.int32)

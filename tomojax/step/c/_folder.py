@@ -78,12 +78,13 @@ def _write_vectors(traced: Traced, home: Path) -> None:
     state, (volts, _) = traced.state, traced.slot
     ground = int(np.asarray(state.whole)[traced.about.ground_at])
     levels = _levels(sensor, rng, 0)
+    zero, gain = traced.zero_and_gain
     most = min(2, traced.contact_count)
     with (home / "vectors.bin").open("wb") as file:
         for k in range(_VECTORS):
             if k % _HELD == 0:
                 levels = _levels(sensor, rng, k // _HELD % (1 + most))
-            volts = levels[ground] + rng.normal(0, 3e-4, levels.shape[1])
+            volts = levels[ground] * gain + zero + rng.normal(0, 3e-4, levels.shape[1])
             slot = np.array([ground, 0, 0], np.int32)
             if rng.random() < 0.05:
                 volts, slot = _faulty(volts, slot, rng, k)

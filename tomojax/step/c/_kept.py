@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from tomojax._cache import cache_folder, drop_oldest
+from tomojax._environment import cache_folder, drop_oldest
 from tomojax._programs import source_digest
 from tomojax._whole import ours
 from tomojax.native import compile_c, compiler, PLAIN

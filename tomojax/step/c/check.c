@@ -2,10 +2,10 @@
  *
  *     cc check.c -L. -ltomojax_step -lm -o check && ./check step.tables vectors.bin
  *
- * It fails where more than one slot in a thousand differs in flags, count or next condition,
- * or more than one in a hundred has a place that is a hundredth of a radius away: on another
- * processor numbers are rounded otherwise, which decides otherwise where a slot lies
- * between two decisions. */
+ * It fails where more than one slot in two hundred differs in flags, count or next condition,
+ * or more than one in a hundred has a place that is a hundredth of a radius away. Numbers
+ * are rounded otherwise on another processor, which decides otherwise where a slot lies
+ * between two decisions: JAX's own float32 and float64 differ in one slot of 250. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -60,5 +60,5 @@ int main(int count, char **arguments)
     tomojax_step_free(&tables);
     printf("%ld slots: %ld differ, %ld places are away, by %.2g m at most\n", slots, differ,
            away, most);
-    return slots == 0 || differ * 1000 > slots || away * 100 > slots;
+    return slots == 0 || differ * 200 > slots || away * 100 > slots;
 }
