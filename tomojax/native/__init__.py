@@ -15,8 +15,9 @@ from tomojax.native._library import (
     make_archive as make_archive,
     PLAIN as PLAIN,
 )
+from tomojax.native._places import c_type as c_type
 from tomojax.native._program import program_of as program_of
-from tomojax.native._writer import c_type as c_type, Tables as Tables
+from tomojax.native._tables import Tables as Tables
 
 PRELUDE = (Path(__file__).parent / "prelude.h").read_text()
 

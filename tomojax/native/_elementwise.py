@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tomojax.native._places import c_type, Index, literal
 from tomojax.native._program import Op
-from tomojax.native._writer import c_type, ELEMENTWISE, Index, literal, Writer
+from tomojax.native._writer import ELEMENTWISE, Writer
 
 
 def _function(name: str) -> Callable:

@@ -2,17 +2,11 @@
 
 from tomojax.native._elementwise import elementwise, identity
 from tomojax.native._moves import MOVED
+from tomojax.native._places import c_type, Lazy, row_major, View
 from tomojax.native._program import Body, Op, Value
 from tomojax.native._sums import SUMS
-from tomojax.native._writer import (
-    c_type,
-    ELEMENTWISE,
-    Lazy,
-    row_major,
-    Tables,
-    View,
-    Writer,
-)
+from tomojax.native._tables import Tables
+from tomojax.native._writer import ELEMENTWISE, Writer
 
 
 def emit(w: Writer, op: Op) -> None:

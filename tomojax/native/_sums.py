@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from tomojax.native._places import c_type, Index, literal, View
 from tomojax.native._program import Op, Value
-from tomojax.native._writer import c_type, Index, literal, View, Writer
+from tomojax.native._writer import Writer
 
 # Fewer elements than this are not worth a loop of their own for each lane.
 _LANES = 4

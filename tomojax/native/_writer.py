@@ -1,36 +1,18 @@
-"""Writes C: where values are, loops over them, and the memory that they share."""
+"""Writes C: loops over values, and the memory that they share."""
 
 import itertools
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from tomojax.native._places import c_type, Index, Lazy, literal, Place, row_major, View
 from tomojax.native._program import Body, Op, Value
-
-C_TYPES = {
-    "float32": "float",
-    "float64": "double",
-    "int32": "int32_t",
-    "int64": "int64_t",
-    "uint32": "uint32_t",
-    "uint8": "uint8_t",
-    "int8": "int8_t",
-    # As wide as most numbers: GCC 12.2 gets some loops wrong that mix widths.
-    "bool": "int32_t",
-}
-
-Index = Sequence[str | int]
+from tomojax.native._tables import Tables
 
 # Elements of a table that is worth storing in half as many bits.
 _LARGE = 1 << 16
-
-# Tables begin on lines of a processor's memory.
-ALIGNED = 64
 
 # Operations that read each element of what they are given once: it need not be stored.
 READ_ONCE = {
@@ -42,158 +24,6 @@ READ_ONCE = {
     "concatenate",
     "pad",
 }
-
-
-def c_type(dtype: np.dtype) -> str:
-    """Names C's type. **Raises:** `ValueError` for a type that no step has.
-
-    **Example:**
-
-    >>> import numpy as np
-    >>> from tomojax.native import c_type
-    >>> c_type(np.dtype(np.float32)), c_type(np.dtype(bool))
-    ('float', 'int32_t')
-    """
-    if dtype.name not in C_TYPES:
-        raise ValueError(f"dtype: got {dtype}, expected one of {', '.join(C_TYPES)}")
-    return C_TYPES[dtype.name]
-
-
-def literal(value: Any, dtype: np.dtype) -> str:
-    """Writes a number in C, to the last bit."""
-    if dtype.kind != "f":
-        whole = int(value)
-        least = {-(2**31): "INT32_MIN", -(2**63): "INT64_MIN"}
-        return least.get(whole, f"({whole})")
-    number, suffix = float(value), "f" if dtype.itemsize == 4 else ""
-    if math.isnan(number):
-        return "NAN"
-    if math.isinf(number):
-        return "INFINITY" if number > 0 else "(-INFINITY)"
-    if number == int(number) and abs(number) < 1e6:
-        text = f"{number:.1f}{suffix}"
-    else:
-        text = f"{number.hex()}{suffix}"
-    return f"({text})" if number < 0 else text
-
-
-def linear(offset: str | int, index: Index, strides: Sequence[int]) -> str:
-    """Writes offset + Σ index · stride."""
-    whole, parts = 0, []
-    for at, stride in [(offset, 1), *zip(index, strides, strict=True)]:
-        if stride == 0 or at in (0, "0"):
-            continue
-        if isinstance(at, int):
-            whole += at * stride
-        else:
-            parts.append(at if stride == 1 else f"({at})*{stride}")
-    if whole or not parts:
-        parts.append(str(whole))
-    return " + ".join(parts)
-
-
-def row_major(shape: Sequence[int]) -> tuple[int, ...]:
-    """Returns the strides of an array without gaps."""
-    strides = itertools.accumulate(reversed(shape[1:]), lambda a, b: a * b, initial=1)
-    return tuple(strides)[::-1] if shape else ()
-
-
-@dataclass(frozen=True)
-class View:
-    """Elements of a buffer."""
-
-    buffer: str
-    offset: str | int
-    strides: tuple[int, ...]
-    shape: tuple[int, ...]
-
-    def at(self, index: Index) -> str:
-        return f"{self.buffer}[{linear(self.offset, index, self.strides)}]"
-
-    @property
-    def whole(self) -> bool:
-        """Whether the elements lie one after the other."""
-        full = row_major(self.shape)
-        return all(
-            a == b or n == 1 for a, b, n in zip(self.strides, full, self.shape, strict=True)
-        )
-
-
-@dataclass(frozen=True)
-class Lazy:
-    """A value that is worked out where it is read."""
-
-    shape: tuple[int, ...]
-    read: Callable[[Index], str]
-
-    def at(self, index: Index) -> str:
-        return self.read(index)
-
-
-Place = View | Lazy
-
-
-class Tables:
-    """Constants that the code reads: where each begins does not depend on their values.
-
-    `halved`: large ones that are gathered from are stored in 16 bits, between the lowest
-    and the highest value of each column.
-
-    **Example:**
-
-    >>> import numpy as np
-    >>> from tomojax.native import Tables
-    >>> tables = Tables()
-    >>> tables.add(np.zeros(3, np.float32)), tables.add(np.ones(5)), tables.size
-    (0, 64, 128)
-    """
-
-    def __init__(self, halved: bool = False) -> None:
-        self.halved = halved
-        self._arrays: list[tuple[int, np.ndarray]] = []
-        self._offsets: dict[Any, int] = {}
-        self._halves: dict[Any, Any] = {}
-        self._held: list[Any] = []  # else another array could get the name of one that went
-        self.size = 0
-
-    def offset(self, value: Value) -> int:
-        """Returns where a constant begins, bytes; the same array is there once."""
-        array = np.ascontiguousarray(value.known)
-        if array.dtype == np.bool_:
-            array = array.astype(np.int32)
-        alike = array.dtype.str, array.shape, array.tobytes()
-        origin = array if value.origin is None else value.origin
-        key = alike if value.told else id(origin)
-        if key not in self._offsets:
-            self._held.append(origin)
-            self._offsets[key] = self.size
-            self._arrays.append((self.size, array))
-            self.size += -(-array.nbytes // ALIGNED) * ALIGNED
-        return self._offsets[key]
-
-    def half(self, value: Value) -> tuple[int, int, int]:
-        """Returns where 16-bit codes begin, columns' lowest values and steps."""
-        array = np.asarray(value.known)
-        key = "half", id(array if value.origin is None else value.origin)
-        if key not in self._halves:
-            flat = array.reshape(-1, array.shape[-1]).astype(np.float64)
-            low = flat.min(0)
-            step = (flat.max(0) - low) / (2**16 - 1)
-            codes = np.rint((array - low) / np.where(step > 0, step, 1)).astype(np.uint16)
-            parts = codes, low.astype(array.dtype), step.astype(array.dtype)
-            self._halves[key] = tuple(self.add(part) for part in parts)
-        return self._halves[key]
-
-    def add(self, array: np.ndarray) -> int:
-        """Returns where an array of one's own begins, bytes."""
-        return self.offset(Value(array.shape, array.dtype, array, array))
-
-    def packed(self) -> bytes:
-        """Returns all tables, each on a line of memory of its own."""
-        whole = bytearray(self.size)
-        for start, array in self._arrays:
-            whole[start : start + array.nbytes] = array.tobytes()
-        return bytes(whole)
 
 
 class Writer:
