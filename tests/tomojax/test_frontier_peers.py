@@ -144,7 +144,7 @@ def test_rows_of_peers(small, monkeypatch):
 
 def test_peers_get_what_ours_get():
     for quick in (True, False):
-        some = study_jobs(quick, (0, 1))
+        some = study_jobs(quick)
         peers = [j for j in some if j.method == "peers"]
         assert peers and all(j.dtype == "float32" for j in peers)
         for peer in peers:

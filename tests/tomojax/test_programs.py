@@ -30,8 +30,12 @@ def forgotten() -> None:
 
 
 @pytest.fixture
-def folder(monkeypatch, tmp_path):
+def folder(request, monkeypatch, tmp_path):
     monkeypatch.setenv(_programs.FOLDER, str(tmp_path))
+    # What JAX had kept of an earlier run could not be written again: it is made anew.
+    kept = jax.config.jax_enable_compilation_cache
+    jax.config.update("jax_enable_compilation_cache", False)
+    request.addfinalizer(lambda: jax.config.update("jax_enable_compilation_cache", kept))
     traces.clear()
     forgotten()
     return tmp_path
@@ -67,7 +71,7 @@ def test_other_values_shapes_and_types_are_other_programs(folder) -> None:
 def test_other_source_is_another_program(folder, monkeypatch) -> None:
     scaled(tree(), 2.0)
     forgotten()
-    monkeypatch.setattr(_programs, "_source", lambda: "another")
+    monkeypatch.setattr(_programs, "source_digest", lambda: "another")
     scaled(tree(), 2.0)
     assert len(list(folder.glob("*.program"))) == 2
 
