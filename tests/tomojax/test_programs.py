@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import tomojax as tx
 from tomojax import _programs
@@ -34,8 +35,13 @@ def folder(request, monkeypatch, tmp_path):
     monkeypatch.setenv(_programs.FOLDER, str(tmp_path))
     # What JAX had kept of an earlier run could not be written again: it is made anew.
     kept = jax.config.jax_enable_compilation_cache
-    jax.config.update("jax_enable_compilation_cache", False)
-    request.addfinalizer(lambda: jax.config.update("jax_enable_compilation_cache", kept))
+
+    def use(cache: bool) -> None:
+        jax.config.update("jax_enable_compilation_cache", cache)
+        compilation_cache.reset_cache()  # it asks once whether it is used
+
+    use(False)
+    request.addfinalizer(lambda: use(kept))
     traces.clear()
     forgotten()
     return tmp_path
