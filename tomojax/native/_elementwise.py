@@ -162,9 +162,3 @@ def elementwise(w: Writer, op: Op) -> None:
         return write(op, *args)
 
     w.set(out, read)
-
-
-def identity(w: Writer, op: Op) -> None:
-    """Gives values other names."""
-    for of, to in zip(op.inputs, op.outputs, strict=True):
-        w.places[id(to)] = w.place(of)

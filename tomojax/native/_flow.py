@@ -1,6 +1,6 @@
 """Writes branches and loops, and whole functions."""
 
-from tomojax.native._elementwise import elementwise, identity
+from tomojax.native._elementwise import elementwise
 from tomojax.native._moves import MOVED
 from tomojax.native._places import c_type, Lazy, row_major, View
 from tomojax.native._program import Body, Op, Value
@@ -98,7 +98,7 @@ def while_(w: Writer, op: Op) -> None:
         w.places[id(value)] = view
 
 
-_OTHERS = {**MOVED, **SUMS, "cond": cond, "scan": scan, "while": while_, "copy": identity}
+_OTHERS = {**MOVED, **SUMS, "cond": cond, "scan": scan, "while": while_}
 
 
 def function(name: str, body: Body, tables: Tables) -> str:

@@ -78,6 +78,11 @@ class Body:
     ops: list[Op]
     outputs: list[Value]
 
+    @property
+    def count(self) -> int:
+        """How many operations there are, those of loops and branches too."""
+        return sum(1 + sum(inner.count for inner in op.bodies) for op in self.ops)
+
 
 def program_of(f: Callable, *examples: Any) -> Body:
     """Traces `f`, of arrays to a tuple of arrays; drops what nobody reads.

@@ -48,9 +48,11 @@ def make_step(
     the readings. `good` (M,) marks the channels that are used. `highest` is |V| that no
     channel can have, V.
 
-    A step runs as C that a compiler makes of it, ten times as fast as JAX's program: where
-    a C compiler is there, on a processor. It is kept in the user's cache folder: the same
-    step is there at once the next time. `native` decides it: False for JAX's program,
+    A step runs as C that a compiler makes of it, in a fifth to a tenth of the time of JAX's
+    program: where a C compiler is there, on a processor. A step that is too large, or has
+    an operation without C, stays JAX's: `auto` and `shape`. C is kept in the user's cache
+    folder: the same step is there at once the next time.
+    `native` decides it: False for JAX's program,
     True for C. The variable TOMOJAX_NATIVE=0 stands for False where nobody decides;
     TOMOJAX_STEPS names the folder, and with nothing in it nothing is kept.
 
@@ -85,10 +87,9 @@ def make_step(
     drive = abs(float(sensor.drive_voltage))
     limit = 1.05 * drive if highest is None else float(highest)
     require(limit > 0, "highest", limit, "volts above 0")
-    rig = Calibration() if calibration is None else calibration
     asked = Asked(
-        sensor, method, tuple(names), contacts, float(f_switch), grid, lam, cheaper, rig,
-        calibration is not None, used, limit, tables or {},
+        sensor, method, tuple(names), contacts, float(f_switch), grid, lam, cheaper, calibration,
+        used, limit, tables or {},
     )  # fmt: skip
     again = partial(_made, asked, native)
     return again()
@@ -105,8 +106,7 @@ class Asked(NamedTuple):
     grid: int | None
     lam: float | None
     cheaper: str | None
-    calibration: Calibration
-    calibrated: bool
+    calibration: Calibration | None
     used: Bool[np.ndarray, " M"]
     highest: float
     tables: dict[str, AbstractPolicy]
@@ -140,7 +140,7 @@ def _of_jax(traced: Traced, again: Callable[[], Step]) -> Step:
 
 def _traced(asked: Asked) -> Traced:
     sensor, used = asked.sensor, asked.used
-    calibration = asked.calibration if asked.calibrated else None
+    calibration = asked.calibration
 
     def made(name: str) -> AbstractStepMethod:
         if name == "follow":
@@ -162,8 +162,8 @@ def _traced(asked: Asked) -> Traced:
         for name in asked.names
     }
     quick = None if asked.cheaper is None else made(asked.cheaper)
-    limits = asked.highest, asked.calibration
-    return Traced(sensor, main, quick, policies, used, *limits)
+    rig = Calibration() if calibration is None else calibration
+    return Traced(sensor, main, quick, policies, used, asked.highest, rig)
 
 
 def check_followed(contacts: int) -> None:

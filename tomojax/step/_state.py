@@ -93,4 +93,4 @@ class About(NamedTuple):
     length_at: int
     ground_at: int  # the first ground
     image: tuple[int, int]  # pixels
-    highest: float  # |V| that no channel can have
+    drive: float  # V

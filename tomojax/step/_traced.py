@@ -82,7 +82,7 @@ class Traced:
             int(plan.length),
             int(plan.grounds[0]),
             tuple(jax.eval_shape(self.draw, self.state).shape),
-            float(self._highest),
+            float(self.sensor.drive_voltage),
         )
 
     @property

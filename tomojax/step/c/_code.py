@@ -16,6 +16,10 @@ from tomojax.step._traced import Traced
 # The files of the step's face in C.
 TEMPLATES = Path(__file__).parent
 
+# Operations of a step that a compiler is asked to take: `follow` has 2200, which take it a
+# quarter of a minute.
+_MOST = 10_000
+
 # A file of tables begins with a line of 64 bytes: what it is, the code that it belongs to
 # (32 letters from the 16th byte), and from the 48th byte on a checksum of what follows.
 _MAGIC = b"TOMOJAX STEP 1\n"
@@ -49,6 +53,8 @@ def write_code(traced: Traced, halved: bool = False) -> Code:
         return (traced.draw(Packed(numbers, whole)),)
 
     stepped = program_of(step, numbers, whole, volts, slot)
+    count = stepped.count
+    require(count <= _MOST, "step", f"{count} operations", f"at most {_MOST}, to be C")
     drawn = program_of(image, numbers, whole)
     parts = [function("run_step", stepped, tables), function("run_image", drawn, tables)]
     first = [tables.add(a) for a in (numbers, whole)]

@@ -120,13 +120,12 @@ def _compile_checked(part: Path, about: About, name: str) -> None:
     plain.unlink()
     rng, state, differ = np.random.default_rng(0), slow.first, 0
     m, volts = about.electrode_count, np.zeros(0)
-    scale = about.highest if np.isfinite(about.highest) else 5.0
     for k in range(_CHECKED):
         if k % 20 == 0:  # as if a contact were near some electrode, or none
             near = np.exp(-np.abs(np.arange(m) - rng.integers(m)) / rng.uniform(1, m / 4))
-            volts = scale * (0.1 + 0.6 * near) * (k % 80 > 0)
+            volts = about.drive * (0.1 + 0.6 * near) * (k % 80 > 0)
         slot = np.array([rng.integers(about.condition_count), 0, 0], np.int32)
-        noisy = volts + rng.normal(0, 1e-3, m) * scale
+        noisy = volts + rng.normal(0, 1e-3, m) * about.drive
         noisy = noisy.astype(about.dtype)
         others = quick.slot(state, noisy, slot)[1]
         state, said = slow.slot(state, noisy, slot)
