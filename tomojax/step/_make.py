@@ -88,8 +88,8 @@ def make_step(
     limit = 1.05 * drive if highest is None else float(highest)
     require(limit > 0, "highest", limit, "volts above 0")
     asked = Asked(
-        sensor, method, tuple(names), contacts, float(f_switch), grid, lam, cheaper, calibration,
-        used, limit, tables or {},
+        sensor, method, tuple(names), contacts, float(f_switch), grid, lam, cheaper,
+        calibration, used, limit, tables or {},
     )  # fmt: skip
     again = partial(_made, asked, native)
     return again()
