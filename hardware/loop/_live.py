@@ -35,8 +35,9 @@ def run(
     """Runs the loop until the source ends or `until` says so; `source` is started.
 
     The loop puts each slot into the `ring` before it reads the next slot. Without a `step`,
-    the loop does nothing else. If newer slots wait already, the loop skips the step for
-    this slot ("skipped"). The step is later told the number of skipped slots, as lost.
+    the loop does nothing else. If a newer slot waits already and this one is older than the
+    time of one slot, the loop skips the step for this slot ("skipped"). The step is later
+    told the number of skipped slots, as lost.
 
     A slot is late if it is older than `budget` (s; by default the time of one slot). The
     step's cheaper method, if there is one, answers a late slot. `meanwhile` is called a few
@@ -52,7 +53,8 @@ def run(
     codes, volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
     scale, offset = np.float32(source.scale), np.float32(source.offset)
     scales, offsets = _trimmed(ring, scale, offset)
-    hurry = 1 / source.rate if budget is None else budget
+    period = 1 / source.rate
+    hurry = period if budget is None else budget
     state: Any = None
     if step is not None:
         require(
@@ -76,7 +78,7 @@ def run(
         if got is None:
             continue
         missed += got.lost
-        if step is None or (source.waiting and now - got.arrived > hurry):
+        if step is None or (source.waiting and now - got.arrived > period):
             ring.put(got, codes, _NOTHING)
             if step is not None:
                 skipped += 1

@@ -58,8 +58,8 @@ class SlotSource(ABC):
     - **Arrays.** The caller owns `codes`. The source fills all M of them in place, and
       touches the array no more once `read` has returned.
     - **Time.** `read` returns within `timeout` and a little. `set_grounds` waits for
-      nothing. `waiting` is 0 where no slot is here: the loop works on no slot that
-      another waits behind.
+      nothing. `waiting` is 0 where no slot is here: the loop works on no slot that is
+      older than the time of one slot while another waits behind it.
     - **Trouble.** A cut line or a silent rig is None until slots come again, counted in
       `counters.disconnects` and told as lost slots. `read` raises `EOFError` where the
       slots have an end, as those of a recording. `stop` can be called twice; after `start`

@@ -238,6 +238,7 @@ class Linear(AbstractMethod):
     def estimate(
         self, prepared: PreparedLinear, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
+        voltages = _more_than_level(voltages, prepared.used)
         phi = self.image(prepared, voltages)
         sharp, alike = (
             self.drive_sign * image.reshape(self.shape)
@@ -274,6 +275,16 @@ class Linear(AbstractMethod):
         seen = centred(voltages[::step], prepared.looked)
         carried, left = explained(columns, seen)
         return carried.mean(0) * points[:, -1], left
+
+
+def _more_than_level(
+    voltages: Float[Array, "S M"], used: Bool[Array, "S M"]
+) -> Float[Array, "S M"]:
+    """Takes a slot's level out; what only rounding leaves of voltages all alike becomes 0."""
+    highest = jnp.abs(jnp.where(used, voltages, 0)).max(1, keepdims=True)
+    left = centred(voltages, used)
+    rounding = 4 * jnp.finfo(voltages.dtype).eps * highest
+    return jnp.where(jnp.abs(left).max(1, keepdims=True) > rounding, left, 0)
 
 
 def _alike(
