@@ -1,6 +1,8 @@
-"""Runs the live loop for minutes: a virtual rig on a pseudo-terminal, 10 000 slots/s.
+"""Runs the live loop for minutes: a virtual rig at 10 000 slots/s.
 
     python tests/benchmarks/live.py [--seconds 600] [--rate 10000] [--out FOLDER]
+
+The rig is at a pseudo-terminal, then for a minute at a UDP port.
 
 The loop is closed; recorder and terminal view are on. Counts what was lost, and where.
 Measures memory, and the latency from the last byte of a slot to the command with the next
@@ -44,7 +46,7 @@ def memory() -> float:
     return int(words[1]) * resource.getpagesize() / 1e6
 
 
-def measured(seconds: float, rate: float, folder: Path) -> dict:
+def measured(seconds: float, rate: float, link: str, folder: Path) -> dict:
     import numpy as np
 
     import tomojax as tx
@@ -60,7 +62,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
         ring = SlotRing.create(64)
         kept = []
         with (
-            VirtualRig(folder / "scene.npz", rate=rate) as rig,
+            VirtualRig(folder / "scene.npz", rate=rate, link=link) as rig,
             open_source(rig.where) as source,
         ):
             told = attributes(
@@ -93,6 +95,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
     late, size = (np.array(a) for a in zip(*kept))
     return {
         "settings": settings,
+        "link": link,
         "seconds": seconds,
         "rate": rate,
         **counted,
@@ -100,6 +103,7 @@ def measured(seconds: float, rate: float, folder: Path) -> dict:
         "recorded": recorded,
         "recorded_gaps": gaps,
         "unaccounted": counted["slots"] + counted["lost"] - recorded - gaps,
+        "answered": 1 - counted["skipped"] / counted["slots"],
         **found,
         "memory_MB": [float(size[late > 30][0]) if seconds > 60 else None, float(size[-1])],
         "place_median_mm": 1e3 * float(np.nanmedian(off)),
@@ -139,16 +143,18 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10e3)
     parser.add_argument("--out", type=Path, default=HERE.parents[1] / "notebooks/results")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        row = measured(options.seconds, options.rate, Path(folder))
-    shown = {k: v for k, v in row.items() if k not in ("histogram_us", "memory")}
-    print(json.dumps(shown, indent=1))
+    rows = []
+    for link, seconds in (("pty", options.seconds), ("udp", min(60, options.seconds))):
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(measured(seconds, options.rate, link, Path(folder)))
+        shown = {k: v for k, v in rows[-1].items() if k not in ("histogram_us", "memory")}
+        print(json.dumps(shown, indent=1), flush=True)
     from benchmarks.physics import environment
 
     path = options.out / "live.json"
-    content = {"environment": environment(), "rows": [row]}
+    content = {"environment": environment(), "rows": rows}
     path.write_text(json.dumps(content) + "\n")
-    draw(row, path.with_suffix(".png"))
+    draw(rows[0], path.with_suffix(".png"))
 
 
 if __name__ == "__main__":
