@@ -38,6 +38,12 @@ _TURNS = 2
 _PART = 3.0
 # χ² of a channel that errors alone leave, usually.
 _USUAL = 0.4
+# Below that, what a set leaves counts by this part.
+_TIE = 0.05
+# A contact is split in two, so far from its place, units.
+_HALF = 8.0
+# A place is vague that has more than this part of the variance before any slot.
+_VAGUE = 0.3
 # Steps by which a set moves to its best places.
 _STEPS = 4
 
@@ -65,30 +71,42 @@ def all_anew(
     voltages: Float[Array, " M"],
     followed: Set,
     rival: Float[Array, "2"],
+    angle: Float[Array, ""],
 ) -> tuple[Bool[Array, ""], Set]:
     """Returns the best set, and whether it is another than `followed`.
 
-    **Arguments:** `rival`, where one more was seen, m.
+    **Arguments:** `rival`, where one more was seen, m; `angle`, along which contacts are
+    split in two, rad.
     """
     count = len(followed.there)
     chosen = _greedy(sheet, places, potentials, ground, plain, gains, voltages, count)
     each, n = jnp.arange(count), followed.there.sum()
     free = (each == jnp.argmin(followed.there)) & ~followed.there
-    more = followed._replace(
-        there=followed.there | free,
-        place=jnp.where(free[:, None], rival, followed.place),
-        size=jnp.where(free, 0, followed.size),
-    )
+
+    def one_more(at: Array, whose: Array, to: Array) -> Set:
+        return Set(
+            followed.there | free,
+            jnp.where(free[:, None], at, jnp.where(whose[:, None], to, followed.place)),
+            jnp.where(free | whose, 0, followed.size),
+            followed.left,
+        )
+
+    half = _HALF * sheet.unit * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    more = [one_more(rival, each < 0, rival)]
+    for c in range(count):
+        at = followed.place[c]
+        more.append(one_more(at + half, each == c, at - half))
     fresh = [
         Set(each <= k, places[chosen[k]], jnp.zeros_like(followed.size), followed.left)
         for k in range(count)
     ]
-    sets = jax.tree.map(lambda *a: jnp.stack(a), followed, more, *fresh)
+    sets = jax.tree.map(lambda *a: jnp.stack(a), followed, *more, *fresh)
     ended = jax.lax.map(lambda one: _settled(sheet, weights, voltages, ground, one), sets)
     # What errors alone leave is nothing that one more explains.
     least = (weights.each > 0).astype(voltages.dtype).sum() * _USUAL
     left = ended.left.at[0].min(followed.left)
-    costs = jnp.maximum(left, least) * _PART ** ended.there.sum(1).astype(left.dtype)
+    costs = jnp.maximum(left, least) + _TIE * left
+    costs = costs * _PART ** ended.there.sum(1).astype(left.dtype)
     best = jnp.argmin(costs)
     return (best > 0) & (n > 0), jax.tree.map(lambda a: a[best], ended)
 
@@ -96,7 +114,7 @@ def all_anew(
 def _settled(
     sheet: Sheet, weights: Weights, voltages: Array, ground: Array, start: Set
 ) -> Set:
-    """Moves contacts to where they explain the slot best; none may be faint."""
+    """Moves contacts to where they explain the slot best; none may be faint or vague."""
     count = len(start.there)
     unknown = first_covariance(voltages.dtype)
     covariance = jnp.broadcast_to(unknown, (count, 3, 3))
@@ -105,16 +123,20 @@ def _settled(
         place, size, *_ = state
         raw = jnp.stack([tangents(sheet, place[c], size[c]) for c in range(count)])
         columns = jnp.where(start.there[:, None, None], in_slot(sheet, raw, ground), 0)
-        moved, _, _, current = update(columns, covariance, weights, voltages)
+        moved, spread, _, current = update(columns, covariance, weights, voltages)
         shift = (moved[..., None] * columns[:, 1:]).sum(1)
         rest = voltages - matmul(current, columns[:, 0] + shift)
         left = matmul(rest, weighed(weights, rest[None])[0])
-        return *fitted(sheet, place, size, moved), left, current
+        return *fitted(sheet, place, size, moved), left, current, spread
 
     zero = jnp.zeros_like(start.size)
-    state = start.place, start.size, jnp.zeros_like(start.left), zero
-    place, size, left, current = jax.lax.fori_loop(0, _STEPS, step, state)
+    state = start.place, start.size, jnp.zeros_like(start.left), zero, covariance
+    ended = jax.lax.fori_loop(0, _STEPS, step, state)
+    place, size, left, current, spread = ended
+    # The slot tells hardly more of such a place than was known: as good as one too many.
+    vague = (spread[:, 0, 0] + spread[:, 1, 1]) > _VAGUE * jnp.trace(unknown[:2, :2])
     faint = start.there & (current < WEAKEST * current.max())
+    left = jnp.where((start.there & vague).any(), _PART, 1) * left
     return Set(start.there, place, size, jnp.where(faint.any(), jnp.inf, left))
 
 

@@ -161,7 +161,8 @@ def search(
         """Looks for all contacts again; the new are where they explain the slot best."""
         followed = Set(known.there, known.place, known.size, known.left * channels)
         about = sheet, candidates.place, candidates.potential, ground, weights, plain
-        better, best = all_anew(*about, gains, voltages, followed, found.rival)
+        angle = known.doubted.astype(voltages.dtype)  # each time another, rad
+        better, best = all_anew(*about, gains, voltages, followed, found.rival, angle)
         each = range(len(known.size))
         raw = jnp.stack([tangents(sheet, best.place[c], best.size[c]) for c in each])
         new, none = best.there, jnp.zeros_like(found.seen)
