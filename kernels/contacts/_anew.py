@@ -104,7 +104,9 @@ def all_anew(
     ended = jax.lax.map(lambda one: _settled(sheet, weights, voltages, ground, one), sets)
     # What errors alone leave is nothing that one more explains.
     least = (weights.each > 0).astype(voltages.dtype).sum() * _USUAL
-    left = ended.left.at[0].min(followed.left)
+    left = jnp.minimum(
+        ended.left, jnp.where(jnp.arange(len(ended.left)) == 0, followed.left, jnp.inf)
+    )
     costs = jnp.maximum(left, least) + _TIE * left
     costs = costs * _PART ** ended.there.sum(1).astype(left.dtype)
     best = jnp.argmin(costs)
