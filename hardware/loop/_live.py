@@ -76,7 +76,7 @@ def run(
         if got is None:
             continue
         missed += got.lost
-        if step is None or source.waiting:
+        if step is None or (source.waiting and now - got.arrived > hurry):
             ring.put(got, codes, _NOTHING)
             if step is not None:
                 skipped += 1

@@ -63,7 +63,7 @@ Gains = Callable[[Array, Array, Array], tuple[Array, Array]]
 def all_anew(
     sheet: Sheet,
     places: Float[Array, "K 2"],
-    potentials: Float[Array, "K M"],
+    potentials: Float[Array, "M K"],
     ground: Int[Array, ""],
     weights: Weights,
     plain: Weights,
@@ -173,7 +173,7 @@ def _greedy(
         away = places[:, None] - places[chosen]
         near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
         k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
-        column = slots.relative(potentials[k], ground) + offset
+        column = slots.relative(potentials[:, k], ground) + offset
         columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
         return columns, chosen, sets.at[n].set(chosen)
 

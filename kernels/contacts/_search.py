@@ -49,8 +49,8 @@ class Candidates(NamedTuple):
     """Usual contacts at K places: electrodes' potentials, with squares and tangents."""
 
     place: Float[Array, "K 2"]  # m
-    potential: Float[Array, "K M"]  # Ω
-    square: Float[Array, "K M"]
+    potential: Float[Array, "M K"]  # Ω
+    square: Float[Array, "M K"]
     tangent: Float[Array, "K 4 M"]  # see `tangents`
 
 
@@ -237,24 +237,24 @@ def _gains(
     vectors = jnp.concatenate([weighed_both, beside, plain.common])
     if isinstance(slots, Grounds):
         vectors = jnp.concatenate([vectors, jnp.stack([w, w * offset])])
-        products = product(candidates.potential, vectors.T)  # (K, C + 5)
-        at_ground = jnp.take(candidates.potential, ground, 1)
+        products = product(vectors, candidates.potential)  # (C + 5, K)
+        at_ground = jnp.take(candidates.potential, ground, 0)
         constant = matmul(vectors, offset)
-        along = products - at_ground[:, None] * vectors.sum(1) + constant
+        along = products - at_ground * vectors.sum(1)[:, None] + constant[:, None]
         # Σw(R + f − R_l)², less what the offset takes off.
-        total, cross = products[:, -2], products[:, -1]
-        own = matmul(candidates.square, w) + 2 * (cross - at_ground * total)
+        total, cross = products[-2], products[-1]
+        own = matmul(w, candidates.square) + 2 * (cross - at_ground * total)
         own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
     else:
-        columns = slots.relative(candidates.potential, ground) + offset
-        along, own = product(columns, vectors.T), matmul(columns**2, w)
+        columns = (slots.relative(candidates.potential.T, ground) + offset).T
+        along, own = product(vectors, columns), matmul(w, columns**2)
     count = len(beside)
-    by_rest, by_all = along[:, 0], along[:, 1]
-    shares, common = along[:, 2 : 2 + count], along[:, 2 + count]
+    by_rest, by_all = along[0], along[1]
+    shares, common = along[2 : 2 + count], along[2 + count]
     own = own - scale * common**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
     inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))
-    left = own - (product(shares, inverse) * shares).sum(1)
+    left = own - (product(inverse, shares) * shares).sum(0)
     near = left < 1e-3 * own
     gains = jnp.maximum(by_rest, 0) ** 2 / jnp.where(near, 1, left)
     return jnp.where(near, 0, gains), jnp.maximum(by_all, 0) ** 2 / own

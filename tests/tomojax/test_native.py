@@ -97,6 +97,13 @@ CASES = {
                                   jnp.einsum("bij,bj->bi", jnp.stack([a, a]),
                                              jnp.stack([c, c + 1]))),
                  floats(7, 9), floats(9, 8), floats(9)),
+    # Joined where one matrix has several vectors, in blocks of columns and beyond.
+    "joined products": (lambda a, b: (*(x @ b for x in a), a[0] @ b[:, :16],
+                                      (a[1] @ b) @ b.T, (a[2] * (a[0] @ b).sum()) @ b),
+                        floats(9, 7), floats(7, 37)),
+    "largest": (lambda a, b: (a.max(), jnp.argmax(a), (a + b).max(), jnp.argmax(a + b),
+                              jnp.argmax(-b), (b > 9).any()),
+                floats(50), np.where(np.arange(50) == 31, np.nan, np.inf)),
     "sorted": (lambda a: (jnp.sort(a), jnp.argsort(a)), ODD),
     "solved": (lambda a, b: (jnp.linalg.solve(a, b), jnp.linalg.solve(a, b[:, None])),
                floats(6, 6), floats(6)),

@@ -112,8 +112,9 @@ def test_it_answers_as_jax_does_from_the_same_state(pair, levels):
                 ground = int(theirs.ground)
                 continue
             n, found = int(theirs.contacts.count), found + int(theirs.contacts.count)
-            gap = np.asarray(mine.contacts.xy - np.asarray(theirs.contacts.xy))[:n]
-            apart += np.hypot(*gap.T).tolist()
+            # Contacts that are equally strong have no order.
+            xy, other = (np.asarray(o.contacts.xy)[:n] for o in (mine, theirs))
+            apart += np.linalg.norm(xy[:, None] - other, axis=2).min(1, initial=1).tolist()
             assert all(a.dtype == np.asarray(b).dtype for a, b in zip(after, state))
             ground = int(theirs.ground)
     assert found > 200 and otherwise <= 2

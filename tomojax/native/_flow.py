@@ -6,6 +6,7 @@ from tomojax.native._places import c_type, Lazy, row_major, View
 from tomojax.native._program import Body, Op, Value
 from tomojax.native._sums import SUMS
 from tomojax.native._tables import Tables
+from tomojax.native._together import join_products
 from tomojax.native._writer import ELEMENTWISE, Writer
 
 
@@ -126,6 +127,7 @@ def function(name: str, body: Body, tables: Tables) -> str:
     }
     }
     """
+    join_products(body)
     w = Writer(tables)
     w.count(body)
     arguments = ["const char *T"]

@@ -2,12 +2,15 @@
 
 import numpy as np
 
-from tomojax.native._places import c_type, Index, literal, View
+from tomojax.native._places import c_type, Index, linear, literal, View
 from tomojax.native._program import Op, Value
 from tomojax.native._writer import Writer
 
 # Fewer elements than this are not worth a loop of their own for each lane.
 _LANES = 4
+
+# The largest of so many is found by lanes of them.
+_LONG = 32
 
 _OF_REDUCTION = {
     "reduce_sum": ("+", 0),
@@ -35,6 +38,11 @@ def reduction(w: Writer, op: Op) -> None:
             return f"tj_{sign}_{c_type(dtype)}({a}, {b})"
         return f"{a} {sign} {b}"
 
+    if sign == "max" and not kept and dtype.kind == "f" and of.size >= _LONG:
+        view = w.contiguous(of)
+        call = f"tj_largest_{c_type(dtype)}({of.size}, &{view.buffer}[{view.offset}])"
+        w.set(out, lambda _: call)
+        return
     long = [of.shape[a] for a in sorted(axes)]
     lanes = bool(kept) and kept[-1] == len(of.shape) - 1 and of.shape[-1] >= _LANES
     target = w.target(out)
@@ -76,8 +84,13 @@ def argument(w: Writer, op: Op) -> None:
     (axis,) = (int(a) for a in op.params["axes"])
     kept = [a for a in range(len(of.shape)) if a != axis]
     sign = ">" if op.name == "argmax" else "<"
-    place, target = w.place(of), w.target(out)
     kind = c_type(of.dtype)
+    if op.name == "argmax" and not kept and of.dtype.kind == "f" and of.size >= _LONG:
+        view = w.contiguous(of)
+        call = f"tj_largest_at_{kind}({of.size}, &{view.buffer}[{view.offset}])"
+        w.set(out, lambda _: call)
+        return
+    place, target = w.place(of), w.target(out)
     with w.loops(out.shape) as index:
         best, which = w.name("s"), w.name("s")
         first = place.at(_merged(of, kept, {axis}, index, [0]))
@@ -140,6 +153,22 @@ def dot_general(w: Writer, op: Op) -> None:
                 w.line(f"{sum_} += {product(b, i, j, k)};")
             w.line(f"{target.at(index)} = {sum_};")
     w.places[id(out)] = target
+
+
+def dots(w: Writer, op: Op) -> None:
+    """Writes products of vectors with one matrix."""
+    matrix, *vectors = op.inputs
+    view, count, (n, wide) = w.contiguous(matrix), len(vectors), matrix.shape
+    rows = w.buffer(matrix.dtype, n * count)
+    places = [w.place(v) for v in vectors]
+    with w.loops([n]) as k:
+        for v, place in enumerate(places):
+            w.line(f"{rows}[{linear(str(v), k, [count])}] = {place.at(k)};")
+    out = w.buffer(matrix.dtype, count * wide)
+    call = f"tj_dots{count}_{c_type(matrix.dtype)}"
+    w.line(f"{call}({n}, {wide}, &{view.buffer}[{view.offset}], {rows}, {out});")
+    for v, value in enumerate(op.outputs):
+        w.places[id(value)] = View(out, v * wide, (1,), (wide,))
 
 
 def sort(w: Writer, op: Op) -> None:
@@ -235,6 +264,7 @@ SUMS = {
     "argmax": argument,
     "argmin": argument,
     "dot_general": dot_general,
+    "dots": dots,
     "sort": sort,
     "lu": lu,
     "triangular_solve": triangular_solve,

@@ -7,9 +7,11 @@
 #if defined(__GNUC__)
 #define TJ_ALIGNED __attribute__((aligned(64)))
 #define TJ_UNUSED __attribute__((unused))
+#define TJ_APART static __attribute__((noinline, unused))
 #else
 #define TJ_ALIGNED
 #define TJ_UNUSED
+#define TJ_APART static
 #endif
 #define TJ static inline TJ_UNUSED
 
@@ -20,6 +22,22 @@ TJ int32_t tj_within(int32_t at, int32_t most) { return at < 0 ? 0 : at > most ?
 #define TJ_FLOATS(T, I, fmod_)                                                              \
   TJ T tj_max_##T(T a, T b) { return a > b || a != a ? a : b; }                             \
   TJ T tj_min_##T(T a, T b) { return a < b || a != a ? a : b; }                             \
+  TJ T tj_largest_##T(int n, const T *a) {                                                  \
+    T most = -INFINITY;                                                                     \
+    int none = 0;                                                                           \
+    _Pragma("omp simd reduction(max:most) reduction(|:none)")                               \
+    for (int i = 0; i < n; i++) {                                                           \
+      most = a[i] > most ? a[i] : most;                                                     \
+      none |= a[i] != a[i];                                                                 \
+    }                                                                                       \
+    return none ? NAN : most;                                                               \
+  }                                                                                         \
+  TJ int32_t tj_largest_at_##T(int n, const T *a) {                                         \
+    const T most = tj_largest_##T(n, a);                                                    \
+    for (int i = 0; i < n; i++)                                                             \
+      if (most != most ? a[i] != a[i] : a[i] == most) return i;                             \
+    return 0;                                                                               \
+  }                                                                                         \
   TJ T tj_square_##T(T a) { return a * a; }                                                 \
   TJ T tj_sign_##T(T a) { return a != a ? a : (T)((a > 0) - (a < 0)); }                     \
   TJ T tj_whole_power_##T(T a, int n) {                                                     \
@@ -116,3 +134,37 @@ TJ_BITS(double, int64_t)
 TJ_BITS(int64_t, double)
 TJ_BITS(float, uint32_t)
 TJ_BITS(uint32_t, float)
+
+/* Products of N rows, row[k * N + v], with one matrix, 16 of its columns after the other:
+ * the sums stay in registers. A function of its own, which compilers see through best. */
+#define TJ_DOTS(T, N)                                                                       \
+  TJ_APART void tj_dots##N##_##T(int n, int wide, const T *restrict matrix,                 \
+                                 const T *restrict row, T *restrict out) {                  \
+    int i = 0;                                                                              \
+    for (; i + 16 <= wide; i += 16) {                                                       \
+      T s[N][16] = {{0}};                                                                   \
+      for (int k = 0; k < n; k++)                                                           \
+        for (int v = 0; v < N; v++) {                                                       \
+          _Pragma("omp simd")                                                               \
+          for (int l = 0; l < 16; l++) s[v][l] += row[k * N + v] * matrix[k * wide + i + l];\
+        }                                                                                   \
+      for (int v = 0; v < N; v++)                                                           \
+        for (int l = 0; l < 16; l++) out[v * wide + i + l] = s[v][l];                       \
+    }                                                                                       \
+    for (; i < wide; i++)                                                                   \
+      for (int v = 0; v < N; v++) {                                                         \
+        T s = 0;                                                                            \
+        for (int k = 0; k < n; k++) s += row[k * N + v] * matrix[k * wide + i];             \
+        out[v * wide + i] = s;                                                              \
+      }                                                                                     \
+  }
+#define TJ_EACH_DOTS(T)                                                                     \
+  TJ_DOTS(T, 1)                                                                             \
+  TJ_DOTS(T, 2)                                                                             \
+  TJ_DOTS(T, 3)                                                                             \
+  TJ_DOTS(T, 4)                                                                             \
+  TJ_DOTS(T, 5)                                                                             \
+  TJ_DOTS(T, 6)                                                                             \
+  TJ_DOTS(T, 7)
+TJ_EACH_DOTS(float)
+TJ_EACH_DOTS(double)

@@ -166,7 +166,7 @@ def _candidates(sheet: model.Sheet, places: Float[Array, "K 2"]) -> model.Candid
     none = jnp.zeros((), places.dtype)
     tangent = jax.vmap(model.tangents, (None, 0, None))(sheet, places, none)
     potential = tangent[:, 0]
-    return model.Candidates(places, potential, potential**2, tangent)
+    return model.Candidates(places, potential.T, potential.T**2, tangent)
 
 
 class EachSlot(AbstractStepMethod):
