@@ -98,6 +98,8 @@ def follow(
     faint = forward < WEAKEST * strongest
     hardly = faint | seen.dark
     weak = jnp.where(there & hardly, known.weak + 1, 0)
+    # One of several has to show itself in the next slot, too: a fault shows in one ground.
+    weak = jnp.where(new & (there.sum() > 1), OFTEN - 1, weak)
     now = known._replace(
         # What begins that faint is what errors make of the others.
         there=there & (weak < OFTEN) & ~(new & faint),
