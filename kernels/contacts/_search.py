@@ -30,13 +30,15 @@ _SEEN = 40.0
 # The part that one more contact must explain of what the others leave.
 _SHARE = 0.5
 
-# A further contact is looked for once it was seen about one place in so many slots.
+# A contact is gone that so many slots in a row hardly show.
 OFTEN = 3
 
 # Contacts are in doubt while they leave so much χ² of a channel, of late.
 _UNUSUAL = 0.8
 # After 1, 2, 4, 8, … doubted slots all are looked for again, then in one of so many.
 _DOUBTED = 64
+# So many slots without a doubt make up for one with.
+_DECAY = 16
 
 # One contact alone takes the others' place where it leaves less than this part of what
 # the others leave,
@@ -68,7 +70,7 @@ class Followed(NamedTuple):
     rival: Float[Array, "2"]  # where one more was seen last, m
     seen: Int[Array, ""]  # slots in a row that showed it there
     left: Float[Array, ""]  # χ² of each channel that contacts leave, of late
-    doubted: Int[Array, ""]  # slots in a row that contacts are wrong in
+    doubted: Int[Array, ""]  # slots that contacts are wrong in, see `_DECAY`
 
 
 def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
@@ -127,6 +129,7 @@ def search(
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
     channels = (weights.each > 0).astype(left.dtype).sum()
     none = jnp.zeros_like(known.seen)
+    calm = jnp.where(known.there.any(), jnp.maximum(known.doubted - 1, 0), 0)
     nothing = Search(
         new=jnp.zeros_like(known.there),
         there=known.there,
@@ -136,7 +139,7 @@ def search(
         rival=known.rival,
         seen=none,
         dark=jnp.zeros((), bool),
-        doubted=none,
+        doubted=calm,
     )
 
     def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
@@ -147,21 +150,20 @@ def search(
         both = gains(weighed_both, beside, normal)
         found = _chosen(sheet, candidates, known, *both, left, alone)
         # Contacts that came at once are not found one by one.
-        wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL)
-        doubted = jnp.where(wrong & known.there.any(), known.doubted + 1, 0)
-        power = (doubted & (doubted - 1)) == 0
-        again = (doubted > 0) & (power | (doubted % _DOUBTED == 0))
-        return jax.lax.cond(
-            again | (found.seen >= OFTEN),
-            lambda: look_again(found),
-            lambda: found,
-        )._replace(doubted=doubted)
+        wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
+        doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
+        times = doubted // _DECAY
+        due = ((times & (times - 1)) == 0) | (times % _DOUBTED == 0)
+        again = wrong & (times > known.doubted // _DECAY) & due
+        return jax.lax.cond(again, lambda: look_again(found), lambda: found)._replace(
+            doubted=doubted
+        )
 
     def look_again(found: Search) -> Search:
         """Looks for all contacts again; the new are where they explain the slot best."""
         followed = Set(known.there, known.place, known.size, known.left * channels)
         about = sheet, candidates.place, candidates.potential, ground, weights, plain
-        angle = known.doubted.astype(voltages.dtype)  # each time another, rad
+        angle = (known.doubted // _DECAY).astype(voltages.dtype)  # each time another, rad
         better, best = all_anew(*about, gains, voltages, followed, found.rival, angle)
         each = range(len(known.size))
         raw = jnp.stack([tangents(sheet, best.place[c], best.size[c]) for c in each])
@@ -189,7 +191,7 @@ def _chosen(
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
     elsewhere = alone - gains_alone[k_alone]
-    # One more, in several slots: then all are looked for again.
+    # One more: then all are looked for again.
     more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
     more = more & known.there.any()
     # Everything is elsewhere, unless one more leaves clearly less.

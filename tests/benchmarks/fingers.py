@@ -49,8 +49,9 @@ def places(count: int, apart: float, size: np.ndarray, rng) -> np.ndarray:
 
 
 def scenes(sensor: Any, count: int, grounds: np.ndarray, options) -> list[Scene]:
-    from bench.rigs import make_rig, network_of
     from rig import Rig
+
+    from bench.rigs import make_rig, network_of
 
     found, size = [], np.asarray(sensor.size, float)
     for k in range(options.rigs):
