@@ -41,7 +41,7 @@ _USUAL = 0.4
 # Below that, what a set leaves counts by this part.
 _TIE = 0.05
 # A contact is split in two, so far from its place, units.
-_HALF = 8.0
+WAYS = ((8.0, 0.0), (0.0, 8.0), (6.0, 6.0), (6.0, -6.0))
 # A place is vague that has more than this part of the variance before any slot.
 _VAGUE = 0.3
 # Steps by which a set moves to its best places.
@@ -71,12 +71,12 @@ def all_anew(
     voltages: Float[Array, " M"],
     followed: Set,
     rival: Float[Array, "2"],
-    angle: Float[Array, ""],
+    way: Int[Array, ""],
 ) -> tuple[Bool[Array, ""], Set]:
     """Returns the best set, and whether it is another than `followed`.
 
-    **Arguments:** `rival`, where one more was seen, m; `angle`, along which contacts are
-    split in two, rad.
+    **Arguments:** `rival`, where one more was seen, m; `way`, of `WAYS`, contacts are
+    split in two.
     """
     count = len(followed.there)
     chosen = _greedy(sheet, places, potentials, ground, plain, gains, voltages, count)
@@ -91,7 +91,7 @@ def all_anew(
             followed.left,
         )
 
-    half = _HALF * sheet.unit * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+    half = sheet.unit * jnp.asarray(WAYS, voltages.dtype)[way]
     more = [one_more(rival, each < 0, rival)]
     for c in range(count):
         at = followed.place[c]

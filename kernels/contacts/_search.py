@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul, tree_where
-from tomojax.kernels.contacts._anew import all_anew, NEAR, Set
+from tomojax.kernels.contacts._anew import all_anew, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
     first_covariance,
     inverse_of,
@@ -163,8 +163,8 @@ def search(
         """Looks for all contacts again; the new are where they explain the slot best."""
         followed = Set(known.there, known.place, known.size, known.left * channels)
         about = sheet, candidates.place, candidates.potential, ground, weights, plain
-        angle = (known.doubted // _DECAY).astype(voltages.dtype)  # each time another, rad
-        better, best = all_anew(*about, gains, voltages, followed, found.rival, angle)
+        way = known.doubted // _DECAY % len(WAYS)  # each time another
+        better, best = all_anew(*about, gains, voltages, followed, found.rival, way)
         each = range(len(known.size))
         raw = jnp.stack([tangents(sheet, best.place[c], best.size[c]) for c in each])
         new, none = best.there, jnp.zeros_like(found.seen)
