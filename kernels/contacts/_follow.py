@@ -100,6 +100,8 @@ def follow(
     weak = jnp.where(there & hardly, known.weak + 1, 0)
     # One of several has to show itself in the next slot, too: a fault shows in one ground.
     weak = jnp.where(new & (there.sum() > 1), OFTEN - 1, weak)
+    # What has shown itself in the next slot ends the doubt.
+    shown = (known.there & there & (known.weak == OFTEN - 1) & (weak == 0)).any()
     now = known._replace(
         # What begins that faint is what errors make of the others.
         there=there & (weak < OFTEN) & ~(new & faint),
@@ -112,7 +114,7 @@ def follow(
         rival=seen.rival,
         seen=seen.seen,
         left=_left(known, new, weights, rest),
-        doubted=seen.doubted,
+        doubted=jnp.where(shown, 0, seen.doubted),
     )
     level = sheet.slots.level(raw[:, 0], ground)
     sunk = sheet.slots.sunk(raw[:, 0], ground, voltages)
