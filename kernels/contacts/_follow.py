@@ -100,8 +100,9 @@ def follow(
     weak = jnp.where(there & hardly, known.weak + 1, 0)
     # One of several has to show itself in the next slot, too: a fault shows in one ground.
     weak = jnp.where(new & (there.sum() > 1), OFTEN - 1, weak)
-    # What has shown itself in the next slot ends the doubt.
-    shown = (known.there & there & (known.weak == OFTEN - 1) & (weak == 0)).any()
+    # Where all that was new has shown itself in the next slot, the doubt ends.
+    fresh = known.there & (known.weak == OFTEN - 1)
+    shown = fresh.any() & (~fresh | (there & (weak == 0))).all()
     now = known._replace(
         # What begins that faint is what errors make of the others.
         there=there & (weak < OFTEN) & ~(new & faint),
