@@ -8,20 +8,19 @@ whatever its size.
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts._field import home_of
+from tomojax.kernels.contacts._anew import WEAKEST
 from tomojax.kernels.contacts._one_slot import (
+    first_covariance,
+    fitted,
     in_slot,
     Noise,
-    product,
     radius_of,
-    regular,
     slot_weights,
-    solve_small,
     tangents,
+    update,
     weighed,
     Weights,
 )
@@ -31,12 +30,9 @@ from tomojax.kernels.contacts._points import (
     not_beyond,
     polarisability,
     Sheet,
-    SIZE_WIDTH,
 )
 from tomojax.kernels.contacts._search import (
     Candidates,
-    FIRST,
-    first_covariance,
     Followed,
     OFTEN,
     search,
@@ -48,19 +44,8 @@ _DRIFT = (0.05, 0.05, 0.02)
 # The time in which they move so much, s.
 _DRIFT_TIME = 1e-4
 
-# χ² of a slot's own place beside what was known, of three values: beyond, it is news.
-_NEWS = 40.0
-
 # Slots over which what is left is averaged.
 _LATELY = 8
-
-# A contact's current is at least this part of the strongest's.
-_WEAKEST = 0.05
-
-# Sizes are no further than this from usual,
-_LARGEST = 3.0
-# and so much below the largest size of the table.
-_BELOW = 1e-3
 
 
 def follow(
@@ -92,20 +77,16 @@ def follow(
     towards = jnp.sign(sheet.drive_voltage) * voltages
     seen = search(sheet, candidates, known, own[:, 0], weights, towards, ground)
     new, there = seen.new, seen.there
-    raw = jnp.where(new[:, None, None], candidates.tangent[seen.chosen], raw)
+    raw = jnp.where(new[:, None, None], seen.raw, raw)
     columns = jnp.where(new[:, None, None], in_slot(sheet, raw, ground), own)
     columns = jnp.where(there[:, None, None], columns, 0)
-    place = jnp.where(new[:, None], candidates.place[seen.chosen], known.place)
-    size = jnp.where(new, 0, known.size)
+    place = jnp.where(new[:, None], seen.place, known.place)
+    size = jnp.where(new, seen.size, known.size)
     drift = elapsed / _DRIFT_TIME * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
     unknown = first_covariance(dtype)
     covariance = jnp.where(new[:, None, None], unknown, known.covariance + drift)
-    moved, covariance, alone, current = _update(columns, covariance, weights, voltages)
-    place = place + moved[:, :2] * sheet.unit
-    # Off the very edge, where a contact's own potential is infinite.
-    edge = 0.1 * sheet.unit
-    place = jnp.clip(place, edge, sheet.field.size - edge)
-    place = jax.vmap(home_of, (None, 0))(sheet.field, place)
+    moved, covariance, alone, current = update(columns, covariance, weights, voltages)
+    place, size = fitted(sheet, place, size, moved)
     # What the move makes of the fit, to first order.
     shift = (moved[..., None] * columns[:, 1:]).sum(1)
     rest = voltages - matmul(current, columns[:, 0] + shift)
@@ -114,14 +95,19 @@ def follow(
     rest = rest - offset
     forward = current * jnp.sign(sheet.drive_voltage)
     strongest = jnp.where(there, forward, 0).max()
-    faint = forward < _WEAKEST * strongest
+    faint = forward < WEAKEST * strongest
     hardly = faint | seen.dark
     weak = jnp.where(there & hardly, known.weak + 1, 0)
+    # One of several has to show itself in the next slot, too: a fault shows in one ground.
+    weak = jnp.where(new & (there.sum() > 1), OFTEN - 1, weak)
+    # Where all that was new has shown itself in the next slot, the doubt ends.
+    fresh = known.there & (known.weak == OFTEN - 1)
+    shown = fresh.any() & (~fresh | (there & (weak == 0))).all()
     now = known._replace(
         # What begins that faint is what errors make of the others.
         there=there & (weak < OFTEN) & ~(new & faint),
         place=place,
-        size=jnp.clip(size + moved[:, 2], -_LARGEST, _largest(sheet)),
+        size=size,
         covariance=covariance,
         alone=alone,
         current=current,
@@ -129,21 +115,12 @@ def follow(
         rival=seen.rival,
         seen=seen.seen,
         left=_left(known, new, weights, rest),
-        doubted=seen.doubted,
+        doubted=jnp.where(shown, 0, seen.doubted),
     )
     level = sheet.slots.level(raw[:, 0], ground)
     sunk = sheet.slots.sunk(raw[:, 0], ground, voltages)
     conductance = _conductance(sheet, now, level, sunk, ground, offset)
     return now._replace(conductance=conductance), jnp.where(used, rest, 0)
-
-
-def _largest(sheet: Sheet) -> Float[Array, ""]:
-    """The largest size: below the largest disc of the table, where slopes by size end.
-
-    At or beyond that a contact that grew in wrong slots would never shrink again.
-    """
-    table = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
-    return jnp.minimum(_LARGEST, table - _BELOW)
 
 
 def _left(
@@ -157,58 +134,6 @@ def _left(
     now = matmul(rest, weighed(weights, rest[None])[0]) / channels
     share = jnp.where(new.any() | (known.left == 0), 1, 1 / _LATELY)
     return known.left + share * (now - known.left)
-
-
-def _update(
-    columns: Float[Array, "C 4 M"],
-    covariance: Float[Array, "C 3 3"],
-    weights: Weights,
-    voltages: Float[Array, " M"],
-) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
-    """Returns moves (C, 3), the covariance then and by this slot alone, and currents."""
-    count = len(columns)
-    base = columns[:, 0]
-    tangent = columns[:, 1:].reshape(3 * count, -1)
-    all_columns = jnp.concatenate([base, tangent, voltages[None]])
-    gram = product(all_columns, weighed(weights, all_columns).T)
-    c, last = count, 4 * count
-    inner = regular(gram[:c, :c])
-    both = solve_small(inner, jnp.concatenate([gram[:c, c:last], gram[:c, last:]], 1))
-    current = both[:, -1]
-    share, own = both[:, :-1], jnp.repeat(current, 3)
-    normal = gram[c:last, c:last] - product(gram[c:last, :c], share)
-    normal = own[:, None] * normal * own
-    right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
-    unit = jnp.eye(3, dtype=base.dtype)
-    blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-    # News: what this slot says alone is not what was known. Then only what was known before
-    # any slot counts.
-    before = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
-    innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
-    gain = right.reshape(count, 3)
-    matrices = [innovation.transpose(0, 2, 1), covariance, blocks + before]
-    all_three = jnp.concatenate(matrices)
-    inverses = solve_small(all_three, jnp.broadcast_to(unit, all_three.shape))
-    of_innovation, of_covariance, alone = jnp.split(inverses, 3)
-    tested = (of_innovation * gain[:, None]).sum(-1)
-    unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
-    news = (unlikely > _NEWS)[:, None, None]
-    inverse = jnp.where(news, before, of_covariance)
-    same = np.eye(count, dtype=base.dtype)[:, None, :, None]
-    weight = same * inverse[:, :, None]
-    found = solve_small(
-        normal + weight.reshape(3 * c, 3 * c),
-        jnp.concatenate([right[:, None], jnp.eye(3 * c, dtype=base.dtype)], 1),
-    )
-    moved, spread = found[:, 0].reshape(count, 3), found[:, 1:]
-    spread = spread.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
-    longest = jnp.asarray([*FIRST[:2], 1.0], base.dtype)
-    return (
-        jnp.clip(moved, -longest, longest),
-        (spread + spread.transpose(0, 2, 1)) / 2,
-        alone,
-        current - matmul(share, own * found[:, 0]),
-    )
 
 
 def _lean(sheet: Sheet, known: Followed, raw, ground, volts) -> Float[Array, "C 2"]:

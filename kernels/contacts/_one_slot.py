@@ -15,11 +15,24 @@ from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts._field import (
     cubic,
     Field,
+    home_of,
     lagrange,
     nearby_of,
     radii_about,
 )
 from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
+
+# What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
+# a size: 1 σ.
+FIRST = (6.0, 6.0, 1.0)
+
+# χ² of a slot's own place beside what was known, of three values: beyond, it is news.
+_NEWS = 40.0
+
+# Sizes are no further than this from usual,
+_LARGEST = 3.0
+# and so much below the largest size of the table.
+_BELOW = 1e-3
 
 
 class Noise(NamedTuple):
@@ -96,6 +109,86 @@ def in_slot(
     """Computes volts per ampere under one ground, and how a move changes the volts."""
     relative = sheet.slots.relative(raw, ground)
     return relative.at[:, 0].add(sheet.slots.offset(ground))
+
+
+def first_covariance(dtype) -> Float[Array, "3 3"]:
+    return jnp.diag(jnp.asarray(FIRST, dtype) ** 2)
+
+
+def update(
+    columns: Float[Array, "C 4 M"],
+    covariance: Float[Array, "C 3 3"],
+    weights: Weights,
+    voltages: Float[Array, " M"],
+) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
+    """Returns moves (C, 3), the covariance then and by this slot alone, and currents."""
+    count = len(columns)
+    base = columns[:, 0]
+    tangent = columns[:, 1:].reshape(3 * count, -1)
+    all_columns = jnp.concatenate([base, tangent, voltages[None]])
+    gram = product(all_columns, weighed(weights, all_columns).T)
+    c, last = count, 4 * count
+    inner = regular(gram[:c, :c])
+    both = solve_small(inner, jnp.concatenate([gram[:c, c:last], gram[:c, last:]], 1))
+    current = both[:, -1]
+    share, own = both[:, :-1], jnp.repeat(current, 3)
+    normal = gram[c:last, c:last] - product(gram[c:last, :c], share)
+    normal = own[:, None] * normal * own
+    right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
+    unit = jnp.eye(3, dtype=base.dtype)
+    blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    # News: what this slot says alone is not what was known. Then only what was known before
+    # any slot counts.
+    before = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
+    innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
+    gain = right.reshape(count, 3)
+    matrices = [innovation.transpose(0, 2, 1), covariance, blocks + before]
+    all_three = jnp.concatenate(matrices)
+    inverses = solve_small(all_three, jnp.broadcast_to(unit, all_three.shape))
+    of_innovation, of_covariance, alone = jnp.split(inverses, 3)
+    tested = (of_innovation * gain[:, None]).sum(-1)
+    unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
+    news = (unlikely > _NEWS)[:, None, None]
+    inverse = jnp.where(news, before, of_covariance)
+    same = np.eye(count, dtype=base.dtype)[:, None, :, None]
+    weight = same * inverse[:, :, None]
+    found = solve_small(
+        normal + weight.reshape(3 * c, 3 * c),
+        jnp.concatenate([right[:, None], jnp.eye(3 * c, dtype=base.dtype)], 1),
+    )
+    moved, spread = found[:, 0].reshape(count, 3), found[:, 1:]
+    spread = spread.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    longest = jnp.asarray([*FIRST[:2], 1.0], base.dtype)
+    return (
+        jnp.clip(moved, -longest, longest),
+        (spread + spread.transpose(0, 2, 1)) / 2,
+        alone,
+        current - matmul(share, own * found[:, 0]),
+    )
+
+
+def fitted(
+    sheet: Sheet,
+    place: Float[Array, "C 2"],
+    size: Float[Array, " C"],
+    moved: Float[Array, "C 3"],
+) -> tuple[Float[Array, "C 2"], Float[Array, " C"]]:
+    """Returns places and sizes after a move, on the sheet and in the table."""
+    # Off the very edge, where a contact's own potential is infinite.
+    edge = 0.1 * sheet.unit
+    place = place + moved[:, :2] * sheet.unit
+    place = jnp.clip(place, edge, sheet.field.size - edge)
+    place = jax.vmap(home_of, (None, 0))(sheet.field, place)
+    return place, jnp.clip(size + moved[:, 2], -_LARGEST, _largest(sheet))
+
+
+def _largest(sheet: Sheet) -> Float[Array, ""]:
+    """The largest size: below the largest disc of the table, where slopes by size end.
+
+    At or beyond that a contact that grew in wrong slots would never shrink again.
+    """
+    table = jnp.log(sheet.field.radii[-1] / sheet.size) / SIZE_WIDTH
+    return jnp.minimum(_LARGEST, table - _BELOW)
 
 
 def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m"]:

@@ -3,7 +3,6 @@
 Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,21 +10,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul, tree_where
+from tomojax.kernels.contacts._anew import all_anew, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
-    in_slot,
+    first_covariance,
     inverse_of,
     product,
     regular,
     solve_small,
+    tangents,
     weighed,
     Weights,
 )
 from tomojax.kernels.contacts._points import Sheet
 from tomojax.kernels.sheet import Grounds, Slots
-
-# What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
-# a size: 1 σ.
-FIRST = (6.0, 6.0, 1.0)
 
 # χ² that a contact must explain at least.
 _SEEN = 40.0
@@ -33,17 +30,15 @@ _SEEN = 40.0
 # The part that one more contact must explain of what the others leave.
 _SHARE = 0.5
 
-# A further contact is new once it was seen no farther than this from place to place (units)
-_NEAR = 12.0
-# in so many slots.
+# A contact is gone that so many slots in a row hardly show.
 OFTEN = 3
 
-# Wrong contacts are dropped, and all are looked for again, in one slot of so many.
-_DOUBTED = 4
-# Each is looked for so many times beside the others.
-_TURNS = 2
-# One more contact must leave less than one part in so many of what the others leave.
-_QUARTER = 4.0
+# Contacts are in doubt while they leave so much χ² of a channel, of late.
+_UNUSUAL = 0.8
+# After 1, 2, 4, 8, … doubted slots all are looked for again, then in one of so many.
+_DOUBTED = 64
+# So many slots without a doubt make up for one with.
+_DECAY = 16
 
 # One contact alone takes the others' place where it leaves less than this part of what
 # the others leave,
@@ -75,7 +70,7 @@ class Followed(NamedTuple):
     rival: Float[Array, "2"]  # where one more was seen last, m
     seen: Int[Array, ""]  # slots in a row that showed it there
     left: Float[Array, ""]  # χ² of each channel that contacts leave, of late
-    doubted: Int[Array, ""]  # slots in a row that contacts are wrong in
+    doubted: Int[Array, ""]  # slots that contacts are wrong in, see `_DECAY`
 
 
 def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
@@ -99,16 +94,14 @@ def nothing_followed(size: Float[Array, "2"], count: int) -> Followed:
     )
 
 
-def first_covariance(dtype) -> Float[Array, "3 3"]:
-    return jnp.diag(jnp.asarray(FIRST, dtype) ** 2)
-
-
 class Search(NamedTuple):
     """The result of a search for contacts that appear."""
 
     new: Bool[Array, " C"]
     there: Bool[Array, " C"]
-    chosen: Int[Array, " C"]  # the candidates that new ones are at
+    place: Float[Array, "C 2"]  # of new ones, m
+    size: Float[Array, " C"]
+    raw: Float[Array, "C 4 M"]  # and their tangents
     rival: Float[Array, "2"]
     seen: Int[Array, ""]
     dark: Bool[Array, ""]  # nothing stands out of the noise
@@ -134,15 +127,19 @@ def search(
     rest = voltages - matmul(fit, columns)
     weighed_both = weighed(plain, jnp.stack([rest, voltages]))
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
+    channels = (weights.each > 0).astype(left.dtype).sum()
     none = jnp.zeros_like(known.seen)
+    calm = jnp.where(known.there.any(), jnp.maximum(known.doubted - 1, 0), 0)
     nothing = Search(
         new=jnp.zeros_like(known.there),
         there=known.there,
-        chosen=jnp.zeros_like(known.weak),
+        place=known.place,
+        size=known.size,
+        raw=jnp.zeros((len(known.size), *candidates.tangent.shape[1:]), voltages.dtype),
         rival=known.rival,
         seen=none,
         dark=jnp.zeros((), bool),
-        doubted=none,
+        doubted=calm,
     )
 
     def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
@@ -153,88 +150,34 @@ def search(
         both = gains(weighed_both, beside, normal)
         found = _chosen(sheet, candidates, known, *both, left, alone)
         # Contacts that came at once are not found one by one.
-        wrong = known.there.any() & (left > _EXPLAINED * alone)
-        doubted = jnp.where(wrong, known.doubted + 1, 0)
-        return jax.lax.cond(
-            doubted % _DOUBTED == 1,
-            lambda: _all_anew(
-                sheet, candidates, ground, plain, gains, voltages, left, found
-            ),
-            lambda: found,
-        )._replace(doubted=doubted)
+        wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
+        doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
+        times = doubted // _DECAY
+        due = ((times & (times - 1)) == 0) | (times % _DOUBTED == 0)
+        again = wrong & (times > known.doubted // _DECAY) & due
+        return jax.lax.cond(again, lambda: look_again(found), lambda: found)._replace(
+            doubted=doubted
+        )
+
+    def look_again(found: Search) -> Search:
+        """Looks for all contacts again; the new are where they explain the slot best."""
+        followed = Set(known.there, known.place, known.size, known.left * channels)
+        about = sheet, candidates.place, candidates.potential, ground, weights, plain
+        way = known.doubted // _DECAY % len(WAYS)  # each time another
+        better, best = all_anew(*about, gains, voltages, followed, found.rival, way)
+        each = range(len(known.size))
+        raw = jnp.stack([tangents(sheet, best.place[c], best.size[c]) for c in each])
+        new, none = best.there, jnp.zeros_like(found.seen)
+        placed = Search(
+            new, new, best.place, best.size, raw, found.rival, none, found.dark, none
+        )
+        return tree_where(better, placed, found._replace(seen=none))
 
     # What errors alone leave, χ² about the number of channels, has nothing to be found in.
-    channels = (weights.each > 0).astype(left.dtype).sum()
     asked = (left > _SEEN + channels) | ~known.there.any()
     found = jax.lax.cond(asked, look, lambda: nothing)
     # The contacts explain nothing of the voltages.
     return found._replace(dark=alone - left < _SEEN)
-
-
-def _all_anew(
-    sheet: Sheet,
-    candidates: Candidates,
-    ground: Int[Array, ""],
-    plain: Weights,
-    gains: Callable[[Array, Array, Array], tuple[Array, Array]],
-    voltages: Float[Array, " M"],
-    left: Float[Array, ""],
-    found: Search,
-) -> Search:
-    """Looks for contacts from none on: one more, then each in turn beside the others.
-
-    Each must quarter what the others leave.
-    """
-    count, offset = len(found.there), sheet.slots.offset(ground)
-    slots, near_by = sheet.slots, (_NEAR * sheet.unit) ** 2
-    each = jnp.arange(count, dtype=jnp.int32)
-
-    def rest_of(columns: Array) -> tuple[Array, Array, Array]:
-        beside = weighed(plain, columns)
-        normal = regular(product(columns, beside.T))
-        fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
-        return voltages - matmul(fit, columns), beside, normal
-
-    # How many there are, and whose turn it is: the last one's, then each one's.
-    turns = [(n, c) for n in range(count) for c in (n, *list(range(n + 1)) * _TURNS)]
-    which, whose = jnp.asarray(turns, jnp.int32).T
-
-    def turn(i: Array, state: tuple) -> tuple:
-        columns, chosen, sets = state
-        n, c = which[i], whose[i]
-        others = jnp.where((each == c)[:, None], 0, columns)
-        rest, beside, normal = rest_of(others)
-        both = weighed(plain, jnp.stack([rest, voltages]))
-        # Two candidates about one place would be one contact between them.
-        away = candidates.place[:, None] - candidates.place[chosen]
-        near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
-        k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
-        column = slots.relative(candidates.potential[:, k], ground) + offset
-        columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
-        return columns, chosen, sets.at[n].set(chosen)
-
-    def left_by(n: Array) -> Array:
-        """Computes χ² that n + 1 leave once they have moved off the grid."""
-        raw = in_slot(sheet, candidates.tangent[sets[n]], ground)[:, :3]
-        raw = jnp.where((each <= n)[:, None, None], raw, 0)
-        rest = rest_of(raw.reshape(3 * count, -1))[0]
-        return matmul(rest, weighed(plain, rest[None])[0])
-
-    columns = jnp.zeros((count, len(voltages)), voltages.dtype)
-    chosen = jnp.zeros(count, jnp.int32)
-    state = columns, chosen, jnp.zeros((count, count), jnp.int32)
-    sets = jax.lax.fori_loop(0, len(turns), turn, state)[-1]
-    # What errors alone leave is nothing that one more explains.
-    least = (plain.each > 0).astype(left.dtype).sum()
-    lefts = jnp.maximum(jax.lax.map(left_by, each), least)
-    costs = lefts * _QUARTER ** (each + 1).astype(lefts.dtype)
-    best = jnp.argmin(costs).astype(jnp.int32)
-    better = costs[best] < left * _QUARTER ** found.there.sum().astype(left.dtype)
-    there = each <= best
-    changed = found._replace(
-        new=there, there=there, chosen=sets[best], seen=jnp.zeros_like(found.seen)
-    )
-    return tree_where(better, changed, found)
 
 
 def _chosen(
@@ -248,7 +191,7 @@ def _chosen(
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
     elsewhere = alone - gains_alone[k_alone]
-    # One more, in several slots.
+    # One more: then all are looked for again.
     more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
     more = more & known.there.any()
     # Everything is elsewhere, unless one more leaves clearly less.
@@ -257,18 +200,21 @@ def _chosen(
     lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
     anew = (jumped | ~known.there.any()) & lone
     more = more & ~anew
-    again = ((candidates.place[k] - known.rival) ** 2).sum() < (_NEAR * sheet.unit) ** 2
+    again = ((candidates.place[k] - known.rival) ** 2).sum() < (NEAR * sheet.unit) ** 2
     seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
-    born = seen >= OFTEN
-    # In the first that is free.
-    slot = jnp.arange(len(known.there)) == jnp.where(anew, 0, jnp.argmin(known.there))
-    new = slot & (anew | born)
+    first = jnp.arange(len(known.there)) == 0
+    new = first & anew
+    raw = jnp.broadcast_to(
+        candidates.tangent[k_alone], (len(new), *candidates.tangent.shape[1:])
+    )
     return Search(
         new=new,
-        there=jnp.where(anew, slot, known.there | new),
-        chosen=jnp.broadcast_to(jnp.where(anew, k_alone, k), new.shape).astype(jnp.int32),
+        there=jnp.where(anew, first, known.there),
+        place=jnp.broadcast_to(candidates.place[k_alone], known.place.shape),
+        size=jnp.zeros_like(known.size),
+        raw=raw,
         rival=candidates.place[k],
-        seen=jnp.where(born | anew, 0, seen),
+        seen=jnp.where(anew, 0, seen),
         dark=jnp.zeros((), bool),
         doubted=jnp.zeros_like(known.doubted),
     )

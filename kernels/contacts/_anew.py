@@ -1,0 +1,183 @@
+"""Looks for all the contacts of one slot from none on, when those that are followed fail.
+
+Sets of contacts compete: fresh ones of each count, and the followed ones as they are, with
+one more, and without the weakest. Each set moves to where its slot is explained best.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from tomojax.kernels.algebra import matmul
+from tomojax.kernels.contacts._one_slot import (
+    first_covariance,
+    fitted,
+    in_slot,
+    product,
+    regular,
+    solve_small,
+    tangents,
+    update,
+    weighed,
+    Weights,
+)
+from tomojax.kernels.contacts._points import Sheet
+
+# A further contact is seen again no farther than this from place to place (units).
+NEAR = 12.0
+
+# A contact's current is at least this part of the strongest's.
+WEAKEST = 0.05
+
+# Each is looked for so many times beside the others.
+_TURNS = 2
+# One more contact must leave less than one part in so many of what the others leave.
+_PART = 3.0
+# χ² of a channel that errors alone leave, usually.
+_USUAL = 0.4
+# Below that, what a set leaves counts by this part.
+_TIE = 0.05
+# A contact is split in two, so far from its place, units.
+WAYS = ((8.0, 0.0), (0.0, 8.0), (6.0, 6.0), (6.0, -6.0))
+# A place is vague that has more than this part of the variance before any slot.
+_VAGUE = 0.3
+# Steps by which a set moves to its best places.
+_STEPS = 4
+
+
+class Set(NamedTuple):
+    """Contacts that explain a slot, of C at most."""
+
+    there: Bool[Array, " C"]
+    place: Float[Array, "C 2"]  # m
+    size: Float[Array, " C"]
+    left: Float[Array, ""]  # χ²
+
+
+Gains = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+
+def all_anew(
+    sheet: Sheet,
+    places: Float[Array, "K 2"],
+    potentials: Float[Array, "M K"],
+    ground: Int[Array, ""],
+    weights: Weights,
+    plain: Weights,
+    gains: Gains,
+    voltages: Float[Array, " M"],
+    followed: Set,
+    rival: Float[Array, "2"],
+    way: Int[Array, ""],
+) -> tuple[Bool[Array, ""], Set]:
+    """Returns the best set, and whether it is another than `followed`.
+
+    **Arguments:** `rival`, where one more was seen, m; `way`, of `WAYS`, contacts are
+    split in two.
+    """
+    count = len(followed.there)
+    chosen = _greedy(sheet, places, potentials, ground, plain, gains, voltages, count)
+    each, n = jnp.arange(count), followed.there.sum()
+    free = (each == jnp.argmin(followed.there)) & ~followed.there
+
+    def one_more(at: Array, whose: Array, to: Array) -> Set:
+        return Set(
+            followed.there | free,
+            jnp.where(free[:, None], at, jnp.where(whose[:, None], to, followed.place)),
+            jnp.where(free | whose, 0, followed.size),
+            followed.left,
+        )
+
+    half = sheet.unit * jnp.asarray(WAYS, voltages.dtype)[way]
+    more = [one_more(rival, each < 0, rival)]
+    for c in range(count):
+        at = followed.place[c]
+        more.append(one_more(at + half, each == c, at - half))
+    fresh = [
+        Set(each <= k, places[chosen[k]], jnp.zeros_like(followed.size), followed.left)
+        for k in range(count)
+    ]
+    sets = jax.tree.map(lambda *a: jnp.stack(a), followed, *more, *fresh)
+    ended = jax.lax.map(lambda one: _settled(sheet, weights, voltages, ground, one), sets)
+    # What errors alone leave is nothing that one more explains.
+    least = (weights.each > 0).astype(voltages.dtype).sum() * _USUAL
+    left = jnp.minimum(
+        ended.left, jnp.where(jnp.arange(len(ended.left)) == 0, followed.left, jnp.inf)
+    )
+    costs = jnp.maximum(left, least) + _TIE * left
+    costs = costs * _PART ** ended.there.sum(1).astype(left.dtype)
+    best = jnp.argmin(costs)
+    return (best > 0) & (n > 0), jax.tree.map(lambda a: a[best], ended)
+
+
+def _settled(
+    sheet: Sheet, weights: Weights, voltages: Array, ground: Array, start: Set
+) -> Set:
+    """Moves contacts to where they explain the slot best; none may be faint or vague."""
+    count = len(start.there)
+    unknown = first_covariance(voltages.dtype)
+    covariance = jnp.broadcast_to(unknown, (count, 3, 3))
+
+    def step(_: Array, state: tuple) -> tuple:
+        place, size, *_ = state
+        raw = jnp.stack([tangents(sheet, place[c], size[c]) for c in range(count)])
+        columns = jnp.where(start.there[:, None, None], in_slot(sheet, raw, ground), 0)
+        moved, spread, _, current = update(columns, covariance, weights, voltages)
+        shift = (moved[..., None] * columns[:, 1:]).sum(1)
+        rest = voltages - matmul(current, columns[:, 0] + shift)
+        left = matmul(rest, weighed(weights, rest[None])[0])
+        return *fitted(sheet, place, size, moved), left, current, spread
+
+    zero = jnp.zeros_like(start.size)
+    state = start.place, start.size, jnp.zeros_like(start.left), zero, covariance
+    ended = jax.lax.fori_loop(0, _STEPS, step, state)
+    place, size, left, current, spread = ended
+    # The slot tells hardly more of such a place than was known: as good as one too many.
+    vague = (spread[:, 0, 0] + spread[:, 1, 1]) > _VAGUE * jnp.trace(unknown[:2, :2])
+    faint = start.there & (current < WEAKEST * current.max())
+    left = jnp.where((start.there & vague).any(), _PART, 1) * left
+    return Set(start.there, place, size, jnp.where(faint.any(), jnp.inf, left))
+
+
+def _greedy(
+    sheet: Sheet,
+    places: Array,
+    potentials: Array,
+    ground: Array,
+    plain: Weights,
+    gains: Gains,
+    voltages: Array,
+    count: int,
+) -> Int[Array, "C C"]:
+    """Looks for one contact, two, …: one more, then each in turn beside the others."""
+    slots, near_by = sheet.slots, (NEAR * sheet.unit) ** 2
+    offset = slots.offset(ground)
+    each = jnp.arange(count, dtype=jnp.int32)
+    # How many there are, and whose turn it is: the last one's, then each one's.
+    turns = [(n, c) for n in range(count) for c in (n, *list(range(n + 1)) * _TURNS)]
+    which, whose = jnp.asarray(turns, jnp.int32).T
+
+    def turn(i: Array, state: tuple) -> tuple:
+        columns, chosen, sets = state
+        n, c = which[i], whose[i]
+        others = jnp.where((each == c)[:, None], 0, columns)
+        beside = weighed(plain, others)
+        normal = regular(product(others, beside.T))
+        fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
+        rest = voltages - matmul(fit, others)
+        both = weighed(plain, jnp.stack([rest, voltages]))
+        # Two candidates about one place would be one contact between them.
+        away = places[:, None] - places[chosen]
+        near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
+        k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
+        column = slots.relative(potentials[:, k], ground) + offset
+        columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
+        return columns, chosen, sets.at[n].set(chosen)
+
+    columns = jnp.zeros((count, len(voltages)), voltages.dtype)
+    chosen = jnp.zeros(count, jnp.int32)
+    state = columns, chosen, jnp.zeros((count, count), jnp.int32)
+    return jax.lax.fori_loop(0, len(turns), turn, state)[-1]
