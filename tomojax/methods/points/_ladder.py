@@ -177,8 +177,8 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     """Fits a bar or a ring in the place of two discs, and keeps the better fit.
 
     The step also runs where two discs lay too near each other to be believed, and where one
-    long contact may look like them. The likelier of the two is then kept, with a doubt where
-    data hardly tell.
+    long contact may look like them. The likelier is then kept, with a doubt where data
+    hardly tell.
     """
     one, two, rivals = ladder.one, ladder.two, ladder.rivals
     believed = ladder.best.count == 2
