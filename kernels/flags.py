@@ -64,6 +64,7 @@ class Flag(enum.IntFlag):
     GROUND_NOT_LOWEST = 4194304
     AGAINST_DRIVE = 8388608
     RIG_FAULT = 16777216
+    COUNT_UNCERTAIN = 33554432
 
     @classmethod
     def _missing_(cls, value: object) -> "Flag | None":
@@ -197,6 +198,10 @@ _TOLD = {
         "a short, a leak, crosstalk or a wrong channel explains what contacts do not",
         "the row holds; look at wires and switches with tomojax info and check",
     ),
+    Flag.COUNT_UNCERTAIN: (
+        "two contacts near each other and one long contact explain the voltages alike",
+        "calibrate the rig, or wait until the contacts have moved apart",
+    ),
 }
 
 # Of one of these a row says nothing.
@@ -210,6 +215,7 @@ DOUBT = (
     | Flag.HIGH_RESIDUAL
     | Flag.CONTACTS_UNEXPLAINED
     | Flag.PLACE_UNCERTAIN
+    | Flag.COUNT_UNCERTAIN
     | Flag.GROUND_NOT_LOWEST
     | Flag.AGAINST_DRIVE
     | NO_ANSWER

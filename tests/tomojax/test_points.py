@@ -78,17 +78,39 @@ def test_how_many_and_where(scenes, rows):
 
 
 def test_frames_together_ask_for_a_curve_as_each_alone():
-    """Two round discs that explain a frame ask for no bar; two long ones do."""
-    parameters = np.zeros((3, 3, 6), np.float32)
+    """Two round discs that explain a frame ask for no bar; two long ones, or rivals, do."""
+    parameters = np.zeros((4, 3, 6), np.float32)
     parameters[1:, :2, 3] = 2 * NOT_ROUND
     parameters[2, 1, 3] = 0  # one is round
-    zero = np.zeros(3, np.float32)
+    zero, rivals = np.zeros(4, np.float32), np.arange(4) == 3
     discs = Found(*[zero] * len(Found._fields))
-    discs = discs._replace(parameters=parameters, count=np.full(3, 2))
-    ladder = Ladder(*[discs] * 3, *[zero] * 3, asked=np.ones(3, bool))
-    each = [bool(wants_curve(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(3)]
-    assert each == [False, True, False]
+    discs = discs._replace(parameters=parameters, count=np.full(4, 2))
+    ladder = Ladder(*[discs] * 3, *[zero] * 3, np.ones(4, bool), discs, rivals)
+    each = [bool(wants_curve(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(4)]
+    assert each == [False, True, False, True]
     assert np.asarray(wants_curve(ladder)).tolist() == each
+
+
+def test_two_or_one_long_one(rig, method):
+    """Near pairs and ellipses are counted right, or in doubt; small discs are sure."""
+    rng, made, true = np.random.default_rng(15), [], []
+    for k in range(18):
+        turn, middle = rng.uniform(0, np.pi), rng.uniform(0.04, 0.12, 2)
+        along = np.array([np.cos(turn), np.sin(turn)])
+        if k % 3 == 0:
+            discs = [rig.disc(middle + s * 0.0075 * along, 0.005) for s in (1, -1)]
+            scene = [(inside, 10 ** rng.uniform(-4.5, -3.5)) for inside in discs]
+        else:
+            axes = np.array([0.018, 0.008]) if k % 3 == 1 else np.array([0.006, 0.006])
+            away = (rig.cells - middle) @ np.stack([along, along[::-1] * [-1, 1]], 1) / axes
+            scene = [((away**2).sum(1) < 1, 10 ** rng.uniform(-4.5, -3))]
+        made.append(rig.measure(rig.scene(*scene)[0])[CORNERS])
+        true.append(len(scene))
+    found = tx.Batch(method, 1.0, contacts=3)(np.stack(made), np.tile(CORNERS, (18, 1)))
+    doubt = found.flags & Flag.COUNT_UNCERTAIN > 0
+    assert ((found.contact_count == true) | doubt).sum() >= 17
+    assert (found.contact_count[::3] == 2).sum() >= 3
+    assert not doubt[2::3].any()
 
 
 def test_shapes(scenes, rows):

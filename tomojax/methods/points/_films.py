@@ -19,15 +19,8 @@ from tomojax.methods.points._blocks import (
 from tomojax.methods.points._faults import searched
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS
 from tomojax.methods.points._found import Ended, Fitting, Found
-from tomojax.methods.points._ladder import (
-    apart_and_strong,
-    bar_at,
-    GAIN,
-    long_enough,
-    ring_at,
-    seen_at_all,
-    shaped,
-)
+from tomojax.methods.points._ladder import bar_at, GAIN, ring_at, seen_at_all, shaped
+from tomojax.methods.points._sound import apart_and_strong, long_enough
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
 # here is an upper bound, as the others stay where they are.

@@ -54,6 +54,7 @@ class Found(NamedTuple):
     limited: Bool[Array, ""]  # the model's error is larger than nominal values leave
     faults: Int[Array, ""]  # of the rig, that explain a part of the frame
     unsure: Bool[Array, ""]  # whether faults or contacts explain the frame
+    doubtful: Bool[Array, ""]  # whether two contacts or one long one do
     residual: Float[Array, ""]  # V rms
     by_electrode: Float[Array, " M"]  # the same of each
 
@@ -145,6 +146,7 @@ def found_of(
         limited=limited,
         faults=jnp.asarray(0),
         unsure=against,
+        doubtful=jnp.array(False),
         residual=rms(misfit, used),
         by_electrode=rms_by_electrode(misfit, used),
     )

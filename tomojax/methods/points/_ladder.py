@@ -15,6 +15,13 @@ from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
 from tomojax.methods.points._found import Ended, Fitting, Found, LEFT, look_of
+from tomojax.methods.points._sound import (
+    APART,
+    apart_and_strong,
+    is_long,
+    long_enough,
+    near_and_strong,
+)
 
 # Candidates that a fit of one disc begins from.
 _STARTS = 3
@@ -30,24 +37,16 @@ GAIN = 8.0
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.65
 
-# Discs nearer than this many usual radii are what the model's error makes of fewer. Two
-# discs at ± h have a moment of h²: a calibrated model that leaves a part of the error
-# brings h down by its root, but not to where discs would lie on each other.
-_APART = 2.7
-_ON_EACH_OTHER = 1.6
-
-# So is a second disc below this part of the strongest, and a further one.
-_WEAKEST_SECOND = 0.04
-_WEAKEST = 0.1
+# Of two discs and one long contact those are believed that fit better by so much per slot;
+# what is below the second number is in doubt. Discs that gain enough need no lead.
+_LEAD = 0.5
+_CLEAR = 2.5
 
 # First guess of half a bar's length, of half the way between two discs that fit best.
 _BAR = 1.3
 
 # First guess of a ring's radius beside that half way itself, in usual radii.
 _RING = 3.5
-
-# A ring narrower than so many usual radii is a disc.
-_NARROWEST = 1.2
 
 
 class Ladder(NamedTuple):
@@ -60,6 +59,8 @@ class Ladder(NamedTuple):
     rival: Float[Array, "2"]  # where that would be, m
     pair: Float[Array, "2 2"]  # two discs that fit best, believed or not, m
     asked: Bool[Array, ""]  # whether one disc does not do, more are believed or not
+    two: Found  # discs that may be one long contact, where `rivals`
+    rivals: Bool[Array, ""]
 
 
 def _due(ladder: Ladder, size: int) -> Any:
@@ -79,11 +80,12 @@ def _enough_for(size: int) -> float:
 def wants_curve(ladder: Ladder) -> Any:
     """Tells whether a bar or a ring is worth a try: neither one disc nor two will do.
 
-    Two long discs may stand for a bar, which is then tried.
+    Two long discs may stand for a bar, which is then tried. So may two discs near each
+    other.
     """
     two = (ladder.discs.count == 2) & _explains(ladder.discs)
     square = (ladder.discs.parameters[..., :2, 3:5] ** 2).sum(-1)
-    return ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
+    return ladder.rivals | ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
 
 
 def _explains(found: Found) -> Any:
@@ -105,6 +107,8 @@ def first(scene: Fitting) -> Ladder:
     found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
     pair = jnp.stack([found.place[0], rival])
+    # A long disc may be two, whatever slopes promise.
+    promise = jnp.where(is_long(found), jnp.inf, promise)
     return Ladder(
         best=found,
         one=found,
@@ -113,6 +117,8 @@ def first(scene: Fitting) -> Ladder:
         rival=rival,
         pair=pair,
         asked=jnp.array(False),
+        two=found,
+        rivals=jnp.array(False),
     )
 
 
@@ -147,6 +153,9 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
         pair = jnp.where(jnp.isfinite(new.place[:2]).all(), new.place[:2], pair)
     # Nor does one disc explain what is neither: a ring, where two are no better.
     asked = ladder.asked | discs.high | _gains(scene, discs, new, size)
+    two, rivals = ladder.two, ladder.rivals
+    if size == 2:
+        two, rivals = new, is_long(discs) & near_and_strong(scene, new)
     # Discs too near each other, or one too weak, are not believed.
     sound = apart_and_strong(scene, new, size)
     new = new._replace(cost=jnp.where(sound, new.cost, jnp.inf))
@@ -159,28 +168,40 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
         rival=rival,
         pair=pair,
         asked=asked,
+        two=two,
+        rivals=rivals,
     )
 
 
 def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     """Fits a bar or a ring in the place of two discs, and keeps the better fit.
 
-    The step also runs where two discs lay too near each other to be believed.
+    The step also runs where two discs lay too near each other to be believed, and where one
+    long contact may look like them. The likelier is then kept, with a doubt where data
+    hardly tell.
     """
-    one = ladder.one
+    one, two, rivals = ladder.one, ladder.two, ladder.rivals
+    believed = ladder.best.count == 2
+    before = tree_where(rivals, one, ladder.best)
 
-    def tried(best: Found, starts: Float[Array, "n P"]) -> tuple[Found, None]:
+    def tried(best: Found, starts: Float[Array, "n P"]) -> tuple[Found, Array]:
         # With less it is not chosen.
         less = GAIN + jnp.maximum(0, one.cost - _score(best))
+        less = jnp.where(rivals, 0, less)
         alone, _ = best_fit(scene, CURVE, starts, _asked_of(scene, one, less))
         # What leaves more than errors is no shape: a curve fits a little of anything.
         gained = _gains(scene, one, alone, 2) & ~alone.high & long_enough(scene, alone)
-        return tree_where(gained & (_score(alone) < _score(best)), alone, best), None
+        chosen = tree_where(gained & (_score(alone) < _score(best)), alone, best)
+        return chosen, alone.cost
 
     starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
     # One after the other: the model is compiled once.
-    best, _ = jax.lax.scan(tried, ladder.best, starts)
-    return ladder._replace(best=best)
+    best, costs = jax.lax.scan(tried, before, starts)
+    lead = jnp.fmin(one.cost, costs[0]) - two.cost
+    likelier = rivals & (lead > jnp.where(believed, 0, _LEAD))
+    best = tree_where(likelier, two, best)
+    doubtful = rivals & (jnp.abs(lead) < _CLEAR)
+    return ladder._replace(best=best._replace(doubtful=doubtful))
 
 
 def steps(count: int) -> list[tuple[Callable[[Ladder], Any], Callable]]:
@@ -244,7 +265,8 @@ def _more_discs(
         pairs = model.best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
-    return best_fit(scene, DISCS, starts, _asked_of(scene, discs, GAIN * (size - 1)))
+    less = jnp.where((size == 2) & is_long(discs), 0.0, GAIN * (size - 1))
+    return best_fit(scene, DISCS, starts, _asked_of(scene, discs, less))
 
 
 def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, " S"]:
@@ -262,7 +284,7 @@ def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
     sheet = scene.method.sheet
     long = discs.parameters[0, 3:5]
     h = jnp.sqrt(2 * model.LONG * jnp.sqrt((long**2).sum() + 1e-12)) * sheet.size
-    h = jnp.maximum(h, _APART / 2 * sheet.size)
+    h = jnp.maximum(h, APART / 2 * sheet.size)
     angle = jnp.arctan2(long[1], long[0]) / 2
     along = h * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     return discs.place[0] + jnp.stack([along, -along])
@@ -293,19 +315,6 @@ def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
     return old.cost - new.cost - over > enough
 
 
-def apart_and_strong(scene: Fitting, found: Found, size: int) -> Bool[Array, ""]:
-    """Tells whether all discs lie apart, and all are strong enough."""
-    place = found.place[:size]
-    current = jnp.sign(scene.method.sheet.drive_voltage) * found.current[:size]
-    apart = ((place[:, None] - place) ** 2).sum(-1) + jnp.diag(jnp.full(size, jnp.inf))
-    left = jnp.sqrt(scene.method.errors.part)
-    least = jnp.clip(_APART * left, _ON_EACH_OTHER, _APART)
-    near = apart.min() < (least * scene.method.sheet.size) ** 2
-    weakest = _WEAKEST if size > 2 else _WEAKEST_SECOND
-    weak = current.min() < weakest * current.max()
-    return ~(near | weak)
-
-
 def _bars(scene: Fitting, ladder: Ladder) -> Float[Array, "2 P"]:
     """Returns the start of a bar's fit; the second row is NaN, no start."""
     pair = ladder.pair
@@ -332,14 +341,3 @@ def bar_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
 def ring_at(known: Float[Array, " n"]) -> Float[Array, " P"]:
     """Returns a ring's parameters, the first of which are `known`."""
     return bar_at(known).at[-1].set(1)
-
-
-def long_enough(scene: Fitting, curve: Found) -> Bool[Array, ""]:
-    """Tells whether a bar is longer than wide, or a ring wider than a disc looks.
-
-    Otherwise a disc explains the frame with fewer parameters.
-    """
-    long = (curve.extent[0] ** 2).sum() >= curve.radius[0] ** 2
-    wide = curve.ring[0] >= _NARROWEST * scene.method.sheet.size
-    is_ring = curve.ring[0] > 0
-    return (is_ring & wide) | (~is_ring & long)

@@ -157,6 +157,7 @@ class Points(AbstractMethod):
             # Of all channels together: what is left of a part is little of the whole.
             (found.high, Flag.HIGH_RESIDUAL),
             (apart.any() | found.unsure, Flag.PLACE_UNCERTAIN),
+            (found.doubtful, Flag.COUNT_UNCERTAIN),
             (found.vague.any(), Flag.CONDUCTANCE_UNCERTAIN),
         )
         each = found.by_electrode
