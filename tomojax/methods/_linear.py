@@ -280,7 +280,7 @@ class Linear(AbstractMethod):
 def _more_than_level(
     voltages: Float[Array, "S M"], used: Bool[Array, "S M"]
 ) -> Float[Array, "S M"]:
-    """Takes a slot's level out; what only rounding leaves of voltages all alike becomes 0."""
+    """Takes a slot's level out; what rounding leaves of voltages all alike becomes 0."""
     highest = jnp.abs(jnp.where(used, voltages, 0)).max(1, keepdims=True)
     left = centred(voltages, used)
     rounding = 4 * jnp.finfo(voltages.dtype).eps * highest
