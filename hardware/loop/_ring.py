@@ -89,12 +89,15 @@ class SlotRing:
         self.path = Path(path)
         m, contacts, length = np.fromfile(self.path, "i8", 3).tolist()
         mode = "r+" if writable else "r"
-        head = np.memmap(self.path, _HEAD, mode, 64, 1)
+        # As plain arrays: reading from a memmap takes microseconds.
+        head = np.asarray(np.memmap(self.path, _HEAD, mode, 64, 1))
         self.head = {name: head[name][0, ...] for name in _HEAD.names or ()}
         start = 64 + _HEAD.itemsize
         self.trim = np.asarray(np.memmap(self.path, "f4", mode, start, (2, m)))
         start += self.trim.nbytes
-        self.rows = np.memmap(self.path, _row(m, contacts), mode, start, length)
+        self.rows = np.asarray(
+            np.memmap(self.path, _row(m, contacts), mode, start, length)
+        )
         self.electrodes, self.contacts, self.length = m, contacts, length
         # Fields by themselves: writing into one costs a tenth of writing a row.
         self._fields = {name: self.rows[name] for name in self.rows.dtype.names or ()}

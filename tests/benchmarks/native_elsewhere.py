@@ -69,7 +69,8 @@ def instructions(folder: Path, to: Path) -> dict:
     out = to / "callgrind.out"
     command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}", made]
     row = told([*command, folder / "step.tables", few])
-    shown = subprocess.run(["callgrind_annotate", out], capture_output=True, text=True)
+    annotate = ["callgrind_annotate", "--inclusive=yes", out]
+    shown = subprocess.run(annotate, capture_output=True, text=True, check=True)
     line = next(x for x in shown.stdout.splitlines() if "run_step" in x)
     total = int(re.match(r"\s*([\d,]+)", line)[1].replace(",", ""))
     return {**row, "instructions_a_slot": total / row["slots"]}
