@@ -21,7 +21,9 @@ def join_products(body: Body) -> None:
         some = waiting.pop(key)
         inputs = [some[0].inputs[1], *(op.inputs[0] for op in some)]
         outputs = [op.outputs[0] for op in some]
-        joined.append(Op("dots", some[0].params, inputs, outputs))
+        # A matrix that is used once is best read row by row.
+        one = some[0] if len(some) == 1 else Op("dots", {}, inputs, outputs)
+        joined.append(one)
 
     for op in body.ops:
         read = set(map(id, op.reads()))

@@ -140,8 +140,8 @@ TJ_BITS(uint32_t, float)
 #define TJ_DOTS(T, N)                                                                       \
   TJ_APART void tj_dots##N##_##T(int n, int wide, const T *restrict matrix,                 \
                                  const T *restrict row, T *restrict out) {                  \
-    int i = 0;                                                                              \
-    for (; i + 16 <= wide; i += 16) {                                                       \
+    const int whole = wide - wide % 16;                                                     \
+    for (int i = 0; i < whole; i += 16) {                                                    \
       T s[N][16] = {{0}};                                                                   \
       for (int k = 0; k < n; k++)                                                           \
         for (int v = 0; v < N; v++) {                                                       \
@@ -151,7 +151,7 @@ TJ_BITS(uint32_t, float)
       for (int v = 0; v < N; v++)                                                           \
         for (int l = 0; l < 16; l++) out[v * wide + i + l] = s[v][l];                       \
     }                                                                                       \
-    for (; i < wide; i++)                                                                   \
+    for (int i = whole; i < wide; i++)                                                      \
       for (int v = 0; v < N; v++) {                                                         \
         T s = 0;                                                                            \
         for (int k = 0; k < n; k++) s += row[k * N + v] * matrix[k * wide + i];             \
@@ -159,7 +159,6 @@ TJ_BITS(uint32_t, float)
       }                                                                                     \
   }
 #define TJ_EACH_DOTS(T)                                                                     \
-  TJ_DOTS(T, 1)                                                                             \
   TJ_DOTS(T, 2)                                                                             \
   TJ_DOTS(T, 3)                                                                             \
   TJ_DOTS(T, 4)                                                                             \
