@@ -95,9 +95,7 @@ class SlotRing:
         start = 64 + _HEAD.itemsize
         self.trim = np.asarray(np.memmap(self.path, "f4", mode, start, (2, m)))
         start += self.trim.nbytes
-        self.rows = np.asarray(
-            np.memmap(self.path, _row(m, contacts), mode, start, length)
-        )
+        self.rows = np.asarray(np.memmap(self.path, _row(m, contacts), mode, start, length))
         self.electrodes, self.contacts, self.length = m, contacts, length
         # Fields by themselves: writing into one costs a tenth of writing a row.
         self._fields = {name: self.rows[name] for name in self.rows.dtype.names or ()}
