@@ -13,12 +13,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts._one_slot import (
+    beside_columns,
     first_covariance,
     fitted,
     in_slot,
-    product,
-    regular,
-    solve_small,
     tangents,
     update,
     weighed,
@@ -164,10 +162,7 @@ def _greedy(
         columns, chosen, sets = state
         n, c = which[i], whose[i]
         others = jnp.where((each == c)[:, None], 0, columns)
-        beside = weighed(plain, others)
-        normal = regular(product(others, beside.T))
-        fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
-        rest = voltages - matmul(fit, others)
+        rest, beside, normal = beside_columns(plain, others, voltages)
         both = weighed(plain, jnp.stack([rest, voltages]))
         # Two candidates about one place would be one contact between them.
         away = places[:, None] - places[chosen]

@@ -22,8 +22,8 @@ from tomojax.kernels.contacts._field import (
 )
 from tomojax.kernels.contacts._points import Sheet, SIZE_WIDTH
 
-# What is known of a place before (units of the fit, 1 mm for electrodes of 5 mm) and of
-# a size: 1 σ.
+# 1 σ of a place and of a size before any slot. A place is in units of the fit, which follow
+# from the electrodes: 1 mm for those of 5 mm.
 FIRST = (6.0, 6.0, 1.0)
 
 # χ² of a slot's own place beside what was known, of three values: beyond, it is news.
@@ -200,6 +200,16 @@ def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m
     if b.shape[1] <= a.shape[0]:
         return jnp.stack([matmul(a, b[:, j]) for j in range(b.shape[1])], 1)
     return jnp.stack([matmul(a[i], b) for i in range(a.shape[0])])
+
+
+def beside_columns(
+    weights: Weights, columns: Float[Array, "C M"], voltages: Float[Array, " M"]
+) -> tuple[Float[Array, " M"], Float[Array, "C M"], Float[Array, "C C"]]:
+    """Returns what columns leave of voltages, the weighed columns and their products."""
+    beside = weighed(weights, columns)
+    normal = regular(product(columns, beside.T))
+    fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
+    return voltages - matmul(fit, columns), beside, normal
 
 
 def inverse_of(values: Array) -> Array:

@@ -12,10 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels.algebra import matmul, tree_where
 from tomojax.kernels.contacts._anew import all_anew, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
+    beside_columns,
     first_covariance,
     inverse_of,
     product,
-    regular,
     solve_small,
     tangents,
     weighed,
@@ -121,10 +121,7 @@ def search(
     # To look for contacts a common offset will do.
     scale = 1 / (1 + matmul(weights.common[0] ** 2, inverse_of(weights.each)))
     plain = Weights(weights.each, weights.common[:1], weights.common[:1] * scale)
-    beside = weighed(plain, columns)
-    normal = regular(product(columns, beside.T))
-    fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
-    rest = voltages - matmul(fit, columns)
+    rest, beside, normal = beside_columns(plain, columns, voltages)
     weighed_both = weighed(plain, jnp.stack([rest, voltages]))
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
     channels = (weights.each > 0).astype(left.dtype).sum()

@@ -108,7 +108,7 @@ def judged(rig: dict[str, Any], seed: int, method: str = "points") -> list[dict[
 
 
 def _off(xy: np.ndarray, touches: list[Any]) -> float:
-    """How far the worse of the found places is off, m; NaN where none was found."""
+    """Returns the larger of the places' errors, m; NaN where nothing was found."""
     true, xy = np.array([t.centre for t in touches]), xy[: len(touches)]
     return float(min(np.hypot(*(xy[::way] - true).T).max() for way in (1, -1)))
 

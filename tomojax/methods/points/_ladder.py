@@ -37,8 +37,9 @@ GAIN = 8.0
 # Part of that gain which slopes have to promise before a larger model is fitted.
 _PROMISE = 0.65
 
-# Of two discs and one long contact those are believed that fit better by so much per slot;
-# what is below the second number is in doubt. Discs that gain enough need no lead.
+# Two discs are believed where their cost per slot is lower than one long contact's by the
+# first number; discs that gain enough need no such lead. Below the second number the row is
+# in doubt.
 _LEAD = 0.5
 _CLEAR = 2.5
 
