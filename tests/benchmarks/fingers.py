@@ -189,7 +189,7 @@ def main() -> None:
     from bench.rigs import JUDGING
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=JUDGING + 511)
+    parser.add_argument("--seed", type=int, default=JUDGING + 777)
     parser.add_argument("--rigs", type=int, default=4)
     parser.add_argument("--each", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS / "fingers.json")
