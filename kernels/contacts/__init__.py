@@ -44,7 +44,7 @@ from tomojax.kernels.contacts._one_slot import (
     slot_weights as slot_weights,
     solve_small as solve_small,
     tangents as tangents,
-    weighed as weighed,
+    whitened as whitened,
 )
 from tomojax.kernels.contacts._points import (
     DISC as DISC,

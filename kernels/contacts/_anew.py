@@ -17,10 +17,12 @@ from tomojax.kernels.contacts._one_slot import (
     first_covariance,
     fitted,
     in_slot,
+    Plain,
     tangents,
     update,
     weighed,
     Weights,
+    whitened,
 )
 from tomojax.kernels.contacts._points import Sheet
 
@@ -38,6 +40,8 @@ _PART = 3.0
 _USUAL = 0.4
 # Below that, what a set leaves counts by this part.
 _TIE = 0.05
+# Of sets whose costs are so near, the first: some end at the same places.
+_ALIKE = 1.01
 # A contact is split in two, so far from its place, units.
 WAYS = ((8.0, 0.0), (0.0, 8.0), (6.0, 6.0), (6.0, -6.0))
 # A place is vague that has more than this part of the variance before any slot.
@@ -64,7 +68,7 @@ def all_anew(
     potentials: Float[Array, "M K"],
     ground: Int[Array, ""],
     weights: Weights,
-    plain: Weights,
+    plain: Plain,
     gains: Gains,
     voltages: Float[Array, " M"],
     followed: Set,
@@ -107,7 +111,7 @@ def all_anew(
     )
     costs = jnp.maximum(left, least) + _TIE * left
     costs = costs * _PART ** ended.there.sum(1).astype(left.dtype)
-    best = jnp.argmin(costs)
+    best = jnp.argmax(costs <= _ALIKE * costs.min())
     return (best > 0) & (n > 0), jax.tree.map(lambda a: a[best], ended)
 
 
@@ -126,7 +130,7 @@ def _settled(
         moved, spread, _, current = update(columns, covariance, weights, voltages)
         shift = (moved[..., None] * columns[:, 1:]).sum(1)
         rest = voltages - matmul(current, columns[:, 0] + shift)
-        left = matmul(rest, weighed(weights, rest[None])[0])
+        left = (whitened(weights, rest[None]) ** 2).sum()
         return *fitted(sheet, place, size, moved), left, current, spread
 
     zero = jnp.zeros_like(start.size)
@@ -145,7 +149,7 @@ def _greedy(
     places: Array,
     potentials: Array,
     ground: Array,
-    plain: Weights,
+    plain: Plain,
     gains: Gains,
     voltages: Array,
     count: int,

@@ -21,8 +21,8 @@ from tomojax.kernels.contacts._one_slot import (
     slot_weights,
     tangents,
     update,
-    weighed,
     Weights,
+    whitened,
 )
 from tomojax.kernels.contacts._points import (
     green_of,
@@ -91,7 +91,8 @@ def follow(
     shift = (moved[..., None] * columns[:, 1:]).sum(1)
     rest = voltages - matmul(current, columns[:, 0] + shift)
     # What all channels are off is the ground's: no contact explains it, none is asked to.
-    offset = matmul(weights.each, rest) / jnp.maximum(weights.each.sum(), 1e-30)
+    w = weights.each**2
+    offset = matmul(w, rest) / jnp.maximum(w.sum(), 1e-30)
     rest = rest - offset
     forward = current * jnp.sign(sheet.drive_voltage)
     strongest = jnp.where(there, forward, 0).max()
@@ -131,7 +132,7 @@ def _left(
 ) -> Float[Array, ""]:
     """Averages χ² of each channel over some slots; starts anew with a new contact."""
     channels = jnp.maximum((weights.each > 0).sum(), 1).astype(rest.dtype)
-    now = matmul(rest, weighed(weights, rest[None])[0]) / channels
+    now = (whitened(weights, rest[None]) ** 2).sum() / channels
     share = jnp.where(new.any() | (known.left == 0), 1, 1 / _LATELY)
     return known.left + share * (now - known.left)
 

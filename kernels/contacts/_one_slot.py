@@ -46,11 +46,19 @@ class Noise(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """W' = W − CᵀF, the inverse covariance of a slot's errors."""
+    """B of W' = BBᵀ, the inverse covariance of a slot's errors: see `whitened`."""
 
-    each: Float[Array, " M"]  # W
-    common: Float[Array, "q M"]
-    filtered: Float[Array, "q M"]
+    each: Float[Array, " M"]  # 1/σ of a channel's own errors, 0 where it is not used
+    common: Float[Array, "q M"]  # one after another, whitened by those before
+    part: Float[Array, " q"]  # of each that is taken off
+
+
+class Plain(NamedTuple):
+    """W' = W − wwᵀ(1 − part)/Σw: the inverse covariance where an offset is in common."""
+
+    each: Float[Array, " M"]  # w, the diagonal of W
+    whole: Float[Array, ""]  # Σw
+    part: Float[Array, ""]  # that counts of what all channels have in common
 
 
 def radius_of(sheet: Sheet, size: Array) -> Array:
@@ -88,19 +96,55 @@ def slot_weights(
     near = matmul(noise.local, voltages)
     own = (noise.own * voltages) ** 2 + (near**2).sum(0)
     variance = noise.converter**2 + own
-    w = jnp.where(used, 1 / variance, 0)
+    each = jnp.where(used, jax.lax.rsqrt(variance), 0)
     size = jnp.abs(voltages)
     flat = jnp.broadcast_to(noise.offset * size.mean(), (1, len(size)))
-    common = jnp.concatenate([flat, noise.smooth * size])
-    scaled = common * w
-    inner = product(common, scaled.T) + jnp.eye(len(common), dtype=w.dtype)
-    return Weights(w, scaled, solve_small(inner, scaled))
+    common = jnp.concatenate([flat, noise.smooth * size]) * each
+    done, parts = [], []
+    while len(common):
+        # (I + uuᵀ)^-½ = I − uuᵀ·part
+        length = jnp.sqrt(1 + (common[0] ** 2).sum())
+        parts.append(1 / (length + length**2))
+        done.append(common[0])
+        common = _without(common[1:], done[-1], parts[-1])
+    return Weights(each, jnp.stack(done), jnp.stack(parts))
 
 
-def weighed(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
-    """Multiplies rows by the inverse covariance of a slot's errors, x·W."""
-    shares = product(x, weights.common.T)
-    return x * weights.each - product(shares, weights.filtered)
+def whitened(weights: Weights, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
+    """Multiplies rows by B, so that a slot's errors have the covariance I.
+
+    Products of such rows are x·W'·yᵀ. W' itself would lose float32's digits: what channels
+    have in common is far larger than their own errors.
+    """
+    x = x * weights.each
+    for u, part in zip(weights.common, weights.part):
+        x = _without(x, u, part)
+    return x
+
+
+def _without(x: Float[Array, "n M"], u: Float[Array, " M"], part: Array) -> Array:
+    return x - (part * matmul(x, u))[:, None] * u
+
+
+def plain_of(weights: Weights) -> Plain:
+    w, u = weights.each**2, weights.common[0]
+    return Plain(w, jnp.maximum(w.sum(), 1e-30), 1 / (1 + matmul(u, u)))
+
+
+def weighed(plain: Plain, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
+    """Multiplies rows by the plain inverse covariance of a slot's errors."""
+    mean = matmul(x, plain.each) / plain.whole
+    return (x - (1 - plain.part) * mean[:, None]) * plain.each
+
+
+def beside_columns(
+    plain: Plain, columns: Float[Array, "C M"], voltages: Float[Array, " M"]
+) -> tuple[Float[Array, " M"], Float[Array, "C M"], Float[Array, "C C"]]:
+    """Returns what columns leave of voltages, the weighed columns and their products."""
+    beside = weighed(plain, columns)
+    normal = regular(product(columns, beside.T))
+    fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
+    return voltages - matmul(fit, columns), beside, normal
 
 
 def in_slot(
@@ -122,26 +166,25 @@ def update(
     voltages: Float[Array, " M"],
 ) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
     """Returns moves (C, 3), the covariance then and by this slot alone, and currents."""
-    count = len(columns)
-    base = columns[:, 0]
-    tangent = columns[:, 1:].reshape(3 * count, -1)
-    all_columns = jnp.concatenate([base, tangent, voltages[None]])
-    gram = product(all_columns, weighed(weights, all_columns).T)
-    c, last = count, 4 * count
-    inner = regular(gram[:c, :c])
-    both = solve_small(inner, jnp.concatenate([gram[:c, c:last], gram[:c, last:]], 1))
-    current = both[:, -1]
-    share, own = both[:, :-1], jnp.repeat(current, 3)
-    normal = gram[c:last, c:last] - product(gram[c:last, :c], share)
-    normal = own[:, None] * normal * own
-    right = own * (gram[c:last, last] - matmul(gram[c:last, :c], current))
+    c = len(columns)
+    others = jnp.concatenate([columns[:, 1:].reshape(3 * c, -1), voltages[None]])
+    rows = whitened(weights, jnp.concatenate([columns[:, 0], others]))
+    base, others = rows[:c], rows[c:]
+    # What no current explains is taken of rows, not of their products: float32 again.
+    fit = solve_small(regular(product(base, base.T)), product(base, others.T))
+    rest = others - product(fit.T, base)
+    gram = product(rest, rest.T)
+    share, current = fit[:, :-1], fit[:, -1]
+    own = jnp.repeat(current, 3)
+    normal = own[:, None] * gram[:-1, :-1] * own
+    right = own * gram[:-1, -1]
     unit = jnp.eye(3, dtype=base.dtype)
-    blocks = normal.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    blocks = normal.reshape(c, 3, c, 3)[np.arange(c), :, np.arange(c)]
     # News: what this slot says alone is not what was known. Then only what was known before
     # any slot counts.
     before = jnp.diag(1 / jnp.asarray(FIRST, base.dtype) ** 2)
     innovation = (blocks[..., None] * covariance[:, None]).sum(2) + unit
-    gain = right.reshape(count, 3)
+    gain = right.reshape(c, 3)
     matrices = [innovation.transpose(0, 2, 1), covariance, blocks + before]
     all_three = jnp.concatenate(matrices)
     inverses = solve_small(all_three, jnp.broadcast_to(unit, all_three.shape))
@@ -150,14 +193,14 @@ def update(
     unlikely = (tested * (covariance * gain[:, None]).sum(-1)).sum(-1)
     news = (unlikely > _NEWS)[:, None, None]
     inverse = jnp.where(news, before, of_covariance)
-    same = np.eye(count, dtype=base.dtype)[:, None, :, None]
+    same = np.eye(c, dtype=base.dtype)[:, None, :, None]
     weight = same * inverse[:, :, None]
     found = solve_small(
         normal + weight.reshape(3 * c, 3 * c),
         jnp.concatenate([right[:, None], jnp.eye(3 * c, dtype=base.dtype)], 1),
     )
-    moved, spread = found[:, 0].reshape(count, 3), found[:, 1:]
-    spread = spread.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]
+    moved, spread = found[:, 0].reshape(c, 3), found[:, 1:]
+    spread = spread.reshape(c, 3, c, 3)[np.arange(c), :, np.arange(c)]
     longest = jnp.asarray([*FIRST[:2], 1.0], base.dtype)
     return (
         jnp.clip(moved, -longest, longest),
@@ -200,20 +243,6 @@ def product(a: Float[Array, "n k"], b: Float[Array, "k m"]) -> Float[Array, "n m
     if b.shape[1] <= a.shape[0]:
         return jnp.stack([matmul(a, b[:, j]) for j in range(b.shape[1])], 1)
     return jnp.stack([matmul(a[i], b) for i in range(a.shape[0])])
-
-
-def beside_columns(
-    weights: Weights, columns: Float[Array, "C M"], voltages: Float[Array, " M"]
-) -> tuple[Float[Array, " M"], Float[Array, "C M"], Float[Array, "C C"]]:
-    """Returns what columns leave of voltages, the weighed columns and their products."""
-    beside = weighed(weights, columns)
-    normal = regular(product(columns, beside.T))
-    fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
-    return voltages - matmul(fit, columns), beside, normal
-
-
-def inverse_of(values: Array) -> Array:
-    return jnp.where(values > 0, 1 / jnp.where(values > 0, values, 1), 0)
 
 
 def regular(normal: Float[Array, "n n"]) -> Float[Array, "n n"]:

@@ -14,7 +14,8 @@ from tomojax.kernels.contacts._anew import all_anew, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
     beside_columns,
     first_covariance,
-    inverse_of,
+    Plain,
+    plain_of,
     product,
     solve_small,
     tangents,
@@ -118,9 +119,7 @@ def search(
     ground: Int[Array, ""],
 ) -> Search:
     """Tells whether one contact alone explains the slot better, or one more is needed."""
-    # To look for contacts a common offset will do.
-    scale = 1 / (1 + matmul(weights.common[0] ** 2, inverse_of(weights.each)))
-    plain = Weights(weights.each, weights.common[:1], weights.common[:1] * scale)
+    plain = plain_of(weights)  # to look for contacts a common offset will do
     rest, beside, normal = beside_columns(plain, columns, voltages)
     weighed_both = weighed(plain, jnp.stack([rest, voltages]))
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
@@ -141,7 +140,7 @@ def search(
 
     def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
         along = weighed_both, beside, normal
-        return _gains(candidates, sheet.slots, ground, plain, scale, *along)
+        return _gains(candidates, sheet.slots, ground, plain, *along)
 
     def look() -> Search:
         both = gains(weighed_both, beside, normal)
@@ -221,38 +220,41 @@ def _gains(
     candidates: Candidates,
     slots: Slots,
     ground: Int[Array, ""],
-    plain: Weights,
-    scale: Float[Array, ""],
+    plain: Plain,
     weighed_both: Float[Array, "2 M"],
     beside: Float[Array, "C M"],
     normal: Float[Array, "C C"],
 ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
     """Computes how much each candidate explains: of what contacts leave, and of all.
 
-    With one electrode grounded a candidate's column is R_i − R_l + f_i, so every product
-    with the column is one with R.
+    A candidate's column is m + x, x without a weighed mean: float32 would lose the little
+    that x is beside m. With one electrode grounded the column is R_i − R_l + f_i, so
+    every product with x is one with R.
     """
-    w, offset = plain.each, slots.offset(ground)
-    vectors = jnp.concatenate([weighed_both, beside, plain.common])
+    w, whole, offset = plain.each, plain.whole, slots.offset(ground)
+    vectors = jnp.concatenate([weighed_both, beside])
+    sums = vectors.sum(1)
     if isinstance(slots, Grounds):
-        vectors = jnp.concatenate([vectors, jnp.stack([w, w * offset])])
-        products = product(vectors, candidates.potential)  # (C + 5, K)
-        at_ground = jnp.take(candidates.potential, ground, 0)
-        constant = matmul(vectors, offset)
-        along = products - at_ground * vectors.sum(1)[:, None] + constant[:, None]
-        # Σw(R + f − R_l)², less what the offset takes off.
-        total, cross = products[-2], products[-1]
-        own = matmul(w, candidates.square) + 2 * (cross - at_ground * total)
-        own = own + constant[-1] - 2 * at_ground * constant[-2] + at_ground**2 * w.sum()
+        middle = matmul(w, offset) / whole
+        offset = offset - middle
+        centred = vectors - (sums / whole)[:, None] * w
+        rows = jnp.concatenate([centred, jnp.stack([w / whole, w * offset])])
+        products = product(rows, candidates.potential)  # (C + 4, K)
+        level, cross = products[-2], products[-1]
+        mean = level - jnp.take(candidates.potential, ground, 0) + middle
+        along = products[:-2] + matmul(vectors, offset)[:, None]
+        own = matmul(w, candidates.square) - whole * level**2
+        own = own + 2 * cross + matmul(w, offset**2)
     else:
         columns = (slots.relative(candidates.potential.T, ground) + offset).T
-        along, own = product(vectors, columns), matmul(w, columns**2)
-    count = len(beside)
-    by_rest, by_all = along[0], along[1]
-    shares, common = along[2 : 2 + count], along[2 + count]
-    own = own - scale * common**2
+        mean = matmul(w, columns) / whole
+        along = product(vectors, columns - mean)
+        own = matmul(w, (columns - mean) ** 2)
+    along = along + sums[:, None] * mean
+    own = own + plain.part * whole * mean**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
-    inverse = solve_small(normal, jnp.eye(count, dtype=w.dtype))
+    by_rest, by_all, shares = along[0], along[1], along[2:]
+    inverse = solve_small(normal, jnp.eye(len(beside), dtype=w.dtype))
     left = own - (product(inverse, shares) * shares).sum(0)
     near = left < 1e-3 * own
     gains = jnp.maximum(by_rest, 0) ** 2 / jnp.where(near, 1, left)

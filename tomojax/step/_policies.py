@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax._require import require
-from tomojax.kernels.contacts import in_slot, slot_weights, solve_small, weighed
+from tomojax.kernels.contacts import in_slot, slot_weights, whitened
 from tomojax.kernels.images import Contacts
 from tomojax.kernels.scan import around, Region, smallest_pitch
 from tomojax.kernels.sheet import cell_centres
@@ -138,7 +138,7 @@ class Lookup(AbstractPolicy):
 class Information(AbstractPolicy):
     """One slot at a time: the ground whose slot should say most of the contacts' places.
 
-    The ground l has the largest Σ_c ln|P_c⁻¹ + J_c(l)|. P is the covariance of a contact's
+    The ground l has the largest Σ_c ln|I + P_c·J_c(l)|. P is the covariance of a contact's
     place; J(l) is a slot's information on the place, looked up by place. The next electrode
     is grounded where the contacts do not explain the voltages, as by `Lookup`.
     """
@@ -155,11 +155,11 @@ class Information(AbstractPolicy):
         away = ((self.places - xy[:, None]) ** 2).sum(-1)
         a, b, c = jnp.moveaxis(self.information[jnp.argmin(away, 1)], -1, 0)  # (C, M)
         unit = jnp.ones_like(contacts.covariance).at[:, 2].set(0) * 1e-6
-        spread = jnp.where(there[:, None], contacts.covariance, unit)
-        spread = jnp.where(jnp.isfinite(spread), spread, unit)
+        spread = jnp.where(jnp.isfinite(contacts.covariance), contacts.covariance, unit)
         xx, yy, mixed = (s[:, None] for s in spread.T)
-        det = xx * yy - mixed**2
-        told = jnp.log((yy / det + a) * (xx / det + b) - (c - mixed / det) ** 2)
+        # |I + PJ| = 1 + tr PJ + |P||J|: the little that a slot adds keeps its digits.
+        both = (xx * yy - mixed**2) * (a * b - c**2)
+        told = jnp.log1p(xx * a + yy * b + 2 * mixed * c + jnp.maximum(both, 0))
         gain = jnp.where(there[:, None], told, 0).sum(0)
         # Again the same says little that is new: its errors are the same.
         again = jnp.arange(len(gain), dtype=seen.ground.dtype) == seen.ground
@@ -257,9 +257,10 @@ def _information(follow: Any, conditions: int) -> Float[Array, "K L 3"]:
     def one(raw: Float[Array, "4 M"], ground: Array) -> Float[Array, "3"]:
         columns = current * in_slot(sheet, raw[None], ground)[0]
         weights = slot_weights(noise, columns[0], jnp.ones(len(columns[0]), bool))
-        gram = columns @ weighed(weights, columns).T
-        inner = solve_small(gram[:1, :1], gram[:1, 1:3])
-        normal = (gram[1:3, 1:3] - gram[1:3, :1] @ inner) / unit**2
+        base, *others = whitened(weights, columns[:3])
+        # What no current explains of a move.
+        rest = jnp.stack([x - base * ((x @ base) / (base @ base)) for x in others])
+        normal = rest @ rest.T / unit**2
         return jnp.stack([normal[0, 0], normal[1, 1], normal[0, 1]])
 
     grounds = jnp.arange(conditions)

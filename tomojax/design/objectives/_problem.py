@@ -28,7 +28,7 @@ from tomojax.design.objectives._information import (
 )
 from tomojax.design.objectives._scores import simulated_place_error
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import Noise, slot_weights, weighed
+from tomojax.kernels.contacts import Noise, slot_weights, whitened
 from tomojax.methods import Linear, noise_of, sheet_of, Source
 from tomojax.paper import exploration
 from tomojax.sensor import Sensor
@@ -241,7 +241,7 @@ def _information(
         columns = contact.columns(place, ground)
         if isinstance(noise, Noise):
             read = jnp.ones(columns.shape[1], bool)
-            seen = weighed(slot_weights(noise, columns[0], read), columns)
+            columns = seen = whitened(slot_weights(noise, columns[0], read), columns)
         else:
             seen = matmul(columns, noise)
         return without_current(matmul(columns, seen.T))

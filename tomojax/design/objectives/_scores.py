@@ -17,7 +17,7 @@ from tomojax.design.objectives._contacts import Contact, without_current
 from tomojax.design.objectives._information import AbstractObjective, place_prior
 from tomojax.design.objectives._rigs import differences, disc_shares, GAIN
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts import Noise, slot_weights, solve_small, weighed
+from tomojax.kernels.contacts import Noise, slot_weights, solve_small, whitened
 from tomojax.kernels.sheet import Grounds, volts_per_ampere
 from tomojax.methods import noise_of
 from tomojax.sensor import converter_of, Sensor
@@ -94,8 +94,9 @@ def _scores(
         off = current * more[:, 0]
         off = off + gains * columns[0] + hisses[ground]
         read = jnp.ones(len(grounds), bool)
-        seen = weighed(slot_weights(noise, columns[0], read), columns)
-        return score(columns, seen, off)
+        weights = slot_weights(noise, columns[0], read)
+        columns = whitened(weights, columns)
+        return score(columns, columns, whitened(weights, off))
 
     every = jax.vmap(one, (None, None, 0))
     return jax.lax.map(lambda x: every(x[0], x[1], grounds), (places, more_ek))
