@@ -40,7 +40,9 @@ class Noise(NamedTuple):
 
     converter: Float[Array, ""]  # V
     own: Float[Array, ""]  # a channel's, as a part of its voltage
-    local: Float[Array, "3 M M"]  # and of its voltage's bend and slopes, from all voltages
+    local: Float[
+        Array, "M three_M"
+    ]  # and of its voltage's bend and slopes: of all voltages
     smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
 
@@ -84,16 +86,16 @@ def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array
 
     none = jnp.zeros(3, place.dtype)
     all_weights = jnp.concatenate([weights(none)[None], jax.jacfwd(weights)(none).T])
-    # As a sum, not a product of matrices: XLA works each weight out again for each element
-    # of a product, forty microseconds a contact, where it makes one function of a step.
-    return (all_weights[:, :, None] * nearby).sum(1)
+    # XLA would else work each weight out again for each element of a product, forty
+    # microseconds a contact.
+    return product(jax.lax.optimization_barrier(all_weights), nearby)
 
 
 def slot_weights(
     noise: Noise, voltages: Float[Array, " M"], used: Bool[Array, " M"]
 ) -> Weights:
     """Inverts the covariance of a slot's errors; common errors by Woodbury's formula."""
-    near = matmul(noise.local, voltages)
+    near = matmul(voltages, noise.local).reshape(-1, len(voltages))
     own = (noise.own * voltages) ** 2 + (near**2).sum(0)
     variance = noise.converter**2 + own
     each = jnp.where(used, jax.lax.rsqrt(variance), 0)

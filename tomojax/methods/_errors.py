@@ -162,9 +162,9 @@ class Errors(eqx.Module):
         smooth = ready.smooth[longest]
         dtype = ready.local.dtype
         shaped = np.array([_ROUND, _SLOPED, _SLOPED], dtype)
-        local = shaped[:, None, None] * ready.local
+        local = (shaped[:, None, None] * ready.local).transpose(2, 0, 1)
         own = np.asarray(_ROUND * ready.own, dtype)
-        found = Noise(ready.noise, jnp.asarray(own), local, smooth, ready.offset)
+        found = Noise(ready.noise, own, local.reshape(len(local), -1), smooth, ready.offset)
         return jax.tree.map(jnp.asarray, found)
 
     def smooth(self, places: Float[Array, "n 2"]) -> Float[Array, "q n"]:

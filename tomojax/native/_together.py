@@ -8,6 +8,9 @@ _MOST = 7
 # Fewer columns than this are not worth it.
 _LANES = 16
 
+# Rows up to this long, of a matrix that is used once, are read in blocks.
+_WIDE = 512
+
 
 def join_products(body: Body) -> None:
     """Joins products of vectors with a matrix, up to where the first of them is read."""
@@ -21,8 +24,9 @@ def join_products(body: Body) -> None:
         some = waiting.pop(key)
         inputs = [some[0].inputs[1], *(op.inputs[0] for op in some)]
         outputs = [op.outputs[0] for op in some]
-        # A matrix that is used once is best read row by row.
-        one = some[0] if len(some) == 1 else Op("dots", {}, inputs, outputs)
+        # A long matrix that is used once is best read row by row.
+        alone = len(some) == 1 and some[0].inputs[1].shape[1] > _WIDE
+        one = some[0] if alone else Op("dots", {}, inputs, outputs)
         joined.append(one)
 
     for op in body.ops:

@@ -20,6 +20,7 @@ TJ int32_t tj_within(int32_t at, int32_t most) { return at < 0 ? 0 : at > most ?
 
 /* NaN wins, as in XLA; whole numbers that are divided by 0 are too. */
 #define TJ_FLOATS(T, I, fmod_)                                                              \
+  TJ T tj_either_##T(int first, T a, T b) { return first ? a : b; }                         \
   TJ T tj_max_##T(T a, T b) { return a > b || a != a ? a : b; }                             \
   TJ T tj_min_##T(T a, T b) { return a < b || a != a ? a : b; }                             \
   TJ T tj_largest_##T(int n, const T *a) {                                                  \
@@ -89,6 +90,7 @@ TJ int32_t tj_within(int32_t at, int32_t most) { return at < 0 ? 0 : at > most ?
     }                                                                                       \
   }
 #define TJ_WHOLE(T, MIN)                                                                    \
+  TJ T tj_either_##T(int first, T a, T b) { return first ? a : b; }                         \
   TJ T tj_max_##T(T a, T b) { return a > b ? a : b; }                                       \
   TJ T tj_min_##T(T a, T b) { return a < b ? a : b; }                                       \
   TJ T tj_sign_##T(T a) { return (T)((a > 0) - (a < 0)); }                                  \
@@ -135,35 +137,34 @@ TJ_BITS(int64_t, double)
 TJ_BITS(float, uint32_t)
 TJ_BITS(uint32_t, float)
 
-/* Products of N rows, row[k * N + v], with one matrix, 16 of its columns after the other:
- * the sums stay in registers. A function of its own, which compilers see through best. */
-#define TJ_DOTS(T, N)                                                                       \
+/* Products of N rows, row[k * N + v], with one matrix, a block of its columns after the
+ * other: the sums stay in registers. A function of its own, which compilers see through best. */
+#define TJ_DOTS_BLOCK(T, N, L)                                                              \
+  for (; i + L <= wide; i += L) {                                                           \
+    T s[N][L] = {{0}};                                                                      \
+    for (int k = 0; k < n; k++)                                                             \
+      for (int v = 0; v < N; v++) {                                                         \
+        _Pragma("omp simd")                                                                 \
+        for (int l = 0; l < L; l++) s[v][l] += row[k * N + v] * matrix[k * wide + i + l];   \
+      }                                                                                     \
+    for (int v = 0; v < N; v++)                                                             \
+      for (int l = 0; l < L; l++) out[v * wide + i + l] = s[v][l];                          \
+  }
+#define TJ_DOTS(T, N, L)                                                                    \
   TJ_APART void tj_dots##N##_##T(int n, int wide, const T *restrict matrix,                 \
                                  const T *restrict row, T *restrict out) {                  \
-    const int whole = wide - wide % 16;                                                     \
-    for (int i = 0; i < whole; i += 16) {                                                    \
-      T s[N][16] = {{0}};                                                                   \
-      for (int k = 0; k < n; k++)                                                           \
-        for (int v = 0; v < N; v++) {                                                       \
-          _Pragma("omp simd")                                                               \
-          for (int l = 0; l < 16; l++) s[v][l] += row[k * N + v] * matrix[k * wide + i + l];\
-        }                                                                                   \
-      for (int v = 0; v < N; v++)                                                           \
-        for (int l = 0; l < 16; l++) out[v * wide + i + l] = s[v][l];                       \
-    }                                                                                       \
-    for (int i = whole; i < wide; i++)                                                      \
-      for (int v = 0; v < N; v++) {                                                         \
-        T s = 0;                                                                            \
-        for (int k = 0; k < n; k++) s += row[k * N + v] * matrix[k * wide + i];             \
-        out[v * wide + i] = s;                                                              \
-      }                                                                                     \
+    int i = 0;                                                                              \
+    TJ_DOTS_BLOCK(T, N, L)                                                                  \
+    TJ_DOTS_BLOCK(T, N, 16)                                                                 \
+    TJ_DOTS_BLOCK(T, N, 1)                                                                  \
   }
 #define TJ_EACH_DOTS(T)                                                                     \
-  TJ_DOTS(T, 2)                                                                             \
-  TJ_DOTS(T, 3)                                                                             \
-  TJ_DOTS(T, 4)                                                                             \
-  TJ_DOTS(T, 5)                                                                             \
-  TJ_DOTS(T, 6)                                                                             \
-  TJ_DOTS(T, 7)
+  TJ_DOTS(T, 1, 64)                                                                         \
+  TJ_DOTS(T, 2, 16)                                                                         \
+  TJ_DOTS(T, 3, 16)                                                                         \
+  TJ_DOTS(T, 4, 16)                                                                         \
+  TJ_DOTS(T, 5, 16)                                                                         \
+  TJ_DOTS(T, 6, 16)                                                                         \
+  TJ_DOTS(T, 7, 16)
 TJ_EACH_DOTS(float)
 TJ_EACH_DOTS(double)
