@@ -1,6 +1,7 @@
 """Settings of a process for short latencies."""
 
 import argparse
+import ctypes
 import gc
 import os
 import signal
@@ -13,6 +14,9 @@ _FLAGS = (
     "--xla_cpu_experimental_ynn_fusion_type=",
 )
 
+# Of Linux's sys/mman.h: pages there now and later, each from its first use on.
+_CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
+
 
 @contextmanager
 def real_time(priority: int = 50):
@@ -20,8 +24,8 @@ def real_time(priority: int = 50):
 
     Enter this context before JAX computes anything: JAX reads most settings when it begins.
     The process stays on one core, without tasks of other threads and without garbage
-    collection. Each step is compiled into one function. The process runs under SCHED_FIFO
-    with that `priority`, if the system allows.
+    collection. Each step is compiled into one function. If the system allows, the process
+    runs under SCHED_FIFO with that `priority`, and its memory stays in memory.
     """
     import jax  # processes beside the loop start without
 
@@ -44,9 +48,13 @@ def real_time(priority: int = 50):
             done.append("SCHED_FIFO")
         except (PermissionError, AttributeError):  # not allowed, or not this system's
             fifo = None
+    if locked := _lock_memory():
+        done.append("locked memory")
     try:
         yield done
     finally:
+        if locked:
+            ctypes.CDLL(None).munlockall()
         if fifo is not None:
             os.sched_setscheduler(0, *fifo)
         if cores:
@@ -55,6 +63,21 @@ def real_time(priority: int = 50):
         gc.unfreeze()
         jax.config.update("jax_cpu_enable_async_dispatch", True)
         os.environ["XLA_FLAGS"] = before
+
+
+def _lock_memory() -> bool:
+    """Keeps the pages that the process uses in memory, also those to come.
+
+    Where the system limits such memory, nothing is locked: later pages would be refused.
+    """
+    try:
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        free = limit == resource.RLIM_INFINITY or os.geteuid() == 0
+        return free and ctypes.CDLL(None).mlockall(_CURRENT | _FUTURE | _ON_FAULT) == 0
+    except (ImportError, AttributeError):  # not this system's
+        return False
 
 
 def _quietest(cores: set[int]) -> int:
