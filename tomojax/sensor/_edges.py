@@ -3,6 +3,7 @@
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -68,6 +69,7 @@ class RoundEdge(AbstractEdge):
         self.center = checked_center(center)
         self.radius = checked("radius", radius, require_positive, ())
 
+    @jax.jit
     def distance(self, points: Points) -> Density:
         return norm(points - self.center) - self.radius
 
@@ -170,6 +172,7 @@ def _check_sides(start: np.ndarray, end: np.ndarray) -> None:
             )
 
 
+@jax.jit
 def polygon_distance(points: Points, start: Array, end: Array) -> Density:
     """Computes the signed distance to sides from `start` to `end`, negative inside.
 
