@@ -64,9 +64,7 @@ def test_scores_are_their_definitions(rng, columns, rule) -> None:
     rows, v = rng.standard_normal((3, 5, columns)), rng.standard_normal((3, 5))
     grid = np.array([1e-2, 0.3, 20.0])
     s = spectrum(jnp.asarray(rows))
-    scores = lambda_scores(
-        s, jnp.asarray(v), jnp.asarray(grid), rule, jnp.asarray(0.7)
-    )
+    scores = lambda_scores(s, jnp.asarray(v), jnp.asarray(grid), rule, jnp.asarray(0.7))
     exact = np.array([dense_scores(rows, v, lam, rule, 0.7) for lam in grid])
     np.testing.assert_allclose(scores, exact, rtol=1e-8)
 

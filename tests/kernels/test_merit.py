@@ -57,9 +57,7 @@ def test_half_width_is_differentiable() -> None:
     slope = jax.jit(jax.grad(f))(0.02)
     np.testing.assert_allclose(slope, np.sqrt(2 * np.log(2)), rtol=0.02)
     np.testing.assert_allclose(slope, (f(0.02 + 1e-7) - f(0.02 - 1e-7)) / 2e-7, rtol=1e-6)
-    place = jax.jit(
-        jax.jacobian(lambda x: image_place(gaussian((x, 0.08), 0.02), CELL)[0])
-    )
+    place = jax.jit(jax.jacobian(lambda x: image_place(gaussian((x, 0.08), 0.02), CELL)[0]))
     np.testing.assert_allclose(place(0.081), 1, rtol=0.02)
 
 

@@ -32,7 +32,6 @@ def field(paper_sensor):
 
 # As one program each: op by op they are hundreds to compile.
 jit_green_slope = jax.jit(jax.vmap(jax.jacfwd(rectangle_green), (0, 0, None, None)))
-jit_slope = jax.jit(rectangle_slope)
 jit_image = jax.jit(points_image, static_argnums=2)
 jit_solve, jit_whiten = jax.jit(solve_positive), jax.jit(whiten)
 
@@ -113,7 +112,9 @@ def test_whitening_is_the_inverse_covariance(rng):
     # A channel that is not used counts for nothing, whatever it reads.
     unused = jnp.asarray(own).at[:, 2].set(0)
     one = jit_whiten(jnp.asarray(volts), grounds, unused, jnp.asarray(common))
-    other = jit_whiten(jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common))
+    other = jit_whiten(
+        jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common)
+    )
     np.testing.assert_array_equal(one.whitened, other.whitened)
     # <F v, r> = <v, Fᵀ r>.
     v, r = rng.normal(size=(3, 9)), rng.normal(size=(3, 1, 13))
@@ -225,5 +226,5 @@ def test_slope_of_green_is_its_derivative(rng, size, dtype, atol):
     beside = at[:20] + jnp.asarray(rng.normal(0, 4e-3, (20, 2)), dtype)
     other = jnp.concatenate([beside, at[20:21], at[:19]])
     rim = jnp.asarray(5e-3, dtype)
-    got, want = (f(at, other, rim, size) for f in (jit_slope, jit_green_slope))
+    got, want = (f(at, other, rim, size) for f in (rectangle_slope, jit_green_slope))
     np.testing.assert_allclose(got, want, atol=atol)
