@@ -69,9 +69,8 @@ class RoundEdge(AbstractEdge):
         self.center = checked_center(center)
         self.radius = checked("radius", radius, require_positive, ())
 
-    @jax.jit
     def distance(self, points: Points) -> Density:
-        return norm(points - self.center) - self.radius
+        return round_distance(points, self.center, self.radius)
 
     def __repr__(self) -> str:
         return named(self, radius=shown(self.radius, "mm", 1e3))
@@ -170,6 +169,12 @@ def _check_sides(start: np.ndarray, end: np.ndarray) -> None:
                 f"points: side {k} from ({x:g}, {y:g}) mm crosses side "
                 f"{k + 1 + int(np.argmax(crosses))}; an outline may not cross itself"
             )
+
+
+@jax.jit  # also on the host one program
+def round_distance(points: Points, center: Array, radius: Array) -> Density:
+    """Computes the distance to a circle, negative inside."""
+    return norm(points - center) - radius
 
 
 @jax.jit
