@@ -8,9 +8,6 @@ import pytest
 import tomojax as tx
 from tomojax.kernels.inverse import solve_reduced, tikhonov
 
-# As one program: op by op they are hundreds to compile.
-tikhonov = jax.jit(tikhonov, static_argnames="route")
-
 ROUTES = ["cholesky", "double"]
 
 
