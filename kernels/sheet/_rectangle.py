@@ -5,6 +5,7 @@ as in `_electrodes`.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from tomojax.kernels.sheet._table import centred, Resistances
 _AT_ONCE = 16
 
 
+@partial(jax.jit, static_argnames="solid")  # also on the host one program
 def rectangle_green(
     one: Float[Array, "*#batch 2"],
     other: Float[Array, "*#batch 2"],
@@ -32,6 +34,7 @@ def rectangle_green(
     return _series(one, other, size).potential(rim, solid, _log_product)
 
 
+@jax.jit
 def rectangle_slope(
     one: Float[Array, "*#batch 2"],
     other: Float[Array, "*#batch 2"],

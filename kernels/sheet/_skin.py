@@ -41,6 +41,7 @@ class Skin(NamedTuple):
         return chart if self.surface is None else self.surface(chart)
 
 
+@jax.jit
 def covered(level: Float[Array, "K 3"]) -> Float[Array, " K"]:
     """Computes the part of each triangle where a level, linear in it, is negative.
 

@@ -56,6 +56,28 @@ def sensor(request, small_sensor, rng) -> tx.Sensor:
 on_mesh = jax.jit(sheet_on_mesh)
 reduce_mesh = jax.jit(fem_contact, static_argnums=2)
 shared_resistances = jax.jit(fem_shared_resistances, static_argnums=2)
+reduce_to_sites = jax.jit(reduce_sites, static_argnums=2)
+conditions_of, ground_voltages, slot_jacobian, voltage_drop = map(
+    jax.jit, (conditions_of, ground_voltages, slot_jacobian, voltage_drop)
+)
+jit_slopes = jax.jit(lambda *a: voltage_slopes(*a[:-2])(*a[-2:]))
+slot_map = jax.jit(references.slot_map)
+
+
+@jax.jit
+def parts_of(law, table, rows, each, which) -> list[jax.Array]:
+    """Each member of a law of grounds."""
+    volts = volts_per_ampere(law, rows[0], which)
+    return [
+        law.path(which),
+        law.offset(which),
+        law.relative(rows, which),
+        law.apart(each, which),
+        law.level(rows, which),
+        law.sunk(rows, which, volts),
+        slot_jacobian(table, law, which, jnp.array(10.0)),
+        law.relative(rows, which[0]),
+    ]
 
 
 def alone(sensor: tx.Sensor) -> Grounds:
@@ -77,7 +99,7 @@ def table_of_sites(sensor: tx.Sensor, sites) -> Resistances:
 def sensitivity(contact: ContactReduction, *drive) -> jax.Array:
     """∂V/∂g of every site."""
     n = len(contact.gap)
-    return voltage_slopes(contact, *drive)(jnp.eye(n), jnp.arange(n))
+    return jit_slopes(contact, *drive, jnp.eye(n), jnp.arange(n))
 
 
 @pytest.mark.parametrize("z", [0.0, 4.0])
@@ -160,14 +182,8 @@ def test_conditions_are_grounds_where_one_electrode_is_grounded(sensor, rng) -> 
     which = jnp.array([5, 0, 5])
     rows = 1e3 * jnp.asarray(rng.standard_normal((4, ELECTRODES)))
     each = jnp.stack([rows, 2 * rows, 3 * rows])
-    volts = volts_per_ampere(one, rows[0], which)
-    pairs = [
-        (law.path(which), law.offset(which), law.relative(rows, which))
-        + (law.apart(each, which), law.level(rows, which), law.sunk(rows, which, volts))
-        + (slot_jacobian(table, law, which, jnp.array(10.0)), law.relative(rows, which[0]))
-        for law in (one, other)
-    ]
-    for got, want in zip(*pairs):
+    pairs = [parts_of(law, table, rows, each, which) for law in (one, other)]
+    for got, want in zip(*pairs, strict=True):
         np.testing.assert_allclose(got, want, atol=1e-6 * float(jnp.abs(want).max()))
     np.testing.assert_array_equal(one.grounded(which), other.grounded(which))
 
@@ -176,7 +192,7 @@ def test_slot_map_is_exact_in_the_current(sensor, rng) -> None:
     """V^l = T^l s for any current image, one ground or several, whatever fed it."""
     s = 1e-6 * rng.standard_normal(sensor.element_count)
     table = tx.sensor.resistances(sensor)
-    t = references.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, _ = references.network_voltages(sensor, injected=s, ground=ground)
         got = t[ground] @ s
@@ -195,7 +211,7 @@ def test_slot_map_on_sites_carries_any_contact(sensor, rng) -> None:
     g = patchy(rng)
     sites = np.flatnonzero(g)
     table = table_of_sites(sensor, sites)
-    t = references.slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
+    t = slot_map(table, jnp.arange(ELECTRODES), sensor.ground_resistance)
     for ground in range(ELECTRODES):
         want, u = references.network_voltages(sensor, g, ground=ground)
         got = t[ground] @ (g * (4.5 - u))[sites]
@@ -258,7 +274,7 @@ def test_adjoint_sensitivity_is_the_derivative(sensor, rng) -> None:
     nothing = mesh_reduction(sensor, 0 * g)
     at_rest = sensitivity(nothing, *law)
     sites = table_of_sites(sensor, np.arange(len(g)))
-    t = references.slot_map(sites, grounds, sensor.ground_resistance)
+    t = slot_map(sites, grounds, sensor.ground_resistance)
     np.testing.assert_allclose(at_rest, 4.5 * t, atol=1e-9 * float(t.max()))
 
 
@@ -308,7 +324,7 @@ def test_few_strong_sites_of_many(sensor, weakest, rng) -> None:
     table = all_sites(sensor)
     g = np.full(NODES + ELECTRODES, weakest)
     g[rng.choice(len(g), 12, replace=False)] = 10 ** rng.uniform(-5, -1, 12)
-    got = jax.jit(reduce_sites, static_argnums=2)(table, jnp.asarray(g), ELECTRODES)
+    got = reduce_to_sites(table, jnp.asarray(g), ELECTRODES)
     want = mesh_reduction(sensor, g)
     drive = (alone(sensor), jnp.arange(ELECTRODES), sensor.drive_voltage)
     weak = (weakest * jnp.diagonal(table)).sum()

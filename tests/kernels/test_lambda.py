@@ -15,6 +15,14 @@ from tomojax.kernels.inverse import (
 )
 from tomojax.kernels.sheet import centroids
 
+# As one program each: op by op they are hundreds to compile.
+choose_lambda, lambda_grid, spectrum = (
+    jax.jit(choose_lambda),
+    jax.jit(lambda_grid, static_argnums=1),
+    jax.jit(spectrum),
+)
+lambda_scores = jax.jit(lambda_scores, static_argnums=3)
+
 
 def dense_scores(rows, v, lam, rule, noise):
     """Every score from the hat matrix itself, by NumPy."""
@@ -56,9 +64,7 @@ def test_scores_are_their_definitions(rng, columns, rule) -> None:
     rows, v = rng.standard_normal((3, 5, columns)), rng.standard_normal((3, 5))
     grid = np.array([1e-2, 0.3, 20.0])
     s = spectrum(jnp.asarray(rows))
-    scores = jax.jit(lambda_scores, static_argnums=3)(
-        s, jnp.asarray(v), jnp.asarray(grid), rule, jnp.asarray(0.7)
-    )
+    scores = lambda_scores(s, jnp.asarray(v), jnp.asarray(grid), rule, jnp.asarray(0.7))
     exact = np.array([dense_scores(rows, v, lam, rule, 0.7) for lam in grid])
     np.testing.assert_allclose(scores, exact, rtol=1e-8)
 
@@ -71,12 +77,13 @@ def test_variances_are_found(rng) -> None:
     image = 2.0 * rng.standard_normal(40)
     exact = rows @ image
     s = spectrum(jnp.asarray(rows))
+    components = jax.jit(lambda v: variance_components(*s, v))
     for white, common, gain in ((0.1, 3.0, 0.03), (1.0, 0.5, 0.04), (0.1, 2.0, 0.02)):
         v = exact * (1 + gain * rng.standard_normal(30))
         v += common * rng.standard_normal((12, 1)) + white * rng.standard_normal(v.shape)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("tomojax.kernels.inverse._variance._STEPS", 300)
-            found = variance_components(*s, jnp.asarray(v))
+            found = components(jnp.asarray(v))
         wanted = np.array([2.0, white, common, gain]) ** 2
         ratio = np.asarray(found) / wanted
         assert (ratio > 0.3).all() and (ratio < 3).all(), ratio
@@ -96,7 +103,7 @@ def test_likelihood_never_falls(rng) -> None:
     for steps in (1, 2, 4, 8):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("tomojax.kernels.inverse._variance._STEPS", steps)
-            t = variance_components(*s, jnp.asarray(v))
+            t = jax.jit(lambda v: variance_components(*s, v))(jnp.asarray(v))
         c = t.image * a @ a.T + t.white * np.eye(15) + t.common * slot + t.gain * gain
         values.append(-np.linalg.slogdet(c)[1] - y @ np.linalg.solve(c, y))
     assert (np.diff(values) >= -1e-9).all(), values

@@ -30,6 +30,11 @@ def field(paper_sensor):
     return make_field(paper_sensor)
 
 
+# As one program each: op by op they are hundreds to compile.
+jit_green_slope = jax.jit(jax.vmap(jax.jacfwd(rectangle_green), (0, 0, None, None)))
+jit_image = jax.jit(points_image, static_argnums=2)
+jit_solve, jit_whiten = jax.jit(solve_positive), jax.jit(whiten)
+
 PLACES = [(0.0621, 0.1043), (0.07, 0.09), (0.012, 0.011), (0.08, 0.0743)]
 
 
@@ -80,7 +85,8 @@ def test_slope_of_the_closed_form_where_places_meet(paper_sensor):
     at = paper_sensor.electrode_xy[10].astype(np.float32)
     size, radius = paper_sensor.size.astype(np.float32), jnp.float32(0.0025)
     for off in (0.0, 1e-9, 1e-7):
-        slope = jax.jacfwd(rectangle_green)(at + np.float32(off), at, radius, size)
+        near = (at + np.float32(off))[None]
+        slope = jit_green_slope(near, at[None], radius, size)
         assert np.isfinite(slope).all() and np.abs(slope).max() < 1e3
 
 
@@ -90,7 +96,7 @@ def test_elimination(rng, dtype, close):
     a = rng.normal(size=(7, 5, 12))
     a, b = a @ a.transpose(0, 2, 1), rng.normal(size=(7, 5, 3))
     for scale in (1.0, 1e10, 1e-10):
-        got = solve_positive(jnp.asarray(scale * a, dtype), jnp.asarray(b, dtype)) * scale
+        got = jit_solve(jnp.asarray(scale * a, dtype), jnp.asarray(b, dtype)) * scale
         want = np.linalg.solve(a, b)
         np.testing.assert_allclose(got, want, atol=close * np.abs(want).max())
 
@@ -98,15 +104,17 @@ def test_elimination(rng, dtype, close):
 def test_whitening_is_the_inverse_covariance(rng):
     volts, own = rng.normal(size=(3, 9)), rng.uniform(0.1, 1, (3, 9))
     common, grounds = rng.normal(size=(3, 4, 9)), jnp.arange(3)
-    frame = whiten(*map(jnp.asarray, (volts, grounds, own, common)))
+    frame = jit_whiten(*map(jnp.asarray, (volts, grounds, own, common)))
     for k in range(3):
         c = np.diag(own[k] ** 2) + common[k].T @ common[k]
         want = volts[k] @ np.linalg.solve(c, volts[k])
         np.testing.assert_allclose((frame.whitened[k] ** 2).sum(), want)
     # A channel that is not used counts for nothing, whatever it reads.
     unused = jnp.asarray(own).at[:, 2].set(0)
-    one = whiten(jnp.asarray(volts), grounds, unused, jnp.asarray(common))
-    other = whiten(jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common))
+    one = jit_whiten(jnp.asarray(volts), grounds, unused, jnp.asarray(common))
+    other = jit_whiten(
+        jnp.asarray(volts).at[:, 2].set(9), grounds, unused, jnp.asarray(common)
+    )
     np.testing.assert_array_equal(one.whitened, other.whitened)
     # <F v, r> = <v, Fᵀ r>.
     v, r = rng.normal(size=(3, 9)), rng.normal(size=(3, 1, 13))
@@ -122,10 +130,10 @@ def test_image_holds_the_current():
     ring = jnp.array([0.0, 0.0, 0.02])
     radius = jnp.array([0.005, 0.0001, 0.004])
     spots = Spots(place, extent, ring, radius, current)
-    image = points_image(spots, cell, (32, 32))
+    image = jit_image(spots, cell, (32, 32))
     np.testing.assert_allclose(image.sum() * cell.prod(), current.sum())
     last = spots._replace(current=current.at[:2].set(0))
-    only = points_image(last, cell, (32, 32))
+    only = jit_image(last, cell, (32, 32))
     assert only[20, 20] < 0.01 * only.max()  # the hole
 
 
@@ -149,7 +157,8 @@ def test_descent_ends_where_scipy_does():
     def ends(highest):
         limits = Limits(jnp.array([highest, jnp.inf]), jnp.ones(2))
         one = lambda target: descend(model, starts, limits, 4, 60, 2, jnp.inf, 0.0, target)  # noqa: E731
-        return jax.jit(jax.vmap(one))(targets)[0], jnp.stack([one(t)[0] for t in targets])
+        alone = jax.jit(one)
+        return jax.jit(jax.vmap(one))(targets)[0], jnp.stack([alone(t)[0] for t in targets])
 
     for highest in (jnp.inf, 0.7):
         together, alone = ends(highest)
@@ -217,6 +226,5 @@ def test_slope_of_green_is_its_derivative(rng, size, dtype, atol):
     beside = at[:20] + jnp.asarray(rng.normal(0, 4e-3, (20, 2)), dtype)
     other = jnp.concatenate([beside, at[20:21], at[:19]])
     rim = jnp.asarray(5e-3, dtype)
-    expected = jax.vmap(jax.jacfwd(rectangle_green), (0, 0, None, None))
-    got = rectangle_slope(at, other, rim, size)
-    np.testing.assert_allclose(got, expected(at, other, rim, size), atol=atol)
+    got, want = (f(at, other, rim, size) for f in (rectangle_slope, jit_green_slope))
+    np.testing.assert_allclose(got, want, atol=atol)

@@ -96,7 +96,7 @@ def test_derivatives(rng, route, shape, argument) -> None:
         return probe @ phi
 
     x, step = values[argument], 1e-5
-    reverse, forward = jax.jit(jax.grad(f))(x), jax.jit(jax.jacfwd(f))(x)
+    reverse, forward = jax.jit(lambda x: (jax.grad(f)(x), jax.jacfwd(f)(x)))(x)
     assert np.isfinite(reverse).all()
     np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-11)
     run = jax.jit(f)

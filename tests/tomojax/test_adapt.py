@@ -139,7 +139,7 @@ def test_zeros_that_wander_in_seconds_are_followed(sensor) -> None:
     assert len(off) == 30 and np.std(off[5:]) < 1e-3 < 2e-3 < walk[-1].std()
 
 
-@pytest.mark.long
+@pytest.mark.parametrize("found", [1], indirect=True)
 def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
     recording, other = day.recording(sensor), tmp_path / "b.h5"
     given = settings(found["most"], adapt=True)

@@ -111,6 +111,10 @@ class Ready(eqx.Module):
         self, voltages: Float[Array, "S M"], which: int | Int[Array, ""] = 0
     ) -> Rows:
         """Returns the row of a frame; `which` kind of scan."""
+        return self._row(voltages, jnp.asarray(which))
+
+    @eqx.filter_jit
+    def _row(self, voltages: Float[Array, "S M"], which: Int[Array, ""]) -> Rows:
         one = lambda a: jnp.asarray(a)[which]  # noqa: E731
         good, method = one(self.good), self.method
         v = jnp.where(good, voltages, 0)

@@ -200,6 +200,7 @@ class AdaptiveScan(eqx.Module):
         self.shares = None if table is None else table / table.sum(1, keepdims=True)
         self.name = name
 
+    @jax.jit
     def __call__(self, voltages: Float[Array, "E M"]) -> tuple[Int[Array, " L"], Region]:
         """Returns ground conditions and the region that they come from."""
         region, pitch = self.region(voltages), smallest_pitch(self.electrode_xy)
@@ -219,6 +220,7 @@ class AdaptiveScan(eqx.Module):
             voltages, self.electrode_xy, self.alpha, self.threshold, currents
         )
 
+    @eqx.filter_jit
     def around_each(
         self, voltages: Float[Array, "E M"], count: int
     ) -> tuple[Int[Array, "C 8"], Region]:

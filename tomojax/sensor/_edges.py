@@ -3,6 +3,7 @@
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
@@ -69,7 +70,7 @@ class RoundEdge(AbstractEdge):
         self.radius = checked("radius", radius, require_positive, ())
 
     def distance(self, points: Points) -> Density:
-        return norm(points - self.center) - self.radius
+        return round_distance(points, self.center, self.radius)
 
     def __repr__(self) -> str:
         return named(self, radius=shown(self.radius, "mm", 1e3))
@@ -170,6 +171,13 @@ def _check_sides(start: np.ndarray, end: np.ndarray) -> None:
             )
 
 
+@jax.jit  # also on the host one program
+def round_distance(points: Points, center: Array, radius: Array) -> Density:
+    """Computes the distance to a circle, negative inside."""
+    return norm(points - center) - radius
+
+
+@jax.jit
 def polygon_distance(points: Points, start: Array, end: Array) -> Density:
     """Computes the signed distance to sides from `start` to `end`, negative inside.
 

@@ -375,7 +375,9 @@ class Sensor(eqx.Module):
         """Returns the sheet's area, m²."""
         if self.flat:
             return float(np.prod(np.asarray(self.size)))
-        return float(element_areas(self.skin, self.divisions, self.size).sum())
+        return float(
+            eqx.filter_jit(element_areas)(self.skin, self.divisions, self.size).sum()
+        )
 
     def on_sheet(self, points: Numbers) -> Bool[Array, "*n"]:
         """Tells which points (…, 2), m, are on the sheet."""

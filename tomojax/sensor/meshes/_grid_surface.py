@@ -54,6 +54,7 @@ class GridSurface(eqx.Module):
         at = [np.linspace(0, s, n) for s, n in zip(np.asarray(size), _counts(size))]
         return cls(surface(jnp.stack(jnp.meshgrid(*at, indexing="ij"), -1)), size)
 
+    @jax.jit
     def __call__(self, points: Float[Array, "*n 2"]) -> Float[Array, "*n 3"]:
         # Straight on beyond the box's edges.
         wider = jnp.pad(
