@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from tomojax.kernels.algebra import matmul, solve_positive, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
-from tomojax.kernels.images._peaks import once
 
 # Of nine places, row by row.
 _MIDDLE = 4
@@ -29,8 +28,9 @@ def point_sources(
     Pixels are along `axis`.
     """
     columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
-    there = jnp.arange(len(columns)) < contacts.count.astype(int)
-    return jnp.where(there[:, None], columns, 0)
+    there = jnp.arange(len(contacts.radius)) < contacts.count.astype(int)
+    each = len(columns) // len(there)
+    return jnp.where(jnp.tile(there, each)[:, None], columns, 0)
 
 
 def explained(
@@ -80,13 +80,11 @@ def explained_by(
     def whole(
         contacts: Contacts, seen: Array, columns: Array, cell: Array
     ) -> tuple[Array, Array, Array]:
-        def sources(by: Array) -> Array:
-            moved = contacts._replace(xy=contacts.xy + by * cell)
-            return point_sources(columns, moved, shape, cell, axis=0)
-
-        near = once(jax.vmap(sources)(jnp.asarray(about, cell.dtype)))
-        factors, left = explained(near[_MIDDLE][None], seen[None])
-        near = near.reshape(-1, len(seen))
+        places = contacts.xy + jnp.asarray(about[:, None], cell.dtype) * cell
+        moved = contacts._replace(xy=places.reshape(-1, 2))
+        near = point_sources(columns, moved, shape, cell, axis=0)
+        first, count = _MIDDLE * len(contacts.xy), len(contacts.xy)
+        factors, left = explained(near[None, first : first + count], seen[None])
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
         return factors[0], left, seen - matmul(amount, near)

@@ -48,7 +48,7 @@ def find_peaks(
     """
     squares = _squares(image)
     wide, size = squares.shape[1], squares.size
-    top = once(squares.max())
+    top = _once(squares.max())
     high = (squares > _LOWEST_PEAK * top) & (squares > lowest) & (top > 0)
     # Value and place in one number, so that one pass finds both: positive floats are
     # ordered as their bits are, and the last bits of the value do not rank peaks.
@@ -57,9 +57,9 @@ def find_peaks(
     last = (1 << (size - 1).bit_length()) - 1
     place = jnp.arange(size, dtype=jnp.int32).reshape(squares.shape)
     packed = lax.bitcast_convert_type((bits & ~last) | place, jnp.float32)
-    packed = once(jnp.where(high, packed, -1))
+    packed = _once(jnp.where(high, packed, -1))
     if count > 1:  # the highest is one in any case
-        packed = once(jnp.where(packed >= _around(packed), packed, -1))
+        packed = _once(jnp.where(packed >= _around(packed), packed, -1))
     found, below = [], jnp.asarray(jnp.inf, jnp.float32)
     for _ in range(count):
         below = jnp.where(packed < below, packed, -1).max()
@@ -73,7 +73,7 @@ def find_peaks(
     return Peaks(i, j, height, group)
 
 
-def once(values: Array) -> Array:
+def _once(values: Array) -> Array:
     """Stops XLA from computing values again in each pass that uses them."""
     return lax.optimization_barrier(values)  # pyright: ignore
 
@@ -86,13 +86,13 @@ def _squares(image: Float[Array, "nx ny"]) -> Array:
     nx, ny = image.shape
     rows = image.reshape(nx // 2, 2, ny)
     rows = jnp.maximum(rows[:, 0], rows[:, 1])
-    return once(jnp.maximum(rows[:, ::2], rows[:, 1::2]))
+    return _once(jnp.maximum(rows[:, ::2], rows[:, 1::2]))
 
 
 def _around(values: Array) -> Array:
     """Takes the highest of each value and its eight neighbours."""
     wide = jnp.pad(values, 1, constant_values=-1)
-    rows = once(jnp.maximum(jnp.maximum(wide[:-2], wide[2:]), wide[1:-1]))
+    rows = _once(jnp.maximum(jnp.maximum(wide[:-2], wide[2:]), wide[1:-1]))
     return jnp.maximum(jnp.maximum(rows[:, :-2], rows[:, 2:]), rows[:, 1:-1])
 
 

@@ -39,6 +39,9 @@ _ON = 0.5
 _TRIED = 150
 _LOW = 3
 
+# Neighbours are nearer than so many times the nearest.
+_NEXT = 1.3
+
 
 class Work(NamedTuple):
     """The data that amounts are judged from; all by electrode."""
@@ -118,17 +121,36 @@ class Reading:
         )
 
     def _always_on(self, dead: list[int]) -> int | None:
-        """Tells dead channels from an electrode that is grounded all the time."""
-        if not 0 < len(dead) <= _LOW:
+        """Finds the channel whose electrode drains current in every slot, if one does.
+
+        That may be a dead channel, grounded all the time, or one that lies lower than its
+        neighbours: a leak.
+        """
+        low = dead if 0 < len(dead) <= _LOW else []
+        if not dead:
+            low = self._dips()
+        if not len(low):
             return None
         some = self.rng.choice(len(self.volts), min(len(self.volts), _TRIED), replace=False)
         told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
         given = self.plane, self.volts[some], as_told, self.usable, told
-        single = quality(fit_in_order(*given))
-        for c in dead:
-            if quality(fit_in_order(*given, c)) < _ON * single:
-                return c
-        return None
+        left = [quality(fit_in_order(*given, c)) for c in low]
+        best = int(np.argmin(left))
+        return low[best] if left[best] < _ON * quality(fit_in_order(*given)) else None
+
+    def _dips(self) -> list[int]:
+        """Lists channels that lie below their neighbours most, grounded slots left out."""
+        table = self.plane.distance(self.plane.xy)
+        near = ((table < _NEXT * np.sort(table, 1)[:, 1:2]) & (table > 0)).astype(float)
+        near = near * self.usable
+        mean = self.volts @ (near / np.maximum(near.sum(1), 1)[:, None]).T
+        level = np.maximum(np.abs(self.volts).max(1, keepdims=True), 1e-12)
+        dip = (mean - self.volts) / level
+        dip[np.arange(len(dip)), self.inside(self.asked)] = np.nan
+        with np.errstate(all="ignore"):
+            dip = np.nan_to_num(np.nanmedian(np.where(self.usable, dip, 0), 0))
+        lowest = np.argsort(-dip, kind="stable")[:_LOW]
+        return [int(c) for c in lowest if dip[c] > 0]
 
     def inside(self, asked: np.ndarray) -> np.ndarray:
         return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
@@ -172,12 +194,14 @@ class Reading:
         back = np.argsort(order)
         volts = self.volts[:, back]
         before = before_of(volts, fits, self.number, self.slots.follows[self.number])
+        lines = self.lines()
+        ground = lines.ground[np.searchsorted(lines.asked, self.asked)]
         return Work(
             plane=self.plane,
             volts=volts,
             before=before,
             fits=fits,
-            values=values_of(self.plane, volts, before, fits, drive),
+            values=values_of(self.plane, volts, before, fits, ground, drive),
             usable=self.usable[back],
             channel=back,
             number=self.number,
