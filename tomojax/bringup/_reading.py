@@ -109,7 +109,8 @@ class Reading:
         )
         self.every = slots.volts - self.silent.zero.astype(np.float32)
         self.volts = raw - self.silent.zero
-        self.always = self._always_on(dead)
+        usable, self.usable = self.usable, self._touching()
+        self.always = self._always_on(list(faults))
         self.faults += [fault for c, fault in faults.items() if c != self.always]
         self.fit()
         require(
@@ -119,38 +120,53 @@ class Reading:
             f"{1e3 * self.plane.size[0]:.0f} mm × {1e3 * self.plane.size[1]:.0f} mm)",
             "a recording of this sensor: is it another sensor's electrode_xy?",
         )
+        self.usable = usable
 
-    def _always_on(self, dead: list[int]) -> int | None:
+    def _always_on(self, silent: list[int]) -> int | None:
         """Finds the channel whose electrode drains current in every slot, if one does.
 
-        That may be a dead channel, grounded all the time, or one that lies lower than its
-        neighbours: a leak.
+        That may be a channel that follows no touch, grounded all the time, or one that lies
+        lower than its neighbours: a leak.
         """
-        low = dead if 0 < len(dead) <= _LOW else []
-        if not dead:
-            low = self._dips()
-        if not len(low):
-            return None
-        some = self.rng.choice(len(self.volts), min(len(self.volts), _TRIED), replace=False)
-        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
-        given = self.plane, self.volts[some], as_told, self.usable, told
-        left = [quality(fit_in_order(*given, c)) for c in low]
-        best = int(np.argmin(left))
-        return low[best] if left[best] < _ON * quality(fit_in_order(*given)) else None
+        lowest = np.where(self.usable, self._dips(), -np.inf)
+        low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
+        for c in low:
+            rest = self.usable & (np.arange(self.plane.count) != c)
+            if self._quality(rest, c) < _ON * self._quality(rest):
+                return c
+        return None
 
-    def _dips(self) -> list[int]:
-        """Lists channels that lie below their neighbours most, grounded slots left out."""
+    def _quality(self, usable: np.ndarray, always: int | None = None) -> float:
+        """Computes the part of some slots' span that contacts leave, in the order told."""
+        some = np.linspace(0, len(self.volts) - 1, min(len(self.volts), _TRIED)).astype(int)
+        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
+        given = self.plane, self.volts[some], as_told, usable, told, always
+        return quality(fit_in_order(*given))
+
+    def _touching(self) -> Bool[np.ndarray, " M"]:
+        """Leaves out usable channels below their neighbours, if others fit without them."""
+        whole, dips = self._quality(self.usable), self._dips()
+        dips = np.where(self.usable, dips, -np.inf)
+        for least in np.sort(dips)[::-1][: self.plane.count // 4 if whole > _RIGHT else 0]:
+            # Those that lie half as low are of the same kind.
+            rest = self.usable & (dips < max(least / 2, 1e-12))
+            few = 4 * rest.sum() < 3 * self.usable.sum()
+            if not few and self._quality(rest) < min(_ON * whole, _RIGHT):
+                return rest
+        return self.usable
+
+    def _dips(self) -> Float[np.ndarray, " M"]:
+        """Computes how far channels lie below their neighbours, of the slot's highest.
+
+        A median over the slots that do not ground the channel.
+        """
         table = self.plane.distance(self.plane.xy)
-        near = ((table < _NEXT * np.sort(table, 1)[:, 1:2]) & (table > 0)).astype(float)
-        near = near * self.usable
+        near = ((table < _NEXT * np.sort(table, 1)[:, 1:2]) & (table > 0)) * self.usable
         mean = self.volts @ (near / np.maximum(near.sum(1), 1)[:, None]).T
         level = np.maximum(np.abs(self.volts).max(1, keepdims=True), 1e-12)
         dip = (mean - self.volts) / level
         dip[np.arange(len(dip)), self.inside(self.asked)] = np.nan
-        with np.errstate(all="ignore"):
-            dip = np.nan_to_num(np.nanmedian(np.where(self.usable, dip, 0), 0))
-        lowest = np.argsort(-dip, kind="stable")[:_LOW]
-        return [int(c) for c in lowest if dip[c] > 0]
+        return np.nanmedian(np.vstack([dip, np.where(np.isnan(dip).all(0), 0, np.nan)]), 0)
 
     def inside(self, asked: np.ndarray) -> np.ndarray:
         return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
