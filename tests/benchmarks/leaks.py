@@ -1,6 +1,6 @@
 """Counts recordings in which `check` names a leak, a stuck ground or lifted electrodes.
 
-    python tests/benchmarks/leaks.py [--seed N] [--rigs 3]
+    python tests/benchmarks/leaks.py [--seed N] [--rigs 2]
 
 Each recording has silence, a rub and two corners, under two or ten grounds, on a rig of
 another model. Sound recordings beside them show false names. No threshold was set on the
@@ -79,7 +79,7 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=JUDGING + 512)
-    parser.add_argument("--rigs", type=int, default=3)
+    parser.add_argument("--rigs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     about = {k: str(v) for k, v in vars(options).items() if k != "out"}

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Bool
 
 from tomojax.bringup._amounts import (
     drive_faults,
@@ -112,7 +113,7 @@ def _judge_channels(reading: Reading) -> Work:
             f"fewer than {_GROUNDS} grounds: record with --pattern all"
         )
         return work
-    named, now = _named(work), every
+    named, now = _named(work, reading.loose), every
     for _ in range(_ROUNDS):
         left = every.copy()
         left[[f.channels[0] for f in named if f.kind != "tear"]] = False
@@ -122,18 +123,18 @@ def _judge_channels(reading: Reading) -> Work:
         reading.again()
         reading.usable = every
         work = reading.work()
-        named = _named(work)
+        named = _named(work, reading.loose)
     reading.faults += named
     if not any(f.kind == "tear" for f in named):
         reading.faults += joint_faults(work)
     return work
 
 
-def _named(work: Work) -> list[Fault]:
+def _named(work: Work, loose: Bool[np.ndarray, " M"]) -> list[Fault]:
     """Finds faults of single channels and of the sheet."""
     slow = settling_faults(work)
     lingering = np.isin(work.channel, [f.channels[0] for f in slow])
-    places, taken = place_faults(work, lingering)
+    places, taken = place_faults(work, lingering | loose[work.channel])
     named = work.channel[taken]
     slow = [f for f in slow if f.channels[0] not in named]
     alone = [f.channels[0] for f in places if f.kind == "misplaced"]

@@ -66,7 +66,8 @@ class Reading:
 
     `every`: all slots without zeros, by channel; `volts`, `asked`: the slots that are
     fitted; `number`: their numbers in the recording. `order`: the electrode of each
-    channel, and the fits. `always`: a channel whose electrode is grounded in every slot.
+    channel, and the fits. `loose`: channels that hardly follow their electrode. `always`: a
+    channel whose electrode is grounded in every slot.
 
     **Raises:** `ValueError` if nothing can be said of the rig.
     """
@@ -109,8 +110,9 @@ class Reading:
         )
         self.every = slots.volts - self.silent.zero.astype(np.float32)
         self.volts = raw - self.silent.zero
-        usable, self.usable = self.usable, self._touching()
-        self.always = self._always_on(list(faults))
+        usable, touching = self.usable, self._touching()
+        self.always = self._always_on(list(faults), touching)
+        self.loose, self.usable = usable & ~touching, touching
         self.faults += [fault for c, fault in faults.items() if c != self.always]
         self.fit()
         require(
@@ -122,7 +124,9 @@ class Reading:
         )
         self.usable = usable
 
-    def _always_on(self, silent: list[int]) -> int | None:
+    def _always_on(
+        self, silent: list[int], touching: Bool[np.ndarray, " M"]
+    ) -> int | None:
         """Finds the channel whose electrode drains current in every slot, if one does.
 
         That may be a channel that follows no touch, grounded all the time, or one that lies
@@ -131,27 +135,28 @@ class Reading:
         lowest = np.where(self.usable, self._dips(), -np.inf)
         low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
         for c in low:
-            rest = self.usable & (np.arange(self.plane.count) != c)
-            if self._quality(rest, c) < _ON * self._quality(rest):
+            rest = touching & (np.arange(self.plane.count) != c)
+            if self._some(rest, c)[0] < _ON * self._some(rest)[0]:
                 return c
         return None
 
-    def _quality(self, usable: np.ndarray, always: int | None = None) -> float:
-        """Computes the part of some slots' span that contacts leave, in the order told."""
+    def _some(self, usable: np.ndarray, always: int | None = None) -> tuple[float, float]:
+        """Fits some slots in the order told; returns their quality, and how unlike."""
         some = np.linspace(0, len(self.volts) - 1, min(len(self.volts), _TRIED)).astype(int)
         told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
-        given = self.plane, self.volts[some], as_told, usable, told, always
-        return quality(fit_in_order(*given))
+        fits = fit_in_order(self.plane, self.volts[some], as_told, usable, told, always)
+        return quality(fits), _unlike(Order(as_told, fits), self.volts[some], usable)
 
     def _touching(self) -> Bool[np.ndarray, " M"]:
         """Leaves out usable channels below their neighbours, if others fit without them."""
-        whole, dips = self._quality(self.usable), self._dips()
+        whole, dips = self._some(self.usable)[1], self._dips()
         dips = np.where(self.usable, dips, -np.inf)
-        for least in np.sort(dips)[::-1][: self.plane.count // 4 if whole > _RIGHT else 0]:
+        most = self.plane.count // 4
+        for k in 2 ** np.arange(int(np.log2(most)) + 1) - 1:
             # Those that lie half as low are of the same kind.
-            rest = self.usable & (dips < max(least / 2, 1e-12))
-            few = 4 * rest.sum() < 3 * self.usable.sum()
-            if not few and self._quality(rest) < min(_ON * whole, _RIGHT):
+            rest = self.usable & (dips < max(np.sort(dips)[-1 - k] / 2, 1e-12))
+            few = self.usable.sum() - rest.sum() > most
+            if not few and self._some(rest)[1] < _ON * whole:
                 return rest
         return self.usable
 
