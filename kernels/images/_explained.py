@@ -50,9 +50,7 @@ def explained(
     return factors, jnp.sqrt(rest.sum() / whole)
 
 
-def _at(
-    basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int], axis: int
-) -> Array:
+def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int], axis: int) -> Array:
     """Interpolates the column at a place in pixels; beyond the edge takes the nearest."""
     last = jnp.asarray(shape, pixel.dtype) - 1
     pixel = jnp.clip(jnp.nan_to_num(pixel), 0, last)

@@ -68,8 +68,22 @@ def test_a_leaky_switch_of_a_few_grounds(made, slots, leak):
 
 @pytest.mark.parametrize("slots", FEW)
 def test_a_ground_that_does_not_open_of_a_few(made, slots):
-    found = tx.bringup.check(faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], on=9))
+    found = tx.bringup.check(
+        faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], on=9)
+    )
     assert kinds(found) == {("ground_stuck", (9,))}
+
+
+@pytest.mark.parametrize("slots", FEW)
+@pytest.mark.parametrize("part", [0.1, 0.5])
+def test_electrodes_under_a_lifted_sheet(made, slots, part):
+    loose = [e for e in (9, 10, 13, 14) if e not in FEW[slots]]
+    gain = dict.fromkeys(loose, part)
+    given = faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], gain=gain)
+    found = tx.bringup.check(given).faults
+    assert {fault.channels[0] for fault in found} == set(loose)
+    assert all("hardly touch" in fault.text for fault in found)
+    np.testing.assert_allclose([fault.value for fault in found], part, rtol=0.05)
 
 
 MIRRORED = faulty.symmetry(ROWS, COLUMNS, False, True, False)

@@ -124,9 +124,7 @@ class Reading:
         )
         self.usable = usable
 
-    def _always_on(
-        self, silent: list[int], touching: Bool[np.ndarray, " M"]
-    ) -> int | None:
+    def _always_on(self, silent: list[int], touching: Bool[np.ndarray, " M"]) -> int | None:
         """Finds the channel whose electrode drains current in every slot, if one does.
 
         That may be a channel that follows no touch, grounded all the time, or one that lies
