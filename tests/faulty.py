@@ -149,9 +149,9 @@ def recorded(
     """A recording of nothing, a rub and two corners, as a rig with these faults leaves it.
 
     `channels`: the electrode that each channel reads; `lines`: the electrode that each
-    ground line switches, −1: none; `on`: a line that is always on; `leaks`: Ω from electrodes to ground;
-    `told`: what the header
-    says, as factors; `settling`: the part of the slot before, of all or of each.
+    ground line switches, −1: none; `on`: a line that is always on; `leaks`: Ω from
+    electrodes to ground; `told`: what the header says, as factors; `settling`: the part of
+    the slot before, of all or of each.
     """
     rng = np.random.default_rng(seed)
     m, rig = made.volts.shape[1], made.rig

@@ -73,7 +73,7 @@ def test_contacts_of_a_sound_rig_are_no_faults(sensor, lone, batch):
 
 
 @pytest.mark.parametrize("slots", [2, 6])
-def test_source_doubts_what_a_strong_contact_may_hide(sensor, lone, slots):
+def test_source_doubts_what_a_strong_contact_may_hide(sensor, slots):
     method = tx.method(sensor, "source")
     source = tx.Batch(method, method.choose_lambda([]), 3, images=False)
     grounds = np.array([0, 35, 5, 30, 14, 21])[:slots]
@@ -84,7 +84,7 @@ def test_source_doubts_what_a_strong_contact_may_hide(sensor, lone, slots):
 
     two_pitches = 2 * sensor.mean_pitch
     pairs = attacked.pairs(sensor, 12, 2, 12, apart=two_pitches, ratio=30.0)
-    alone, two = rows_of(lone), rows_of(pairs)
+    alone, two = rows_of(attacked.lone(sensor, 31, rigs=4, each=6)), rows_of(pairs)
     assert ((two.contact_count == 2) | (two.flags & DOUBT > 0)).mean() > 0.9
     assert (alone.contact_count == 1).all() and (alone.flags & DOUBT > 0).mean() < 0.1
 

@@ -11,6 +11,7 @@ from tomojax.bringup._amounts import (
     gain_faults,
     sheet_factor,
     sheet_faults,
+    SheetFactor,
 )
 from tomojax.bringup._channels import hum_faults, noise_faults, shorted
 from tomojax.bringup._corners import Corners
@@ -150,7 +151,9 @@ def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
     reading.faults += drive_faults(work, drive, error)
     if not np.isfinite(drive):
         reading.unjudged["drive"] = "no contact that holds still under several grounds"
-    sheet = sheet_factor(work, rig, silent.frequency)
+    sheet = SheetFactor(why="two grounds alone have errors as large: --pattern all")
+    if len(np.unique(reading.asked)) > _GROUNDS:
+        sheet = sheet_factor(work, rig, silent.frequency)
     faults, why = sheet_faults(sheet, rig), sheet.why
     if faults and torn:
         # Its current goes around: what is left of the sheet seems to have more.

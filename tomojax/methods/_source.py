@@ -307,7 +307,7 @@ class Source(AbstractMethod):
         )
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
-        # Errors are as large as the highest peak lets them: a weaker one stands out of these.
+        # Errors are in proportion to the highest peak: another contact stands out of them.
         hidden = matmul(rest, prepared.scaled).max()
         limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
         missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
