@@ -89,7 +89,7 @@ def explained_by(
 
     def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
-        carried, *others = whole(first, *others)
-        return jnp.pad(carried, (0, len(contacts.radius) - 1)), *others
+        carried, left, rest = whole(first, *others)
+        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left, rest
 
     return where_needed(whole, lone)
