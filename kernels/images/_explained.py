@@ -28,9 +28,9 @@ def point_sources(
     Pixels are along `axis`.
     """
     columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
-    there = jnp.arange(len(contacts.radius)) < contacts.count.astype(int)
-    each = len(columns) // len(there)
-    return jnp.where(jnp.tile(there, each)[:, None], columns, 0)
+    which = np.arange(len(columns)) % len(contacts.radius)
+    there = jnp.asarray(which) < contacts.count.astype(int)
+    return jnp.where(there[:, None], columns, 0)
 
 
 def explained(
