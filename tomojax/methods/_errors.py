@@ -163,7 +163,7 @@ class Errors(eqx.Module):
         dtype = ready.local.dtype
         shaped = np.array([_ROUND, _SLOPED, _SLOPED], dtype)
         local = (shaped[:, None, None] * ready.local).transpose(2, 0, 1)
-        own = np.asarray(_ROUND * ready.own, dtype)
+        own = jnp.asarray(_ROUND * ready.own, dtype)
         found = Noise(ready.noise, own, local.reshape(len(local), -1), smooth, ready.offset)
         return jax.tree.map(jnp.asarray, found)
 
