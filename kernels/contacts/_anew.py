@@ -159,7 +159,8 @@ def _greedy(
     offset = slots.offset(ground)
     each = jnp.arange(count, dtype=jnp.int32)
     # How many there are, and whose turn it is: the last one's, then each one's.
-    turns = [(n, c) for n in range(count) for c in (n, *list(range(n + 1)) * _TURNS)]
+    more = [(n, c) for n in range(1, count) for c in (n, *list(range(n + 1)) * _TURNS)]
+    turns = [(0, 0), *more]
     which, whose = jnp.asarray(turns, jnp.int32).T
 
     def turn(i: Array, state: tuple) -> tuple:

@@ -1,10 +1,11 @@
-"""Runs a step's test vectors elsewhere: under Arm, in an empty root, under sanitizers.
+"""Runs a step's test vectors elsewhere: Arm, a board, an empty root, sanitizers.
 
     python tests/benchmarks/native_elsewhere.py [--out FOLDER]
 
 Needs gcc, and where they are there: aarch64-linux-gnu-gcc and arm-linux-gnueabihf-gcc with
-qemu-user, valgrind, chroot (as root). Each row says what the vectors gave: slots that
-differ from JAX's program in flags, count or next condition, and places that are away.
+qemu-user, arm-none-eabi-gcc with newlib and qemu-system-arm, valgrind, chroot (as root).
+Each row says what the vectors gave: slots that differ from JAX's program in flags, count or
+next condition, and places that are away.
 Writes native_elsewhere.json.
 """
 
@@ -28,6 +29,8 @@ ARM = {
     "Arm 64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-march=armv8-a"),
     "Arm 32": ("arm-linux-gnueabihf-gcc", "qemu-arm", "-mfpu=neon-vfpv4"),
 }
+M7 = "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16".split()
+QEMU = "qemu-system-arm -M mps2-an500 -nographic -semihosting -icount shift=0".split()
 
 
 def compiled(shape: tuple, folder: Path) -> float:
@@ -90,6 +93,27 @@ def rooted(folder: Path, to: Path) -> dict:
     return {**row, "files": sorted(p.name for p in root.rglob("*") if p.is_file())}
 
 
+def board(folder: Path, to: Path) -> dict:
+    """A thousand vectors on a Cortex-M7 without a system: see board.c."""
+    whole = (folder / "vectors.bin").read_bytes()
+    (to / "few.bin").write_bytes(whole[: len(whole) // 10])
+    shutil.copy(folder / "step.tables", to)
+    command = ["arm-none-eabi-gcc", *FLAGS, "-fno-PIC", *M7, f"-I{folder}"]
+    subprocess.run([*command, "-c", folder / "step.c", "-o", to / "step.o"], check=True)
+    size = subprocess.run(
+        ["arm-none-eabi-size", to / "step.o"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()[1]
+    linked = ["--specs=rdimon.specs", "-nostartfiles", "-T", HERE / "board.ld", "-lm"]
+    command = [*command, HERE / "board.c", to / "step.o", *linked, "-o", to / "board.elf"]
+    subprocess.run(command, check=True, cwd=to)
+    done = subprocess.run(
+        [*QEMU, "-kernel", to / "board.elf"], capture_output=True, text=True, check=True
+    )
+    names = "slots", "differ", "instructions_a_slot", "instructions_at_most", "stack_bytes"
+    row = dict(zip(names, map(int, re.findall(r"\d+", done.stdout)), strict=True))
+    return {**row, "code_bytes": int(size.split()[0])}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
@@ -132,7 +156,9 @@ def main() -> None:
                     rows.append(
                         {"shape": name, "where": where, **told([emulator, made, *files])}
                     )
-        for row in rows[-6:]:
+            if shape and all(map(shutil.which, ("arm-none-eabi-gcc", QEMU[0]))):
+                rows.append({"shape": name, "where": "Cortex-M7", **board(folder, to)})
+        for row in rows[-7:]:
             print(json.dumps(row), flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "native_elsewhere.json").write_text(json.dumps({"rows": rows}, indent=1))

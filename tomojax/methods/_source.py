@@ -66,6 +66,7 @@ class PreparedSource(NamedTuple):
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
     scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
+    coarse: Float[Array, "r some"]  # the same at every pixel that `reach` is apart
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
@@ -264,12 +265,15 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
+        scaled = basis * np.sqrt(count / spread)
+        (i, j), whole = self.reach, scaled.reshape(-1, *self.shape)
         made = dict(
             operators=forward * operators.reshape(slots * m, -1),
             columns=(through / count @ basis).T,
             misfits=misfits,
             imaging=forward * imaging.reshape(slots * m, -1),
-            scaled=basis * np.sqrt(count / spread),
+            scaled=scaled,
+            coarse=whole[:, i // 2 :: i, j // 2 :: j].reshape(len(whole), -1),
             lowest=np.asarray(lowest),
             used=good,
             lam=np.asarray(lam),
@@ -308,7 +312,7 @@ class Source(AbstractMethod):
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
         # Errors are in proportion to the highest peak: another contact stands out of them.
-        hidden = matmul(rest, prepared.scaled).max()
+        hidden = matmul(rest, prepared.coarse).max()
         limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
         missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
 
