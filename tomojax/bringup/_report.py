@@ -29,7 +29,6 @@ _MARKS = {
     "hum": ("H", ORANGE),
     "settling": ("v", ORANGE),
     "ground_stuck": ("P", PURPLE),
-    "leak": ("X", PURPLE),
     "ground_permuted": ("D", PURPLE),
     "swapped": ("o", BLUE),
     "mirrored": ("8", BLUE),
