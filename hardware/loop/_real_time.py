@@ -25,7 +25,8 @@ def real_time(priority: int = 50):
     Enter this context before JAX computes anything: JAX reads most settings when it begins.
     The process stays on one core, without tasks of other threads and without garbage
     collection. Each step is compiled into one function. If the system allows, the process
-    runs under SCHED_FIFO with that `priority`, and its memory stays in memory.
+    runs under SCHED_FIFO with that `priority`, and the pages that it uses are locked: they
+    stay in memory.
     """
     import jax  # processes beside the loop start without
 

@@ -40,7 +40,9 @@ _PART = 3.0
 _USUAL = 0.4
 # Below that, what a set leaves counts by this part.
 _TIE = 0.05
-# Of sets whose costs are so near, the first: some end at the same places.
+# Costs that differ by less than this factor are alike, and the first of such sets is taken.
+# Some sets end at the same places, and rounding alone would choose: float32 tells a cost to
+# a thousandth. It is no figure of a sensor.
 _ALIKE = 1.01
 # A contact is split in two, so far from its place, units.
 WAYS = ((8.0, 0.0), (0.0, 8.0), (6.0, 6.0), (6.0, -6.0))

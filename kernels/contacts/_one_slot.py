@@ -40,9 +40,7 @@ class Noise(NamedTuple):
 
     converter: Float[Array, ""]  # V
     own: Float[Array, ""]  # a channel's, as a part of its voltage
-    local: Float[
-        Array, "M three_M"
-    ]  # and of its voltage's bend and slopes: of all voltages
+    local: Float[Array, "M N"]  # voltages times it: of its voltage's bend and slopes
     smooth: Float[Array, "q M"]  # relative errors that channels have in common, 1 σ each
     offset: Float[Array, ""]  # of a slot, as a part of its mean voltage
 
@@ -94,7 +92,7 @@ def tangents(sheet: Sheet, place: Float[Array, "2"], size: Array) -> Float[Array
 def slot_weights(
     noise: Noise, voltages: Float[Array, " M"], used: Bool[Array, " M"]
 ) -> Weights:
-    """Inverts the covariance of a slot's errors; common errors by Woodbury's formula."""
+    """Factors the inverse covariance of a slot's errors, one common error after another."""
     near = matmul(voltages, noise.local).reshape(-1, len(voltages))
     own = (noise.own * voltages) ** 2 + (near**2).sum(0)
     variance = noise.converter**2 + own

@@ -15,12 +15,9 @@ from tomojax.kernels.inverse import (
 )
 from tomojax.kernels.sheet import centroids
 
-# As one program each: op by op they are hundreds to compile.
-choose_lambda, lambda_grid, spectrum = (
-    jax.jit(choose_lambda),
-    jax.jit(lambda_grid, static_argnums=1),
-    jax.jit(spectrum),
-)
+# Each is one compiled program here. JAX would else compile each of its operations alone.
+choose_lambda, spectrum = jax.jit(choose_lambda), jax.jit(spectrum)
+lambda_grid = jax.jit(lambda_grid, static_argnums=1)
 lambda_scores = jax.jit(lambda_scores, static_argnums=3)
 
 

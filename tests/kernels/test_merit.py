@@ -17,7 +17,7 @@ from tomojax.kernels.images import (
     pixel_places,
 )
 
-# As one program each: op by op they are hundreds to compile.
+# Each is one compiled program here. JAX would else compile each of its operations alone.
 greit_figures, half_area_radius, half_width, image_error, image_place = map(
     jax.jit, (greit_figures, half_area_radius, half_width, image_error, image_place)
 )

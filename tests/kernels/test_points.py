@@ -10,9 +10,12 @@ import tomojax as tx
 from tomojax.kernels.algebra import descend, Limits, Normal, solve_positive
 from tomojax.kernels.contacts import (
     field_at,
+    Noise,
     rows_at,
+    slot_weights,
     unwhitened,
     whiten,
+    whitened,
     whitened_columns,
 )
 from tomojax.kernels.images import points_image, Spots
@@ -30,7 +33,7 @@ def field(paper_sensor):
     return make_field(paper_sensor)
 
 
-# As one program each: op by op they are hundreds to compile.
+# Each is one compiled program here. JAX would else compile each of its operations alone.
 jit_green_slope = jax.jit(jax.vmap(jax.jacfwd(rectangle_green), (0, 0, None, None)))
 jit_image = jax.jit(points_image, static_argnums=2)
 jit_solve, jit_whiten = jax.jit(solve_positive), jax.jit(whiten)
@@ -121,6 +124,25 @@ def test_whitening_is_the_inverse_covariance(rng):
     forward = whitened_columns(frame, jnp.asarray(v))
     back = unwhitened(frame, jnp.asarray(r))
     np.testing.assert_allclose((forward * r[:, 0]).sum(), (v * back[:, 0]).sum())
+
+
+@pytest.mark.parametrize("dtype, close", [(np.float64, 1e-9), (np.float32, 2e-5)])
+def test_a_slots_rows_are_whitened_by_its_covariance(rng, dtype, close):
+    """Also of what channels have in common, a hundred times their own errors."""
+    volts, x = rng.uniform(0.5, 1.5, 9), rng.normal(size=(3, 9))
+    x[0] = volts  # what a common error looks like
+    local, smooth = 1e-3 * rng.normal(size=(9, 27)), 0.1 * rng.normal(size=(4, 9))
+    given = 1e-3, 1e-3, local, smooth, 0.3
+    noise = Noise(*(jnp.asarray(a, dtype) for a in given))
+    used = np.arange(9) != 4
+    weights = slot_weights(noise, jnp.asarray(volts, dtype), jnp.asarray(used))
+    seen = np.asarray(whitened(weights, jnp.asarray(x, dtype)), float)
+    own = 1e-6 + (1e-3 * volts) ** 2 + ((volts @ local).reshape(3, 9) ** 2).sum(0)
+    common = np.concatenate([np.full((1, 9), 0.3 * volts.mean()), smooth * volts])
+    c = (np.diag(own) + common.T @ common)[np.ix_(used, used)]
+    want = x[:, used] @ np.linalg.solve(c, x[:, used].T)
+    scale = np.sqrt(np.outer(np.diag(want), np.diag(want)))
+    assert np.abs((seen @ seen.T - want) / scale).max() < close
 
 
 def test_image_holds_the_current():

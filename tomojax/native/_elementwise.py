@@ -105,7 +105,7 @@ def _select(op: Op, which: str, *cases: str) -> str:
     text = cases[-1]
     for at in range(len(cases) - 2, -1, -1):
         asked = f"!{which}" if len(cases) == 2 else f"{which} <= {at}"
-        # Both are read, so that compilers choose among lanes and do not branch.
+        # C evaluates both cases, so that compilers choose among lanes and do not branch.
         text = f"tj_either_{c_type(op.outputs[0].dtype)}({asked}, {cases[at]}, {text})"
     return text
 

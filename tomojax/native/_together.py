@@ -8,7 +8,8 @@ _MOST = 7
 # Fewer columns than this are not worth it.
 _LANES = 16
 
-# Rows up to this long, of a matrix that is used once, are read in blocks.
+# Rows up to this long, of a matrix that is used once, are read in blocks. A larger matrix
+# does not stay in a core's cache, which reads ahead along rows.
 _WIDE = 512
 
 
@@ -24,7 +25,6 @@ def join_products(body: Body) -> None:
         some = waiting.pop(key)
         inputs = [some[0].inputs[1], *(op.inputs[0] for op in some)]
         outputs = [op.outputs[0] for op in some]
-        # A long matrix that is used once is best read row by row.
         alone = len(some) == 1 and some[0].inputs[1].shape[1] > _WIDE
         one = some[0] if alone else Op("dots", {}, inputs, outputs)
         joined.append(one)
