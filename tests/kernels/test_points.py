@@ -130,8 +130,8 @@ def test_whitening_is_the_inverse_covariance(rng):
 def test_a_slots_rows_are_whitened_by_its_covariance(rng, dtype, close):
     """Also of what channels have in common, a hundred times their own errors."""
     volts, x = rng.uniform(0.5, 1.5, 9), rng.normal(size=(3, 9))
-    x[0] = volts  # what a common error looks like
     local, smooth = 1e-3 * rng.normal(size=(9, 27)), 0.1 * rng.normal(size=(4, 9))
+    x[0], smooth[0] = volts, 0.1  # a row that is nothing but a common error
     given = 1e-3, 1e-3, local, smooth, 0.3
     noise = Noise(*(jnp.asarray(a, dtype) for a in given))
     used = np.arange(9) != 4
