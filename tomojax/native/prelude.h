@@ -140,7 +140,7 @@ TJ_BITS(uint32_t, float)
 /* Products of N rows, row[k * N + v], with one matrix, a block of its columns after the
  * other: the sums stay in registers. A function of its own, which compilers see through best. */
 #define TJ_DOTS_BLOCK(T, N, L)                                                              \
-  for (; i + L <= wide; i += L) {                                                           \
+  for (; i <= wide - L; i += L) {                                                           \
     T s[N][L] = {{0}};                                                                      \
     for (int k = 0; k < n; k++)                                                             \
       for (int v = 0; v < N; v++) {                                                         \
