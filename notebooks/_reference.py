@@ -35,6 +35,7 @@ ROOMS = {
     "tomojax.hardware.sources": "where slots come from",
     "tomojax.hardware.sinks": "where contacts go",
     "tomojax.hardware.loop": "the loop, its ring and the real-time settings",
+    "tomojax.hardware.loop.in_c": "the loop's ordinary way, in C",
     "tomojax.kernels.rectangle": "the rectangle's Green's function, with NumPy or JAX",
     "tomojax.kernels.sheet": "the sheet's physics, arrays in, arrays out",
     "tomojax.kernels.inverse": "Eq. 3, bases, rules for λ",

@@ -8,6 +8,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax.hardware.loop._ring import LONGEST, SlotRing
+from tomojax.hardware.loop.in_c import loop_in_c
 from tomojax.hardware.sources import SlotSource
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 _PATIENCE = 0.1  # s that nothing may come until the loop looks about
 _IMAGE = 0.1  # s between images
 _MEANWHILE = 0.2  # s between calls of `meanwhile`
+_IN_C = 0.05  # s that C works on slots without looking about
 _AGAIN = 20  # slots after which a ground that is not obeyed is asked for again
 
 _NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
@@ -39,6 +41,9 @@ def run(
     time of one slot, the loop skips the step for this slot ("skipped"). The step is later
     told the number of skipped slots, as lost.
 
+    A step that runs as C gets the slots of a serial line or a UDP port from C too, as long
+    as all is in order there; `until` is asked twenty times a second then.
+
     A slot is late if it is older than `budget` (s; by default the time of one slot). The
     step's cheaper method, if there is one, answers a late slot. `meanwhile` is called a few
     times a second, between slots. The loop also reads the ring's `trim` then, which
@@ -50,63 +55,121 @@ def run(
     if step is not None:
         here, there = ring.contacts, step.contact_count
         require(here == there, "ring", f"{here} contacts", f"{there}, as the step has")
-    codes, volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
-    scale, offset = np.float32(source.scale), np.float32(source.offset)
-    scales, offsets = _trimmed(ring, scale, offset)
-    period = 1 / source.rate
-    hurry = period if budget is None else budget
-    state: Any = None
-    if step is not None:
         require(
             step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"
         )
-        state = step.state if policy is None else step.switch(step.state, policy)
-    skipped = missed = unheeded = 0
-    asked, image_due, other_due = -1, 0.0, 0.0
-    latencies = ring.head["latency"]
-    while not until():
-        try:
-            got = source.read(codes, _PATIENCE)
-        except EOFError:
-            break
-        now = time.perf_counter()
-        if now > other_due:
-            other_due = now + _MEANWHILE
-            ring.count(**source.counters.as_dict(), skipped=skipped)
-            meanwhile()
-            scales, offsets = _trimmed(ring, scale, offset)
+    loop = _Loop(source, step, ring, policy, budget)
+    image_due, other_due = 0.0, 0.0
+    try:
+        while not until():
+            now = time.perf_counter()
+            if now > other_due:
+                other_due = now + _MEANWHILE
+                loop.count()
+                meanwhile()
+                loop.look_at_trim()
+            if step is not None and images and loop.answered and now > image_due:
+                image_due, loop.answered = now + _IMAGE, False
+                _draw(ring, step, loop.state)
+            if not loop.ordinary(now + _IN_C):
+                loop.one_slot()
+    except EOFError:
+        pass
+    finally:
+        loop.end()
+
+
+class _Loop:
+    """A source's slots through a step into a ring: in C while all is in order."""
+
+    def __init__(
+        self,
+        source: SlotSource,
+        step: "tomojax.step.Step | None",
+        ring: SlotRing,
+        policy: str | None,
+        budget: float | None,
+    ):
+        self._source, self._step, self._ring = source, step, ring
+        m, self._period = source.electrodes, 1 / source.rate
+        self._hurry = self._period if budget is None else budget
+        self._codes, self._volts = np.zeros(m, np.int16), np.zeros(m, np.float32)
+        self.state: Any = None
+        if step is not None:
+            self.state = step.state if policy is None else step.switch(step.state, policy)
+        self.answered = False  # since the last image
+        # Slots that no step has seen, and those that newer ones overtook.
+        self._missed = self._skipped = 0
+        # The ground that was asked for, and slots that had another.
+        self._asked, self._unheeded = -1, 0
+        self.look_at_trim()
+        self._in_c = loop_in_c(source, step, ring, self._period, self._hurry, _AGAIN)
+
+    def count(self) -> None:
+        self._ring.count(**self._source.counters.as_dict(), skipped=self._skipped)
+
+    def look_at_trim(self) -> None:
+        """Reads each channel's volts per code and volts at 0, corrected for drift."""
+        factor, more = self._ring.trim
+        scale, offset = np.float32(self._source.scale), np.float32(self._source.offset)
+        self._scales, self._offsets = scale * factor, offset * factor + more
+
+    def ordinary(self, until: float) -> bool:
+        """Lets C work until then, s; returns whether all that came was ordinary."""
+        quick, source = self._in_c, self._source
+        if quick is None or not quick.take_over(source, self.state, **self._where()):
+            return False
+        before = source.counters.slots
+        done = quick.run(source, until)
+        self.answered |= source.counters.slots > before
+        self._missed, self._skipped, self._asked, self._unheeded = quick.where
+        self.state = quick.state
+        if not done:
+            quick.give_back(source)
+        return done
+
+    def _where(self) -> dict[str, int]:
+        return {
+            "missed": self._missed,
+            "skipped": self._skipped,
+            "asked": self._asked,
+            "unheeded": self._unheeded,
+        }
+
+    def one_slot(self) -> None:
+        """Reads a slot and answers it. **Raises:** `EOFError` where slots have ended."""
+        source, step, codes, ring = self._source, self._step, self._codes, self._ring
+        got = source.read(codes, _PATIENCE)
         if got is None:
-            continue
-        missed += got.lost
-        if step is None or (source.waiting and now - got.arrived > period):
+            return
+        waited = time.perf_counter() - got.arrived
+        self._missed += got.lost
+        if step is None or (source.waiting and waited > self._period):
             ring.put(got, codes, _NOTHING)
             if step is not None:
-                skipped += 1
-                missed += 1
-            continue
-        np.multiply(codes, scales, out=volts)
-        np.add(volts, offsets, out=volts)
-        late = now - got.arrived > hurry
-        state, out = step(state, volts, got.ground, min(missed, 1 << 30), late)
-        missed = 0
+                self._skipped += 1
+                self._missed += 1
+            return
+        volts = self._volts
+        np.multiply(codes, self._scales, out=volts)
+        np.add(volts, self._offsets, out=volts)
+        lost, late = min(self._missed, 1 << 30), waited > self._hurry
+        self.state, out = step(self.state, volts, got.ground, lost, late)
+        self._missed, self.answered = 0, True
         ground = int(out.ground)
-        unheeded = 0 if got.ground == asked else unheeded + 1
-        if ground != asked or unheeded >= _AGAIN:
+        self._unheeded = 0 if got.ground == self._asked else self._unheeded + 1
+        if ground != self._asked or self._unheeded >= _AGAIN:
             source.set_grounds((ground,))
-            asked, unheeded = ground, 0
+            self._asked, self._unheeded = ground, 0
         latency = time.perf_counter() - got.arrived
-        latencies[min(int(1e6 * latency), LONGEST - 1)] += 1
+        ring.head["latency"][min(int(1e6 * latency), LONGEST - 1)] += 1
         ring.put(got, codes, _said(out, latency, ground))
-        if images and now > image_due:
-            image_due = now + _IMAGE
-            _draw(ring, step, state)
-    ring.count(**source.counters.as_dict(), skipped=skipped)
 
-
-def _trimmed(ring: SlotRing, scale: np.float32, offset: np.float32) -> tuple:
-    """Returns each channel's volts per code and volts at 0, corrected for drift."""
-    factor, more = ring.trim
-    return scale * factor, offset * factor + more
+    def end(self) -> None:
+        """Takes the wire back from C, and counts a last time."""
+        if self._in_c is not None:
+            self._in_c.give_back(self._source)
+        self.count()
 
 
 def _said(out: Any, latency: float, ground: int) -> dict[str, Any]:

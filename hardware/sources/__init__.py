@@ -28,6 +28,7 @@ from tomojax.hardware.sources._replay import ReplaySource as ReplaySource
 from tomojax.hardware.sources._source import (
     Counters as Counters,
     Got as Got,
+    Handed as Handed,
     SlotSource as SlotSource,
 )
 from tomojax.hardware.sources._udp import UdpSource as UdpSource

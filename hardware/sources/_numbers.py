@@ -11,7 +11,7 @@ from tomojax.hardware.sources._frames import Slot
 from tomojax.hardware.sources._source import Counters
 
 # So many lost slots are believed without another sign.
-_TRUSTED = 50
+TRUSTED = 50
 
 # More have to agree with the clock, or with the time that went by, within these factors.
 _LEAST = 0.3
@@ -51,7 +51,7 @@ class Numbers:
     def add(self, slot: Slot, arrived: float) -> list[Placed]:
         """Takes a slot, and returns the slots that can now be released."""
         ahead = (slot.sequence - self._next) % _ROUND
-        if ahead <= _TRUSTED or self._agrees(slot, ahead, arrived):
+        if ahead <= TRUSTED or self._agrees(slot, ahead, arrived):
             waited = self._between(slot)
             found = [Placed(odd, 0, when) for odd, when in waited]
             self._counters.jumps += bool(waited)
@@ -65,6 +65,15 @@ class Numbers:
         if len(self._odd) < (_SURE if rises else _UNSURE):
             return []
         return self._jumped()
+
+    @property
+    def next(self) -> int | None:
+        """The number that the next slot has; None where some wait, or none was there."""
+        return None if self._odd or self._last is None else self._next
+
+    def goes_on(self, last: Slot, arrived: float) -> None:
+        """Goes on after a slot that was placed by others."""
+        self._placed([Placed(last, 0, arrived)])
 
     def _placed(self, found: list[Placed]) -> list[Placed]:
         last = found[-1]
@@ -100,9 +109,9 @@ class Numbers:
     def _goes_on(self, slot: Slot) -> bool:
         """Tells whether a slot joins those that wait; a slot far off them replaces them."""
         step = (slot.sequence - self._odd[-1][0].sequence) % _ROUND
-        if 1 <= step <= _TRUSTED:
+        if 1 <= step <= TRUSTED:
             return True
-        if step == 0 or step >= _ROUND - _TRUSTED:  # again, or out of order
+        if step == 0 or step >= _ROUND - TRUSTED:  # again, or out of order
             self._counters.late += 1
             return False
         self._odd = []
@@ -143,6 +152,17 @@ class Clock:
     def begin(self, time: float) -> None:
         """Sets the next slot's time, s, since the clock is a new one."""
         self._base, self._began, self._more = time, None, 0
+
+    @property
+    def state(self) -> tuple[int, int, float] | None:
+        """The last slot's µs, those of time 0, and s to be added; None before a slot."""
+        if self._began is None:
+            return None
+        return self._last, self._began - self._more, self._base
+
+    def goes_on(self, microseconds: int) -> None:
+        """Goes on after a slot of this time, which rose as it should."""
+        self._last = microseconds
 
     def __call__(self, microseconds: int, seconds: float) -> float:
         """Returns a slot's time, s, about so many `seconds` after the slot before."""

@@ -1,12 +1,13 @@
 """A source that puts right a rig's wires that are in another order than its electrodes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Int
 
 from tomojax._require import require
-from tomojax.hardware.sources._source import Got, SlotSource
+from tomojax.hardware.sources._source import Got, Handed, SlotSource
 
 
 class OrderedSource(SlotSource):
@@ -64,6 +65,19 @@ class OrderedSource(SlotSource):
         inside = 0 <= got.ground < len(self._lines)
         ground = int(self._lines[got.ground]) if inside else got.ground
         return got._replace(ground=ground if ground >= 0 else min(len(self._lines), 255))
+
+    def hand_over(self) -> Handed | None:
+        n = len(self._lines)
+        if len(self._line) < n:  # a ground that cannot be asked for is Python's to refuse
+            return None
+        handed = self._source.hand_over()
+        line_of = np.array([self._line[e] for e in range(n)])
+        maps = self._back, self._lines, line_of
+        return None if handed is None else replace(handed, maps=maps)
+
+    def take_back(self, handed: Handed, arrived: float, ground: int, asked: int) -> None:
+        line, wanted = (self._line.get(e, -1) for e in (ground, asked))
+        self._source.take_back(handed, arrived, line, wanted)
 
     def set_grounds(self, grounds: Sequence[int]) -> None:
         """Sets grounds, and leaves out electrodes that no line switches.

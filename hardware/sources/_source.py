@@ -37,6 +37,23 @@ class Counters:
         return asdict(self)
 
 
+@dataclass
+class Handed:
+    """A wire on which all is in order, as a loop in C takes it over."""
+
+    descriptor: int  # of the open line
+    serial: bool  # whether messages are coded by COBS; else datagrams
+    trusted: int  # lost slots that are believed without another sign
+    next: int  # number that the next slot has
+    number: int  # of the next slot since the start
+    last: int  # the rig's clock at the last slot, µs
+    origin: int  # of that clock, µs: times since it
+    base: float  # s, added to times
+    rest: bytes  # that came and are no message yet; datagrams behind their lengths
+    # The channel of each electrode, the electrode of each ground line, and its line.
+    maps: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
 class SlotSource(ABC):
     """A rig's slots, one `read` each; a context that starts and stops the source.
 
@@ -105,6 +122,14 @@ class SlotSource(ABC):
     def waiting(self) -> int:
         """Slots that have come and are not yet read."""
         return 0
+
+    def hand_over(self) -> Handed | None:
+        """Hands the line to a loop in C while all is in order; None where it cannot."""
+        return None
+
+    def take_back(self, handed: Handed, arrived: float, ground: int, asked: int) -> None:
+        """Takes the line back: when the last slot came, its ground, and the one asked."""
+        raise NotImplementedError("a source that hands its line over takes it back")
 
     def __enter__(self) -> "SlotSource":
         self.start()

@@ -59,6 +59,17 @@ class UdpLink(Link):
             self._socket.close()
         self._socket = None
 
+    def hand_over(self) -> tuple[int, bool, bytes] | None:
+        return None if self._socket is None else (self._socket.fileno(), False, b"")
+
+    def take_back(self, rest: bytes) -> list[bytes]:
+        found = []
+        while rest:
+            end = 2 + int.from_bytes(rest[:2], "little")
+            found.append(rest[2:end])
+            rest = rest[end:]
+        return found
+
 
 class UdpSource(WireSource):
     """A rig at `host` and `port`; listens at `bind`, on this machine alone by default."""

@@ -11,14 +11,17 @@ from jaxtyping import Int
 
 from tomojax._require import require
 from tomojax.hardware.sources import _frames as frames
-from tomojax.hardware.sources._numbers import Clock, Numbers, Placed
-from tomojax.hardware.sources._source import Counters, Got, SlotSource
+from tomojax.hardware.sources._numbers import Clock, Numbers, Placed, TRUSTED
+from tomojax.hardware.sources._source import Counters, Got, Handed, SlotSource
 
 _SILENCE = 0.25  # s without a message after which the rig is asked to start again
 _NO_ANSWER = 5.0  # s after which a start that nobody answers fails
 
 # Slots with another ground than asked for, until it is asked for again.
 _PATIENCE = 50
+
+# A clock that C does not carry on, µs.
+_LATE = 1 << 62
 
 # What a rig may say of itself.
 _RATES = 1e-3, 1e8  # slots a second
@@ -52,6 +55,14 @@ class Link(ABC):
 
     @abstractmethod
     def close(self) -> None: ...
+
+    def hand_over(self) -> tuple[int, bool, bytes] | None:
+        """Returns the descriptor, whether it is serial, and bytes of half a message."""
+        return None
+
+    def take_back(self, rest: bytes) -> list[bytes]:
+        """Returns the whole messages of bytes that C has not worked on."""
+        return []
 
 
 class WireSource(SlotSource):
@@ -147,6 +158,35 @@ class WireSource(SlotSource):
     @property
     def waiting(self) -> int:
         return len(self._messages) + len(self._ready)
+
+    def hand_over(self) -> Handed | None:
+        number, clock = self._order.next, self._clock.state
+        if self.waiting or self._missed or not self._open:
+            return None
+        if number is None or clock is None or clock[0] >= _LATE:
+            return None
+        line = self._link.hand_over()
+        if line is None:
+            return None
+        descriptor, serial, rest = line
+        numbers = number, self._number, *clock
+        lines = np.arange(self.condition_count)
+        same = np.arange(self.electrodes), lines, lines
+        return Handed(descriptor, serial, TRUSTED, *numbers, rest, same)
+
+    def take_back(self, handed: Handed, arrived: float, ground: int, asked: int) -> None:
+        came = handed.number - self._number
+        self._grounds, self._unheeded = (asked,) if asked >= 0 else self._grounds, 0
+        if came:
+            sequence = (handed.next - 1) % (1 << 32)
+            last = frames.Slot(ground, sequence, handed.last, np.zeros(0, np.int16))
+            self._order.goes_on(last, arrived)
+            self._clock.goes_on(handed.last)
+            self._number, self._heard = handed.number, arrived
+            when = handed.base + 1e-6 * (handed.last - handed.origin)
+            self._last = Got(ground, 0, handed.number - 1, when, arrived)
+        found = self._link.take_back(handed.rest)
+        self._messages.extend((message, arrived) for message in found)
 
     def _ask(self) -> None:
         self._asked = time.perf_counter()

@@ -28,6 +28,11 @@ class Frames:
             self._rest = b"\1" * (self._longest + 1)
         return found
 
+    def rest(self) -> bytes:
+        """Takes out the bytes of a message that has no end yet."""
+        rest, self._rest = self._rest, b""
+        return rest
+
     def _decoded(self, piece: bytes) -> bytes:
         if len(piece) > self._longest:
             return b""
@@ -84,6 +89,14 @@ class SerialLink(Link):
         if self._line is not None:
             self._line.close()
         self._line = None
+
+    def hand_over(self) -> tuple[int, bool, bytes] | None:
+        if self._line is None or self._poll is None:
+            return None
+        return self._line.fileno(), True, self._frames.rest()
+
+    def take_back(self, rest: bytes) -> list[bytes]:
+        return self._frames(rest)
 
 
 class SerialSource(WireSource):

@@ -14,7 +14,7 @@ from tomojax.step._packing import Packed, packed, Packing, State
 from tomojax.step._saving import load_state, save_state
 from tomojax.step._state import About, Output, silent
 from tomojax.step._traced import Traced
-from tomojax.step.c import AbstractRuns, write_folder
+from tomojax.step.c import AbstractRuns, InC, write_folder
 
 
 class Step:
@@ -62,6 +62,11 @@ class Step:
     def native(self) -> bool:
         """Whether compiled C runs the slots; else a program of JAX does."""
         return self._runs.native
+
+    @property
+    def in_c(self) -> InC | None:
+        """The compiled function's address and tables, for a loop in C; None for JAX."""
+        return self._runs.in_c
 
     @property
     def traces(self) -> int:

@@ -10,12 +10,17 @@ from tomojax.step.c._kept import (
     kept as kept,
     wanted as wanted,
 )
-from tomojax.step.c._runs import AbstractRuns as AbstractRuns, JaxRuns as JaxRuns
+from tomojax.step.c._runs import (
+    AbstractRuns as AbstractRuns,
+    InC as InC,
+    JaxRuns as JaxRuns,
+)
 
 __all__ = [
     "AbstractRuns",
     "compiled",
     "folder_of",
+    "InC",
     "JaxRuns",
     "kept",
     "wanted",

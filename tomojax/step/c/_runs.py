@@ -3,7 +3,7 @@
 import ctypes
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,11 +18,21 @@ from tomojax.step.c._code import check_tables
 _BLOCK = 4096
 
 
+class InC(NamedTuple):
+    """A step's function for callers in C: `tomojax_step_arrays` of step.c."""
+
+    function: int  # its address
+    tables: int  # its first argument
+    said: tuple[int, int]  # how many numbers and whole numbers it says of a slot
+    dtype: np.dtype
+
+
 class AbstractRuns(ABC):
     """Runs slots from packed states to packed states and results."""
 
     first: Packed  # before any slot
     native: bool
+    in_c: "InC | None" = None
 
     @property
     @abstractmethod
@@ -105,6 +115,8 @@ class NativeRuns(AbstractRuns):
         self._sizes = tuple(sizes)
         said = Packing(silent(about.contact_count, dtype), dtype).sizes
         self._said = said
+        address = ctypes.cast(self._run, pointer).value or 0
+        self.in_c = InC(address, self._data, said, dtype)
         first = Packed(*(np.zeros(n, t) for n, t in zip(self._sizes, self._types)))
         loaded.tomojax_first_arrays.argtypes = [pointer] * 3
         loaded.tomojax_first_arrays(self._data, *map(_address, first))

@@ -1,0 +1,193 @@
+"""The loop in C beside the loop in Python, on the same bytes: each row of the ring."""
+
+import select
+import socket
+import sys
+import time
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+import tomojax as tx
+from tomojax.hardware import open_source, OrderedSource, run, SlotRing, sources as frames
+from tomojax.hardware.sources import Link, WireSource
+from tomojax.hardware.sources.serial import Frames
+from tomojax.hardware.sources.virtual_rig import VirtualRig, write_scene
+from tomojax.native import compiler
+
+M = 16
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux") or compiler() is None,
+    reason="the loop in C needs Linux and a C compiler",
+)
+
+
+class Line(Link):
+    """A line on which slots come in bursts; `sent` is what the loop sends."""
+
+    def __init__(self, messages, serial, in_c):
+        super().__init__()
+        kind = socket.SOCK_STREAM if serial else socket.SOCK_DGRAM
+        self._here, self.rig = socket.socketpair(socket.AF_UNIX, kind)
+        for end in (self._here, self.rig):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+            end.setblocking(False)
+        self._serial, self._in_c, self._frames = serial, in_c, Frames(100)
+        self._messages, self.taken = list(messages), 0
+
+    def some(self):
+        """A few slots come."""
+        if select.select([self._here], [], [], 0)[0]:
+            return False
+        for message in self._messages[:16]:
+            self.rig.send(cobs.encode(message) + b"\0" if self._serial else message)
+        del self._messages[:16]
+        return False
+
+    def open(self):
+        self.some()
+
+    def receive(self, timeout):
+        try:
+            if self._serial:
+                return self._frames(self._here.recv(64)), time.perf_counter()
+            return [self._here.recv(4096)], time.perf_counter()
+        except BlockingIOError:
+            if self._messages:
+                return [], time.perf_counter()
+            raise EOFError("the test's end") from None
+
+    def send(self, message):
+        self._here.send(cobs.encode(message) + b"\0" if self._serial else message)
+
+    def close(self):
+        self._here.close()
+
+    def hand_over(self):
+        if not self._in_c:
+            return None
+        self.taken += 1
+        return self._here.fileno(), self._serial, self._frames.rest()
+
+    def take_back(self, rest):
+        if self._serial:
+            return self._frames(rest)
+        found = []
+        while rest:
+            end = 2 + int.from_bytes(rest[:2], "little")
+            found, rest = [*found, rest[2:end]], rest[end:]
+        return found
+
+    def sent(self):
+        data = b""
+        with suppress(BlockingIOError), self.rig:
+            while piece := self.rig.recv(1 << 16):
+                data += piece if self._serial else cobs.encode(piece) + b"\0"
+        return [frames.unpack_command(m, M) for m in Frames(100)(data)]
+
+
+@pytest.fixture(scope="module", params=["float32", "float64"])
+def step(request):
+    sensor = tx.Sensor.grid(4, 4, dtype=request.param, divisions=(16, 16))
+    policy = "around_contacts"
+    return tx.make_step(sensor, "source", policy, contacts=1, grid=8, native=True)
+
+
+@pytest.fixture(scope="module")
+def volts():
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    return np.asarray(tx.voltages(sensor, tx.Disc([0.03, 0.02], 0.005, 0.5)))
+
+
+SCALE = 2e-4
+
+
+def messages(volts, count=160):
+    """Slots a second apart, with every fault that a line may have."""
+    rng = np.random.default_rng(4)
+    start = 2**32 - 40  # numbers go round
+    told = frames.Description(M, 1, start, 1.0, SCALE, 0.01)
+    made, clock = [], 10**6 * (2**32 // 10**6 - 60)  # its lowest bits go round
+    for k in range(count):
+        ground = int(rng.integers(M))
+        codes = np.rint((volts[ground] - 0.01 + rng.normal(0, 3e-4, M)) / SCALE)
+        time_of = (clock + 10**6 * k) % 2**32
+        made.append(frames.pack_slot(ground, start + k, time_of, codes))
+    broken = bytearray(made[30])
+    broken[7] ^= 1
+    made[30] = bytes(broken)
+    made[50], made[51] = made[51], made[50]
+    made[60] = made[60][:20]
+    made[70] = made[69]  # twice
+    made[80] = frames.sealed(b"\x01\xff" + made[80][2:-4])  # a ground that is not there
+    made[90] = frames.pack_description(told._replace(sequence=(start + 90) % 2**32))
+    del made[120:125], made[100]
+    return [frames.pack_description(told), *made]
+
+
+def looped(step, volts, tmp_path, serial, in_c, wires):
+    line = Line(messages(volts), serial, in_c)
+    source = WireSource(line, M)
+    source = OrderedSource(source, *wires) if wires else source
+    ring = SlotRing.create(M, 1, length=512, folder=tmp_path)
+    ring.trim[0] = np.linspace(0.99, 1.01, M)
+    source.start()
+    run(source, step, ring, images=False, until=lambda: not source.waiting and line.some())
+    source.stop()
+    rows = ring.since(0)[0]
+    assert (line.taken > 5) == in_c
+    return rows, ring.counted(), line.sent(), ring.head["latency"].sum()
+
+
+WIRES = np.random.default_rng(1).permutation(M), np.random.default_rng(2).permutation(M)
+
+
+CASES = {"serial, wires in order": (True, None), "udp, in another order": (False, WIRES)}
+
+
+@pytest.mark.parametrize("serial, wires", CASES.values(), ids=CASES)
+def test_rows_are_those_of_python(step, volts, tmp_path, serial, wires):
+    assert step.native
+    rows, counted, sent, seen = looped(step, volts, tmp_path, serial, True, wires)
+    expected, count, said, there = looped(step, volts, tmp_path, serial, False, wires)
+    assert counted == count and sent == said and seen == there
+    assert count["bad"] == 3 and count["late"] == 2 and count["lost"] > 8
+    assert len(rows) == len(expected) > 140
+    for name in ("number", "lost", "time", "ground", "next", "flags", "count", "codes"):
+        np.testing.assert_array_equal(rows[name], expected[name], err_msg=name)
+    for name in ("xy", "conductance"):
+        np.testing.assert_allclose(rows[name], expected[name], rtol=1e-4, err_msg=name)
+    assert expected["count"].sum() > 50 and np.isfinite(rows["latency"]).all()
+
+
+@pytest.mark.parametrize("link", ["pty", "udp"])
+def test_a_rig_that_loses_breaks_and_goes_away(step, volts, tmp_path, link):
+    write_scene(tmp_path / "scene.npz", volts[None], 1.0)
+    ring = SlotRing.create(M, 1, folder=tmp_path)
+    faults = {
+        "loss": 0.02,
+        "corrupt": 0.02,
+        "reorder": 0.02,
+        "disconnect": 0.6,
+        "away": 0.1,
+    }
+    with (
+        VirtualRig(tmp_path / "scene.npz", rate=500, link=link, **faults) as rig,
+        open_source(rig.where, electrodes=M) as source,
+    ):
+        end = time.perf_counter() + 1.2
+        run(source, step, ring, until=lambda: time.perf_counter() > end, budget=1.0)
+    rows, counted = ring.since(0)[0], ring.counted()
+    np.testing.assert_array_equal(np.diff(rows["number"], prepend=-1), 1 + rows["lost"])
+    assert rows["number"][-1] + 1 == counted["slots"] + counted["lost"]
+    assert counted["bad"] > 0 and counted["lost"] > 5 and rows["time"][-1] > 0.9
+    done = rows[np.isfinite(rows["latency"])]
+    assert len(done) > 50 and counted["skipped"] == len(rows) - len(done)
+    # What was asked for comes, and the image is drawn.
+    asked, grounds = done["next"][:-3], done["ground"]
+    obeyed = [asked == grounds[k : len(grounds) - 3 + k] for k in (1, 2, 3)]
+    assert np.any(obeyed, 0).mean() > 0.4
+    assert np.median(np.linalg.norm(done["xy"][:, 0] - [0.03, 0.02], axis=1)) < 4e-3
+    assert ring.head["image"].any()
