@@ -15,7 +15,7 @@ from tomojax.step._traced import Traced
 from tomojax.step.c._code import Code, filled, write_code
 
 # Files that are copied as they are, and those with facts filled in.
-_PLAIN = ("check.c", "example.c", "tomojax_step.hpp")
+_PLAIN = ("check.c", "example.c", "ros2_node.cpp", "tomojax_step.hpp")
 _FILLED = ("CMakeLists.txt", "tomojax_step.pc")
 
 # Test vectors: slots, and those that one scene holds.
