@@ -5,7 +5,8 @@
 Equal: both are given the same state, slot after slot, with contacts that come and go on a
 rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags,
 counts or the next ground differ, and how far places are apart, are counted. Own: each goes
-on from its own state, and both are compared with where the contacts are. Time: both in turn
+on from its own state, as does the same in float64, and all are compared with where the
+contacts are. Time: both in turn
 in one process, from NumPy's voltages to NumPy's contacts; and C from C, by `replay`. Writes
 native.json.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
 
+import jax  # noqa: E402
 import numpy as np  # noqa: E402
 from rig import Rig  # noqa: E402
 
@@ -44,10 +46,10 @@ HELD, SCENES = 40, 32
 SEED = 20_261_129
 
 
-def sensor_of(shape: str) -> tx.Sensor:
+def sensor_of(shape: str, dtype: type = np.float32) -> tx.Sensor:
     if shape == "small":
-        return tx.Sensor.grid(4, 4, dtype=np.float32, divisions=(24, 24))
-    return tx.Sensor.grid(dtype=np.float32, divisions=(32, 32))
+        return tx.Sensor.grid(4, 4, dtype=dtype, divisions=(24, 24))
+    return tx.Sensor.grid(dtype=dtype, divisions=(32, 32))
 
 
 def calibration(m: int) -> tx.Calibration:
@@ -55,19 +57,22 @@ def calibration(m: int) -> tx.Calibration:
     return tx.Calibration(offset=rng.normal(0, 2e-3, m), gain=rng.normal(1, 0.01, m))
 
 
-def pair(name: str) -> tuple[tx.step.Step, tx.step.Step]:
-    """The same step twice: as C, and as JAX's program."""
+def made(name: str, native: bool, dtype: type = np.float32) -> tx.step.Step:
+    """A step as C, or as JAX's program."""
     method, contacts, calibrated, shape = CASES[name]
-    sensor, known = sensor_of(shape), calibration(64) if calibrated else None
+    sensor, known = sensor_of(shape, dtype), calibration(64) if calibrated else None
     good = np.ones(sensor.electrode_count, bool)
     if calibrated:
         good[[5, 20]] = False
-    made = [
-        tx.make_step(sensor, method, POLICIES, contacts=contacts, calibration=known,
-                     good=good, native=native)
-        for native in (True, False)
-    ]  # fmt: skip
-    return made[0], made[1]
+    return tx.make_step(
+        sensor, method, POLICIES, contacts=contacts, calibration=known, good=good,
+        native=native,
+    )  # fmt: skip
+
+
+def pair(name: str) -> tuple[tx.step.Step, tx.step.Step]:
+    """The same step twice."""
+    return made(name, True), made(name, False)
 
 
 @functools.cache
@@ -76,7 +81,7 @@ def scenes(shape: str, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
     sensor, rng = sensor_of(shape), np.random.default_rng(seed)
     side = float(np.asarray(sensor.size)[0])
     rig = Rig(rng) if shape == "grid" else None
-    made = []
+    found = []
     for k in range(SCENES):
         count = (1, 2, 0, 1, 3, 2, 1, 2)[k % 8]
         places = rng.uniform(0.08 * side, 0.92 * side, (count, 2))
@@ -89,21 +94,21 @@ def scenes(shape: str, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
             discs = discs or [tx.Disc([0.03, 0.03], 0.004, 1e-9)]
             exact = np.asarray(tx.voltages(sensor, tx.Scene(*discs)))
             volts = exact + rng.normal(0, 1e-3, exact.shape)
-        made.append((volts.astype(np.float32), places))
-    return made
+        found.append((volts.astype(np.float32), places))
+    return found
 
 
 def slots(rng: np.random.Generator, name: str, count: int):
     """Yields volts of a slot by ground, slots lost, whether hurried, and the places."""
-    made = scenes(CASES[name][3], SEED)
+    drawn = scenes(CASES[name][3], SEED)
     if CASES[name][2]:  # readings as a rig with these zeros and gains has them
-        rig = calibration(made[0][0].shape[1])
-        read = [(v * rig.gain + rig.offset).astype(np.float32) for v, _ in made]
-        made = [(v, places) for v, (_, places) in zip(read, made)]
-    volts, places = made[0]
+        rig = calibration(drawn[0][0].shape[1])
+        read = [(v * rig.gain + rig.offset).astype(np.float32) for v, _ in drawn]
+        drawn = [(v, places) for v, (_, places) in zip(read, drawn)]
+    volts, places = drawn[0]
     for k in range(count):
         if k % HELD == 0:
-            volts, places = made[rng.integers(len(made))]
+            volts, places = drawn[rng.integers(len(drawn))]
         fault = rng.choice(9) if rng.random() < 0.08 else -1
         slot = functools.partial(faulty, rng, volts, fault)
         yield slot, places, fault
@@ -167,32 +172,37 @@ def equal(name: str, count: int) -> dict:
 
 
 def own(name: str, count: int) -> list[dict]:
-    """Runs each from its own state, beside the truth."""
-    rows = []
-    for step in pair(name):
-        rng = np.random.default_rng([SEED, 2])
-        state, ground = step.state, 0
-        away, right, doubted, seen = [], 0, 0, 0
-        for k, (volts_of, places, fault) in enumerate(slots(rng, name, count)):
-            v, told, lost = volts_of(ground)
-            state, out = step(state, v, told, lost)
-            ground = int(out.ground)
-            if fault >= 0 or k % HELD < 10 or len(places) > CASES[name][1]:
-                continue
-            seen += 1
-            found = int(out.contacts.count)
-            right += found == len(places)
-            doubted += int(out.flags) != 0
-            if found == len(places) > 0:
-                gap = np.asarray(out.contacts.xy)[:found, None] - places
-                away += np.hypot(*gap.T).min(0).tolist()
-        rows.append({
-            "kind": "own", "case": name, "as": "C" if step.native else "JAX", "rows": seen,
-            "count_right": right / seen, "doubted": doubted / seen,
-            "place_median_mm": 1e3 * float(np.median(away)),
-            "place_p90_mm": 1e3 * float(np.quantile(away, 0.9)),
-        })  # fmt: skip
+    """Runs each from its own state, beside the truth; float64 as well."""
+    rows = [own_state(name, count, made(name, native)) for native in (True, False)]
+    with jax.enable_x64(True):
+        rows.append(own_state(name, count, made(name, False, np.float64)))
     return rows
+
+
+def own_state(name: str, count: int, step: tx.step.Step) -> dict:
+    rng = np.random.default_rng([SEED, 2])
+    state, ground = step.state, 0
+    away, right, doubted, seen = [], 0, 0, 0
+    for k, (volts_of, places, fault) in enumerate(slots(rng, name, count)):
+        v, told, lost = volts_of(ground)
+        state, out = step(state, v, told, lost)
+        ground = int(out.ground)
+        if fault >= 0 or k % HELD < 10 or len(places) > CASES[name][1]:
+            continue
+        seen += 1
+        found = int(out.contacts.count)
+        right += found == len(places)
+        doubted += int(out.flags) != 0
+        if found == len(places) > 0:
+            gap = np.asarray(out.contacts.xy)[:found, None] - places
+            away += np.hypot(*gap.T).min(0).tolist()
+    return {
+        "kind": "own", "case": name, "as": "C" if step.native else "JAX",
+        "dtype": str(step.dtype), "rows": seen,
+        "count_right": right / seen, "doubted": doubted / seen,
+        "place_median_mm": 1e3 * float(np.median(away)),
+        "place_p90_mm": 1e3 * float(np.quantile(away, 0.9)),
+    }  # fmt: skip
 
 
 def times(name: str, count: int) -> dict:
