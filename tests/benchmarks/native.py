@@ -7,8 +7,8 @@ rig of another model (tests/rig.py), and with every fault that a slot can have. 
 counts or the next ground differ, and how far places are apart, are counted. Own: each goes
 on from its own state, as does the same in float64, and all are compared with where the
 contacts are. Time: both in turn
-in one process, from NumPy's voltages to NumPy's contacts; and C from C, by `replay`. Writes
-native.json.
+in one process with the settings for real time, from NumPy's voltages to NumPy's contacts;
+and C from C, by `replay`. Writes native.json.
 """
 
 import argparse
@@ -26,6 +26,7 @@ import numpy as np  # noqa: E402
 from rig import Rig  # noqa: E402
 
 import tomojax as tx  # noqa: E402
+from tomojax.hardware import real_time  # noqa: E402
 
 POLICIES = ("around_contacts", "information", "around", "all")
 # Name: method, contacts at most, whether calibrated, and the shape.
@@ -206,7 +207,15 @@ def own_state(name: str, count: int, step: tx.step.Step) -> dict:
 
 
 def times(name: str, count: int) -> dict:
-    """Times both in turn, a thousand slots of each; then C alone."""
+    """Times both in turn, a thousand slots of each; then C alone.
+
+    The process has the settings for real time, which both gain from.
+    """
+    with real_time() as allowed:
+        return {**timed(name, count), "settings": allowed}
+
+
+def timed(name: str, count: int) -> dict:
     steps = dict(zip(("C", "JAX"), pair(name)))
     rng = np.random.default_rng([SEED, 3])
     recorded = [f(0) for f, _, fault in slots(rng, name, 4000) if fault < 0]
@@ -237,6 +246,7 @@ def times(name: str, count: int) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--slots", type=int, default=100_000)
+    parser.add_argument("--timed", type=int, help="Slots that are timed. [--slots]")
     parser.add_argument("--scenes", type=int, default=SCENES)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--case", choices=CASES, action="append")
@@ -254,7 +264,7 @@ def main() -> None:
         if "own" in parts:
             table += own(name, given.slots // 5)
         if "time" in parts:
-            table.append(times(name, given.slots))
+            table.append(times(name, given.timed or given.slots))
         for row in table[-4:]:
             print(json.dumps(row), flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
