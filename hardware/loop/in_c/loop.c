@@ -211,6 +211,7 @@ static int answer(loop *L, const uint8_t *codes, double late)
             L->said_whole);
     L->missed = 0;
     const int32_t next = L->said_whole[2];
+    if (next < 0 || next >= L->conditions) return 0; /* Python refuses it in words */
     L->unheeded = L->ground == L->asked ? 0 : L->unheeded + 1;
     if (next == L->asked && L->unheeded < L->again) return 1;
     L->asked = next;
