@@ -213,11 +213,13 @@ def test_a_rig_that_loses_breaks_and_goes_away(step, volts, tmp_path, link):
     np.testing.assert_array_equal(np.diff(rows["number"], prepend=-1), 1 + rows["lost"])
     assert rows["number"][-1] + 1 == counted["slots"] + counted["lost"]
     assert counted["bad"] > 0 and counted["lost"] > 5
-    done = rows[np.isfinite(rows["latency"])]
+    answered = np.isfinite(rows["latency"])
+    done = rows[answered]
     assert len(done) > 50 and counted["skipped"] == len(rows) - len(done)
-    # What was asked for comes, and the image is drawn.
-    asked, grounds = done["next"][:-3], done["ground"]
-    obeyed = [asked == grounds[k : len(grounds) - 3 + k] for k in (1, 2, 3)]
-    assert np.any(obeyed, 0).mean() > 0.4
+    # What was asked for comes soon, where the machine has not been busy with other work.
+    asked, grounds = rows["next"][:-3].astype(int), rows["ground"].astype(int)
+    obeyed = np.any([asked == grounds[k : len(grounds) - 3 + k] for k in (1, 2, 3)], 0)
+    quick = answered[:-3] & (rows["latency"][:-3] < 0.8 / 500)
+    assert quick.sum() > 20 and obeyed[quick].mean() > 0.5
     assert np.median(np.linalg.norm(done["xy"][:, 0] - [0.03, 0.02], axis=1)) < HALF
     assert ring.head["image"].any()
