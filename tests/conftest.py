@@ -5,6 +5,7 @@ import gc
 import os
 import signal
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 # Before JAX starts its CPU backend. xdist's workers share the cores, and threads that wait
@@ -98,6 +99,14 @@ def small_sensor() -> tx.Sensor:
         ]
     )
     return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))
+
+
+@pytest.fixture(scope="session")
+def round_skin() -> tx.Sensor:
+    """A round skin, its rim and its middle read, in float32: a method's table is kept."""
+    middle = [[0.05, 0.05], [0.03, 0.03], [0.07, 0.03], [0.03, 0.07], [0.07, 0.07]]
+    sensor = tx.Sensor.disc(0.1, {"rim": 11, "points": middle}, dtype=np.float32)
+    return replace(sensor, electrode_shunt=1.0)
 
 
 @pytest.fixture(autouse=True)
