@@ -148,6 +148,31 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     jaxtyping.config.update("jaxtyping_disable", not checked)
 
 
+# Files that take a minute or more. What xdist hands to a worker is a file: with these first
+# no worker works on one after the others have ended.
+_FIRST = (
+    "test_sweeps_linear",
+    "test_calibrate",
+    "test_blocks",
+    "test_pure",
+    "test_following",
+    "test_all",
+    "test_step",
+    "test_points",
+    "test_adapt",
+    "test_attacks",
+    "test_sweeps_points",
+    "test_sweeps_follow",
+    "test_sweeps_source",
+    "test_sweeps_slow",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    turn = {name: k for k, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: turn.get(item.path.stem, len(turn)))
+
+
 _LEFT_OUT = pytest.StashKey[int]()
 
 
