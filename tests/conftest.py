@@ -5,16 +5,19 @@ import gc
 import os
 import signal
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 # Before JAX starts its CPU backend. xdist's workers share the cores, and threads that wait
 # for each other in OpenBLAS spin on them. LLVM optimises nothing: of a test's time, most is
-# compiling, and programs that run once gain nothing from it. Notebooks and the demo run
-# in .ci/run as a user's do.
+# compiling, and programs that run once gain nothing from it. Nor does XLA move anything out
+# of loops: that takes a third of its time for a program of many loops. Notebooks and the
+# demo run in .ci/run as a user's do.
 _QUICK = (
     "--xla_cpu_multi_thread_eigen=false",
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_backend_optimization_level=0",
+    "--xla_disable_hlo_passes=while-loop-invariant-code-motion",
 )
 os.environ.setdefault("XLA_FLAGS", " ".join(_QUICK))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -100,6 +103,14 @@ def small_sensor() -> tx.Sensor:
     return tx.Sensor([0.064, 0.040], xy * 1e-3, divisions=(16, 10))
 
 
+@pytest.fixture(scope="session")
+def round_skin() -> tx.Sensor:
+    """A round skin, its rim and its middle read, in float32: a method's table is kept."""
+    middle = [[0.05, 0.05], [0.03, 0.03], [0.07, 0.03], [0.03, 0.07], [0.07, 0.07]]
+    sensor = tx.Sensor.disc(0.1, {"rim": 11, "points": middle}, dtype=np.float32)
+    return replace(sensor, electrode_shunt=1.0)
+
+
 @pytest.fixture(autouse=True)
 def _little_memory():
     """Drops programs and what they hold, where a worker has grown large."""
@@ -135,6 +146,31 @@ _CHECKED = "kernels", "properties", "examples"
 def pytest_runtest_setup(item: pytest.Item) -> None:
     checked = any(name in item.path.parts for name in _CHECKED)
     jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+# Files that take a minute or more. What xdist hands to a worker is a file: with these first
+# no worker works on one after the others have ended.
+_FIRST = (
+    "test_sweeps_linear",
+    "test_calibrate",
+    "test_blocks",
+    "test_pure",
+    "test_following",
+    "test_all",
+    "test_step",
+    "test_points",
+    "test_adapt",
+    "test_attacks",
+    "test_sweeps_points",
+    "test_sweeps_follow",
+    "test_sweeps_source",
+    "test_sweeps_slow",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    turn = {name: k for k, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: turn.get(item.path.stem, len(turn)))
 
 
 _LEFT_OUT = pytest.StashKey[int]()

@@ -148,16 +148,14 @@ def found(tree, name):
     ]
 
 
-def test_a_steps_image_is_empty_off_the_sheet():
-    inner = [[0.05, 0.05], [0.03, 0.05], [0.07, 0.05], [0.05, 0.03], [0.05, 0.07]]
-    skin = tx.Sensor.disc(0.1, {"rim": 8, "points": inner}, dtype=np.float32)
+def test_a_steps_image_is_empty_off_the_sheet(round_skin):
     touch = tx.Disc.of_total([0.06, 0.04], 0.006, 3e-5)
-    volts = np.asarray(tx.voltages(skin, touch, [0]))[0]
+    volts = np.asarray(tx.voltages(round_skin, touch, [0]))[0]
     for method in ("follow", "linear"):
-        step = tx.step.make_step(skin, method, "all", contacts=1)
+        step = tx.step.make_step(round_skin, method, "all", contacts=1, grid=24)
         image = np.asarray(step.image(step(step.state, volts, 0)[0]))
-        assert np.isnan(image[0, 0]) and np.isfinite(image[16, 16])
-        x, y = 100 * (np.indices(image.shape) + 0.5) / 32 - 50
+        assert np.isnan(image[0, 0]) and np.isfinite(image[12, 12])
+        x, y = 100 * (np.indices(image.shape) + 0.5) / 24 - 50
         np.testing.assert_array_equal(np.isnan(image)[np.hypot(x, y) < 47], False)
         np.testing.assert_array_equal(np.isnan(image)[np.hypot(x, y) > 53], True)
 

@@ -27,6 +27,25 @@ def path(tmp_path_factory):
     return recordings.write(file, codes, grounds, t0=t0, gaps=np.array([[90, 12]]))
 
 
+STEPS: dict[str, tx.step.Step] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_steps():
+    """Runs of this rig share a step, which is pure, until one asks for a new one."""
+
+    def made(sensor, **given):
+        told = repr((given, np.asarray(sensor.electrode_xy).tobytes()))
+        if told not in STEPS:
+            STEPS[told] = tx.make_step(sensor, **given)
+        return STEPS[told]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tomojax.results._following.make_step", made)
+        yield
+    STEPS.clear()
+
+
 def rows(path, out, *, resume=False, progress=None, **settings):
     chosen = Settings(method="follow", contacts=2, tare=False, **settings)
     more = {} if progress is None else {"progress": progress}
@@ -50,7 +69,7 @@ def same(one, other) -> None:
 def test_as_the_step_says_slot_by_slot(path, whole):
     with tx.open_recording(path) as recording:
         rig = recording.rig
-        step = tx.make_step(rig.sensor(), contacts=2, f_switch=rig.f_switch)
+        step = tx.make_step(rig.sensor(), contacts=2, f_switch=rig.f_switch)  # its own
         scans = recording.read(0, SCANS)
         chunk = tx.recordings.read_chunk(recording, 0, SCANS, "slot")
     volts = np.where(chunk.good[:, 0], chunk.voltages[:, 0], np.nan)
@@ -106,6 +125,7 @@ def test_interrupted_and_resumed(path, whole, tmp_path, last):
     if last == 1:
         partial = partial_path(out)
         partial.with_name(partial.name + ".state").unlink(missing_ok=True)
+    STEPS.clear()  # another process goes on, with a step of its own
     same(rows(path, out, chunk=16, resume=True), whole)
     assert sorted(tmp_path.iterdir()) == [out]
 

@@ -17,11 +17,8 @@ PLACES = ((0.062, 0.041), (0.031, 0.055), (0.05, 0.08))
 
 
 @pytest.fixture(scope="module")
-def disc() -> tx.Sensor:
-    """A round skin, its rim and its middle read, in float32."""
-    middle = [[0.05, 0.05], [0.03, 0.03], [0.07, 0.03], [0.03, 0.07], [0.07, 0.07]]
-    sensor = tx.Sensor.disc(0.1, {"rim": 11, "points": middle}, dtype=np.float32)
-    return replace(sensor, electrode_shunt=1.0)
+def disc(round_skin) -> tx.Sensor:
+    return round_skin
 
 
 @pytest.fixture(scope="module")

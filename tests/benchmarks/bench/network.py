@@ -7,11 +7,13 @@ rigs.
 """
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from jaxtyping import Bool, Float, Integer
+from scipy.linalg import solve_triangular
 
 from tomojax.sensor import Sensor
 
@@ -225,14 +227,36 @@ class Network:
         g = np.zeros(self.count)
         for inside, total in contacts:
             np.add.at(g, self.node, total * (inside / inside.sum()))
-        n = len(grounds)
-        loads = np.zeros((self.count, n + 1))
-        loads[grounds, np.arange(n)] = 1
-        loads[:, n] = g
-        u = spla.splu((self.network + sp.diags_array(g)).tocsc()).solve(loads)
-        u = u[: self.electrodes].T
+        if not g.any():  # no current flows; the matrix is singular
+            return np.zeros((len(grounds), self.electrodes)), np.zeros(self.electrodes)
+        u, driven = self._solved(g)
+        u = u[grounds]
         # A current out of the ground comes through what is in series with the object, too.
-        return u[:n] + series, self.drive * u[n]
+        return u + series, self.drive * driven
+
+    def _solved(self, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns voltages of unit currents into each electrode (m, m), and of `g` at 1 V.
+
+        Electrodes are eliminated last. What is left for them is the last block of the
+        factors: no current needs a solve of the whole network.
+        """
+        m, rest = self.electrodes, self.count - self.electrodes
+        order = self._order
+        matrix = (self.network + sp.diags_array(g)).tocsc()
+        lu = factor(matrix[order][:, order].tocsc(), "NATURAL")
+        row, column = lu.perm_r[rest:] - rest, lu.perm_c[rest:] - rest
+        assert min(*row, *column) >= 0  # all squares hang together
+        lower, upper = (one[rest:, rest:].toarray() for one in (lu.L, lu.U))
+        inner = solve_triangular(lower, np.eye(m), lower=True, unit_diagonal=True)
+        u = solve_triangular(upper, inner)[column][:, row]
+        return u.T, lu.solve(g[order])[rest:]
+
+    @cached_property
+    def _order(self) -> np.ndarray:
+        """The nodes in the order in which they are eliminated, whatever the contacts."""
+        m = self.electrodes
+        inside = factor(self.network[m:, m:].tocsc()).perm_c
+        return np.concatenate([m + np.argsort(inside), np.arange(m)])
 
     def measure(self, volts: np.ndarray) -> np.ndarray:
         """Returns voltages as the converter reads them."""
@@ -256,6 +280,12 @@ class Network:
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         along, across = np.abs((self.cells - np.asarray(xy)) @ turn).T
         return (along <= length / 2) & (across <= width / 2)
+
+
+def factor(matrix: sp.csc_array, order: str = "MMD_AT_PLUS_A") -> spla.SuperLU:
+    """Factors a symmetric positive matrix without looking for pivots: half the fill."""
+    options = {"SymmetricMode": True}
+    return spla.splu(matrix, order, diag_pivot_thresh=0.0, options=options)
 
 
 def _squares(

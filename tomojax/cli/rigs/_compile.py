@@ -1,6 +1,7 @@
 """`tomojax compile-step`: writes a step as a C library."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
@@ -70,6 +71,8 @@ def compile_step(
             more = ", electrodes with commas: 0,7,14, or a table, .npz"
             entry.check_name("--policy", name, entry.POLICIES, more)
     rig, _, electrodes = entry.sheet_of(like)
+    if not source:
+        _try_compiler(march)
 
     import numpy as np
 
@@ -96,3 +99,16 @@ def compile_step(
     size = (out / "step.tables").stat().st_size / 1e6
     print(f"{out}: a step of {method}, code {code}, tables of {size:.1f} MB")
     print(f"cc {out}/check.c -I{out} -L{out} -ltomojax_step -lm   tries its test vectors")
+
+
+def _try_compiler(march: str) -> None:
+    """Compiles next to nothing: a mistake is told before a step is made, in seconds.
+
+    **Raises:** `ValueError` where no compiler is there, and for a processor unknown to it.
+    """
+    from tomojax.native import compile_c
+
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "nothing.c"
+        file.write_text("int nothing;\n")
+        compile_c(file, file.with_suffix(".o"), "-c", f"-march={march}")

@@ -5,7 +5,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from jaxtyping import Float, Integer
 
-from bench.network import Network
+from bench.network import factor, Network
 from bench.rigs._rig import Rig
 from bench.rigs._shapes import Touch
 from bench.rigs._strokes import Strokes
@@ -63,7 +63,7 @@ class Networked:
         for step in range(_STEPS):
             system = (matrix + sp.diags_array(law)).tocsc()
             if step % _SHARE == 0:
-                solve = spla.splu(system).solve
+                solve = factor(system).solve
                 near = spla.LinearOperator(matrix.shape, solve)
             u, failed = spla.cg(system, drawn, u, rtol=1e-10, M=near, maxiter=500)
             if failed:
