@@ -5,22 +5,31 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax.kernels.algebra import matmul, where_needed
+from tomojax.kernels.algebra import matmul, solve_positive, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
 
+# Of nine places, row by row.
+_MIDDLE = 4
+
 
 def point_sources(
-    basis: Float[Array, "r pixels"],
+    basis: Float[Array, "r pixels"] | Float[Array, "pixels r"],
     contacts: Contacts,
     shape: tuple[int, int],
     cell: Float[Array, "2"],
+    axis: int = 1,
 ) -> Float[Array, "C r"]:
-    """Interpolates the columns of `basis` at contacts, between pixels linearly; 0: none."""
-    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape))(contacts.xy)
-    there = jnp.arange(len(columns)) < contacts.count.astype(int)
+    """Interpolates `basis` at contacts, between pixels linearly; 0: none.
+
+    Pixels are along `axis`.
+    """
+    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
+    which = np.arange(len(columns)) % len(contacts.radius)
+    there = jnp.asarray(which) < contacts.count.astype(int)
     return jnp.where(there[:, None], columns, 0)
 
 
@@ -41,32 +50,46 @@ def explained(
     return factors, jnp.sqrt(rest.sum() / whole)
 
 
-def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
+def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int], axis: int) -> Array:
     """Interpolates the column at a place in pixels; beyond the edge takes the nearest."""
     last = jnp.asarray(shape, pixel.dtype) - 1
     pixel = jnp.clip(jnp.nan_to_num(pixel), 0, last)
     low = jnp.minimum(jnp.floor(pixel), last - 1)
     (u, v), (i, j) = pixel - low, low.astype(int)
     corner = i * shape[1] + j
-    a, b = basis[:, corner], basis[:, corner + 1]
-    c, d = basis[:, corner + shape[1]], basis[:, corner + shape[1] + 1]
+    steps = 0, 1, shape[1], shape[1] + 1
+    a, b, c, d = (jnp.take(basis, corner + k, axis, mode="clip") for k in steps)
     return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)
 
 
 @cache
-def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
-    """Makes a fit of contacts as point sources: their currents, and what they leave."""
+def explained_by(
+    shape: tuple[int, int], reach: tuple[int, int]
+) -> Callable[..., tuple[Array, Array, Array]]:
+    """Makes a fit of contacts as point sources: currents, the part left, and the rest.
+
+    The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
+    × r), and the pixels' size.
+    The rest is what no currents within `reach` pixels of the contacts explain: their size
+    and shape, their place's error and nearby electrodes' errors are not in it.
+    """
+    about = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * reach
 
     def whole(
-        contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
-    ) -> tuple[Array, Array]:
-        points = matmul(point_sources(basis, contacts, shape, cell), through.T)
-        factors, left = explained(points[None], seen[None])
-        return factors[0], left
+        contacts: Contacts, seen: Array, columns: Array, cell: Array
+    ) -> tuple[Array, Array, Array]:
+        places = contacts.xy + jnp.asarray(about[:, None], cell.dtype) * cell
+        moved = contacts._replace(xy=places.reshape(-1, 2))
+        near = point_sources(columns, moved, shape, cell, axis=0)
+        first, count = _MIDDLE * len(contacts.xy), len(contacts.xy)
+        factors, left = explained(near[None, first : first + count], seen[None])
+        gram, seen_by = matmul(near, near.T), matmul(near, seen)
+        amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
+        return factors[0], left, seen - matmul(amount, near)
 
-    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
+    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
-        carried, left = whole(first, *others)
-        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left
+        carried, left, rest = whole(first, *others)
+        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left, rest
 
     return where_needed(whole, lone)

@@ -39,6 +39,9 @@ _ON = 0.5
 _TRIED = 150
 _LOW = 3
 
+# Neighbours are nearer than so many times the nearest.
+_NEXT = 1.3
+
 
 class Work(NamedTuple):
     """The data that amounts are judged from; all by electrode."""
@@ -63,7 +66,8 @@ class Reading:
 
     `every`: all slots without zeros, by channel; `volts`, `asked`: the slots that are
     fitted; `number`: their numbers in the recording. `order`: the electrode of each
-    channel, and the fits. `always`: a channel whose electrode is grounded in every slot.
+    channel, and the fits. `loose`: channels that hardly follow their electrode. `always`: a
+    channel whose electrode is grounded in every slot.
 
     **Raises:** `ValueError` if nothing can be said of the rig.
     """
@@ -106,7 +110,9 @@ class Reading:
         )
         self.every = slots.volts - self.silent.zero.astype(np.float32)
         self.volts = raw - self.silent.zero
-        self.always = self._always_on(dead)
+        usable, touching = self.usable, self._touching()
+        self.always = self._always_on(list(faults), touching)
+        self.loose, self.usable = usable & ~touching, touching
         self.faults += [fault for c, fault in faults.items() if c != self.always]
         self.fit()
         require(
@@ -116,19 +122,54 @@ class Reading:
             f"{1e3 * self.plane.size[0]:.0f} mm × {1e3 * self.plane.size[1]:.0f} mm)",
             "a recording of this sensor: is it another sensor's electrode_xy?",
         )
+        self.usable = usable
 
-    def _always_on(self, dead: list[int]) -> int | None:
-        """Tells dead channels from an electrode that is grounded all the time."""
-        if not 0 < len(dead) <= _LOW:
-            return None
-        some = self.rng.choice(len(self.volts), min(len(self.volts), _TRIED), replace=False)
-        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
-        given = self.plane, self.volts[some], as_told, self.usable, told
-        single = quality(fit_in_order(*given))
-        for c in dead:
-            if quality(fit_in_order(*given, c)) < _ON * single:
+    def _always_on(self, silent: list[int], touching: Bool[np.ndarray, " M"]) -> int | None:
+        """Finds the channel whose electrode drains current in every slot, if one does.
+
+        That may be a channel that follows no touch, grounded all the time, or one that lies
+        lower than its neighbours: a leak.
+        """
+        lowest = np.where(self.usable, self._dips(), -np.inf)
+        low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
+        for c in low:
+            rest = touching & (np.arange(self.plane.count) != c)
+            if self._some(rest, c)[0] < _ON * self._some(rest)[0]:
                 return c
         return None
+
+    def _some(self, usable: np.ndarray, always: int | None = None) -> tuple[float, float]:
+        """Fits some slots in the order told; returns their quality, and how unlike."""
+        some = np.linspace(0, len(self.volts) - 1, min(len(self.volts), _TRIED)).astype(int)
+        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
+        fits = fit_in_order(self.plane, self.volts[some], as_told, usable, told, always)
+        return quality(fits), _unlike(Order(as_told, fits), self.volts[some], usable)
+
+    def _touching(self) -> Bool[np.ndarray, " M"]:
+        """Leaves out usable channels below their neighbours, if others fit without them."""
+        whole, dips = self._some(self.usable)[1], self._dips()
+        dips = np.where(self.usable, dips, -np.inf)
+        most = self.plane.count // 4
+        for k in 2 ** np.arange(int(np.log2(most)) + 1) - 1:
+            # Those that lie half as low are of the same kind.
+            rest = self.usable & (dips < max(np.sort(dips)[-1 - k] / 2, 1e-12))
+            few = self.usable.sum() - rest.sum() > most
+            if not few and self._some(rest)[1] < _ON * whole:
+                return rest
+        return self.usable
+
+    def _dips(self) -> Float[np.ndarray, " M"]:
+        """Computes how far channels lie below their neighbours, of the slot's highest.
+
+        A median over the slots that do not ground the channel.
+        """
+        table = self.plane.distance(self.plane.xy)
+        near = ((table < _NEXT * np.sort(table, 1)[:, 1:2]) & (table > 0)) * self.usable
+        mean = self.volts @ (near / np.maximum(near.sum(1), 1)[:, None]).T
+        level = np.maximum(np.abs(self.volts).max(1, keepdims=True), 1e-12)
+        dip = (mean - self.volts) / level
+        dip[np.arange(len(dip)), self.inside(self.asked)] = np.nan
+        return np.nanmedian(np.vstack([dip, np.where(np.isnan(dip).all(0), 0, np.nan)]), 0)
 
     def inside(self, asked: np.ndarray) -> np.ndarray:
         return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
@@ -172,12 +213,14 @@ class Reading:
         back = np.argsort(order)
         volts = self.volts[:, back]
         before = before_of(volts, fits, self.number, self.slots.follows[self.number])
+        lines = self.lines()
+        ground = lines.ground[np.searchsorted(lines.asked, self.asked)]
         return Work(
             plane=self.plane,
             volts=volts,
             before=before,
             fits=fits,
-            values=values_of(self.plane, volts, before, fits, drive),
+            values=values_of(self.plane, volts, before, fits, ground, drive),
             usable=self.usable[back],
             channel=back,
             number=self.number,

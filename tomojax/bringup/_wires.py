@@ -15,6 +15,7 @@ from tomojax.bringup._naming import (
 )
 from tomojax.bringup._reading import Reading
 from tomojax.bringup._wiring import Lines
+from tomojax.bringup.sheet._fit import sound
 from tomojax.bringup.sheet._orders import symmetries
 
 # The part of the slots that must be elsewhere than half of them are, so many pitches away.
@@ -26,6 +27,9 @@ _WRONG = 0.5
 
 # The part of the lines that a mirror leaves wrong.
 _LEFT = 0.4
+
+# A path to ground is a switch that is closed below this part of the sheet's resistance.
+_CLOSED = 0.02
 
 # Slots from which on an order is as sure as anything; how sure it is before.
 _MANY = 200
@@ -126,7 +130,20 @@ def _name(reading: Reading, lines: Lines, unknown_which: bool) -> None:
     wires = [f.channels for f in channels if f.kind == "swapped"]
     reading.faults += channels + line_faults(plane, lines, wires)
     if reading.always is not None:
-        e = int(electrode[reading.always])
+        reading.faults.append(_drain(reading, reading.always))
+
+
+def _drain(reading: Reading, channel: int) -> Fault:
+    """Names an electrode that drains current in every slot: by its path's resistance."""
+    order, rig = reading.order, reading.slots.rig
+    e, fits = int(order.electrode[channel]), order.fits
+    told = sound(fits) & (fits.second > 0) & (fits.ground != e)
+    path = reading.volts[told, channel] / fits.second[told]  # in squares of the sheet
+    ohm = float(rig.sheet_resistance * np.median(path)) if told.any() else 0.0
+    near = f"look at the switch of ground line {e}"
+    if ohm < _CLOSED * rig.sheet_resistance:
         text = f"electrode {e} is grounded in every slot"
-        mend = f"look at the switch of ground line {e}: it never opens"
-        reading.faults.append(Fault("ground_stuck", (e,), "on", "", 0.99, text, mend))
+        return Fault("ground_stuck", (e,), "on", "", 0.99, text, f"{near}: it never opens")
+    text = f"electrode {e} leaks to ground through some {ohm:.2g} Ω in every slot"
+    mend = f"{near}, and for water or dirt between its wire and ground"
+    return Fault("leak", (e,), float(f"{ohm:.2g}"), "Ω", 0.99, text, mend)
