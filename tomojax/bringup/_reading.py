@@ -18,7 +18,7 @@ from tomojax.bringup._wiring import (
     order_of,
     quality,
 )
-from tomojax.bringup.sheet._fit import Fits
+from tomojax.bringup.sheet._fit import Fits, sound
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._silence import silence_of
 from tomojax.bringup.sheet._slots import chosen, Slots
@@ -41,6 +41,11 @@ _LOW = 3
 
 # Neighbours are nearer than so many times the nearest.
 _NEXT = 1.3
+
+# A loose electrode's channel reads at most this part of what others tell of its place, and
+# a multiple of that leaves at most so much of its scatter, rms. Swapped channels leave all.
+_PART = 0.95
+_FOLLOWS = 0.5
 
 
 class Work(NamedTuple):
@@ -134,28 +139,35 @@ class Reading:
         low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
         for c in low:
             rest = touching & (np.arange(self.plane.count) != c)
-            if self._some(rest, c)[0] < _ON * self._some(rest)[0]:
+            drained, without = (self._some(rest, on)[0].fits for on in (c, None))
+            if quality(drained) < _ON * quality(without):
                 return c
         return None
 
-    def _some(self, usable: np.ndarray, always: int | None = None) -> tuple[float, float]:
-        """Fits some slots in the order told; returns their quality, and how unlike."""
+    def _some(
+        self, usable: np.ndarray, always: int | None = None
+    ) -> tuple[Order, Float[np.ndarray, "k M"]]:
+        """Fits some slots in the order told; returns their voltages as well."""
         some = np.linspace(0, len(self.volts) - 1, min(len(self.volts), _TRIED)).astype(int)
         told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
-        fits = fit_in_order(self.plane, self.volts[some], as_told, usable, told, always)
-        return quality(fits), _unlike(Order(as_told, fits), self.volts[some], usable)
+        volts = self.volts[some]
+        fits = fit_in_order(self.plane, volts, as_told, usable, told, always)
+        return Order(as_told, fits), volts
 
     def _touching(self) -> Bool[np.ndarray, " M"]:
-        """Leaves out usable channels below their neighbours, if others fit without them."""
-        whole, dips = self._some(self.usable)[1], self._dips()
-        dips = np.where(self.usable, dips, -np.inf)
+        """Leaves out channels that read a part of what others tell of their electrode."""
+        whole = _unlike(*self._some(self.usable), self.usable)
+        dips = np.where(self.usable, self._dips(), -np.inf)
         most = self.plane.count // 4
         for k in 2 ** np.arange(int(np.log2(most)) + 1) - 1:
             # Those that lie half as low are of the same kind.
             rest = self.usable & (dips < max(np.sort(dips)[-1 - k] / 2, 1e-12))
-            few = self.usable.sum() - rest.sum() > most
-            if not few and self._some(rest)[1] < _ON * whole:
-                return rest
+            if self.usable.sum() - rest.sum() > most:
+                continue
+            order, volts = self._some(rest)
+            loose = self.usable & ~rest & _read_in_part(order.fits, volts)
+            if loose.any() and _unlike(order, volts, rest) < _ON * whole:
+                return self.usable & ~loose
         return self.usable
 
     def _dips(self) -> Float[np.ndarray, " M"]:
@@ -241,3 +253,14 @@ def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
     left = (((v - fits.modelled) ** 2) * some).sum(1)
     whole = (((v - mean[:, None]) ** 2) * some).sum(1)
     return float(np.median(np.sqrt(left / np.maximum(whole, 1e-12))))
+
+
+def _read_in_part(fits: Fits, volts: np.ndarray) -> Bool[np.ndarray, " M"]:
+    """Finds channels that read less than is modelled at their electrodes, in proportion."""
+    told = (fits.far > 0) & sound(fits)[:, None]
+    count = np.maximum(told.sum(0), 1)
+    part = (told * fits.modelled * volts).sum(0)
+    part = part / np.maximum((told * fits.modelled**2).sum(0), 1e-12)
+    left = (told * (volts - part * fits.modelled) ** 2).sum(0)
+    scatter = (told * (volts - (told * volts).sum(0) / count) ** 2).sum(0)
+    return (part < _PART) & (left < _FOLLOWS**2 * scatter)
