@@ -6,7 +6,7 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import matmul, solve_positive, where_needed
 from tomojax.kernels.contacts import regular, solve_small
@@ -17,20 +17,29 @@ _MIDDLE = 4
 
 
 def point_sources(
-    basis: Float[Array, "r pixels"] | Float[Array, "pixels r"],
+    basis: Float[Array, "r pixels"],
     contacts: Contacts,
     shape: tuple[int, int],
     cell: Float[Array, "2"],
-    axis: int = 1,
 ) -> Float[Array, "C r"]:
-    """Interpolates `basis` at contacts, between pixels linearly; 0: none.
-
-    Pixels are along `axis`.
-    """
-    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
-    which = np.arange(len(columns)) % len(contacts.radius)
-    there = jnp.asarray(which) < contacts.count.astype(int)
+    """Interpolates the columns of `basis` at contacts, between pixels linearly; 0: none."""
+    there = jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
+    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, 1))(contacts.xy)
     return jnp.where(there[:, None], columns, 0)
+
+
+def _nearby(
+    columns: Float[Array, "pixels r"],
+    contacts: Contacts,
+    shape: tuple[int, int],
+    cell: Float[Array, "2"],
+    about: Int[np.ndarray, "places 2"],
+) -> Float[Array, "places C r"]:
+    """Interpolates the rows of `columns` so many pixels from each contact; 0: none."""
+    there = jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
+    pixels = contacts.xy / cell - 0.5 + jnp.asarray(about[:, None], cell.dtype)
+    at = jax.vmap(jax.vmap(lambda pixel: _at(columns, pixel, shape, 0)))
+    return jnp.where(there[:, None], at(pixels), 0)
 
 
 def explained(
@@ -78,11 +87,9 @@ def explained_by(
     def whole(
         contacts: Contacts, seen: Array, columns: Array, cell: Array
     ) -> tuple[Array, Array, Array]:
-        places = contacts.xy + jnp.asarray(about[:, None], cell.dtype) * cell
-        moved = contacts._replace(xy=places.reshape(-1, 2))
-        near = point_sources(columns, moved, shape, cell, axis=0)
-        first, count = _MIDDLE * len(contacts.xy), len(contacts.xy)
-        factors, left = explained(near[None, first : first + count], seen[None])
+        places = _nearby(columns, contacts, shape, cell, about)
+        factors, left = explained(places[_MIDDLE][None], seen[None])
+        near = places.reshape(-1, len(seen))
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
         return factors[0], left, seen - matmul(amount, near)

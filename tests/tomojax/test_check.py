@@ -74,6 +74,11 @@ def test_a_ground_that_does_not_open_of_a_few(made, slots):
     assert kinds(found) == {("ground_stuck", (9,))}
 
 
+def test_slow_channels_under_two_grounds_are_no_leak(made):
+    given = faulty.recorded(made, 1, slots=2, pattern=FEW[2], settling=0.12)
+    assert kinds(tx.bringup.check(given)) == {("settling", ())}
+
+
 @pytest.mark.parametrize("slots", FEW)
 @pytest.mark.parametrize("part", [0.1, 0.5])
 def test_electrodes_under_a_lifted_sheet(made, slots, part):

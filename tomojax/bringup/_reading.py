@@ -42,6 +42,13 @@ _LOW = 3
 # Neighbours are nearer than so many times the nearest.
 _NEXT = 1.3
 
+# A path to ground is a switch that is closed below this part of the sheet's resistance.
+CLOSED = 0.02
+
+# Quartiles of a leak's resistance over slots are so near to each other, of their median: up
+# to 0.5 where a leak has ten times the sheet's resistance. A tear or a slow channel: 1.5.
+_ALIKE = 0.8
+
 # A loose electrode's channel reads at most this part of what others tell of its place, and
 # a multiple of that leaves at most so much of its scatter, rms. Swapped channels leave all.
 _PART = 0.95
@@ -139,8 +146,11 @@ class Reading:
         low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
         for c in low:
             rest = touching & (np.arange(self.plane.count) != c)
-            drained, without = (self._some(rest, on)[0].fits for on in (c, None))
-            if quality(drained) < _ON * quality(without):
+            (order, volts), without = self._some(rest, c), self._some(rest)[0].fits
+            # Current through a resistance is in proportion to the voltage; a tear's is not.
+            low, middle, high = np.quantile(paths_of(order, volts, c), [0.25, 0.5, 0.75])
+            alike = high - low < max(_ALIKE * middle, CLOSED)
+            if alike and quality(order.fits) < _ON * quality(without):
                 return c
         return None
 
@@ -253,6 +263,15 @@ def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
     left = (((v - fits.modelled) ** 2) * some).sum(1)
     whole = (((v - mean[:, None]) ** 2) * some).sum(1)
     return float(np.median(np.sqrt(left / np.maximum(whole, 1e-12))))
+
+
+def paths_of(order: Order, volts: Float[np.ndarray, "n M"], channel: int) -> np.ndarray:
+    """Computes the resistance of a channel's path to ground in sound slots, in squares."""
+    fits = order.fits
+    told = sound(fits) & (fits.ground != order.electrode[channel])
+    second = fits.second[told]
+    path = volts[told, channel] / np.where(second == 0, 1e-12, second)
+    return path if len(path) else np.zeros(1)
 
 
 def _read_in_part(fits: Fits, volts: np.ndarray) -> Bool[np.ndarray, " M"]:

@@ -13,9 +13,8 @@ from tomojax.bringup._naming import (
     line_groups,
     whole_fault,
 )
-from tomojax.bringup._reading import Reading
+from tomojax.bringup._reading import CLOSED, paths_of, Reading
 from tomojax.bringup._wiring import Lines
-from tomojax.bringup.sheet._fit import sound
 from tomojax.bringup.sheet._orders import symmetries
 
 # The part of the slots that must be elsewhere than half of them are, so many pitches away.
@@ -27,9 +26,6 @@ _WRONG = 0.5
 
 # The part of the lines that a mirror leaves wrong.
 _LEFT = 0.4
-
-# A path to ground is a switch that is closed below this part of the sheet's resistance.
-_CLOSED = 0.02
 
 # Slots from which on an order is as sure as anything; how sure it is before.
 _MANY = 200
@@ -136,12 +132,11 @@ def _name(reading: Reading, lines: Lines, unknown_which: bool) -> None:
 def _drain(reading: Reading, channel: int) -> Fault:
     """Names an electrode that drains current in every slot: by its path's resistance."""
     order, rig = reading.order, reading.slots.rig
-    e, fits = int(order.electrode[channel]), order.fits
-    told = sound(fits) & (fits.second > 0) & (fits.ground != e)
-    path = reading.volts[told, channel] / fits.second[told]  # in squares of the sheet
-    ohm = float(rig.sheet_resistance * np.median(path)) if told.any() else 0.0
+    e, path = int(order.electrode[channel]), paths_of(order, reading.volts, channel)
+    path = path[path > 0]
+    ohm = float(rig.sheet_resistance * np.median(path)) if len(path) else 0.0
     near = f"look at the switch of ground line {e}"
-    if ohm < _CLOSED * rig.sheet_resistance:
+    if ohm < CLOSED * rig.sheet_resistance:
         text = f"electrode {e} is grounded in every slot"
         return Fault("ground_stuck", (e,), "on", "", 0.99, text, f"{near}: it never opens")
     text = f"electrode {e} leaks to ground through some {ohm:.2g} Ω in every slot"
