@@ -6,14 +6,15 @@ from functools import cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels.algebra import matmul, solve_positive, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
 
-# Of nine places, row by row.
-_MIDDLE = 4
+# Pixels around a contact, in units of `reach`. (Four of them left twice as many lone
+# contacts in doubt.)
+_ABOUT = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
 
 
 def point_sources(
@@ -23,23 +24,35 @@ def point_sources(
     cell: Float[Array, "2"],
 ) -> Float[Array, "C r"]:
     """Interpolates the columns of `basis` at contacts, between pixels linearly; 0: none."""
-    there = jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
-    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, 1))(contacts.xy)
-    return jnp.where(there[:, None], columns, 0)
+    return _interpolated(basis, contacts, shape, cell, 1)
 
 
-def _nearby(
+def _interpolated(
+    basis: Array, contacts: Contacts, shape: tuple[int, int], cell: Array, axis: int
+) -> Float[Array, "C r"]:
+    """Interpolates `basis`, whose pixels are along `axis`, at contacts; 0: none."""
+    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
+    return jnp.where(_there(contacts)[:, None], columns, 0)
+
+
+def _there(contacts: Contacts) -> Bool[Array, " C"]:
+    return jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
+
+
+def _around(
     columns: Float[Array, "pixels r"],
     contacts: Contacts,
     shape: tuple[int, int],
     cell: Float[Array, "2"],
-    about: Int[np.ndarray, "places 2"],
-) -> Float[Array, "places C r"]:
-    """Interpolates the rows of `columns` so many pixels from each contact; 0: none."""
-    there = jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
-    pixels = contacts.xy / cell - 0.5 + jnp.asarray(about[:, None], cell.dtype)
-    at = jax.vmap(jax.vmap(lambda pixel: _at(columns, pixel, shape, 0)))
-    return jnp.where(there[:, None], at(pixels), 0)
+    reach: tuple[int, int],
+) -> Float[Array, "C 8 r"]:
+    """Picks the rows of `columns` at pixels `reach` away from each contact; 0: none."""
+    away = jnp.asarray(_ABOUT * reach)
+    pixel = jnp.round(jnp.nan_to_num(contacts.xy / cell - 0.5)).astype(int)
+    i, j = jnp.moveaxis(pixel[:, None] + away, -1, 0)
+    i, j = jnp.clip(i, 0, shape[0] - 1), jnp.clip(j, 0, shape[1] - 1)
+    rows = jnp.take(columns, i * shape[1] + j, 0, mode="clip")
+    return jnp.where(_there(contacts)[:, None, None], rows, 0)
 
 
 def explained(
@@ -79,17 +92,17 @@ def explained_by(
 
     The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
     × r), and the pixels' size.
-    The rest is what no currents within `reach` pixels of the contacts explain: their size
-    and shape, their place's error and nearby electrodes' errors are not in it.
+    The rest is what no currents at contacts and `reach` pixels around them explain: their
+    size and shape, their place's error and nearby electrodes' errors are not in it.
     """
-    about = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * reach
 
     def whole(
         contacts: Contacts, seen: Array, columns: Array, cell: Array
     ) -> tuple[Array, Array, Array]:
-        places = _nearby(columns, contacts, shape, cell, about)
-        factors, left = explained(places[_MIDDLE][None], seen[None])
-        near = places.reshape(-1, len(seen))
+        points = _interpolated(columns, contacts, shape, cell, 0)
+        factors, left = explained(points[None], seen[None])
+        around = _around(columns, contacts, shape, cell, reach)
+        near = jnp.concatenate([points, around.reshape(-1, len(seen))])
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
         return factors[0], left, seen - matmul(amount, near)
