@@ -37,17 +37,26 @@ class Voltages(NamedTuple):
     xy: np.ndarray  # (T, 2) m
     volts: np.ndarray  # (T, M, M), under each ground
 
-    def under(self, touch: int, grounds: list[int]) -> np.ndarray:
-        """With these grounds at once, or none: the electrodes' network as seen by them."""
+    def under(
+        self, touch: int, grounds: list[int], leaks: dict[int, float] | None = None
+    ) -> np.ndarray:
+        """With these grounds at once, or none: the electrodes' network as seen by them.
+
+        `leaks`: Ω from electrodes to ground, where these are not grounded.
+        """
+        leaks = {e: r for e, r in (leaks or {}).items() if e not in grounds}
+        grounds = [*grounds, *leaks]
         drive = float(self.rig.sensor.drive_voltage)
         if not grounds:
             return np.full(self.volts.shape[1], drive)
-        if len(grounds) == 1:
+        if len(grounds) == 1 and not leaks:
             return self.volts[touch, grounds[0]]
         z = self.rig.ground
         v = self.volts[touch].astype(float)
         own = z * drive / np.diag(v)  # Z_ll + z_l
         table = (1 - v.T / drive) * own
+        z = z.copy()
+        z[list(leaks)] = list(leaks.values())
         some = np.ix_(grounds, grounds)
         current = np.linalg.solve(
             (table + table.T)[some] / 2 + np.diag(z[grounds]), np.full(len(grounds), drive)
@@ -125,6 +134,7 @@ def recorded(
     channels: Any = None,
     lines: Any = None,
     on: int | None = None,
+    leaks: dict[int, float] | None = None,
     dead: Any = (),
     stuck: dict[int, float] | None = None,
     gain: dict[int, float] | None = None,
@@ -139,8 +149,9 @@ def recorded(
     """A recording of nothing, a rub and two corners, as a rig with these faults leaves it.
 
     `channels`: the electrode that each channel reads; `lines`: the electrode that each
-    ground line switches, −1: none; `on`: a line that is always on; `told`: what the header
-    says, as factors; `settling`: the part of the slot before, of all or of each.
+    ground line switches, −1: none; `on`: a line that is always on; `leaks`: Ω from
+    electrodes to ground; `told`: what the header says, as factors; `settling`: the part of
+    the slot before, of all or of each.
     """
     rng = np.random.default_rng(seed)
     m, rig = made.volts.shape[1], made.rig
@@ -163,7 +174,7 @@ def recorded(
             continue
         grounded = [int(lines[g])] if lines[g] >= 0 else []
         grounded += [on] if on is not None and on not in grounded else []
-        exact[s] = made.under(t, grounded)
+        exact[s] = made.under(t, grounded, leaks)
     exact = exact[:, wired]
     part = np.broadcast_to(np.asarray(settling, float), m)
     before = np.concatenate([exact[:1], exact[:-1]])

@@ -5,11 +5,16 @@ from functools import cache
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra import matmul, where_needed
+from tomojax.kernels.algebra import matmul, solve_positive, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
+
+# Pixels around a contact, in units of `reach`. (Four of them left twice as many lone
+# contacts in doubt.)
+_ABOUT = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
 
 
 def point_sources(
@@ -19,9 +24,35 @@ def point_sources(
     cell: Float[Array, "2"],
 ) -> Float[Array, "C r"]:
     """Interpolates the columns of `basis` at contacts, between pixels linearly; 0: none."""
-    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape))(contacts.xy)
-    there = jnp.arange(len(columns)) < contacts.count.astype(int)
-    return jnp.where(there[:, None], columns, 0)
+    return _interpolated(basis, contacts, shape, cell, 1)
+
+
+def _interpolated(
+    basis: Array, contacts: Contacts, shape: tuple[int, int], cell: Array, axis: int
+) -> Float[Array, "C r"]:
+    """Interpolates `basis`, whose pixels are along `axis`, at contacts; 0: none."""
+    columns = jax.vmap(lambda xy: _at(basis, xy / cell - 0.5, shape, axis))(contacts.xy)
+    return jnp.where(_there(contacts)[:, None], columns, 0)
+
+
+def _there(contacts: Contacts) -> Bool[Array, " C"]:
+    return jnp.arange(len(contacts.xy)) < contacts.count.astype(int)
+
+
+def _around(
+    columns: Float[Array, "pixels r"],
+    contacts: Contacts,
+    shape: tuple[int, int],
+    cell: Float[Array, "2"],
+    reach: tuple[int, int],
+) -> Float[Array, "C 8 r"]:
+    """Picks the rows of `columns` at pixels `reach` away from each contact; 0: none."""
+    away = jnp.asarray(_ABOUT * reach)
+    pixel = jnp.round(jnp.nan_to_num(contacts.xy / cell - 0.5)).astype(int)
+    i, j = jnp.moveaxis(pixel[:, None] + away, -1, 0)
+    i, j = jnp.clip(i, 0, shape[0] - 1), jnp.clip(j, 0, shape[1] - 1)
+    rows = jnp.take(columns, i * shape[1] + j, 0, mode="clip")
+    return jnp.where(_there(contacts)[:, None, None], rows, 0)
 
 
 def explained(
@@ -41,32 +72,44 @@ def explained(
     return factors, jnp.sqrt(rest.sum() / whole)
 
 
-def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int]) -> Array:
+def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int], axis: int) -> Array:
     """Interpolates the column at a place in pixels; beyond the edge takes the nearest."""
     last = jnp.asarray(shape, pixel.dtype) - 1
     pixel = jnp.clip(jnp.nan_to_num(pixel), 0, last)
     low = jnp.minimum(jnp.floor(pixel), last - 1)
     (u, v), (i, j) = pixel - low, low.astype(int)
     corner = i * shape[1] + j
-    a, b = basis[:, corner], basis[:, corner + 1]
-    c, d = basis[:, corner + shape[1]], basis[:, corner + shape[1] + 1]
+    steps = 0, 1, shape[1], shape[1] + 1
+    a, b, c, d = (jnp.take(basis, corner + k, axis, mode="clip") for k in steps)
     return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)
 
 
 @cache
-def explained_by(shape: tuple[int, int]) -> Callable[..., tuple[Array, Array]]:
-    """Makes a fit of contacts as point sources: their currents, and what they leave."""
+def explained_by(
+    shape: tuple[int, int], reach: tuple[int, int]
+) -> Callable[..., tuple[Array, Array, Array]]:
+    """Makes a fit of contacts as point sources: currents, the part left, and the rest.
+
+    The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
+    × r), and the pixels' size.
+    The rest is what no currents at contacts and `reach` pixels around them explain: their
+    size and shape, their place's error and nearby electrodes' errors are not in it.
+    """
 
     def whole(
-        contacts: Contacts, seen: Array, basis: Array, through: Array, cell: Array
-    ) -> tuple[Array, Array]:
-        points = matmul(point_sources(basis, contacts, shape, cell), through.T)
+        contacts: Contacts, seen: Array, columns: Array, cell: Array
+    ) -> tuple[Array, Array, Array]:
+        points = _interpolated(columns, contacts, shape, cell, 0)
         factors, left = explained(points[None], seen[None])
-        return factors[0], left
+        around = _around(columns, contacts, shape, cell, reach)
+        near = jnp.concatenate([points, around.reshape(-1, len(seen))])
+        gram, seen_by = matmul(near, near.T), matmul(near, seen)
+        amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
+        return factors[0], left, seen - matmul(amount, near)
 
-    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array]:
+    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
-        carried, left = whole(first, *others)
-        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left
+        carried, left, rest = whole(first, *others)
+        return jnp.pad(carried, (0, len(contacts.radius) - 1)), left, rest
 
     return where_needed(whole, lone)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tomojax.kernels.images import explained, no_contacts, point_sources
+from tomojax.kernels.images import explained, explained_by, no_contacts, point_sources
 
 SHAPE, CELL = (6, 8), np.array([0.01, 0.02])
 
@@ -50,3 +50,30 @@ def test_of_its_own_point_sources_nothing_is_left(dtype, rng):
 
 def test_a_frame_of_zeros_is_no_error():
     assert float(explained(jnp.zeros((2, 3, 5)), jnp.zeros((2, 5)))[1]) == 0
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_rest_shows_what_no_contact_explains(count, rng):
+    """A source far from all contacts is in the rest; one at whole pixels beside is not."""
+    columns = rng.normal(size=(48, 40))
+    pixels = np.array([[1, 1], [4, 6]])[:count]
+    xy = np.full((3, 2), np.nan)
+    xy[:count] = (pixels + 0.5) * CELL
+    contacts = no_contacts(3, np.float64)._replace(
+        xy=jnp.asarray(xy), count=jnp.asarray(count, jnp.uint8)
+    )
+    at = columns.reshape(*SHAPE, -1)
+    amount = np.array([2.0, 0.7])[:count]
+    seen = amount @ at[tuple(pixels.T)]
+    fit = jax.jit(explained_by(SHAPE, (1, 1)))
+
+    def of(seen):
+        needed, cell = jnp.asarray(count > 1), jnp.asarray(CELL)
+        return fit(needed, contacts, jnp.asarray(seen), jnp.asarray(columns), cell)
+
+    currents, left, rest = of(seen)
+    np.testing.assert_allclose(currents, np.r_[amount, np.zeros(3 - count)], atol=1e-5)
+    assert float(left) < 1e-5 and np.abs(rest).max() < 1e-5
+    beside, far = of(seen + 0.1 * at[0, 2])[2], of(seen + 0.1 * at[1, 4])[2]
+    assert np.abs(beside).max() < 1e-5
+    assert np.linalg.norm(far) > 0.05 * np.linalg.norm(at[1, 4])

@@ -72,6 +72,23 @@ def test_contacts_of_a_sound_rig_are_no_faults(sensor, lone, batch):
     assert (two.contact_count == 2).sum() >= 5 and not (two.flags & FAULT).any()
 
 
+@pytest.mark.parametrize("slots", [2, 6])
+def test_source_doubts_what_a_strong_contact_may_hide(sensor, slots):
+    method = tx.method(sensor, "source")
+    source = tx.Batch(method, method.choose_lambda([]), 3, images=False)
+    grounds = np.array([0, 35, 5, 30, 14, 21])[:slots]
+
+    def rows_of(scenes):
+        volts = read(scenes, attacked.sound, grounds)
+        return source(volts, np.tile(grounds, (len(scenes), 1)))
+
+    two_pitches = 2 * sensor.mean_pitch
+    pairs = attacked.pairs(sensor, 12, 2, 12, apart=two_pitches, ratio=30.0)
+    alone, two = rows_of(attacked.lone(sensor, 31, rigs=4, each=6)), rows_of(pairs)
+    assert ((two.contact_count == 2) | (two.flags & DOUBT > 0)).mean() > 0.9
+    assert (alone.contact_count == 1).all() and (alone.flags & DOUBT > 0).mean() < 0.1
+
+
 def recording_of(sensor, volts):
     return tx.recordings.ArrayRecording(tx.recordings.Rig.of(sensor), volts, CORNERS)
 

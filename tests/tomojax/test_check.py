@@ -52,6 +52,45 @@ def test_a_sound_rig_has_no_fault(made):
     assert abs(found.figures["noise_V"] - made.rig.chain.noise) < 5e-5
 
 
+FEW = {2: [0, M - 1], 10: [0, M - 1, *range(2, M - 2, 2)][:10]}
+
+
+@pytest.mark.parametrize("slots", FEW)
+@pytest.mark.parametrize("leak", [0.0, 200.0, 5e3])
+def test_a_leaky_switch_of_a_few_grounds(made, slots, leak):
+    words = {"leaks": {9: leak}} if leak else {}
+    given = faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], **words)
+    found = tx.bringup.check(given)
+    assert kinds(found) == ({("leak", (9,))} if leak else set())
+    if leak:
+        assert found.faults[0].value == pytest.approx(leak, rel=0.2)
+
+
+@pytest.mark.parametrize("slots", FEW)
+def test_a_ground_that_does_not_open_of_a_few(made, slots):
+    found = tx.bringup.check(
+        faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], on=9)
+    )
+    assert kinds(found) == {("ground_stuck", (9,))}
+
+
+def test_slow_channels_under_two_grounds_are_no_leak(made):
+    given = faulty.recorded(made, 1, slots=2, pattern=FEW[2], settling=0.12)
+    assert kinds(tx.bringup.check(given)) == {("settling", ())}
+
+
+@pytest.mark.parametrize("slots", FEW)
+@pytest.mark.parametrize("part", [0.1, 0.5])
+def test_electrodes_under_a_lifted_sheet(made, slots, part):
+    loose = [e for e in (9, 10, 13, 14) if e not in FEW[slots]]
+    gain = dict.fromkeys(loose, part)
+    given = faulty.recorded(made, 1, slots=slots, pattern=FEW[slots], gain=gain)
+    found = tx.bringup.check(given).faults
+    assert {fault.channels[0] for fault in found} == set(loose)
+    assert all("hardly touch" in fault.text for fault in found)
+    np.testing.assert_allclose([fault.value for fault in found], part, rtol=0.05)
+
+
 MIRRORED = faulty.symmetry(ROWS, COLUMNS, False, True, False)
 TURNED = faulty.symmetry(ROWS, COLUMNS, False, True, True)
 SLOW = np.where(np.arange(M) == 9, 0.3, 0.0)
@@ -70,6 +109,7 @@ SINGLE = {
     "off by one": ({"lines": np.arange(M) - 1}, ("ground_off_by", ())),
     "never": ({"lines": without(11)}, ("ground_stuck", (11,))),
     "always": ({"on": 9}, ("ground_stuck", (9,))),
+    "leak": ({"leaks": {6: 1e3}}, ("leak", (6,))),
     "drive": ({"told": {"drive_voltage": 1.3}}, ("drive", ())),
     "sheet": ({"told": {"sheet_resistance": 0.4}}, ("sheet_resistance", ())),
     "gain": ({"gain": {7: 0.93}}, ("gain", (7,))),

@@ -1,7 +1,11 @@
 """`reconstruct`: what users call, with their mistakes, batches, weights and reduced J."""
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -227,3 +231,26 @@ def test_figures_of_merit_check_shapes(problem) -> None:
     ]:
         with pytest.raises(ValueError, match=name):
             tx.paper.figures_of_merit(sensor, image, true)
+
+
+LOADED = """
+import sys, numpy as np, tomojax as tx
+kept, data = open(sys.argv[1], "rb").read(), np.load(sys.argv[2])
+found = tx.paper.load_exported(kept).call(data["v"])
+print(float(np.abs(np.asarray(found) - data["image"]).max() / np.abs(data["image"]).max()))
+"""
+
+
+def test_another_process_calls_an_exported_function(tmp_path) -> None:
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16), dtype=np.float32)
+    rows = tx.jacobian(sensor, [0, 15])
+    lam = 1e-3 * float((np.asarray(rows) ** 2).sum())
+    image = jax.jit(lambda v: tx.reconstruct(rows, v, lam=lam).image)
+    disc = tx.Disc([0.03, 0.05], 0.006, 1.0)
+    volts = np.asarray(tx.voltages(sensor, disc, [0, 15]), np.float32)
+    kept, data = tmp_path / "kept.bin", tmp_path / "data.npz"
+    kept.write_bytes(bytes(jax.export.export(image)(volts).serialize()))
+    np.savez(data, v=volts, image=np.asarray(image(volts)))
+    run = [sys.executable, "-W", "ignore", "-c", LOADED, str(kept), str(data)]
+    told = subprocess.run(run, capture_output=True, text=True, timeout=120)
+    assert told.returncode == 0 and float(told.stdout) < 1e-4

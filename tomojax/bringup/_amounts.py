@@ -16,6 +16,7 @@ BEYOND = 6.0
 
 # A sound rig may have so much of a gain, of a drive, and of a sheet's resistance.
 _GAIN = 0.01
+_LOOSE = 0.1  # a lower gain is a loose electrode rather than a divider
 _DRIVE = 0.06
 _SHEET = 0.3
 
@@ -50,6 +51,9 @@ def gain_faults(work: Work, named: Bool[np.ndarray, " M"]) -> list[Fault]:
         seen = f"{100 * off:+.1f} % beside the others, ± {100 * known:.2f} %"
         how = f"divide channel {c} by {1 + off:.4f} (tomojax calibrate does)"
         text, mend = f"channel {c} reads {seen}", f"{how}, or mend its divider"
+        if off < -_LOOSE:
+            text = f"{text}: its electrode may hardly touch the sheet"
+            mend = f"press or glue the sheet on the electrode there; else {how}"
         value = round(float(1 + off), 4)
         faults.append(Fault("gain", (c,), value, "of the others'", sure, text, mend))
     return faults

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Bool
 
 from tomojax.bringup._amounts import (
     drive_faults,
@@ -10,6 +11,7 @@ from tomojax.bringup._amounts import (
     gain_faults,
     sheet_factor,
     sheet_faults,
+    SheetFactor,
 )
 from tomojax.bringup._channels import hum_faults, noise_faults, shorted
 from tomojax.bringup._corners import Corners
@@ -112,7 +114,7 @@ def _judge_channels(reading: Reading) -> Work:
             f"fewer than {_GROUNDS} grounds: record with --pattern all"
         )
         return work
-    named, now = _named(work), every
+    named, now = _named(work, reading.loose), every
     for _ in range(_ROUNDS):
         left = every.copy()
         left[[f.channels[0] for f in named if f.kind != "tear"]] = False
@@ -122,18 +124,18 @@ def _judge_channels(reading: Reading) -> Work:
         reading.again()
         reading.usable = every
         work = reading.work()
-        named = _named(work)
+        named = _named(work, reading.loose)
     reading.faults += named
     if not any(f.kind == "tear" for f in named):
         reading.faults += joint_faults(work)
     return work
 
 
-def _named(work: Work) -> list[Fault]:
+def _named(work: Work, loose: Bool[np.ndarray, " M"]) -> list[Fault]:
     """Finds faults of single channels and of the sheet."""
     slow = settling_faults(work)
     lingering = np.isin(work.channel, [f.channels[0] for f in slow])
-    places, taken = place_faults(work, lingering)
+    places, taken = place_faults(work, lingering | loose[work.channel])
     named = work.channel[taken]
     slow = [f for f in slow if f.channels[0] not in named]
     alone = [f.channels[0] for f in places if f.kind == "misplaced"]
@@ -149,7 +151,9 @@ def _judge_rig(reading: Reading, work: Work) -> dict[str, float]:
     reading.faults += drive_faults(work, drive, error)
     if not np.isfinite(drive):
         reading.unjudged["drive"] = "no contact that holds still under several grounds"
-    sheet = sheet_factor(work, rig, silent.frequency)
+    sheet = SheetFactor(why="two grounds alone have errors as large: --pattern all")
+    if len(np.unique(reading.asked)) > _GROUNDS:
+        sheet = sheet_factor(work, rig, silent.frequency)
     faults, why = sheet_faults(sheet, rig), sheet.why
     if faults and torn:
         # Its current goes around: what is left of the sheet seems to have more.

@@ -18,6 +18,7 @@ Kind = Literal[
     "ground_permuted",
     "ground_off_by",
     "ground_stuck",
+    "leak",
     "drive",
     "sheet_resistance",
     "gain",

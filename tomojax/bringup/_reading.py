@@ -18,7 +18,7 @@ from tomojax.bringup._wiring import (
     order_of,
     quality,
 )
-from tomojax.bringup.sheet._fit import Fits
+from tomojax.bringup.sheet._fit import Fits, sound
 from tomojax.bringup.sheet._plane import Plane
 from tomojax.bringup.sheet._silence import silence_of
 from tomojax.bringup.sheet._slots import chosen, Slots
@@ -38,6 +38,21 @@ _WRONG = 0.45
 _ON = 0.5
 _TRIED = 150
 _LOW = 3
+
+# Neighbours are nearer than so many times the nearest.
+_NEXT = 1.3
+
+# A path to ground is a switch that is closed below this part of the sheet's resistance.
+CLOSED = 0.02
+
+# Quartiles of a leak's resistance over slots are so near to each other, of their median: up
+# to 0.5 where a leak has ten times the sheet's resistance. A tear or a slow channel: 1.5.
+_ALIKE = 0.8
+
+# A loose electrode's channel reads at most this part of what others tell of its place, and
+# a multiple of that leaves at most so much of its scatter, rms. Swapped channels leave all.
+_PART = 0.95
+_FOLLOWS = 0.5
 
 
 class Work(NamedTuple):
@@ -63,7 +78,8 @@ class Reading:
 
     `every`: all slots without zeros, by channel; `volts`, `asked`: the slots that are
     fitted; `number`: their numbers in the recording. `order`: the electrode of each
-    channel, and the fits. `always`: a channel whose electrode is grounded in every slot.
+    channel, and the fits. `loose`: channels that hardly follow their electrode. `always`: a
+    channel whose electrode is grounded in every slot.
 
     **Raises:** `ValueError` if nothing can be said of the rig.
     """
@@ -106,7 +122,9 @@ class Reading:
         )
         self.every = slots.volts - self.silent.zero.astype(np.float32)
         self.volts = raw - self.silent.zero
-        self.always = self._always_on(dead)
+        usable, touching = self.usable, self._touching()
+        self.always = self._always_on(list(faults), touching)
+        self.loose, self.usable = usable & ~touching, touching
         self.faults += [fault for c, fault in faults.items() if c != self.always]
         self.fit()
         require(
@@ -116,19 +134,64 @@ class Reading:
             f"{1e3 * self.plane.size[0]:.0f} mm × {1e3 * self.plane.size[1]:.0f} mm)",
             "a recording of this sensor: is it another sensor's electrode_xy?",
         )
+        self.usable = usable
 
-    def _always_on(self, dead: list[int]) -> int | None:
-        """Tells dead channels from an electrode that is grounded all the time."""
-        if not 0 < len(dead) <= _LOW:
-            return None
-        some = self.rng.choice(len(self.volts), min(len(self.volts), _TRIED), replace=False)
-        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
-        given = self.plane, self.volts[some], as_told, self.usable, told
-        single = quality(fit_in_order(*given))
-        for c in dead:
-            if quality(fit_in_order(*given, c)) < _ON * single:
+    def _always_on(self, silent: list[int], touching: Bool[np.ndarray, " M"]) -> int | None:
+        """Finds the channel whose electrode drains current in every slot, if one does.
+
+        That may be a channel that follows no touch, grounded all the time, or one that lies
+        lower than its neighbours: a leak.
+        """
+        lowest = np.where(self.usable, self._dips(), -np.inf)
+        low = [*silent[:_LOW], *np.argsort(-lowest, kind="stable")[:_LOW].tolist()]
+        for c in low:
+            rest = touching & (np.arange(self.plane.count) != c)
+            (order, volts), without = self._some(rest, c), self._some(rest)[0].fits
+            # Current through a resistance is in proportion to the voltage; a tear's is not.
+            low, middle, high = np.quantile(paths_of(order, volts, c), [0.25, 0.5, 0.75])
+            alike = high - low < max(_ALIKE * middle, CLOSED)
+            if alike and quality(order.fits) < _ON * quality(without):
                 return c
         return None
+
+    def _some(
+        self, usable: np.ndarray, always: int | None = None
+    ) -> tuple[Order, Float[np.ndarray, "k M"]]:
+        """Fits some slots in the order told; returns their voltages as well."""
+        some = np.linspace(0, len(self.volts) - 1, min(len(self.volts), _TRIED)).astype(int)
+        told, as_told = self.inside(self.asked[some])[:, None], np.arange(self.plane.count)
+        volts = self.volts[some]
+        fits = fit_in_order(self.plane, volts, as_told, usable, told, always)
+        return Order(as_told, fits), volts
+
+    def _touching(self) -> Bool[np.ndarray, " M"]:
+        """Leaves out channels that read a part of what others tell of their electrode."""
+        whole = _unlike(*self._some(self.usable), self.usable)
+        dips = np.where(self.usable, self._dips(), -np.inf)
+        most = self.plane.count // 4
+        for k in 2 ** np.arange(int(np.log2(most)) + 1) - 1:
+            # Those that lie half as low are of the same kind.
+            rest = self.usable & (dips < max(np.sort(dips)[-1 - k] / 2, 1e-12))
+            if self.usable.sum() - rest.sum() > most:
+                continue
+            order, volts = self._some(rest)
+            loose = self.usable & ~rest & _read_in_part(order.fits, volts)
+            if loose.any() and _unlike(order, volts, rest) < _ON * whole:
+                return self.usable & ~loose
+        return self.usable
+
+    def _dips(self) -> Float[np.ndarray, " M"]:
+        """Computes how far channels lie below their neighbours, of the slot's highest.
+
+        A median over the slots that do not ground the channel.
+        """
+        table = self.plane.distance(self.plane.xy)
+        near = ((table < _NEXT * np.sort(table, 1)[:, 1:2]) & (table > 0)) * self.usable
+        mean = self.volts @ (near / np.maximum(near.sum(1), 1)[:, None]).T
+        level = np.maximum(np.abs(self.volts).max(1, keepdims=True), 1e-12)
+        dip = (mean - self.volts) / level
+        dip[np.arange(len(dip)), self.inside(self.asked)] = np.nan
+        return np.nanmedian(np.vstack([dip, np.where(np.isnan(dip).all(0), 0, np.nan)]), 0)
 
     def inside(self, asked: np.ndarray) -> np.ndarray:
         return np.where((asked >= 0) & (asked < self.plane.count), asked, 0)
@@ -172,12 +235,14 @@ class Reading:
         back = np.argsort(order)
         volts = self.volts[:, back]
         before = before_of(volts, fits, self.number, self.slots.follows[self.number])
+        lines = self.lines()
+        ground = lines.ground[np.searchsorted(lines.asked, self.asked)]
         return Work(
             plane=self.plane,
             volts=volts,
             before=before,
             fits=fits,
-            values=values_of(self.plane, volts, before, fits, drive),
+            values=values_of(self.plane, volts, before, fits, ground, drive),
             usable=self.usable[back],
             channel=back,
             number=self.number,
@@ -198,3 +263,23 @@ def _unlike(order: Order, volts: np.ndarray, usable: np.ndarray) -> float:
     left = (((v - fits.modelled) ** 2) * some).sum(1)
     whole = (((v - mean[:, None]) ** 2) * some).sum(1)
     return float(np.median(np.sqrt(left / np.maximum(whole, 1e-12))))
+
+
+def paths_of(order: Order, volts: Float[np.ndarray, "n M"], channel: int) -> np.ndarray:
+    """Computes the resistance of a channel's path to ground in sound slots, in squares."""
+    fits = order.fits
+    told = sound(fits) & (fits.ground != order.electrode[channel])
+    second = fits.second[told]
+    path = volts[told, channel] / np.where(second == 0, 1e-12, second)
+    return path if len(path) else np.zeros(1)
+
+
+def _read_in_part(fits: Fits, volts: np.ndarray) -> Bool[np.ndarray, " M"]:
+    """Finds channels that read less than is modelled at their electrodes, in proportion."""
+    told = (fits.far > 0) & sound(fits)[:, None]
+    count = np.maximum(told.sum(0), 1)
+    part = (told * fits.modelled * volts).sum(0)
+    part = part / np.maximum((told * fits.modelled**2).sum(0), 1e-12)
+    left = (told * (volts - part * fits.modelled) ** 2).sum(0)
+    scatter = (told * (volts - (told * volts).sum(0) / count) ** 2).sum(0)
+    return (part < _PART) & (left < _FOLLOWS**2 * scatter)

@@ -29,6 +29,7 @@ _MARKS = {
     "hum": ("H", ORANGE),
     "settling": ("v", ORANGE),
     "ground_stuck": ("P", PURPLE),
+    "leak": ("X", PURPLE),
     "ground_permuted": ("D", PURPLE),
     "swapped": ("o", BLUE),
     "mirrored": ("8", BLUE),

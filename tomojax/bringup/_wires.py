@@ -13,7 +13,7 @@ from tomojax.bringup._naming import (
     line_groups,
     whole_fault,
 )
-from tomojax.bringup._reading import Reading
+from tomojax.bringup._reading import CLOSED, paths_of, Reading
 from tomojax.bringup._wiring import Lines
 from tomojax.bringup.sheet._orders import symmetries
 
@@ -126,7 +126,19 @@ def _name(reading: Reading, lines: Lines, unknown_which: bool) -> None:
     wires = [f.channels for f in channels if f.kind == "swapped"]
     reading.faults += channels + line_faults(plane, lines, wires)
     if reading.always is not None:
-        e = int(electrode[reading.always])
+        reading.faults.append(_drain(reading, reading.always))
+
+
+def _drain(reading: Reading, channel: int) -> Fault:
+    """Names an electrode that drains current in every slot: by its path's resistance."""
+    order, rig = reading.order, reading.slots.rig
+    e, path = int(order.electrode[channel]), paths_of(order, reading.volts, channel)
+    path = path[path > 0]
+    ohm = float(rig.sheet_resistance * np.median(path)) if len(path) else 0.0
+    near = f"look at the switch of ground line {e}"
+    if ohm < CLOSED * rig.sheet_resistance:
         text = f"electrode {e} is grounded in every slot"
-        mend = f"look at the switch of ground line {e}: it never opens"
-        reading.faults.append(Fault("ground_stuck", (e,), "on", "", 0.99, text, mend))
+        return Fault("ground_stuck", (e,), "on", "", 0.99, text, f"{near}: it never opens")
+    text = f"electrode {e} leaks to ground through some {ohm:.2g} Ω in every slot"
+    mend = f"{near}, and for water or dirt between its wire and ground"
+    return Fault("leak", (e,), float(f"{ohm:.2g}"), "Ω", 0.99, text, mend)

@@ -45,6 +45,9 @@ _STANDS_OUT = 5.0
 # more.
 _UNEXPLAINED = 0.14
 
+# So many times that error may hide a further contact, of the highest peak.
+_HIDES = 2.0
+
 # Length over which an image is smooth beforehand, of the electrodes' pitch.
 _SMOOTH = 0.375
 
@@ -59,10 +62,11 @@ class PreparedSource(NamedTuple):
     """Arrays for S slots with their good channels."""
 
     operators: Float[Array, "SM r"]  # coefficients of the mean image from the voltages
-    through: Float[Array, "r r"]  # coefficients of the mean image from those of a source
+    columns: Float[Array, "pixels r"]  # coefficients of the mean image of a source there
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
     scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
+    coarse: Float[Array, "r some"]  # the same at every pixel that `reach` is apart
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
@@ -263,12 +267,15 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
+        scaled = basis * np.sqrt(count / spread)
+        (i, j), whole = self.reach, scaled.reshape(-1, *self.shape)
         made = dict(
             operators=forward * operators.reshape(slots * m, -1),
-            through=through / count,
+            columns=(through / count @ basis).T,
             misfits=misfits,
             imaging=forward * imaging.reshape(slots * m, -1),
-            scaled=basis * np.sqrt(count / spread),
+            scaled=scaled,
+            coarse=whole[:, i // 2 :: i, j // 2 :: j].reshape(len(whole), -1),
             lowest=np.asarray(lowest),
             used=good,
             lam=np.asarray(lam),
@@ -301,17 +308,15 @@ class Source(AbstractMethod):
         )
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
-        carried, left = explained_by(self.shape)(
-            contacts.count > 1,
-            contacts,
-            coefficients,
-            self.basis,
-            prepared.through,
-            self.cell,
+        carried, left, rest = explained_by(self.shape, self.reach)(
+            contacts.count > 1, contacts, coefficients, prepared.columns, self.cell
         )
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
-        missing = (left > _UNEXPLAINED) & (contacts.count > 0)
+        # Errors are in proportion to the highest peak: another contact stands out of them.
+        hidden = matmul(rest, prepared.coarse).max()
+        limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
+        missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
 
         residual, by_electrode = slots_left(prepared.misfits, voltages, prepared.used)
         image = self.smooth_image(prepared, voltages)

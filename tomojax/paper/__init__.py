@@ -4,6 +4,7 @@ This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. The room
 nothing of the ladder of methods, nor of files.
 """
 
+from tomojax.paper._exported import load_exported as load_exported
 from tomojax.paper._merit import (
     cell_size as cell_size,
     Figures as Figures,
@@ -30,6 +31,7 @@ __all__ = [
     "exploration",
     "Figures",
     "figures_of_merit",
+    "load_exported",
     "pattern",
     "PATTERNS",
     "pixels",

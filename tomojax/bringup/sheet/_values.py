@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from tomojax.bringup.sheet._fit import Fits, sound
 from tomojax.bringup.sheet._plane import Plane
@@ -13,6 +13,9 @@ _GAIN = 0.5
 _ZERO = 0.01  # of the drive
 _PLACE = 0.5  # of the pitch
 _BEFORE = 0.5  # the part of the slot before
+
+# Lines' electrodes under which an electrode has to be seen.
+_GROUNDS = 2
 
 # Rows whose residual is beyond so many of the usual ones count less; rounds of that.
 _WILD = 2.0
@@ -42,9 +45,12 @@ def values_of(
     volts: Float[np.ndarray, "n M"],
     before: Float[np.ndarray, "n M"],
     fits: Fits,
+    ground: Integer[np.ndarray, " n"],
     drive: float,
 ) -> Values:
     """Regresses each electrode's residuals on its values; `before`: NaN where unknown.
+
+    `ground`: the electrode that each slot's line grounds.
 
     If `before` is unknown everywhere, the part of the slot before is 0 ± its prior.
     """
@@ -58,9 +64,11 @@ def values_of(
     value, deviation, rows = np.zeros((m, 5)), np.zeros((m, 5)), np.zeros(m)
     unexplained = np.ones(m)
     for e in range(m):
-        some = np.flatnonzero(use & (fits.far[:, e] > 0))
+        some = np.flatnonzero(use & (fits.far[:, e] > 0) & (ground != e))
         if known[some, e].sum() >= 20:
             some = some[known[some, e]]
+        if len(np.unique(ground[some])) < _GROUNDS:
+            some = some[:0]  # its gain, or place, and the ground's path look alike
         rows[e] = len(some)
         y = (volts - fits.modelled)[some, e]
         columns = [fits.modelled[some, e], np.ones(len(some)), *slope[:, some, e]]
