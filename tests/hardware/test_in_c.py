@@ -91,7 +91,10 @@ class Line(Link):
         with suppress(BlockingIOError), self.rig:
             while piece := self.rig.recv(1 << 16):
                 data += piece if self._serial else cobs.encode(piece) + b"\0"
-        return [frames.unpack_command(m, M) for m in Frames(100)(data)]
+        told = [frames.unpack_command(m, M) for m in Frames(100)(data)]
+        grounds = [which for kind, which in told if kind == frames.GROUNDS]
+        # A busy machine is silent so long that the same is asked for again.
+        return [a for a, before in zip(grounds, [(), *grounds]) if a != before]
 
 
 def made(dtype):

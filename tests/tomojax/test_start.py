@@ -67,7 +67,7 @@ def process(
     tmp_path: Path, code: str, *arguments: object, cwd: Path | None = None
 ) -> subprocess.CompletedProcess:
     """Runs `code` with an empty cache folder that is the user's, and without settings."""
-    set_by_us = ("JAX_", "TF_CPP", "OPENBLAS", "TOMOJAX")
+    set_by_us = ("JAX_", "TF_CPP", "OPENBLAS", "OMP_", "MKL_", "TOMOJAX")
     own = {k: v for k, v in os.environ.items() if not k.startswith(set_by_us)}
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
