@@ -6,9 +6,8 @@ Equal: both are given the same state, slot after slot, with contacts that come a
 rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags,
 counts or the next ground differ, and how far places are apart, are counted. Own: each goes
 on from its own state, as does the same in float64, and all are compared with where the
-contacts are. Time: both in turn
-in one process with the settings for real time, from NumPy's voltages to NumPy's contacts;
-and C from C, by `replay`. Writes native.json.
+contacts are. Time: both in turn in one process with the settings for real time, from
+NumPy's voltages to NumPy's contacts; and C from C, by `replay`. Writes native.json.
 """
 
 import argparse

@@ -11,7 +11,8 @@ from cobs import cobs
 
 import tomojax as tx
 from tomojax.hardware import open_source, OrderedSource, run, SlotRing, sources as frames
-from tomojax.hardware.sources import Link, WireSource
+from tomojax.hardware.loop.in_c import loop_in_c
+from tomojax.hardware.sources import Link, SlotSource, WireSource
 from tomojax.hardware.sources.serial import Frames
 from tomojax.hardware.sources.virtual_rig import VirtualRig, write_scene
 from tomojax.native import compiler
@@ -178,6 +179,17 @@ def test_rows_are_those_of_python(dtype, volts, tmp_path, serial, wires):
     for name in ("xy", "conductance"):
         np.testing.assert_allclose(rows[name], expected[name], rtol=1e-4, err_msg=name)
     assert expected["count"].sum() > 50 and np.isfinite(rows["latency"]).all()
+
+
+class Own(SlotSource):
+    """A source that has no line to hand over."""
+
+    start = stop = read = set_grounds = None
+
+
+def test_it_is_not_compiled_for_other_sources(step, tmp_path):
+    ring = SlotRing.create(M, 1, length=8, folder=tmp_path)
+    assert loop_in_c(Own(), step, ring, 1.0, 1.0, 20) is None
 
 
 @pytest.mark.parametrize("serial, seed", [(True, 0), (True, 1), (False, 2)])

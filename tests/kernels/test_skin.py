@@ -114,7 +114,7 @@ def test_gradient_by_an_outline_and_by_places() -> None:
         jacobian = tx.jacobian(sensor, [0, 3], 1e4)
         return (tx.reconstruct(jacobian, volts, lam=0.1).image ** 2).sum()
 
-    # Without LLVM's passes, as tests compile, a slope is wrong by 2 % on processors of AMD.
+    # Without LLVM's passes, as tests compile, a slope was wrong by 2 % on an AMD processor.
     passes = {"xla_backend_optimization_level": 1}
     f = jax.jit(jax.value_and_grad(loss), compiler_options=passes)
     p = jnp.array([0.013, 1e-4, -2e-4])

@@ -10,8 +10,8 @@ import pytest
 import tomojax as tx
 from tomojax.hardware.sources.virtual_rig import VirtualRig, write_scene
 
-# What stands for ROS 2 here: parameters come from the command line, messages go to
-# standard output, and after 200 of them it is no longer "ok".
+# This stands for ROS 2. Parameters come from the command line. Messages go to standard
+# output. After 200 messages it is no longer "ok".
 RCLCPP = """
 #pragma once
 #include <cstdio>

@@ -24,7 +24,7 @@ _IN_A_ROW = (
     "conductance", "codes",
 )  # fmt: skip
 
-# What a wire hands over under the same names, and takes back.
+# Fields of `Handed` that C goes on with, and that the source takes back.
 _OF_A_WIRE = ("descriptor", "serial", "trusted", "next", "number", "last", "origin", "base")
 
 
@@ -161,7 +161,7 @@ def loop_in_c(
     # The clock of `time.perf_counter` is the one that C asks on Linux alone.
     if step is None or step.in_c is None or not sys.platform.startswith("linux"):
         return None
-    if source.hand_over is SlotSource.hand_over:
+    if type(source).hand_over is SlotSource.hand_over:
         return None
     from tomojax.native import compile_c
 
