@@ -37,9 +37,10 @@ def run(
     """Runs the loop until the source ends or `until` says so; `source` is started.
 
     The loop puts each slot into the `ring` before it reads the next slot. Without a `step`,
-    the loop does nothing else. If a newer slot waits already and this one is older than the
-    time of one slot, the loop skips the step for this slot ("skipped"). The step is later
-    told the number of skipped slots, as lost.
+    the loop does nothing else. If a newer slot waits already, this one is older than the
+    time of one slot, and answers usually take more than half that time, the loop skips the
+    step for this slot ("skipped"). The step is later told the number of skipped slots, as
+    lost. Quicker answers catch up by themselves, sooner than the loop fell behind.
 
     A step that runs as C gets the slots of a serial line or a UDP port from C too, as long
     as all is in order there; `until` is asked twenty times a second then.
@@ -98,6 +99,7 @@ class _Loop:
         if step is not None:
             self.state = step.state if policy is None else step.switch(step.state, policy)
         self.answered = False  # since the last image
+        self._usual = 0.0  # s that an answer takes: follows the median
         # Slots that no step has seen, and those that newer ones overtook.
         self._missed = self._skipped = 0
         # The ground that was asked for, and slots that had another.
@@ -144,7 +146,8 @@ class _Loop:
             return
         waited = time.perf_counter() - got.arrived
         self._missed += got.lost
-        if step is None or (source.waiting and waited > self._period):
+        slow = self._usual > self._period / 2
+        if step is None or (slow and source.waiting and waited > self._period):
             ring.put(got, codes, _NOTHING)
             if step is not None:
                 self._skipped += 1
@@ -162,6 +165,8 @@ class _Loop:
             source.set_grounds((ground,))
             self._asked, self._unheeded = ground, 0
         latency = time.perf_counter() - got.arrived
+        longer = latency - waited > self._usual
+        self._usual += self._period / (32 if longer else -32)
         ring.head["latency"][min(int(1e6 * latency), LONGEST - 1)] += 1
         ring.put(got, codes, _said(out, latency, ground))
 

@@ -38,10 +38,11 @@ class Line(Link):
         self.opened = False
         self._messages, self.taken = list(messages), 0
         self._broken = broken  # draws which bytes are broken
+        self.burst, self.piece = 16, 64  # slots that come at once, bytes read at once
 
     def some(self):
         """A few slots come."""
-        for message in self._messages[:16]:
+        for message in self._messages[: self.burst]:
             data = bytearray(cobs.encode(message) + b"\0" if self._serial else message)
             if self._broken is not None and self.opened and self._broken.random() < 0.2:
                 at = int(self._broken.integers(len(data)))
@@ -49,7 +50,7 @@ class Line(Link):
                 more = self._broken.bytes(int(self._broken.integers(1, 400)))
                 data[at : at + (kind > 0)] = (b"", b"\0", more[:1], more)[kind]
             self.rig.send(data)
-        del self._messages[:16]
+        del self._messages[: self.burst]
         self.opened = True
 
     def open(self):
@@ -58,7 +59,7 @@ class Line(Link):
     def receive(self, timeout):
         try:
             if self._serial:
-                return self._frames(self._here.recv(64)), time.perf_counter()
+                return self._frames(self._here.recv(self.piece)), time.perf_counter()
             return [self._here.recv(4096)], time.perf_counter()
         except BlockingIOError:
             if self._messages:
@@ -179,6 +180,29 @@ def test_rows_are_those_of_python(dtype, volts, tmp_path, serial, wires):
     for name in ("xy", "conductance"):
         np.testing.assert_allclose(rows[name], expected[name], rtol=1e-4, err_msg=name)
     assert expected["count"].sum() > 50 and np.isfinite(rows["latency"]).all()
+
+
+@pytest.mark.parametrize("period, skips", [(1e-6, True), (4e-4, False)])
+@pytest.mark.parametrize("in_c", [True, False])
+def test_a_burst_is_skipped_where_answers_take_more_than_half_a_slot(
+    step, volts, tmp_path, in_c, period, skips
+):
+    """A burst takes many times `period`; no answer of C takes half of 0.4 ms."""
+    codes = np.rint(volts[0] / SCALE)
+    told = frames.Description(M, 1, 0, 1 / period, SCALE, 0.0)
+    slots = [frames.pack_slot(0, k, 100 * k, codes) for k in range(240)]
+    line = Line([frames.pack_description(told), *slots], True, in_c)
+    line.burst, line.piece = 300, 1 << 16
+    source, ring = WireSource(line, M), SlotRing.create(M, 1, length=512, folder=tmp_path)
+    source.start()
+    run(source, step, ring, images=False)
+    source.stop()
+    line.rig.close()
+    skipped, rows = ring.counted()["skipped"], ring.since(0)[0]
+    assert len(rows) == 240 and skipped == np.isnan(rows["latency"]).sum()
+    assert skipped > 100 if skips else skipped == 0
+    late = rows["latency"][np.isfinite(rows["latency"])]
+    assert skips or late.max() > period
 
 
 class Own(SlotSource):

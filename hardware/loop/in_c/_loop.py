@@ -49,7 +49,7 @@ class Loop(ctypes.Structure):
         *_fields(_INT, "electrodes conditions contacts serial descriptor trusted"),
         *_fields(_POINTER, "channels electrode_of line_of"),
         *_fields(_FLOAT, "scale offset"),
-        *_fields(_DOUBLE, "period hurry"),
+        *_fields(_DOUBLE, "period hurry usual"),
         ("bytes", _POINTER),
         *_fields(_LONG, "room first end"),
         ("arrived", _DOUBLE),

@@ -43,7 +43,7 @@ typedef struct {
     int32_t electrodes, conditions, contacts, serial, descriptor, trusted;
     const int32_t *channels, *electrode_of, *line_of;
     float scale, offset;
-    double period, hurry;
+    double period, hurry, usual;
     /* Bytes that came: those from `first` to `end` are not worked on yet. */
     uint8_t *bytes;
     int64_t room, first, end;
@@ -245,13 +245,16 @@ int tomojax_loop(loop *L, double until)
         L->slots++;
         const double time = L->base + 1e-6 * (double)(clock - L->origin);
         const double late = now() - L->arrived;
-        if (late > L->period && another_waits(L, after)) {
+        /* A step that takes less than half the time of a slot catches up by itself. */
+        if (late > L->period && L->usual > L->period / 2 && another_waits(L, after)) {
             record(L, message + HEAD, ahead, time, 0, 0);
             L->skipped++;
             L->missed++;
         } else {
             fine = answer(L, message + HEAD, late);
             const double latency = now() - L->arrived;
+            /* A step up or down, slot after slot: the median, which no interruption moves. */
+            L->usual += (latency - late > L->usual ? 1 : -1) * L->period / 32;
             const int64_t bin = (int64_t)(1e6 * latency);
             L->latencies[bin < L->longest ? bin : L->longest - 1]++;
             record(L, message + HEAD, ahead, time, latency, 1);
