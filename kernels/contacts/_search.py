@@ -3,6 +3,8 @@
 Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -144,7 +146,12 @@ def search(
 
     def look() -> Search:
         both = gains(weighed_both, beside, normal)
-        found = _chosen(sheet, candidates, known, *both, left, alone)
+
+        def leaves(k: Array, others: Array) -> Array:
+            return _left(sheet.slots, candidates, k, others, ground, plain, voltages)
+
+        left_by = partial(leaves, others=columns), partial(leaves, others=columns[:0])
+        found = _chosen(sheet, candidates, known, *both, left, alone, *left_by)
         # Contacts that came at once are not found one by one.
         wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
         doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
@@ -176,6 +183,24 @@ def search(
     return found._replace(dark=alone - left < _SEEN)
 
 
+def _left(
+    slots: Slots,
+    candidates: Candidates,
+    k: Int[Array, ""],
+    others: Float[Array, "C M"],
+    ground: Int[Array, ""],
+    plain: Plain,
+    voltages: Float[Array, " M"],
+) -> Float[Array, ""]:
+    """Computes χ² that candidate `k` leaves beside others.
+
+    By what is left of voltages: float32 has lost it from what the candidate explains.
+    """
+    column = slots.relative(candidates.potential[:, k], ground) + slots.offset(ground)
+    rest = beside_columns(plain, jnp.concatenate([others, column[None]]), voltages)[0]
+    return matmul(rest, weighed(plain, rest[None])[0])
+
+
 def _chosen(
     sheet: Sheet,
     candidates: Candidates,
@@ -184,15 +209,17 @@ def _chosen(
     gains_alone: Float[Array, " K"],
     left: Float[Array, ""],
     alone: Float[Array, ""],
+    left_beside: Callable[[Array], Array],
+    left_alone: Callable[[Array], Array],
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
-    elsewhere = alone - gains_alone[k_alone]
+    elsewhere = left_alone(k_alone)
     # One more: then all are looked for again.
     more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
     more = more & known.there.any()
     # Everything is elsewhere, unless one more leaves clearly less.
     jumped = (left > _SEEN) & (elsewhere < _ELSEWHERE * left)
-    jumped = jumped & ~(more & (left - gains[k] < _SHARE * elsewhere))
+    jumped = jumped & ~(more & (left_beside(k) < _SHARE * elsewhere))
     lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
     anew = (jumped | ~known.there.any()) & lone
     more = more & ~anew

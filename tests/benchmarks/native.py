@@ -3,7 +3,8 @@
     python tests/benchmarks/native.py [--slots 100000] [--seed N] [--out FOLDER]
 
 Equal: both are given the same state, slot after slot, with contacts that come and go on a
-rig of another model (tests/rig.py), and with every fault that a slot can have. Where flags,
+rig of another model (tests/rig.py; 4 x 4, a round sheet and
+two grounds at once: of our own), and with every fault that a slot can have. Where flags,
 counts or the next ground differ, and how far places are apart, are counted. Own: each goes
 on from its own state, as does the same in float64, and all are compared with where the
 contacts are. Time: both in turn in one process with the settings for real time, from
@@ -15,6 +16,7 @@ import functools
 import json
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -35,6 +37,8 @@ CASES = {
     "follow, three": ("follow", 3, False, "grid"),
     "follow, two, calibrated": ("follow", 2, True, "grid"),
     "follow, two, 4 x 4": ("follow", 2, False, "small"),
+    "follow, two, round": ("follow", 2, False, "round"),
+    "follow, two, two grounds": ("follow", 2, False, "pairs"),
     "source, two": ("source", 2, False, "grid"),
     "linear, two": ("linear", 2, False, "grid"),
 }
@@ -49,7 +53,12 @@ SEED = 20_261_129
 def sensor_of(shape: str, dtype: type = np.float32) -> tx.Sensor:
     if shape == "small":
         return tx.Sensor.grid(4, 4, dtype=dtype, divisions=(24, 24))
-    return tx.Sensor.grid(dtype=dtype, divisions=(32, 32))
+    if shape == "round":
+        return tx.Sensor.disc(0.1, {"rim": 16, "grid": 0.018}, dtype=dtype, divisions=(40, 40))
+    sensor = tx.Sensor.grid(dtype=dtype, divisions=(32, 32))
+    if shape == "pairs":  # each electrode with the one opposite, through 4 Ω each
+        return replace(sensor, conditions=(np.eye(64) + np.eye(64)[::-1])[:32] / 4)
+    return sensor
 
 
 def calibration(m: int) -> tx.Calibration:
@@ -85,14 +94,17 @@ def scenes(shape: str, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
     for k in range(SCENES):
         count = (1, 2, 0, 1, 3, 2, 1, 2)[k % 8]
         places = rng.uniform(0.08 * side, 0.92 * side, (count, 2))
+        if shape == "round":  # towards the middle, so that none is off the sheet
+            places = side / 2 + 0.65 * (places - side / 2)
         radii, given = rng.uniform(0.003, 0.009, count), rng.uniform(2e-5, 3e-4, count)
         if rig is not None:
             contacts = [(rig.disc(p, r), g) for p, r, g in zip(places, radii, given)]
             volts = rig.measure(rig.scene(*contacts)[0])
         else:
             discs = [tx.Disc(p, r, 1.0) for p, r in zip(places, radii)]
-            discs = discs or [tx.Disc([0.03, 0.03], 0.004, 1e-9)]
-            exact = np.asarray(tx.voltages(sensor, tx.Scene(*discs)))
+            discs = discs or [tx.Disc([side / 2, side / 2], 0.004, 1e-9)]
+            every = sensor.all_grounds()
+            exact = np.asarray(tx.voltages(sensor, tx.Scene(*discs), every))
             volts = exact + rng.normal(0, 1e-3, exact.shape)
         found.append((volts.astype(np.float32), places))
     return found
