@@ -29,6 +29,7 @@ ARM = {
     "Arm 64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-march=armv8-a"),
     "Arm 32": ("arm-linux-gnueabihf-gcc", "qemu-arm", "-mfpu=neon-vfpv4"),
 }
+HOSTILE = 10**6
 M7 = "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16".split()
 QEMU = "qemu-system-arm -M mps2-an500 -nographic -semihosting -icount shift=0".split()
 
@@ -93,6 +94,19 @@ def rooted(folder: Path, to: Path) -> dict:
     return {**row, "files": sorted(p.name for p in root.rglob("*") if p.is_file())}
 
 
+def hostile(folder: Path, to: Path) -> dict:
+    """Slots that no rig sends, with checks of addresses and undefined behaviour."""
+    flags = ["-std=gnu99", "-O1", "-fsanitize=address,undefined"]
+    source, made = [HERE / "hostile.c", folder / "step.c"], to / "hostile"
+    command = ["gcc", *flags, "-fno-sanitize-recover=all", f"-I{folder}", *source]
+    subprocess.run([*command, "-lm", "-o", made], check=True)
+    command = [made, folder / "step.tables", str(HOSTILE)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    fine = done.stdout == f"{HOSTILE} slots\n"
+    more = {} if fine else {"failed": done.stderr[-300:]}
+    return {"slots": HOSTILE, "status": done.returncode, **more}
+
+
 def board(folder: Path, to: Path) -> dict:
     """A thousand vectors on a Cortex-M7 without a system: see board.c."""
     whole = (folder / "vectors.bin").read_bytes()
@@ -150,6 +164,7 @@ def main() -> None:
             )
             files = folder / "step.tables", folder / "vectors.bin"
             rows.append({"shape": name, "where": "sanitizers", **told([made, *files])})
+            rows.append({"shape": name, "where": "hostile slots", **hostile(folder, to)})
             for where, (cc, emulator, flag) in ARM.items():
                 if shutil.which(cc) and shutil.which(emulator):
                     made = checker(cc, folder, to / "arm", flag, "-static")
@@ -158,7 +173,7 @@ def main() -> None:
                     )
             if shape and all(map(shutil.which, ("arm-none-eabi-gcc", QEMU[0]))):
                 rows.append({"shape": name, "where": "Cortex-M7", **board(folder, to)})
-        for row in rows[-7:]:
+        for row in rows[-8:]:
             print(json.dumps(row), flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
     (given.out / "native_elsewhere.json").write_text(json.dumps({"rows": rows}, indent=1))

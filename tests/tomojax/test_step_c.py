@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -376,55 +377,20 @@ def test_wrong_arguments_of_the_command(given, expected, tmp_path, capsys, monke
 def test_hostile_slots_under_sanitizers(written, tmp_path):
     """Address and undefined behaviour; NaN, infinities and wrong grounds of every size."""
     folder, _, _ = written
-    program = tmp_path / "hostile.c"
-    program.write_text(HOSTILE)
+    program = Path(__file__).parents[1] / "benchmarks" / "hostile.c"
     # Lines alone: to follow variables takes gcc half a minute.
     flags = ["-std=gnu99", "-O1", "-g1", "-fsanitize=address,undefined"]
     command = [compiler(), *flags, "-fno-sanitize-recover=all", f"-I{folder}"]
     made = tmp_path / "hostile"
     subprocess.run([*command, program, folder / "step.c", "-lm", "-o", made], check=True)
     done = subprocess.run(
-        [made, folder / "step.tables"], capture_output=True, text=True, check=False
+        [made, folder / "step.tables", "100000"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[:2000]
     assert done.stdout == "100000 slots\n"
-
-
-HOSTILE = """
-#include <math.h>
-#include <stdio.h>
-#include "tomojax_step.h"
-static uint32_t seed = 1;
-static uint32_t next(void) { return seed = seed * 1664525u + 1013904223u; }
-int main(int count, char **arguments)
-{
-    tomojax_tables tables;
-    tomojax_state state;
-    tomojax_output out;
-    tomojax_real volts[TOMOJAX_ELECTRODES];
-    const float odd[] = {NAN, INFINITY, -INFINITY, 0, 1e38f, -1e-40f, 3, 40};
-    if (tomojax_step_load(arguments[1], &tables) != NULL) return 1;
-    tomojax_step_init(&tables, &state);
-    for (int k = 0; k < 100000; k++) {
-        const uint32_t kind = next() >> 29;
-        for (int e = 0; e < TOMOJAX_ELECTRODES; e++)
-            volts[e] = next() % 16 < kind ? odd[next() >> 29] : (next() >> 8) / 5.6e6f;
-        if (next() % 1000 == 0)  /* a memory that nothing has written */
-            for (size_t n = 0; n < sizeof state.numbers / sizeof *state.numbers; n++)
-                state.numbers[n] = odd[next() >> 29];
-        if (next() % 1000 == 0)
-            for (size_t n = 0; n < sizeof state.whole / sizeof *state.whole; n++)
-                state.whole[n] = (int32_t)next();
-        const int32_t condition = (int32_t)(next() % 20) - 2 + (k % 99 ? 0 : 2000000);
-        const int32_t lost = (int32_t)(next() % 3 ? 0 : next());
-        tomojax_step(&tables, &state, volts, condition, lost, next() >> 31, &out);
-        tomojax_step_switch(&state, (int32_t)(next() % 9) - 3);
-    }
-    printf("%d slots\\n", 100000);
-    tomojax_step_free(&tables);
-    return 0;
-}
-"""
 
 
 def test_a_step_needs_little_memory(written):
