@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from tomojax._law import pressure_of
 from tomojax.events import Event, EventFinder
 from tomojax.hardware.loop import SlotRing
 
@@ -54,18 +55,17 @@ class Sink(Protocol):
 
 
 class Force(NamedTuple):
-    """The force F, N, of a conductance, by the power law g/A = c·pᵏ and a known radius.
+    """The force F, N, of a conductance, by the material's law and a known area.
 
     The step does not tell a contact's radius. A user who presses with one tip knows it.
     """
 
-    c: float  # S/m² at Pa
-    k: float
+    law: tuple[float, ...]  # a calibration's `pressure`
     area: float  # m²
 
     def __call__(self, conductance: float) -> float:
-        density = max(conductance, 0.0) / self.area
-        return self.area * (density / self.c) ** (1 / self.k)
+        density = np.array(conductance / self.area)
+        return self.area * float(pressure_of(self.law, density))
 
 
 class Counted(NamedTuple):

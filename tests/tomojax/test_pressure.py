@@ -22,8 +22,49 @@ def test_presses_give_their_law_back():
     )
 
 
-def test_kept_in_the_file(tmp_path):
-    law = tx.Calibration(pressure=(2e-4, 0.9))
+def presses(end, noise, hysteresis=0.0, seed=0):
+    """Sixteen presses, loading and unloading: conductances and forces."""
+    rng, force = np.random.default_rng(seed), np.geomspace(0.2, 20, 8)
+    p = np.concatenate([force, force[::-1]]) / AREA
+    way = np.repeat([1, -1], 8)
+    g = 1 / (1 / (3e-4 * p**0.8) + 1 / end) * np.exp(rng.normal(0, noise, 16))
+    return g * (1 - hysteresis * way) * AREA, p * AREA
+
+
+@pytest.mark.parametrize("end, numbers", [(np.inf, 2), (3.0, 3)])
+def test_presses_choose_their_law(end, numbers):
+    """A material that ends at 3 S/m²; 20 N press a power law to 5.2."""
+    force_of, chosen = tx.calibration.force, 0
+    for seed in range(4):
+        found = tx.calibration.calibrate_presses(*presses(end, 0.02, seed=seed), AREA)
+        chosen += len(found.pressure) == numbers
+        g, force = presses(end, 0.0)
+        told = force_of(found, g, np.full(16, np.sqrt(AREA / np.pi)))
+        off = np.sqrt(np.mean(np.log(told / force) ** 2))
+        stated = found.deviation["force"]
+        assert off < 2 * stated and 0.015 < stated < (0.05 if end > 9 else 0.12)
+    assert chosen >= 3
+
+
+def test_hysteresis_is_in_the_error():
+    stated = [
+        tx.calibration.calibrate_presses(*presses(np.inf, 0.01, part), AREA).deviation
+        for part in (0.0, 0.2)
+    ]
+    assert 0.2 < stated[1]["force"] < 0.35 and stated[0]["force"] < 0.03
+
+
+def test_no_force_is_told_beyond_the_end():
+    law = tx.Calibration(pressure=(3e-4, 0.8, 3.0))
+    told = tx.calibration.pressure(law, np.array([0.0, 1.0, 2.99, 3.0, 9.0]))
+    assert np.isnan(told[3:]).all() and (np.diff(told[:3]) > 0).all()
+    wanted = (1 / (1 / 1.0 - 1 / 3.0) / 3e-4) ** (1 / 0.8)
+    np.testing.assert_allclose(told[1], wanted)
+
+
+@pytest.mark.parametrize("numbers", [(2e-4, 0.9), (2e-4, 0.9, 3.0)])
+def test_kept_in_the_file(tmp_path, numbers):
+    law = tx.Calibration(pressure=numbers)
     law.save(tmp_path / "c.json")
     assert tx.Calibration.load(tmp_path / "c.json") == law
 

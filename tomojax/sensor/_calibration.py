@@ -60,9 +60,9 @@ class Calibration:
     `electrodes`: each electrode's shift from its nominal place along x and y, m. `noise` of
     a corrected reading, V rms, with the errors of zeros; None: `nominal_noise`. `error`:
     the channels' common error with these values, as a part of the error with nominal
-    values. `own`: the same part for each channel's own error. `pressure`: c and k of the
-    contact's g = c·pᵏ, S/m² at Pa, see `calibrate_presses`. `deviation`: 1 σ of the values
-    by their names, where known; `made`: the day (ISO 8601).
+    values. `own`: the same part for each channel's own error. `pressure`: c, k and, where
+    it ends, m of a contact's law, S/m² at Pa, see `calibrate_presses`. `deviation`: 1 σ of
+    the values by their names, where known; `made`: the day (ISO 8601).
 
     **Example:**
 
@@ -84,15 +84,15 @@ class Calibration:
     electrodes: tuple[tuple[float, float], ...] | float = 0.0
     error: float = 1.0
     own: float = 1.0
-    pressure: tuple[float, float] | None = None
+    pressure: tuple[float, ...] | None = None
     deviation: dict[str, Any] | None = None
     made: str | None = None
 
     def __post_init__(self) -> None:
         for name, axes in _AXES.items():
             _require_numbers(name, getattr(self, name), axes)
-        law = (1, 1) if self.pressure is None else self.pressure
-        require(np.shape(law) == (2,), "pressure", self.pressure, "c and k, above 0")
+        law, told = self.pressure or (1, 1), "c and k, or c, k and m, above 0"
+        require(np.shape(law) in ((2,), (3,)), "pressure", self.pressure, told)
         waves = " or ".join(map(str, WAVES))
         require(len(self.sheet) in WAVES, "sheet", len(self.sheet), f"{waves} waves")
         shape = np.shape(self.electrodes)

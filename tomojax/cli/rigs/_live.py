@@ -157,8 +157,8 @@ def live(
         opened.run(step, options["budget"], images=not options["shapes"])
 
 
-def _law(calibration: Any, radius: float | None) -> tuple[float, ...] | None:
-    """Returns c, k and the contact's area, m², which turn conductances into forces."""
+def _law(calibration: Any, radius: float | None) -> tuple | None:
+    """Returns the law and the contact's area, m², which turn conductances into forces."""
     if radius is None:
         return None
     law = None if calibration is None else calibration.pressure
@@ -166,4 +166,4 @@ def _law(calibration: Any, radius: float | None) -> tuple[float, ...] | None:
         raise ValueError(
             "--radius: got no law of pressure, expected --calibration with one"
         )
-    return *law, math.pi * radius**2
+    return law, math.pi * radius**2
