@@ -15,10 +15,7 @@ from tomojax._checks import (
     float_array,
     known,
     require,
-    require_finite,
-    require_not_negative,
-    require_shape,
-    require_within,
+    require_indices,
 )
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
@@ -163,9 +160,7 @@ def ground_set(
         require(numbers, "grounds", repr(grounds), "electrode numbers or conductances")
     if jnp.issubdtype(jnp.result_type(array), jnp.integer):
         array = jnp.asarray(array)
-        require_shape("grounds", array, (None,))
-        require(array.size > 0, "grounds", "none", "at least one")
-        require_within("grounds", array, sensor.condition_count)
+        require_indices("grounds", array, sensor.condition_count)
         return array
     array = float_array("grounds", grounds, sensor.dtype)
     check_conditions("grounds", array, sensor.electrode_count)
@@ -202,14 +197,8 @@ def jacobian(
     >>> bool(soft.max() < 0.5)
     True
     """
-    rho = checked(
-        "contact_resistance",
-        contact_resistance,
-        require_not_negative,
-        (),
-        (sensor.element_count,),
-        dtype=sensor.dtype,
-    )
+    rho, shapes = contact_resistance, ((), (sensor.element_count,))
+    rho = checked("contact_resistance", rho, "not negative", *shapes, dtype=sensor.dtype)
     slots = ground_set(sensor, grounds)
     return _jacobian(sensor, slots, rho, resistances(sensor, route))
 
@@ -308,7 +297,7 @@ def voltages(
     """
     slots, dtype = ground_set(sensor, grounds), sensor.dtype
     if times is not None:
-        when = checked("times", times, require_finite, (len(slots),), dtype=dtype)
+        when = checked("times", times, "finite", (len(slots),), dtype=dtype)
         kind = type(scene).__name__
         require(callable(scene), "scene", kind, "a function of time with times")
         exact = _moving_voltages(sensor, cast(Callable, scene), slots, when)
@@ -318,7 +307,7 @@ def voltages(
         raise ValueError("times: got None, expected the time of each slot")
     else:
         shape = (sensor.element_count,)
-        g = checked("scene", scene, require_not_negative, shape, dtype=dtype)
+        g = checked("scene", scene, "not negative", shape, dtype=dtype)
         exact = exact_voltages(sensor, g, slots)
     return exact if converter is None else converter(exact, key)
 

@@ -12,13 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    checked,
-    float_array,
-    require_finite,
-    require_not_negative,
-)
-from tomojax._custom_types import Numbers
+from tomojax._checks import checking
 from tomojax._shown import named, shown
 
 Points = Float[Array, "*points 2"]
@@ -94,15 +88,6 @@ def turned(points: Points, center: Array, angle: Array) -> Points:
     return jnp.stack([cos * x + sin * y, cos * y - sin * x], -1)
 
 
-def checked_center(value: Numbers) -> Array:
-    return checked("center", value, require_finite, (2,))
-
-
-def checked_angle(value: Numbers) -> Array:
-    angle = float_array("angle", value)
-    require_finite("angle", angle)
-    return angle
-
-
-def checked_conductance(value: Numbers, name: str = "conductance") -> Array:
-    return checked(name, value, require_not_negative, ())
+checked_center = checking("center", "finite", (2,))
+checked_angle = checking("angle", "finite")
+checked_conductance = checking("conductance", "not negative", ())

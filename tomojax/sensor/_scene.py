@@ -5,14 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    checked,
-    checking,
-    require,
-    require_finite,
-    require_not_negative,
-    require_positive,
-)
+from tomojax._checks import checked, checking, require, require_array
 from tomojax._custom_types import Numbers
 from tomojax.sensor._outline import AbstractShape, Density, Points
 
@@ -36,7 +29,7 @@ class Mask(AbstractShape):
     """
 
     conductance: Float[Array, "nx ny"] = eqx.field(
-        converter=checking("conductance", require_not_negative, (None, None))
+        converter=checking("conductance", "not negative", (None, None))
     )
 
     def density(
@@ -142,11 +135,11 @@ class Moving(eqx.Module):
     ):
         require(isinstance(shape, AbstractShape), "shape", repr(shape), "a shape")
         self.shape = shape
-        self.times = checked("times", times, require_finite, (None,))
-        require_positive("steps between times", self.times[1:] - self.times[:-1])
+        self.times = checked("times", times, "finite", (None,))
+        require_array("steps between times", self.times[1:] - self.times[:-1], "positive")
         count = len(self.times)
-        self.offsets = checked("offsets", offsets, require_finite, (count, 2))
-        given = checked("factors", factors, require_not_negative, (), (count,))
+        self.offsets = checked("offsets", offsets, "finite", (count, 2))
+        given = checked("factors", factors, "not negative", (), (count,))
         self.factors = jnp.broadcast_to(given, self.times.shape)
 
     def __call__(self, time: Float[Array, ""]) -> Shifted:
