@@ -86,7 +86,14 @@ def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> N
         f"electrodes {outside[:5].tolist()} beyond the sheet's edge",
         f"discs of {diameter:g} m inside {size.tolist()} m",
     )
-    apart = np.sqrt(((xy[:, None] - xy[None]) ** 2).sum(-1))
+    check_apart(xy, diameter, slack)
+
+
+def check_apart(places: Any, diameter: Any, slack: float) -> None:
+    """Refuses electrodes that overlap by more than `slack`. **Raises:** `ValueError`."""
+    import numpy as np
+
+    apart = np.sqrt(((places[:, None] - places) ** 2).sum(-1))
     apart[np.diag_indices_from(apart)] = np.inf
     one, other = np.unravel_index(apart.argmin(), apart.shape)
     require(

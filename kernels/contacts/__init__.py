@@ -3,6 +3,7 @@
 This room knows the sheet and the errors of voltages. The room knows nothing of images.
 """
 
+from tomojax.kernels.contacts._anew import Candidates as Candidates
 from tomojax.kernels.contacts._candidates import (
     along as along,
     best_pairs as best_pairs,
@@ -60,7 +61,6 @@ from tomojax.kernels.contacts._points import (
     SIZE_WIDTH as SIZE_WIDTH,
 )
 from tomojax.kernels.contacts._search import (
-    Candidates as Candidates,
     Followed as Followed,
     nothing_followed as nothing_followed,
 )

@@ -3,6 +3,7 @@ from ._calibrate import (
     calibrate as calibrate,
     Calibrated as Calibrated,
     calibrated as calibrated,
+    known_frames as known_frames,
 )
 from ._held import HeldCalibration as HeldCalibration
 from ._pressure import (
@@ -28,13 +29,12 @@ from ._slopes import (
 )
 from ._tare import tare as tare
 from ._unknowns import unknowns_of as unknowns_of
-from .drift import (
+from .drift._adapter import (
     Adapter as Adapter,
-    fit_text as fit_text,
     lone_places as lone_places,
-    still_fits as still_fits,
     stretches as stretches,
 )
+from .drift._still_fits import fit_text as fit_text, still_fits as still_fits
 
 # The rest serves the command and tests.
 __all__ = [

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
-from tomojax.calibration._calibrate import Calibrated, calibrated
+from tomojax.calibration._calibrate import Calibrated, calibrated, known_frames
 from tomojax.calibration._tare import tare
 from tomojax.files import read_npz, read_table
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
@@ -137,15 +137,11 @@ def calibrated_recording(
     frames = frames.spread(most)
     some = len(frames.number) > 0
     require(some, "recording", "no stretch with a contact", "a contact that moves")
-    return calibrated(
-        recording.rig.sensor(),
-        frames.voltages,
-        frames.grounds,
-        None if places is None else places[frames.number].mean(1),
-        before,
-        times=frames.times,
-        progress=progress,
-    )
+    sensor, at = recording.rig.sensor(), None
+    if places is not None:
+        at = places[frames.number].mean(1)
+    known = known_frames(sensor, frames.voltages, frames.grounds, at, times=frames.times)
+    return calibrated(sensor, known, before, progress)
 
 
 def frame_length(recording: Recording) -> int:

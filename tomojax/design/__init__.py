@@ -24,18 +24,18 @@ from tomojax.design._electrodes import (
     image_spread,
 )
 from tomojax.design._search import exchange as exchange, relax, Relaxed
-from tomojax.design.objectives import (
-    AbstractObjective,
+from tomojax.design.objectives._image_error import ImageError
+from tomojax.design.objectives._information import AbstractObjective, ImageVariance
+from tomojax.design.objectives._problem import (
     design_objective,
     design_places,
     exploratory_voltages,
-    ImageError,
-    ImageVariance,
-    score as score,
+)
+from tomojax.design.objectives._rigs import simulate_scenes, SimulatedScenes
+from tomojax.design.objectives._scores import score as score
+from tomojax.design.objectives._shapes import (
     shape_objective as shape_objective,
     ShapeInformation as ShapeInformation,
-    simulate_scenes,
-    SimulatedScenes,
 )
 
 # The rest serves other rooms.

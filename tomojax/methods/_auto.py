@@ -19,7 +19,6 @@ from tomojax.methods._contract import (
     AbstractMethod,
     Estimate,
     Frame,
-    judge,
     judged,
     Part,
     Rung,
@@ -121,9 +120,8 @@ class Auto(AbstractMethod):
         points = self.points.estimate(prepared.errors, voltages, count)
         some = points.contacts.count > 0
         points = points._replace(rung=jnp.where(some, Rung.POINTS.value, 0))
-        told = points.contacts, points.residual, points.flags, voltages
         # As `block` judges.
-        _, flags = judge(*told, self.points.residual_limit, self.noise)
+        flags = judged(self.points, points, voltages, images=False).flags
         left = flags & Flag.HIGH_RESIDUAL.value > 0
 
         larger = partial(self.larger, prepared, voltages, count)

@@ -37,16 +37,10 @@ def shared_maps(pixels: Pixels) -> tuple[Shared, Bool[np.ndarray, "L M"]]:
     ee, ek = table.electrodes, pixels.mean(table.elements)
     ee, ek = (np.asarray(a, float) for a in (ee, ek))
     slots = sensor.slots(ee)
-    found = shared_of(slots, ek)
+    rows = np.concatenate([ek - ek.mean(0), np.ones((1, ek.shape[1]))])
     if pixels.inside is not None:
-        found = found._replace(rows=found.rows * np.asarray(pixels.inside).ravel())
-    return found, np.asarray(slots.grounded(sensor.all_grounds()))
-
-
-def shared_of(slots: Slots, elements: Float[np.ndarray, "M K"]) -> Shared:
-    """Makes `Shared` of R_ek, Ω."""
-    one = np.ones((1, elements.shape[1]))
-    return Shared(slots, np.concatenate([elements - elements.mean(0), one]))
+        rows = rows * np.asarray(pixels.inside).ravel()
+    return Shared(slots, rows), np.asarray(slots.grounded(sensor.all_grounds()))
 
 
 def factors_of(

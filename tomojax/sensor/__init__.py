@@ -23,7 +23,8 @@ from tomojax.sensor._outline import AbstractOutline, AbstractShape
 from tomojax.sensor._scene import Mask, Moving, Scene, Shifted
 from tomojax.sensor._sensor import converter_of, nominal_noise, Sensor
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
-from tomojax.sensor.meshes import GridSurface, ToldSheet
+from tomojax.sensor.meshes._grid_surface import GridSurface
+from tomojax.sensor.meshes._told import ToldSheet
 
 # The rest serves other rooms.
 __all__ = [

@@ -179,14 +179,10 @@ class Calibration:
         require(known, f"{path}: schema", "another", SCHEMA)
         version = content.pop("schema_version", None)
         require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
-        names = {one.name for one in fields(cls)}
+        names = sorted(one.name for one in fields(cls))
         for name in content:
-            require(
-                name in names,
-                f"{path}: {name!r:.60}",
-                "this field",
-                ", ".join(sorted(names)),
-            )
+            at = f"{path}: {name!r:.60}"
+            require(name in names, at, "this field", ", ".join(names))
         try:
             made = cls(**{name: _tuples(value) for name, value in content.items()})
             if electrodes is not None:

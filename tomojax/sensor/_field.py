@@ -14,7 +14,7 @@ from tomojax.kernels.sheet import disc_mean, rectangle_grid_fields
 from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes
 from tomojax.sensor._forward import resistances
 from tomojax.sensor._sensor import Sensor
-from tomojax.sensor.meshes import ToldSheet
+from tomojax.sensor.meshes._told import ToldSheet
 
 # Spacing of the radii that potentials are averaged over, of the electrodes' pitch.
 _RADII = 0.05

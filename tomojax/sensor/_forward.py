@@ -38,7 +38,7 @@ from tomojax.kernels.sheet import (
 from tomojax.sensor._converter import Converter
 from tomojax.sensor._outline import AbstractShape
 from tomojax.sensor._placing import require_on_sheet
-from tomojax.sensor._sensor import check_conditions, element_values, Sensor
+from tomojax.sensor._sensor import check_conditions, Sensor
 
 Route = Literal["fem", "series"]
 Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
@@ -119,7 +119,7 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
     what = "'linear', 'source', 'points' or 'auto', which ask for no more than is told"
     require(sensor.told is None, "told", "resistances of electrodes alone", what)
     return fem_sheet(
-        1 / element_values(sensor, sensor.sheet_resistance),
+        1 / jnp.broadcast_to(sensor.sheet_resistance, (sensor.element_count,)),
         sensor.electrode_xy,
         sensor.electrode_diameter / 2,
         sensor.divisions,

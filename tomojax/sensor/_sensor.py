@@ -37,7 +37,9 @@ from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
-from tomojax.sensor.meshes import chart_places, read_triangles, ToldSheet, unroll
+from tomojax.sensor.meshes._mesh_file import read_triangles
+from tomojax.sensor.meshes._told import ToldSheet
+from tomojax.sensor.meshes._triangles import chart_places, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
 _CELLS = 3
@@ -524,11 +526,6 @@ def _stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndar
     at, step = jnp.asarray(places), jnp.asarray(size) / _MOST_CELLS
     long = local_cells(Skin(jnp.zeros(0), surface), at, step.astype(at.dtype))
     return np.asarray(long, float) / np.asarray(step, float)[:, None]
-
-
-def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
-    """Returns one value per element, from one value or K values."""
-    return jnp.broadcast_to(values, (sensor.element_count,))
 
 
 def nominal_noise(sensor: Sensor) -> float:

@@ -206,14 +206,10 @@ def image_objective(
     columns = matmul(blobs(method.shape, method.cell, places, width), basis.T)
     columns = columns / jnp.linalg.norm(columns, axis=1, keepdims=True)
     if criterion == "d":
-        columns = _span(columns)
+        # Orthonormal rows of the columns' span, for singular values above a tenth.
+        _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
+        columns = jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
     return ImageVariance(criterion, grams, columns, shares, jnp.asarray(lam, grams.dtype))
-
-
-def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
-    """Returns orthonormal rows of the columns' span, for singular values above a tenth."""
-    _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
-    return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
 
 
 @jax.jit

@@ -67,15 +67,11 @@ class Ladder(NamedTuple):
 def _due(ladder: Ladder, size: int) -> Any:
     """Tells whether `size` discs are worth a try: the next step, with enough to gain."""
     # A promise that is no number is no reason not to try.
-    worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
+    enough = _PROMISE * GAIN * (size - 1)
+    worth = ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
     best, more = ladder.best, GAIN * (extra(size) - 1)
     return worth & ~(shaped(best) & (best.cost < best.usual + more))
-
-
-def _enough_for(size: int) -> float:
-    """Returns the promise for which `size` discs are worth a try."""
-    return _PROMISE * GAIN * (size - 1)
 
 
 def wants_curve(ladder: Ladder) -> Any:
@@ -84,14 +80,11 @@ def wants_curve(ladder: Ladder) -> Any:
     Two long discs may stand for a bar, which is then tried. So may two discs near each
     other.
     """
-    two = (ladder.discs.count == 2) & _explains(ladder.discs)
+    # Where a larger model has less to gain than the cost beyond the usual.
+    explained = ladder.discs.cost < ladder.discs.usual + GAIN
+    two = (ladder.discs.count == 2) & explained
     square = (ladder.discs.parameters[..., :2, 3:5] ** 2).sum(-1)
     return ladder.rivals | ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
-
-
-def _explains(found: Found) -> Any:
-    """Tells whether the cost beyond the usual is less than a larger model has to gain."""
-    return found.cost < found.usual + GAIN
 
 
 def shaped(found: Found) -> Any:
