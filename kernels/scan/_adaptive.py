@@ -125,18 +125,17 @@ def contact_regions(
     square = jnp.sum((electrode_xy[:, None] - electrode_xy) ** 2, -1)
     touching = square < (1.5 * smallest_pitch(electrode_xy)) ** 2
 
-    def group_of(seed: Array, allowed: Array) -> Array:
-        def spread(_, group: Array) -> Array:
-            return (touching & group).any(1) & allowed
-
-        return lax.fori_loop(0, len(electrode_xy), spread, seed)
-
     def take(free: Array, _) -> tuple[Array, Region]:
         left = jnp.where(free, currents, 0)
         peak = jnp.argmax(left)
         index = jnp.arange(len(electrode_xy))
         found = good & (left[peak] > currents.max() / 4) & (summed.max() > threshold)
-        group = group_of(index == peak, free & (currents > left[peak] / 4))
+        allowed = free & (currents > left[peak] / 4)
+
+        def spread(_, group: Array) -> Array:
+            return (touching & group).any(1) & allowed
+
+        group = lax.fori_loop(0, len(electrode_xy), spread, index == peak)
         # The voltages of this group alone, with all of it inside.
         alone = jnp.where(group & found, jnp.maximum(currents, 0), 0)
         region = contact_region(

@@ -13,7 +13,6 @@ from tomojax._require import require
 from tomojax.calibration._frames import Known, points_of, Sums, sums_of
 from tomojax.calibration._slopes import rig_slopes
 from tomojax.calibration._unknowns import (
-    calibration_of,
     Unknowns,
     unknowns_of,
     values_of,
@@ -142,7 +141,7 @@ def calibrated(
     covariance = np.linalg.inv(prior)
     for number in range(_PASSES):
         progress(f"pass {number + 1}")
-        told = calibration_of(unknowns, trial, before)
+        told = replace(before, **values_of(unknowns, trial))
         points = points_of(sensor, told)
         volts = told.voltages(known.voltages.astype(float))
         new = sums_of(points, slopes, volts, known)

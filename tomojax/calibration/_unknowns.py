@@ -1,6 +1,5 @@
 """Orders the values that a calibration finds in a vector, with what is known before."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -78,14 +77,6 @@ def all_waves(sheet: tuple[float, ...]) -> Float[np.ndarray, " q"]:
     for order, value in zip(smooth_orders(WAVES[len(sheet)]), sheet):
         found[every.index(tuple(order))] = value
     return found
-
-
-def calibration_of(
-    unknowns: Unknowns, state: Float[np.ndarray, " P"], before: Calibration
-) -> Calibration:
-    """Returns the calibration with the values of a state."""
-    values = values_of(unknowns, state)
-    return replace(before, **values)
 
 
 def values_of(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> dict[str, tuple]:

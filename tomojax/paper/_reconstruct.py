@@ -1,6 +1,5 @@
 """Turns a frame and a Jacobian into an image: the paper's linear reconstruction (Eq. 3)."""
 
-from functools import partial
 from typing import cast, get_args, NamedTuple
 
 import equinox as eqx
@@ -22,6 +21,7 @@ from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax._shown import tuple_shown
 from tomojax.kernels import inverse
+from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 
 
@@ -204,8 +204,7 @@ def _reconstruct(
         misfit = jnp.einsum("smk,k->sm", rows, solution, precision="highest") - frame
         residual = jnp.sqrt(jnp.mean(misfit**2, where=w > 0))
         # A GPU rounds products to TF32 otherwise: images off by 3e-4.
-        whole = partial(jnp.matmul, precision="highest")
-        image = whole(solution, slots.basis) if reduced else solution
+        image = matmul(solution, slots.basis) if reduced else solution
         flags = _flags(frame, lam, grounds, len(maps), w, image)
         image = jnp.where(flags == 0, image, jnp.nan)
         flags = flags | jnp.where(ran_out, Flag.BAD_LAMBDA.value, 0)

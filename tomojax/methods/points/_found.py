@@ -136,12 +136,13 @@ def found_of(
         "vague": model.hardly_told(scene.method.sheet, conductance, of_size),
     }
     free = (scene.frame.scale > 0).sum().astype(cost.dtype)
+    missing = (0, scene.most - count), (0, 0)
     return Found(
         cost=cost,
         usual=LEFT * free / prepared.slot_count,
         misfits=misfit_cost((explained.rest**2).sum(1), prepared.tolerance),
         count=jnp.asarray(count),
-        **{name: _padded(values, scene.most) for name, values in each.items()},
+        **{name: jnp.pad(values, missing[: values.ndim]) for name, values in each.items()},
         high=cost > highest_cost(prepared.tolerance),
         limited=limited,
         faults=jnp.asarray(0),
@@ -220,8 +221,3 @@ def _drop(scene: Fitting, fitted: model.Fitted, rest: Array) -> Float[Array, " C
     forward = jnp.sign(sheet.drive_voltage)
     least = model.LEAST_DROP * jnp.abs(sheet.drive_voltage)
     return forward * jnp.maximum(forward * mean, least)
-
-
-def _padded(values: Array, count: int) -> Array:
-    missing = count - len(values)
-    return jnp.pad(values, ((0, missing),) + ((0, 0),) * (values.ndim - 1))

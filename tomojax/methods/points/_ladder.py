@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import tree_where
@@ -222,7 +222,10 @@ def _promise(
     at, some, m = look_of(scene), scene.prepared.compared, scene.voltages.shape[1]
     scale = scene.frame.scale[some]
     rest, slope = ended.rest[some], ended.slope[some].transpose(1, 0, 2)
-    own = model.own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
+    sheet, each = scene.method.sheet, jax.vmap(model.field_at, (None, 0, 0))
+    made = each(sheet.field, discs.place[:size], discs.radius[:size])  # by an ampere
+    made = volts_per_ampere(sheet.slots, made, scene.frame.grounds[some])
+    own = model.own_beside(at, made)
     normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
     right = jnp.einsum("psw,sw->p", slope, rest, precision="highest")
     left = model.along(at, scale * rest[:, :m])
@@ -282,16 +285,6 @@ def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
     angle = jnp.arctan2(long[1], long[0]) / 2
     along = h * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     return discs.place[0] + jnp.stack([along, -along])
-
-
-def _own_columns(
-    scene: Fitting, discs: Found, size: int, grounds: Int[Array, " s"]
-) -> Float[Array, "C s M"]:
-    """Computes the voltages that the discs make per ampere."""
-    sheet = scene.method.sheet
-    each = jax.vmap(model.field_at, (None, 0, 0))
-    own = each(sheet.field, discs.place[:size], discs.radius[:size])
-    return volts_per_ampere(sheet.slots, own, grounds)
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:

@@ -23,13 +23,13 @@ def sheet_of(sensor: Sensor) -> Sheet:
     narrow = jnp.asarray(NARROW * USUAL * pitch, sensor.dtype)
     thin, resistance = _beside(field, narrow, sensor.sheet_resistance)
     return Sheet(
-        field,
-        thin,
-        resistance,
-        sensor.slots(field.electrodes),
-        sensor.drive_voltage,
-        jnp.asarray(UNIT * pitch, sensor.dtype),
-        usual,
+        field=field,
+        thin=thin,
+        sheet_resistance=resistance,
+        slots=sensor.slots(field.electrodes),
+        drive_voltage=sensor.drive_voltage,
+        unit=jnp.asarray(UNIT * pitch, sensor.dtype),
+        size=usual,
     )
 
 
