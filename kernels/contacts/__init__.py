@@ -26,6 +26,11 @@ from tomojax.kernels.contacts._equations import (
     Explained as Explained,
     free_slopes as free_slopes,
     normal_of as normal_of,
+    unwhitened as unwhitened,
+    whiten as whiten,
+    whitened_columns as whitened_columns,
+    whitened_slopes as whitened_slopes,
+    WhitenedFrame as WhitenedFrame,
 )
 from tomojax.kernels.contacts._field import (
     Among as Among,
@@ -63,11 +68,4 @@ from tomojax.kernels.contacts._points import (
 from tomojax.kernels.contacts._search import (
     Followed as Followed,
     nothing_followed as nothing_followed,
-)
-from tomojax.kernels.contacts._whiten import (
-    unwhitened as unwhitened,
-    whiten as whiten,
-    whitened_columns as whitened_columns,
-    whitened_slopes as whitened_slopes,
-    WhitenedFrame as WhitenedFrame,
 )

@@ -29,8 +29,8 @@ from tomojax.kernels.sheet._skin import (
     Skin,
     stiffness_on,
 )
+from tomojax.kernels.sheet._slots import centred, Resistances
 from tomojax.kernels.sheet._stiffness import reference_stiffness
-from tomojax.kernels.sheet._table import centred, Resistances
 
 
 class FemSheet(NamedTuple):

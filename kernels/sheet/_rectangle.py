@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.rectangle import Series, turned
 from tomojax.kernels.sheet._mesh import centroids, element_area, Shape
-from tomojax.kernels.sheet._table import centred, Resistances
+from tomojax.kernels.sheet._slots import centred, Resistances
 
 # Electrodes whose potentials are computed at once: each has 48 terms a place.
 _AT_ONCE = 16

@@ -15,6 +15,7 @@ from ._recording import (
     calibrate_recording as calibrate_recording,
     calibrated_recording as calibrated_recording,
     read_places as read_places,
+    tare as tare,
 )
 from ._report import (
     picture as picture,
@@ -27,7 +28,6 @@ from ._slopes import (
     rig_slopes as rig_slopes,
     slopes_by_rig as slopes_by_rig,
 )
-from ._tare import tare as tare
 from ._unknowns import unknowns_of as unknowns_of
 from .drift._adapter import (
     Adapter as Adapter,

@@ -25,7 +25,12 @@ from tomojax.design._electrodes import (
 )
 from tomojax.design._search import exchange as exchange, relax, Relaxed
 from tomojax.design.objectives._image_error import ImageError
-from tomojax.design.objectives._information import AbstractObjective, ImageVariance
+from tomojax.design.objectives._information import (
+    AbstractObjective,
+    ImageVariance,
+    shape_objective as shape_objective,
+    ShapeInformation as ShapeInformation,
+)
 from tomojax.design.objectives._problem import (
     design_objective,
     design_places,
@@ -33,10 +38,6 @@ from tomojax.design.objectives._problem import (
 )
 from tomojax.design.objectives._rigs import simulate_scenes, SimulatedScenes
 from tomojax.design.objectives._scores import score as score
-from tomojax.design.objectives._shapes import (
-    shape_objective as shape_objective,
-    ShapeInformation as ShapeInformation,
-)
 
 # The rest serves other rooms.
 __all__ = [

@@ -19,8 +19,8 @@ from ._contract import (
 )
 from ._errors import noise_of as noise_of
 from ._linear import Linear as Linear
+from ._maps import pixel_divisions as pixel_divisions
 from ._names import check_grid as check_grid, method as method, METHODS as METHODS
-from ._pixels import pixel_divisions as pixel_divisions
 from ._pure import estimate as estimate, Ready as Ready
 from ._rows import (
     DOUBT as DOUBT,

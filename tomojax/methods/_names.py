@@ -8,7 +8,7 @@ import numpy as np
 from tomojax._programs import remembered
 from tomojax._require import one_of, require, require_whole
 from tomojax.methods._contract import AbstractMethod
-from tomojax.methods._pixels import pixel_divisions
+from tomojax.methods._maps import pixel_divisions
 from tomojax.sensor import Calibration, Sensor
 
 

@@ -7,8 +7,12 @@ of how contacts are found.
 from tomojax.sensor._calibration import Calibration, WAVES as WAVES
 from tomojax.sensor._converter import Converter
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
-from tomojax.sensor._field import make_among as make_among, make_field as make_field
-from tomojax.sensor._field_slopes import make_moves as make_moves, make_waves as make_waves
+from tomojax.sensor._field import (
+    make_among as make_among,
+    make_field as make_field,
+    make_moves as make_moves,
+    make_waves as make_waves,
+)
 from tomojax.sensor._forward import (
     compiled_resistances as compiled_resistances,
     contact_conductance,
@@ -19,8 +23,14 @@ from tomojax.sensor._forward import (
     sheet_on_mesh,
     voltages,
 )
-from tomojax.sensor._outline import AbstractOutline, AbstractShape
-from tomojax.sensor._scene import Mask, Moving, Scene, Shifted
+from tomojax.sensor._outline import (
+    AbstractOutline,
+    AbstractShape,
+    Mask,
+    Moving,
+    Scene,
+    Shifted,
+)
 from tomojax.sensor._sensor import converter_of, nominal_noise, Sensor
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 from tomojax.sensor.meshes._grid_surface import GridSurface

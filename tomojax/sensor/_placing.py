@@ -12,8 +12,7 @@ from tomojax._checks import float_array, known
 from tomojax._custom_types import Numbers
 from tomojax._require import check_apart, require
 from tomojax.sensor._edges import AbstractEdge
-from tomojax.sensor._outline import AbstractShape
-from tomojax.sensor._scene import Scene
+from tomojax.sensor._outline import AbstractShape, Scene
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 
 # Places, or what `place_electrodes` takes by name.

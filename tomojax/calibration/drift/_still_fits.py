@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from tomojax.calibration._frames import points_of
-from tomojax.calibration._recording import frame_length, touched
-from tomojax.calibration._tare import quiet_slots, tare
+from tomojax.calibration._recording import frame_length, quiet_slots, tare, touched
 from tomojax.calibration.drift._adapter import lone_places, silence
 from tomojax.calibration.drift._fitted import left_of
 from tomojax.methods import Batch

@@ -12,7 +12,7 @@ from tomojax._checks import checked, known, require, require_array
 from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax.design.objectives._contacts import blobs, Contact, without_current
-from tomojax.design.objectives._images import simulated_image
+from tomojax.design.objectives._image_error import simulated_image
 from tomojax.design.objectives._information import (
     AbstractObjective,
     Criterion,

@@ -6,5 +6,8 @@ other methods.
 
 from tomojax.methods.points._found import fitting_of as fitting_of, Found as Found
 from tomojax.methods.points._ladder import Ladder as Ladder, wants_curve as wants_curve
-from tomojax.methods.points._points import Points as Points
-from tomojax.methods.points._sheet import sheet_of as sheet_of, UNIT as UNIT
+from tomojax.methods.points._points import (
+    Points as Points,
+    sheet_of as sheet_of,
+    UNIT as UNIT,
+)
