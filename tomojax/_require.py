@@ -89,7 +89,7 @@ def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> N
     check_apart(xy, diameter, slack)
 
 
-def check_apart(places: Any, diameter: Any, slack: float) -> None:
+def check_apart(places: Any, diameter: Any, slack: Any) -> None:
     """Refuses electrodes that overlap by more than `slack`. **Raises:** `ValueError`."""
     import numpy as np
 

@@ -33,11 +33,7 @@ from tomojax.kernels.contacts._points import (
     polarisability,
     Sheet,
 )
-from tomojax.kernels.contacts._search import (
-    Followed,
-    OFTEN,
-    search,
-)
+from tomojax.kernels.contacts._search import Followed, OFTEN, search
 
 # By how much a place (units of the fit, a twentieth of a pitch) and a size move: 1 σ, and
 # as the root of the time. A finger that strokes.

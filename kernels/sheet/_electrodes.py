@@ -28,13 +28,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import cell_sides, centroids, node_areas, nodes, Shape
-from tomojax.kernels.sheet._skin import (
-    distances,
-    local_cells,
-    moves,
-    node_parts,
-    Skin,
-)
+from tomojax.kernels.sheet._skin import distances, local_cells, moves, node_parts, Skin
 
 # The own resistance of a Gaussian of width s is that of a disc of radius a when
 # ln s + ½(2 ln 2 − γ) = ln a, Euler's γ: the mean of −ln|x − x'| over two draws.

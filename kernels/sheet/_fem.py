@@ -22,13 +22,7 @@ from tomojax.kernels.sheet._electrodes import (
 )
 from tomojax.kernels.sheet._mesh import Shape, triangles
 from tomojax.kernels.sheet._reduction import ContactReduction, touch_electrodes
-from tomojax.kernels.sheet._skin import (
-    coverage,
-    OUTSIDE,
-    pinned_node,
-    Skin,
-    stiffness_on,
-)
+from tomojax.kernels.sheet._skin import coverage, OUTSIDE, pinned_node, Skin, stiffness_on
 from tomojax.kernels.sheet._slots import centred, Resistances
 from tomojax.kernels.sheet._stiffness import reference_stiffness
 

@@ -14,13 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax.kernels.sheet._mesh import (
-    element_area,
-    node_areas,
-    nodes,
-    Shape,
-    triangles,
-)
+from tomojax.kernels.sheet._mesh import element_area, node_areas, nodes, Shape, triangles
 
 # What is outside conducts this part of the sheet: no node is loose.
 OUTSIDE = 1e-6

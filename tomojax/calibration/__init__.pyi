@@ -24,11 +24,11 @@ from ._report import (
     summary as summary,
     text as text,
 )
-from ._slopes import (
+from ._unknowns import (
     rig_slopes as rig_slopes,
     slopes_by_rig as slopes_by_rig,
+    unknowns_of as unknowns_of,
 )
-from ._unknowns import unknowns_of as unknowns_of
 from .drift._adapter import (
     Adapter as Adapter,
     lone_places as lone_places,

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from tomojax._custom_types import Numbers
 from tomojax._require import require
 from tomojax.calibration._frames import Known, points_of, Sums, sums_of
-from tomojax.calibration._slopes import rig_slopes
 from tomojax.calibration._unknowns import (
+    rig_slopes,
     Unknowns,
     unknowns_of,
     values_of,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer
 
-from tomojax.calibration._slopes import RigSlopes, slopes_by_rig
+from tomojax.calibration._unknowns import RigSlopes, slopes_by_rig
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import descend, Normal
 from tomojax.kernels.contacts import Explained, normal_of, Sheet, WhitenedFrame

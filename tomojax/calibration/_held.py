@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated
 from tomojax.calibration._frames import Known, Near, near_of, points_of
-from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
+from tomojax.calibration._unknowns import rig_slopes, RigSlopes, slopes_by_rig
 from tomojax.kernels.contacts import Sheet, WhitenedFrame
 from tomojax.methods import Points
 from tomojax.sensor import Sensor

@@ -15,20 +15,8 @@ from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import best_currents, whitened_columns
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import (
-    AbstractMethod,
-    Estimate,
-    Frame,
-    judged,
-    Part,
-    Rung,
-)
-from tomojax.methods._errors import (
-    highest_cost,
-    misfit_cost,
-    PreparedErrors,
-    whitened,
-)
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Part, Rung
+from tomojax.methods._errors import highest_cost, misfit_cost, PreparedErrors, whitened
 from tomojax.methods._maps import factors_of
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source

@@ -155,8 +155,6 @@ class AbstractMethod(eqx.Module):
 
     shape: eqx.AbstractVar[tuple[int, int]]  # pixels of the image
     cell: eqx.AbstractVar[Float[Array, "2"]]  # their size, m
-    drive_sign: eqx.AbstractVar[Float[Array | np.ndarray, ""]]  # 1 or −1
-    noise: eqx.AbstractVar[Float[Array, ""]]  # of a reading, V rms
     image_unit: eqx.AbstractClassVar[str]
     # Residual beyond this part of the voltages' rms: the model does not hold.
     residual_limit: eqx.AbstractClassVar[float]
@@ -186,6 +184,16 @@ class AbstractMethod(eqx.Module):
     def electrode_count(self) -> int:
         """Returns M, the number of electrodes; by default that of a field `grounded`."""
         return self.grounded.shape[1]  # pyright: ignore
+
+    @property
+    @abstractmethod
+    def drive_sign(self) -> Float[Array | np.ndarray, ""]:
+        """Returns the drive's direction: 1 or −1."""
+
+    @property
+    @abstractmethod
+    def noise(self) -> Float[Array, ""]:
+        """Returns the noise of a reading, V rms."""
 
     @property
     def threshold(self) -> Float[Array | np.ndarray, ""]:

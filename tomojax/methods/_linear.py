@@ -121,8 +121,8 @@ class Linear(AbstractMethod):
     shared: Shared  # what all slots' T^l share, host
     alike: Float[np.ndarray, "q pixels"]  # basis of T's columns of length 1, host
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
-    noise: Float[Array, ""]  # of a reading, V rms
-    drive_sign: Float[Array, ""]
+    reading_noise: Float[Array, ""]
+    polarity: Float[Array, ""]  # of the drive: 1 or −1
     grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
@@ -159,8 +159,8 @@ class Linear(AbstractMethod):
             shared=shared,
             alike=alike,
             conductance=conductance,
-            noise=jnp.asarray(nominal_noise(sensor), pixels.cell.dtype),
-            drive_sign=jnp.sign(jnp.asarray(sensor.drive_voltage, pixels.cell.dtype)),
+            reading_noise=jnp.asarray(nominal_noise(sensor), pixels.cell.dtype),
+            polarity=jnp.sign(jnp.asarray(sensor.drive_voltage, pixels.cell.dtype)),
             grounded=grounded,
             inside=pixels.inside,
         )
@@ -170,7 +170,15 @@ class Linear(AbstractMethod):
         return self.factors
 
     def calibrated(self, calibration: Calibration) -> "Linear":
-        return replace(self, noise=noise_as(calibration, self.noise))
+        return replace(self, reading_noise=noise_as(calibration, self.noise))
+
+    @property
+    def drive_sign(self) -> Float[Array, ""]:
+        return self.polarity
+
+    @property
+    def noise(self) -> Float[Array, ""]:
+        return self.reading_noise
 
     def scale(self) -> float:
         return self.strongest

@@ -10,13 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import (
-    checked,
-    float_array,
-    known,
-    require,
-    require_indices,
-)
+from tomojax._checks import checked, float_array, known, require, require_indices
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.kernels.sheet import (

@@ -157,7 +157,7 @@ class Sensor(eqx.Module):
             ("electrode_shunt", "positive", ()),
         ):
             if (value := getattr(self, name)) is not None:
-                require_array(name, value, rule, *shapes)
+                require_array(name, value, rule, *shapes)  # pyright: ignore
         if self.told is not None:
             require_shape("told", self.told.electrodes, (m, m))
         if self.conditions is not None:

@@ -6,13 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax.bringup._channels import alike
-from tomojax.bringup._wiring import (
-    floating,
-    Lines,
-    lines_of,
-    order_of,
-    quality,
-)
+from tomojax.bringup._wiring import floating, Lines, lines_of, order_of, quality
 from tomojax.bringup.sheet._plane import Plane, starts
 from tomojax.bringup.sheet._slots import nominal_noise
 from tomojax.kernels.flags import Flag

@@ -14,12 +14,16 @@ from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
-from tomojax.methods.points._found import Ended, Fitting, Found, LEFT, look_of
-from tomojax.methods.points._sound import (
+from tomojax.methods.points._found import (
     APART,
     apart_and_strong,
+    Ended,
+    Fitting,
+    Found,
     is_long,
+    LEFT,
     long_enough,
+    look_of,
     near_and_strong,
 )
 
