@@ -30,13 +30,9 @@ from ._rows import (
     Rows as Rows,
 )
 from ._source import Source as Source
-from .points import (
-    fitting_of as fitting_of,
-    Points as Points,
-    sheet_of as sheet_of,
-    UNIT as UNIT,
-)
-from .shapes import ImageShape as ImageShape
+from .points._found import fitting_of as fitting_of
+from .points._points import Points as Points, sheet_of as sheet_of, UNIT as UNIT
+from .shapes._image_shape import ImageShape as ImageShape
 
 # The rest serves other rooms.
 __all__ = [

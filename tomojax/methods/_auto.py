@@ -21,7 +21,8 @@ from tomojax.methods._maps import factors_of
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
-from tomojax.methods.shapes import described, ImageShape, PreparedShape
+from tomojax.methods.shapes._image_shape import described, ImageShape
+from tomojax.methods.shapes._model import PreparedShape
 from tomojax.sensor import Calibration, Sensor
 
 

@@ -30,8 +30,8 @@ METHODS: dict[str, type] = _Methods(
     auto="_auto:Auto",
     source="_source:Source",
     linear="_linear:Linear",
-    points="points:Points",
-    shape="shapes:ImageShape",
+    points="points._points:Points",
+    shape="shapes._image_shape:ImageShape",
 )
 
 # For each pitch: `source` reads a place around a peak, for which fewer are too few.

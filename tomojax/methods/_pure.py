@@ -28,7 +28,7 @@ from tomojax.methods._contract import (
 from tomojax.methods._doubts import look_at
 from tomojax.methods._names import method
 from tomojax.methods._rows import Rows
-from tomojax.methods.points import Points
+from tomojax.methods.points._points import Points
 from tomojax.sensor import Sensor
 
 

@@ -191,7 +191,7 @@ class Sensor(eqx.Module):
             require_whole(name, count)
         dtype = others.get("dtype")
         step, rim = (
-            jnp.broadcast_to(checked(name, value, "positive", (), (2,), dtype=dtype), 2)
+            jnp.broadcast_to(checked(name, value, "positive", dtype=dtype), 2)
             for name, value in (("pitch", pitch), ("margin", margin))
         )
         count = np.array([rows, columns])

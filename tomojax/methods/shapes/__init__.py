@@ -3,9 +3,3 @@
 The model fits a frame, the description reads contacts off the fit, and the method keeps the
 ladder's contract. The folder knows no other rung than `source`.
 """
-
-from tomojax.methods.shapes._image_shape import (
-    described as described,
-    ImageShape as ImageShape,
-)
-from tomojax.methods.shapes._model import PreparedShape as PreparedShape
