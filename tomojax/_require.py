@@ -1,12 +1,16 @@
 """Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
 
+import ast
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from numbers import Integral
+from pathlib import Path
 from typing import Any
+
+import lazy_loader
 
 # Methods that are no more, and what took their places.
 _GONE = {"conductance": "shape", "positive": "source"}
@@ -57,6 +61,14 @@ def library(name: str, extra: str) -> Any:
         if str(error.name).partition(".")[0] != root:
             raise
         raise ModuleNotFoundError(not_installed(root, extra), name=root) from None
+
+
+def attach(name: str, file: str) -> tuple[Callable, Callable, list[str]]:
+    """Returns a face's `__getattr__`, `__dir__` and `__all__`, all by its stub."""
+    getter, lister, _ = lazy_loader.attach_stub(name, file)
+    public = ast.parse(Path(file).with_suffix(".pyi").read_text()).body[-1]
+    assert isinstance(public, ast.Assign)
+    return getter, lister, ast.literal_eval(public.value)
 
 
 def require_library(name: str, extra: str) -> None:

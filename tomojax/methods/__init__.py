@@ -8,6 +8,6 @@ The names of `__init__.pyi` are imported when they are first used: reading a fil
 waits for no JAX.
 """
 
-from tomojax._lazy import attach as _attach
+from tomojax._require import attach as _attach
 
 __getattr__, __dir__, __all__ = _attach(__name__, __file__)
