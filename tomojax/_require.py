@@ -1,4 +1,7 @@
-"""Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
+"""Checks without JAX: a `ValueError` names the argument, the value and the expectation.
+
+Libraries, and the names of faces, are brought here when they are needed.
+"""
 
 import ast
 import math
