@@ -4,7 +4,7 @@ Values under a trace (jit, grad, vmap) are unknown and pass. Shapes are always c
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,9 @@ from jax.core import Tracer
 
 from tomojax._custom_types import Numbers
 from tomojax._require import require as require
+
+Rule = Literal["finite", "positive", "not negative"]  # of an array's numbers
+Shape = tuple[int | None, ...]  # None: any length
 
 
 def known(*values: Any) -> bool:
@@ -36,27 +39,23 @@ def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
     return jnp.asarray(array.astype(dtype), dtype)  # JAX would compile a conversion
 
 
-def require_finite(name: str, value: jax.Array) -> None:
-    if known(value):
-        bad = ~np.isfinite(np.asarray(value))
-        require(not bad.any(), name, f"{int(bad.sum())} values NaN or infinite", "numbers")
+def require_array(name: str, value: jax.Array, rule: Rule, *shapes: Shape) -> None:
+    """Checks the value's shape, where any are told, and its numbers by the rule."""
+    if shapes:
+        require_shape(name, value, *shapes)
+    if not known(value):
+        return
+    array = np.asarray(value)
+    bad, low = int((~np.isfinite(array)).sum()), array.min(initial=np.inf)
+    require(bad == 0, name, f"{bad} values NaN or infinite", "numbers")
+    require(rule != "positive" or low > 0, name, f"{low:g}", "values above 0")
+    require(rule == "finite" or low >= 0, name, f"{low:g}", "values of 0 or above")
 
 
-def require_positive(name: str, value: jax.Array) -> None:
-    require_finite(name, value)
-    if known(value):
-        low = np.asarray(value).min(initial=np.inf)
-        require(low > 0, name, f"{low:g}", "values above 0")
-
-
-def require_not_negative(name: str, value: jax.Array) -> None:
-    require_finite(name, value)
-    if known(value):
-        low = np.asarray(value).min(initial=np.inf)
-        require(low >= 0, name, f"{low:g}", "values of 0 or above")
-
-
-def require_within(name: str, numbers: jax.Array, count: int) -> None:
+def require_indices(name: str, numbers: jax.Array, count: int) -> None:
+    """Checks that `numbers` (n,), one at least, are from 0 to `count` − 1."""
+    require_shape(name, numbers, (None,))
+    require(numbers.size > 0, name, "none", "at least one")
     if known(numbers):
         low, high = int(numbers.min()), int(numbers.max())
         inside = 0 <= low and high < count
@@ -64,34 +63,23 @@ def require_within(name: str, numbers: jax.Array, count: int) -> None:
 
 
 def checked(
-    name: str,
-    value: Numbers,
-    check: Callable[[str, jax.Array], None],
-    *shapes: tuple[int | None, ...],
-    dtype: Any = None,
+    name: str, value: Numbers, rule: Rule, *shapes: Shape, dtype: Any = None
 ) -> jax.Array:
-    """Returns `value` as `float_array`, of any of `shapes`, once `check` has passed it."""
+    """Returns `value` as `float_array` once `require_array` has passed it."""
     array = float_array(name, value, dtype)
-    require_shape(name, array, *shapes)
-    check(name, array)
+    require_array(name, array, rule, *shapes)
     return array
 
 
-def checking(
-    name: str, check: Callable[[str, jax.Array], None], *shapes: tuple[int | None, ...]
-) -> Callable[[Numbers], jax.Array]:
+def checking(name: str, rule: Rule, *shapes: Shape) -> Callable[[Numbers], jax.Array]:
     """Makes `checked` of this name: the converter of a module's field."""
-
-    def converted(value: Numbers) -> jax.Array:
-        return checked(name, value, check, *shapes)
-
-    return converted
+    return lambda value: checked(name, value, rule, *shapes)
 
 
-def require_shape(name: str, value: jax.Array, *shapes: tuple[int | None, ...]) -> None:
+def require_shape(name: str, value: jax.Array, *shapes: Shape) -> None:
     """Checks the value's shape against any of `shapes`; None stands for any length."""
 
-    def fits(shape: tuple[int | None, ...]) -> bool:
+    def fits(shape: Shape) -> bool:
         return len(shape) == value.ndim and all(
             want is None or want == have for want, have in zip(shape, value.shape)
         )

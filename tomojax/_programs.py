@@ -49,7 +49,9 @@ class Kept:
         functools.update_wrapper(self, function)
         self._function, self._inside = function, eqx.filter_jit(function)
         # On several devices arrays come in parts, which a program that is kept does not.
-        self._shared = functools.cache(lambda: _with_options(function))
+        self._shared = functools.cache(
+            lambda: eqx.filter_jit(function, **{"compiler_options": options()})  # pyright: ignore
+        )
         self._programs: dict[Any, _Program] = {}
         self._lock = threading.Lock()
         _KEPT.append(self)
@@ -154,10 +156,6 @@ def _stop_compiling() -> None:
     _compilers().shutdown(wait=False, cancel_futures=True)
     _compilers.cache_clear()
     forget()
-
-
-def _with_options(function: Callable) -> Callable:
-    return eqx.filter_jit(function, **{"compiler_options": options()})  # pyright: ignore
 
 
 @functools.cache
@@ -271,7 +269,7 @@ def _made(function: Callable, args: tuple, flat: list, path: Path | None) -> _Pr
             loading = _foreseen.pop(name, None)
             loaded, lapack = loading.result() if loading else _loaded(path)  # pyright: ignore
             if lapack:
-                _prepare_lapack()
+                prepare_lapack()
             return loaded
         return made(None)
 
@@ -314,6 +312,6 @@ def foreseen(work: str) -> Iterator[None]:
 
 
 @functools.cache
-def _prepare_lapack() -> None:
+def prepare_lapack() -> None:
     """Makes JAX find LAPACK's functions: a loaded program calls them without looking."""
     jax.jit(jnp.linalg.cholesky).lower(np.eye(2, dtype=np.float32))

@@ -1,12 +1,19 @@
-"""Checks without JAX: a `ValueError` names the argument, the value and the expectation."""
+"""Checks without JAX: a `ValueError` names the argument, the value and the expectation.
 
+Libraries, and the names of faces, are brought here when they are needed.
+"""
+
+import ast
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from numbers import Integral
+from pathlib import Path
 from typing import Any
+
+import lazy_loader
 
 # Methods that are no more, and what took their places.
 _GONE = {"conductance": "shape", "positive": "source"}
@@ -59,6 +66,14 @@ def library(name: str, extra: str) -> Any:
         raise ModuleNotFoundError(not_installed(root, extra), name=root) from None
 
 
+def attach(name: str, file: str) -> tuple[Callable, Callable, list[str]]:
+    """Returns a face's `__getattr__`, `__dir__` and `__all__`, all by its stub."""
+    getter, lister, _ = lazy_loader.attach_stub(name, file)
+    public = ast.parse(Path(file).with_suffix(".pyi").read_text()).body[-1]
+    assert isinstance(public, ast.Assign)
+    return getter, lister, ast.literal_eval(public.value)
+
+
 def require_library(name: str, extra: str) -> None:
     """**Raises:** `ValueError` unless a library that an extra brings is installed."""
     if find_spec(name) is None:
@@ -86,7 +101,14 @@ def check_electrodes(electrode_xy: Any, size: Any, electrode_diameter: Any) -> N
         f"electrodes {outside[:5].tolist()} beyond the sheet's edge",
         f"discs of {diameter:g} m inside {size.tolist()} m",
     )
-    apart = np.sqrt(((xy[:, None] - xy[None]) ** 2).sum(-1))
+    check_apart(xy, diameter, slack)
+
+
+def check_apart(places: Any, diameter: Any, slack: Any) -> None:
+    """Refuses electrodes that overlap by more than `slack`. **Raises:** `ValueError`."""
+    import numpy as np
+
+    apart = np.sqrt(((places[:, None] - places) ** 2).sum(-1))
     apart[np.diag_indices_from(apart)] = np.inf
     one, other = np.unravel_index(apart.argmin(), apart.shape)
     require(

@@ -11,13 +11,13 @@ from tomojax.kernels.algebra._blocktri import (
     inverse_band as inverse_band,
     matmul as matmul,
     solve as solve,
+    solve_positive as solve_positive,
 )
 from tomojax.kernels.algebra._descent import (
     descend as descend,
     Limits as Limits,
     Normal as Normal,
 )
-from tomojax.kernels.algebra._elimination import solve_positive as solve_positive
 from tomojax.kernels.algebra._gaussian import gaussian as gaussian
 from tomojax.kernels.algebra._halving import descended as descended, Run as Run
 from tomojax.kernels.algebra._kalman import (
@@ -34,5 +34,7 @@ from tomojax.kernels.algebra._subsets import (
     project_weights as project_weights,
     subset_marginals as subset_marginals,
 )
-from tomojax.kernels.algebra._tree_where import tree_where as tree_where
-from tomojax.kernels.algebra._where_needed import where_needed as where_needed
+from tomojax.kernels.algebra._where_needed import (
+    tree_where as tree_where,
+    where_needed as where_needed,
+)

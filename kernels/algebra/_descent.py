@@ -16,8 +16,8 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.algebra._elimination import solve_positive
-from tomojax.kernels.algebra._tree_where import tree_where
+from tomojax.kernels.algebra._blocktri import solve_positive
+from tomojax.kernels.algebra._where_needed import tree_where
 
 # Damping of the first step, as a part of the diagonal.
 _DAMPING = 1e-3

@@ -14,9 +14,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra._blocktri import matmul
-from tomojax.kernels.algebra._elimination import solve_positive
-from tomojax.kernels.algebra._tree_where import tree_where
+from tomojax.kernels.algebra._blocktri import matmul, solve_positive
+from tomojax.kernels.algebra._where_needed import tree_where
 
 # Measurements over which innovations are averaged, and the χ² that none reaches by noise
 # (of two values: once in 300 000).

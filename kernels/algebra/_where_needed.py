@@ -1,4 +1,7 @@
-"""Computes one result in two ways, and takes the costlier way only where it is needed."""
+"""Computes one result in two ways, and takes the costlier way only where it is needed.
+
+`tree_where` chooses between two pytrees, array by array.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Bool
 
 
 def where_needed(
@@ -61,3 +65,8 @@ def where_needed(
         return jax.jvp(plain, primals[1:], tangents[1:])
 
     return told
+
+
+def tree_where(condition: Bool[Array, ""], one: Any, other: Any) -> Any:
+    """Takes the arrays of `one` where the condition holds, else those of `other`."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)

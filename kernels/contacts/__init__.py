@@ -3,6 +3,7 @@
 This room knows the sheet and the errors of voltages. The room knows nothing of images.
 """
 
+from tomojax.kernels.contacts._anew import Candidates as Candidates
 from tomojax.kernels.contacts._candidates import (
     along as along,
     best_pairs as best_pairs,
@@ -25,6 +26,11 @@ from tomojax.kernels.contacts._equations import (
     Explained as Explained,
     free_slopes as free_slopes,
     normal_of as normal_of,
+    unwhitened as unwhitened,
+    whiten as whiten,
+    whitened_columns as whitened_columns,
+    whitened_slopes as whitened_slopes,
+    WhitenedFrame as WhitenedFrame,
 )
 from tomojax.kernels.contacts._field import (
     Among as Among,
@@ -60,14 +66,6 @@ from tomojax.kernels.contacts._points import (
     SIZE_WIDTH as SIZE_WIDTH,
 )
 from tomojax.kernels.contacts._search import (
-    Candidates as Candidates,
     Followed as Followed,
     nothing_followed as nothing_followed,
-)
-from tomojax.kernels.contacts._whiten import (
-    unwhitened as unwhitened,
-    whiten as whiten,
-    whitened_columns as whitened_columns,
-    whitened_slopes as whitened_slopes,
-    WhitenedFrame as WhitenedFrame,
 )

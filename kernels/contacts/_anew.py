@@ -13,18 +13,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts._one_slot import (
+    all_tangents,
     beside_columns,
     first_covariance,
     fitted,
     in_slot,
-    Plain,
-    tangents,
+    OneSlot,
     update,
     weighed,
-    Weights,
     whitened,
 )
-from tomojax.kernels.contacts._points import Sheet
 
 # A further contact is seen again no farther than this from place to place (units).
 NEAR = 12.0
@@ -52,6 +50,15 @@ _VAGUE = 0.3
 _STEPS = 4
 
 
+class Candidates(NamedTuple):
+    """Usual contacts at K places: electrodes' potentials, with squares and tangents."""
+
+    place: Float[Array, "K 2"]  # m
+    potential: Float[Array, "M K"]  # Ω
+    square: Float[Array, "M K"]
+    tangent: Float[Array, "K 4 M"]  # see `tangents`
+
+
 class Set(NamedTuple):
     """Contacts that explain a slot, of C at most."""
 
@@ -65,14 +72,9 @@ Gains = Callable[[Array, Array, Array], tuple[Array, Array]]
 
 
 def all_anew(
-    sheet: Sheet,
-    places: Float[Array, "K 2"],
-    potentials: Float[Array, "M K"],
-    ground: Int[Array, ""],
-    weights: Weights,
-    plain: Plain,
+    slot: OneSlot,
+    candidates: Candidates,
     gains: Gains,
-    voltages: Float[Array, " M"],
     followed: Set,
     rival: Float[Array, "2"],
     way: Int[Array, ""],
@@ -82,8 +84,8 @@ def all_anew(
     **Arguments:** `rival`, where one more was seen, m; `way`, of `WAYS`, contacts are
     split in two.
     """
-    count = len(followed.there)
-    chosen = _greedy(sheet, places, potentials, ground, plain, gains, voltages, count)
+    count, dtype = len(followed.there), slot.voltages.dtype
+    chosen = _greedy(slot, candidates, gains, count)
     each, n = jnp.arange(count), followed.there.sum()
     free = (each == jnp.argmin(followed.there)) & ~followed.there
 
@@ -95,19 +97,17 @@ def all_anew(
             followed.left,
         )
 
-    half = sheet.unit * jnp.asarray(WAYS, voltages.dtype)[way]
+    half = slot.sheet.unit * jnp.asarray(WAYS, dtype)[way]
     more = [one_more(rival, each < 0, rival)]
     for c in range(count):
         at = followed.place[c]
         more.append(one_more(at + half, each == c, at - half))
-    fresh = [
-        Set(each <= k, places[chosen[k]], jnp.zeros_like(followed.size), followed.left)
-        for k in range(count)
-    ]
+    places, none = candidates.place, jnp.zeros_like(followed.size)
+    fresh = [Set(each <= k, places[chosen[k]], none, followed.left) for k in range(count)]
     sets = jax.tree.map(lambda *a: jnp.stack(a), followed, *more, *fresh)
-    ended = jax.lax.map(lambda one: _settled(sheet, weights, voltages, ground, one), sets)
+    ended = jax.lax.map(lambda one: _settled(slot, one), sets)
     # What errors alone leave is nothing that one more explains.
-    least = (weights.each > 0).astype(voltages.dtype).sum() * _USUAL
+    least = (slot.weights.each > 0).astype(dtype).sum() * _USUAL
     left = jnp.minimum(
         ended.left, jnp.where(jnp.arange(len(ended.left)) == 0, followed.left, jnp.inf)
     )
@@ -117,22 +117,20 @@ def all_anew(
     return (best > 0) & (n > 0), jax.tree.map(lambda a: a[best], ended)
 
 
-def _settled(
-    sheet: Sheet, weights: Weights, voltages: Array, ground: Array, start: Set
-) -> Set:
+def _settled(slot: OneSlot, start: Set) -> Set:
     """Moves contacts to where they explain the slot best; none may be faint or vague."""
-    count = len(start.there)
+    sheet, voltages = slot.sheet, slot.voltages
     unknown = first_covariance(voltages.dtype)
-    covariance = jnp.broadcast_to(unknown, (count, 3, 3))
+    covariance = jnp.broadcast_to(unknown, (len(start.there), 3, 3))
 
     def step(_: Array, state: tuple) -> tuple:
         place, size, *_ = state
-        raw = jnp.stack([tangents(sheet, place[c], size[c]) for c in range(count)])
-        columns = jnp.where(start.there[:, None, None], in_slot(sheet, raw, ground), 0)
-        moved, spread, _, current = update(columns, covariance, weights, voltages)
+        own = in_slot(sheet, all_tangents(sheet, place, size), slot.ground)
+        columns = jnp.where(start.there[:, None, None], own, 0)
+        moved, spread, _, current = update(slot, columns, covariance)
         shift = (moved[..., None] * columns[:, 1:]).sum(1)
         rest = voltages - matmul(current, columns[:, 0] + shift)
-        left = (whitened(weights, rest[None]) ** 2).sum()
+        left = (whitened(slot.weights, rest[None]) ** 2).sum()
         return *fitted(sheet, place, size, moved), left, current, spread
 
     zero = jnp.zeros_like(start.size)
@@ -147,16 +145,15 @@ def _settled(
 
 
 def _greedy(
-    sheet: Sheet,
-    places: Array,
-    potentials: Array,
-    ground: Array,
-    plain: Plain,
-    gains: Gains,
-    voltages: Array,
-    count: int,
+    slot: OneSlot, candidates: Candidates, gains: Gains, count: int
 ) -> Int[Array, "C C"]:
     """Looks for one contact, two, …: one more, then each in turn beside the others."""
+    sheet, ground, voltages, places = (
+        slot.sheet,
+        slot.ground,
+        slot.voltages,
+        candidates.place,
+    )
     slots, near_by = sheet.slots, (NEAR * sheet.unit) ** 2
     offset = slots.offset(ground)
     each = jnp.arange(count, dtype=jnp.int32)
@@ -169,13 +166,13 @@ def _greedy(
         columns, chosen, sets = state
         n, c = which[i], whose[i]
         others = jnp.where((each == c)[:, None], 0, columns)
-        rest, beside, normal = beside_columns(plain, others, voltages)
-        both = weighed(plain, jnp.stack([rest, voltages]))
+        rest, beside, normal = beside_columns(slot.plain, others, voltages)
+        both = weighed(slot.plain, jnp.stack([rest, voltages]))
         # Two candidates about one place would be one contact between them.
         away = places[:, None] - places[chosen]
         near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
         k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
-        column = slots.relative(potentials[:, k], ground) + offset
+        column = slots.relative(candidates.potential[:, k], ground) + offset
         columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
         return columns, chosen, sets.at[n].set(chosen)
 

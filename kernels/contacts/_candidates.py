@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import solve_positive
-from tomojax.kernels.contacts._whiten import whitened_columns, WhitenedFrame
+from tomojax.kernels.contacts._equations import whitened_columns, WhitenedFrame
 
 
 class Look(NamedTuple):

@@ -20,6 +20,8 @@ from tomojax.kernels.contacts._equations import (
     currents_of,
     Explained,
     made_by,
+    whitened_rows,
+    WhitenedFrame,
 )
 from tomojax.kernels.contacts._field import home_of, thin_rows_at
 from tomojax.kernels.contacts._points import (
@@ -31,7 +33,6 @@ from tomojax.kernels.contacts._points import (
     SIZE_WIDTH,
     unpack,
 )
-from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
 
 # Points of a curve.
 _POINTS = 18

@@ -17,6 +17,8 @@ from tomojax.kernels.contacts._equations import (
     currents_of,
     Explained,
     made_by,
+    whitened_rows,
+    WhitenedFrame,
 )
 from tomojax.kernels.contacts._field import home_of, rows_at
 from tomojax.kernels.contacts._points import (
@@ -34,7 +36,6 @@ from tomojax.kernels.contacts._points import (
     slope_of,
     unpack,
 )
-from tomojax.kernels.contacts._whiten import whitened_rows, WhitenedFrame
 
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and

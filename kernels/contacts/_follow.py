@@ -11,15 +11,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul
-from tomojax.kernels.contacts._anew import WEAKEST
+from tomojax.kernels.contacts._anew import Candidates, WEAKEST
 from tomojax.kernels.contacts._one_slot import (
+    all_tangents,
     first_covariance,
     fitted,
     in_slot,
     Noise,
+    OneSlot,
+    plain_of,
     radius_of,
     slot_weights,
-    tangents,
     update,
     Weights,
     whitened,
@@ -31,12 +33,7 @@ from tomojax.kernels.contacts._points import (
     polarisability,
     Sheet,
 )
-from tomojax.kernels.contacts._search import (
-    Candidates,
-    Followed,
-    OFTEN,
-    search,
-)
+from tomojax.kernels.contacts._search import Followed, OFTEN, search
 
 # By how much a place (units of the fit, a twentieth of a pitch) and a size move: 1 σ, and
 # as the root of the time. A finger that strokes.
@@ -66,16 +63,15 @@ def follow(
     # The grounded electrode's own voltage is that of its path, which is hardly known.
     used = used & ~sheet.slots.grounded(ground)
     weights = slot_weights(noise, voltages, used)
-    # One by one, as in `product`.
-    each = range(len(known.size))
-    raw = jnp.stack([tangents(sheet, known.place[c], known.size[c]) for c in each])
+    slot = OneSlot(sheet, ground, weights, plain_of(weights), voltages)
+    raw = all_tangents(sheet, known.place, known.size)
     there = known.there[:, None, None]
     own = jnp.where(there, in_slot(sheet, raw, ground), 0)
     lean = _lean(sheet, known, raw, ground, voltages)
     own = own.at[:, 0].add((lean[..., None] * own[:, 1:3]).sum(1))
     # The search looks for currents in the drive's direction.
-    towards = jnp.sign(sheet.drive_voltage) * voltages
-    seen = search(sheet, candidates, known, own[:, 0], weights, towards, ground)
+    towards = slot._replace(voltages=jnp.sign(sheet.drive_voltage) * voltages)
+    seen = search(towards, candidates, known, own[:, 0])
     new, there = seen.new, seen.there
     raw = jnp.where(new[:, None, None], seen.raw, raw)
     columns = jnp.where(new[:, None, None], in_slot(sheet, raw, ground), own)
@@ -85,7 +81,7 @@ def follow(
     drift = elapsed / _DRIFT_TIME * jnp.diag(jnp.asarray(_DRIFT, dtype) ** 2)
     unknown = first_covariance(dtype)
     covariance = jnp.where(new[:, None, None], unknown, known.covariance + drift)
-    moved, covariance, alone, current = update(columns, covariance, weights, voltages)
+    moved, covariance, alone, current = update(slot, columns, covariance)
     place, size = fitted(sheet, place, size, moved)
     # What the move makes of the fit, to first order.
     shift = (moved[..., None] * columns[:, 1:]).sum(1)

@@ -61,6 +61,16 @@ class Plain(NamedTuple):
     part: Float[Array, ""]  # that counts of what all channels have in common
 
 
+class OneSlot(NamedTuple):
+    """What contacts are to explain, and how it counts."""
+
+    sheet: Sheet
+    ground: Int[Array, ""]
+    weights: Weights
+    plain: Plain
+    voltages: Float[Array, " M"]
+
+
 def radius_of(sheet: Sheet, size: Array) -> Array:
     """Computes a contact's radius, m, from its size parameter."""
     return jnp.minimum(sheet.size * jnp.exp(SIZE_WIDTH * size), sheet.field.radii[-1])
@@ -147,6 +157,13 @@ def beside_columns(
     return voltages - matmul(fit, columns), beside, normal
 
 
+def all_tangents(
+    sheet: Sheet, place: Float[Array, "C 2"], size: Float[Array, " C"]
+) -> Float[Array, "C 4 M"]:
+    """Computes `tangents` of each contact, one by one as in `product`."""
+    return jnp.stack([tangents(sheet, place[c], size[c]) for c in range(len(size))])
+
+
 def in_slot(
     sheet: Sheet, raw: Float[Array, "C 4 M"], ground: Int[Array, ""]
 ) -> Float[Array, "C 4 M"]:
@@ -160,15 +177,12 @@ def first_covariance(dtype) -> Float[Array, "3 3"]:
 
 
 def update(
-    columns: Float[Array, "C 4 M"],
-    covariance: Float[Array, "C 3 3"],
-    weights: Weights,
-    voltages: Float[Array, " M"],
+    slot: OneSlot, columns: Float[Array, "C 4 M"], covariance: Float[Array, "C 3 3"]
 ) -> tuple[Array, Float[Array, "C 3 3"], Float[Array, "C 3 3"], Float[Array, " C"]]:
     """Returns moves (C, 3), the covariance then and by this slot alone, and currents."""
     c = len(columns)
-    others = jnp.concatenate([columns[:, 1:].reshape(3 * c, -1), voltages[None]])
-    rows = whitened(weights, jnp.concatenate([columns[:, 0], others]))
+    others = jnp.concatenate([columns[:, 1:].reshape(3 * c, -1), slot.voltages[None]])
+    rows = whitened(slot.weights, jnp.concatenate([columns[:, 0], others]))
     base, others = rows[:c], rows[c:]
     # What no current explains is taken of rows, not of their products: float32 again.
     fit = solve_small(regular(product(base, base.T)), product(base, others.T))

@@ -12,20 +12,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.algebra import matmul, tree_where
-from tomojax.kernels.contacts._anew import all_anew, NEAR, Set, WAYS
+from tomojax.kernels.contacts._anew import all_anew, Candidates, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
+    all_tangents,
     beside_columns,
     first_covariance,
-    Plain,
-    plain_of,
+    OneSlot,
     product,
     solve_small,
-    tangents,
     weighed,
-    Weights,
 )
 from tomojax.kernels.contacts._points import Sheet
-from tomojax.kernels.sheet import Grounds, Slots
+from tomojax.kernels.sheet import Grounds
 
 # χ² that a contact must explain at least.
 _SEEN = 40.0
@@ -48,15 +46,6 @@ _DECAY = 16
 _ELSEWHERE = 0.5
 # and explains this part at least of what there is. Contacts that leave it are wrong.
 _EXPLAINED = 0.1
-
-
-class Candidates(NamedTuple):
-    """Usual contacts at K places: electrodes' potentials, with squares and tangents."""
-
-    place: Float[Array, "K 2"]  # m
-    potential: Float[Array, "M K"]  # Ω
-    square: Float[Array, "M K"]
-    tangent: Float[Array, "K 4 M"]  # see `tangents`
 
 
 class Followed(NamedTuple):
@@ -112,20 +101,14 @@ class Search(NamedTuple):
 
 
 def search(
-    sheet: Sheet,
-    candidates: Candidates,
-    known: Followed,
-    columns: Float[Array, "C M"],
-    weights: Weights,
-    voltages: Float[Array, " M"],
-    ground: Int[Array, ""],
+    slot: OneSlot, candidates: Candidates, known: Followed, columns: Float[Array, "C M"]
 ) -> Search:
     """Tells whether one contact alone explains the slot better, or one more is needed."""
-    plain = plain_of(weights)  # to look for contacts a common offset will do
+    plain, voltages = slot.plain, slot.voltages  # a common offset will do to look
     rest, beside, normal = beside_columns(plain, columns, voltages)
     weighed_both = weighed(plain, jnp.stack([rest, voltages]))
     left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
-    channels = (weights.each > 0).astype(left.dtype).sum()
+    channels = (slot.weights.each > 0).astype(left.dtype).sum()
     none = jnp.zeros_like(known.seen)
     calm = jnp.where(known.there.any(), jnp.maximum(known.doubted - 1, 0), 0)
     nothing = Search(
@@ -141,17 +124,12 @@ def search(
     )
 
     def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
-        along = weighed_both, beside, normal
-        return _gains(candidates, sheet.slots, ground, plain, *along)
+        return _gains(slot, candidates, weighed_both, beside, normal)
 
     def look() -> Search:
         both = gains(weighed_both, beside, normal)
-
-        def leaves(k: Array, others: Array) -> Array:
-            return _left(sheet.slots, candidates, k, others, ground, plain, voltages)
-
-        left_by = partial(leaves, others=columns), partial(leaves, others=columns[:0])
-        found = _chosen(sheet, candidates, known, *both, left, alone, *left_by)
+        left_by = (partial(_left, slot, candidates, c) for c in (columns, columns[:0]))
+        found = _chosen(slot.sheet, candidates, known, *both, left, alone, *left_by)
         # Contacts that came at once are not found one by one.
         wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
         doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
@@ -165,14 +143,17 @@ def search(
     def look_again(found: Search) -> Search:
         """Looks for all contacts again; the new are where they explain the slot best."""
         followed = Set(known.there, known.place, known.size, known.left * channels)
-        about = sheet, candidates.place, candidates.potential, ground, weights, plain
         way = known.doubted // _DECAY % len(WAYS)  # each time another
-        better, best = all_anew(*about, gains, voltages, followed, found.rival, way)
-        each = range(len(known.size))
-        raw = jnp.stack([tangents(sheet, best.place[c], best.size[c]) for c in each])
-        new, none = best.there, jnp.zeros_like(found.seen)
-        placed = Search(
-            new, new, best.place, best.size, raw, found.rival, none, found.dark, none
+        better, best = all_anew(slot, candidates, gains, followed, found.rival, way)
+        none = jnp.zeros_like(found.seen)
+        placed = found._replace(
+            new=best.there,
+            there=best.there,
+            place=best.place,
+            size=best.size,
+            raw=all_tangents(slot.sheet, best.place, best.size),
+            seen=none,
+            doubted=none,
         )
         return tree_where(better, placed, found._replace(seen=none))
 
@@ -184,21 +165,20 @@ def search(
 
 
 def _left(
-    slots: Slots,
+    slot: OneSlot,
     candidates: Candidates,
-    k: Int[Array, ""],
     others: Float[Array, "C M"],
-    ground: Int[Array, ""],
-    plain: Plain,
-    voltages: Float[Array, " M"],
+    k: Int[Array, ""],
 ) -> Float[Array, ""]:
     """Computes χ² that candidate `k` leaves beside others.
 
     By what is left of voltages: float32 has lost it from what the candidate explains.
     """
-    column = slots.relative(candidates.potential[:, k], ground) + slots.offset(ground)
-    rest = beside_columns(plain, jnp.concatenate([others, column[None]]), voltages)[0]
-    return matmul(rest, weighed(plain, rest[None])[0])
+    slots = slot.sheet.slots
+    column = slots.relative(candidates.potential[:, k], slot.ground)
+    columns = jnp.concatenate([others, (column + slots.offset(slot.ground))[None]])
+    rest = beside_columns(slot.plain, columns, slot.voltages)[0]
+    return matmul(rest, weighed(slot.plain, rest[None])[0])
 
 
 def _chosen(
@@ -244,10 +224,8 @@ def _chosen(
 
 
 def _gains(
+    slot: OneSlot,
     candidates: Candidates,
-    slots: Slots,
-    ground: Int[Array, ""],
-    plain: Plain,
     weighed_both: Float[Array, "2 M"],
     beside: Float[Array, "C M"],
     normal: Float[Array, "C C"],
@@ -258,6 +236,7 @@ def _gains(
     that x is beside m. With one electrode grounded the column is R_i − R_l + f_i, so
     every product with x is one with R.
     """
+    slots, ground, plain = slot.sheet.slots, slot.ground, slot.plain
     w, whole, offset = plain.each, plain.whole, slots.offset(ground)
     vectors = jnp.concatenate([weighed_both, beside])
     sums = vectors.sum(1)

@@ -18,6 +18,7 @@ from tomojax.kernels.inverse._lambda import (
     LambdaRule as LambdaRule,
     Spectrum as Spectrum,
     spectrum as spectrum,
+    variance_components as variance_components,
 )
 from tomojax.kernels.inverse._smooth_map import (
     matern as matern,
@@ -27,4 +28,3 @@ from tomojax.kernels.inverse._smooth_map import (
     SmoothMap as SmoothMap,
 )
 from tomojax.kernels.inverse._tikhonov import SolveRoute as SolveRoute, tikhonov as tikhonov
-from tomojax.kernels.inverse._variance import variance_components as variance_components

@@ -77,7 +77,8 @@ def contact_region(
     centre = jnp.where(touched, jnp.argmax(summed), middle)
     index = jnp.arange(len(electrode_xy))
     inside = jnp.where(touched, summed >= alpha / 100 * summed.max(), index == centre)
-    low, high = _box(inside, electrode_xy)
+    low = jnp.where(inside[:, None], electrode_xy, jnp.inf).min(0)
+    high = jnp.where(inside[:, None], electrode_xy, -jnp.inf).max(0)
     weight = inside.astype(electrode_xy.dtype)
     if weights is not None:
         heavy = jnp.where(weights > _LIGHT * weights.max(), weights, 0)
@@ -92,12 +93,6 @@ def contact_region(
         + jnp.where(inside.all(), Flag.WHOLE_SHEET.value, 0)
     )
     return Region(centre, inside, low, high, direction, nearest, flags)
-
-
-def _box(inside: Bool[Array, " M"], xy: Float[Array, "M 2"]) -> tuple[Array, Array]:
-    far = jnp.inf
-    low = jnp.where(inside[:, None], xy, far).min(0)
-    return low, jnp.where(inside[:, None], xy, -far).max(0)
 
 
 def _principal_direction(weight: Array, xy: Array) -> tuple[Array, Array]:
@@ -130,18 +125,17 @@ def contact_regions(
     square = jnp.sum((electrode_xy[:, None] - electrode_xy) ** 2, -1)
     touching = square < (1.5 * smallest_pitch(electrode_xy)) ** 2
 
-    def group_of(seed: Array, allowed: Array) -> Array:
-        def spread(_, group: Array) -> Array:
-            return (touching & group).any(1) & allowed
-
-        return lax.fori_loop(0, len(electrode_xy), spread, seed)
-
     def take(free: Array, _) -> tuple[Array, Region]:
         left = jnp.where(free, currents, 0)
         peak = jnp.argmax(left)
         index = jnp.arange(len(electrode_xy))
         found = good & (left[peak] > currents.max() / 4) & (summed.max() > threshold)
-        group = group_of(index == peak, free & (currents > left[peak] / 4))
+        allowed = free & (currents > left[peak] / 4)
+
+        def spread(_, group: Array) -> Array:
+            return (touching & group).any(1) & allowed
+
+        group = lax.fori_loop(0, len(electrode_xy), spread, index == peak)
         # The voltages of this group alone, with all of it inside.
         alone = jnp.where(group & found, jnp.maximum(currents, 0), 0)
         region = contact_region(
@@ -205,9 +199,8 @@ def cop_line(
     ground_xy: Float[Array, "L 2"],
     centre: Float[Array, "2"],
     pitch: Float[Array, ""],
-    count: int = 8,
 ) -> Int[Array, " n"]:
-    """Picks *CoP line*: `count` grounds along the direction class through the `centre`.
+    """Picks *CoP line*: eight grounds along the direction class through the `centre`.
 
     Grounds within half a pitch of the line come first, nearest to the centre first. If
     these are too few, grounds of the perpendicular line follow, then the nearest others.
@@ -224,7 +217,7 @@ def cop_line(
     distance = jnp.sqrt(jnp.sum(away**2, 1))
     # Rounding must not decide between the electrodes on either side of the centre.
     order = jnp.round(distance / (1e-3 * reach)) + tier * 1e6
-    return jnp.argsort(order, stable=True)[:count]
+    return jnp.argsort(order, stable=True)[:8]
 
 
 def point(voltages: Float[Array, "E M"], corners: Int[Array, "4"]) -> Int[Array, "6"]:

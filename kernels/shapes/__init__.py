@@ -8,6 +8,7 @@ from tomojax.kernels.shapes._field import (
     levels as levels,
     modes_of as modes_of,
     near_touching as near_touching,
+    spread as spread,
     touching as touching,
     TwoLevels as TwoLevels,
 )
@@ -22,4 +23,3 @@ from tomojax.kernels.shapes._fit import (
     ShapeFit as ShapeFit,
     Told as Told,
 )
-from tomojax.kernels.shapes._spread import spread as spread

@@ -5,6 +5,8 @@
 f is Gaussian beforehand, with Matérn's covariance of order 3/2, in the waves
 cos(πix/a)·cos(πjy/b) of the sheet. The standard deviation of f is many times the width of
 the logistic function's slope. So most of the sheet is at one of the two levels.
+
+How sure a fitted shape is, pixel by pixel, is Laplace's approximation.
 """
 
 from typing import NamedTuple
@@ -12,6 +14,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.lax.linalg import triangular_solve
 from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import gaussian, matmul
@@ -125,3 +128,27 @@ def near_touching(field: TwoLevels, touch: Float[Array, " n"]) -> Float[Array, "
     along = matmul(field.waves.sum(1).T, f)
     # Short waves are less than what noise would make of them.
     return along / (size + size.max() * _SHORT)
+
+
+class PixelSpread(NamedTuple):
+    """The uncertainty of n pixels."""
+
+    touch: Float[Array, " n"]  # the probability that a pixel touches
+    deviation: Float[Array, " n"]  # of its conductance, of the level
+
+
+def spread(
+    field: TwoLevels, curvature: Float[Array, "K K"], w: Float[Array, " K"]
+) -> PixelSpread:
+    """Computes P(f > 0), and the deviation of the part of a pixel that touches.
+
+    The mean of f over a pixel's points has the variance φᵀ(I + curvature)⁻¹φ.
+    """
+    unit = jnp.eye(len(w), dtype=w.dtype)
+    chol = jnp.linalg.cholesky(curvature + unit, symmetrize_input=False)
+    root = triangular_solve(chol, unit, left_side=True, lower=True)
+    wave = field.waves.mean(1)
+    deviation = jnp.sqrt((matmul(wave, root.T) ** 2).sum(1))
+    probability = jax.scipy.stats.norm.cdf((field.mean + matmul(wave, w)) / deviation)
+    _, steep = touching(field.waves, field.mean, w)
+    return PixelSpread(probability, steep.sum(1) * deviation)

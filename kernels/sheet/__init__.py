@@ -36,10 +36,10 @@ from tomojax.kernels.sheet._rectangle_grid import (
 from tomojax.kernels.sheet._reduction import (
     ContactReduction as ContactReduction,
     ground_voltages as ground_voltages,
+    reduce_sites as reduce_sites,
     voltage_drop as voltage_drop,
     voltage_slopes as voltage_slopes,
 )
-from tomojax.kernels.sheet._sites import reduce_sites as reduce_sites
 from tomojax.kernels.sheet._skin import (
     coverage as coverage,
     element_areas as element_areas,
@@ -53,12 +53,12 @@ from tomojax.kernels.sheet._slots import (
     contact_jacobian as contact_jacobian,
     Grounds as Grounds,
     lengthened as lengthened,
+    Resistances as Resistances,
     slot_jacobian as slot_jacobian,
     Slots as Slots,
     volts_per_ampere as volts_per_ampere,
 )
 from tomojax.kernels.sheet._stiffness import reference_stiffness as reference_stiffness
-from tomojax.kernels.sheet._table import Resistances as Resistances
 from tomojax.kernels.sheet._waves import (
     cosine_waves as cosine_waves,
     disc_mean as disc_mean,

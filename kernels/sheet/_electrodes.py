@@ -20,20 +20,15 @@ The weights are smooth in the electrode's place. The sum over a mesh of spacing 
 the integral to exp(−2π²s²/h²).
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.sheet._mesh import cell_sides, centroids, node_areas, nodes, Shape
-from tomojax.kernels.sheet._skin import (
-    distances,
-    from_edge,
-    local_cells,
-    moves,
-    node_parts,
-    Skin,
-)
+from tomojax.kernels.sheet._skin import distances, local_cells, moves, node_parts, Skin
 
 # The own resistance of a Gaussian of width s is that of a disc of radius a when
 # ln s + ½(2 ln 2 − γ) = ln a, Euler's γ: the mean of −ln|x − x'| over two draws.
@@ -77,17 +72,37 @@ def feed_width(
     return jnp.maximum(jnp.exp(log_width), _NARROWEST * cell.max())
 
 
-def feed_weights(
-    places: Float[Array, "M 2"],
-    width: Float[Array, ""],
-    shape: Shape,
-    size: Float[Array, "2"],
-    skin: Skin | None = None,
-) -> Float[Array, "nodes M"]:
+class Feeds(NamedTuple):
+    """Electrodes on a mesh of `shape`, and the width s of what they are fed through."""
+
+    places: Float[Array, "M 2"]  # m
+    radius: Float[Array, ""]  # m
+    width: Float[Array, ""]  # m
+    shape: Shape
+    size: Float[Array, "2"]  # m
+    skin: Skin | None
+
+    @classmethod
+    def of(
+        cls, places: Array, radius: Array, shape: Shape, size: Array, skin: Skin | None
+    ) -> "Feeds":
+        return cls(places, radius, feed_width(radius, shape, size), shape, size, skin)
+
+    def near(self, others: Float[Array, "n 2"]) -> Float[Array, "n M"]:
+        """Computes the feeds' Gaussians, 1 in their middles."""
+        square = distances(self.skin, self.places, others)
+        return jnp.exp(-square / (2 * self.width**2))
+
+    @property
+    def cell(self) -> Float[Array, "2"]:
+        return cell_sides(self.shape, self.size)
+
+
+def feed_weights(feeds: Feeds) -> Float[Array, "nodes M"]:
     """Computes shares of each electrode's current that enter a node; columns sum to 1."""
-    square = distances(skin, places, nodes(shape, size))
-    areas = node_areas(shape, size) if skin is None else node_parts(skin, shape, size)
-    weights = jnp.exp(-square / (2 * width**2)) * areas[:, None]
+    mesh, skin = (feeds.shape, feeds.size), feeds.skin
+    areas = node_areas(*mesh) if skin is None else node_parts(skin, *mesh)
+    weights = feeds.near(nodes(*mesh)) * areas[:, None]
     return weights / weights.sum(0)
 
 
@@ -99,65 +114,47 @@ def feed_parts(
     skin: Skin,
 ) -> Float[Array, " M"]:
     """Computes the part of each electrode that is on the sheet: 1/2 at a straight edge."""
-    width = feed_width(radius, shape, size)
-    near = jnp.exp(-distances(skin, places, nodes(shape, size)) / (2 * width**2))
-    inside = jnp.matmul(node_parts(skin, shape, size), near, precision="highest")
-    return inside / (2 * np.pi * width**2)
+    feeds = Feeds.of(places, radius, shape, size, skin)
+    parts = node_parts(skin, shape, size)
+    inside = jnp.matmul(parts, feeds.near(nodes(shape, size)), precision="highest")
+    return inside / (2 * np.pi * feeds.width**2)
 
 
-def metal_shares(
-    places: Float[Array, "M 2"],
-    width: Float[Array, ""],
-    shape: Shape,
-    size: Float[Array, "2"],
-    skin: Skin | None = None,
-) -> Float[Array, "nodes M"]:
+def metal_shares(feeds: Feeds) -> Float[Array, "nodes M"]:
     """Computes the share of a contact at each node that is on metal: 1 within 2 s.
 
     The share falls to 0 over a cell. The disc of the feed's own resistance has the radius
     1.5 s. A seventh of the feed is still between 1.5 s and 2 s; a contact there was seen to
     drive voltages out of bounds.
     """
-    square = distances(skin, places, nodes(shape, size))
+    square = distances(feeds.skin, feeds.places, nodes(feeds.shape, feeds.size))
     # Linear in the square of the distance: smooth where node and electrode coincide.
-    reach, cell = 2 * width, cell_sides(shape, size).max()
+    reach, cell = 2 * feeds.width, feeds.cell.max()
     inside = jnp.clip(0.5 + (reach**2 - square) / (2 * reach * cell), 0, 1)
     return inside**2 * (3 - 2 * inside)
 
 
-def dipole_weights(
-    places: Float[Array, "M 2"],
-    width: Float[Array, ""],
-    shape: Shape,
-    size: Float[Array, "2"],
-    skin: Skin | None = None,
-) -> Float[Array, "nodes D"]:
+def dipole_weights(feeds: Feeds) -> Float[Array, "nodes D"]:
     """Computes slopes (1/m) of the feed in the electrode's x, then y: dipoles of 1 A·m.
 
     With an outline the two ways are towards the edge, and along it.
     """
-    steps = moves(skin, places, cell_sides(shape, size))
-    if skin is not None:
-        way = from_edge(skin, places, width, shape, size)[1]
+    steps = moves(feeds.skin, feeds.places, feeds.cell)
+    if feeds.skin is not None:
+        way = _from_edge(feeds, feeds.skin)[1]
         turn = jnp.stack([way, jnp.stack([-way[:, 1], way[:, 0]], 1)], -1)
         steps = jnp.matmul(steps, turn, precision="highest")
 
     def moved(by: Float[Array, "2"]) -> Float[Array, "nodes M"]:
-        at = places + jnp.matmul(steps, by, precision="highest")
-        return feed_weights(at, width, shape, size, skin)
+        at = feeds.places + jnp.matmul(steps, by, precision="highest")
+        return feed_weights(feeds._replace(places=at))
 
-    slopes = jax.jacfwd(moved)(jnp.zeros_like(size))
+    slopes = jax.jacfwd(moved)(jnp.zeros_like(feeds.size))
     return jnp.concatenate([slopes[..., 0], slopes[..., 1]], 1)
 
 
 def series_resistances(
-    sheet: Float[Array, " elements"],
-    places: Float[Array, "M 2"],
-    radius: Float[Array, ""],
-    shape: Shape,
-    size: Float[Array, "2"],
-    shunt: Float[Array, ""] | None = None,
-    skin: Skin | None = None,
+    feeds: Feeds, sheet: Float[Array, " elements"], shunt: Float[Array, ""] | None
 ) -> tuple[Float[Array, " M"], Float[Array, " D"]]:
     """Computes the resistances that feeds (Ω) and dipoles (Ω/m²) lack to a disc's own.
 
@@ -166,11 +163,10 @@ def series_resistances(
     0.0048 (h/s)⁴]/(8πσ_e s²). Here σ_e is the sheet's conductance under the feed, of what
     is on the sheet: half of it at an edge.
     """
-    width = feed_width(radius, shape, size)
-    square = distances(skin, places, centroids(shape, size))
-    near = jnp.exp(-square / (2 * width**2))
+    radius, width, skin = feeds.radius, feeds.width, feeds.skin
+    near = feeds.near(centroids(feeds.shape, feeds.size))
     under = jnp.matmul(sheet, near, precision="highest") / near.sum(0)
-    sides = local_cells(skin, places, cell_sides(shape, size))
+    sides = local_cells(skin, feeds.places, feeds.cell)
     excess = jnp.maximum(_own_excess(width, radius, sides), 0)
     series = excess / (2 * np.pi * under)
     if shunt is None:
@@ -181,7 +177,26 @@ def series_resistances(
     if skin is None:
         return series, jnp.concatenate([lacking, lacking])
     # No current crosses an edge: there an image cancels the dipole that points to it.
-    inside = from_edge(skin, places, width, shape, size)[0] / radius
+    inside = _from_edge(feeds, skin)[0] / radius
     answers = jnp.clip(inside, _FAINT, 1)
     less = (1 / answers**2 - 1) / (2 * np.pi * radius**2 * under)
     return series, jnp.concatenate([lacking + less, lacking])
+
+
+def _from_edge(feeds: Feeds, skin: Skin) -> tuple[Float[Array, " M"], Float[Array, "M 2"]]:
+    """Computes distances of places from the edge, m in the chart, and the way there."""
+    places, width, size = feeds.places, feeds.width, feeds.size
+    at = nodes(feeds.shape, size)
+    square = ((at[:, None] - places) ** 2).sum(-1)
+    level = jnp.clip(skin.level, -jnp.max(size), jnp.max(size))
+    near = jnp.exp(-square / (2 * width**2))
+    near = near / near.sum(0)
+    mean = jnp.matmul(level, near, precision="highest")
+    apart = near * (level[:, None] - mean)
+    way = jnp.einsum("nm,nmd->md", apart, at[:, None] - places, precision="highest")
+    length = jnp.sqrt((way**2).sum(1, keepdims=True))
+    flat = length < 1e-6 * width * width / jnp.max(size)
+    unit = jnp.where(
+        flat, jnp.array([1.0, 0.0], way.dtype), way / jnp.where(flat, 1, length)
+    )
+    return -mean, unit

@@ -16,21 +16,15 @@ from tomojax.kernels.sheet import _stiffness
 from tomojax.kernels.sheet._electrodes import (
     dipole_weights,
     feed_weights,
-    feed_width,
+    Feeds,
     metal_shares,
     series_resistances,
 )
 from tomojax.kernels.sheet._mesh import Shape, triangles
 from tomojax.kernels.sheet._reduction import ContactReduction, touch_electrodes
-from tomojax.kernels.sheet._skin import (
-    coverage,
-    OUTSIDE,
-    pinned_node,
-    Skin,
-    stiffness_on,
-)
+from tomojax.kernels.sheet._skin import coverage, OUTSIDE, pinned_node, Skin, stiffness_on
+from tomojax.kernels.sheet._slots import centred, Resistances
 from tomojax.kernels.sheet._stiffness import reference_stiffness
-from tomojax.kernels.sheet._table import centred, Resistances
 
 
 class FemSheet(NamedTuple):
@@ -60,23 +54,22 @@ def fem_sheet(
     leaves out the dipoles, and so two thirds of the right-hand sides. `skin`: outline and
     surface of a sheet that is no flat rectangle.
     """
-    width = feed_width(radius, shape, size)
+    at = Feeds.of(places, radius, shape, size, skin)
     if skin is None:
         local = reference_stiffness(shape, size)
     else:
         sheet = sheet * jnp.maximum(coverage(skin, shape), OUTSIDE)
         local = stiffness_on(skin, shape, size)
-    given = places, width, shape, size, skin
-    series = series_resistances(sheet, places, radius, shape, size, shunt, skin)
-    feeds = feed_weights(*given)
+    series, dipole_series = series_resistances(at, sheet, shunt)
+    feeds = feed_weights(at)
     return FemSheet(
-        sheet[:, None, None] * local,
-        pinned_node(skin, shape),
-        feeds,
-        series[0],
-        feeds[:, :0] if shunt is None else dipole_weights(*given),
-        series[1],
-        metal_shares(*given),
+        local=sheet[:, None, None] * local,
+        pinned=pinned_node(skin, shape),
+        feeds=feeds,
+        series=series,
+        dipoles=feeds[:, :0] if shunt is None else dipole_weights(at),
+        dipole_series=dipole_series,
+        metal=metal_shares(at),
     )
 
 
@@ -153,7 +146,7 @@ def fem_resistances(fem: FemSheet, shape: Shape) -> Resistances:
     chol, pinned_solve = _pinned_solver(fem, jnp.zeros_like(fem.feeds[:, 0]), shape)
     fields = pinned_solve(jnp.concatenate([fem.feeds, fem.dipoles], 1))
     ports = _ports(fem, fields)
-    at_elements = _stiffness.at_elements(fields, shape).T
+    at_elements = fields[triangles(shape)].mean(1).T  # over each one's vertices
     ek, element_shunt = _answered(fem, ports, at_elements)
     kk = _own_resistance(chol, fem.pinned, shape) - (element_shunt**2).sum(0)
     return centred(Resistances(ports.q, ek, kk))

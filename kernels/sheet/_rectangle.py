@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.rectangle import Series, turned
 from tomojax.kernels.sheet._mesh import centroids, element_area, Shape
-from tomojax.kernels.sheet._table import centred, Resistances
+from tomojax.kernels.sheet._slots import centred, Resistances
 
 # Electrodes whose potentials are computed at once: each has 48 terms a place.
 _AT_ONCE = 16
@@ -82,7 +82,8 @@ def rectangle_resistances(
     cells of the grid of elements; `shunt` as in `fem_sheet`.
     """
     elements = centroids(shape, size)
-    rim = element_radius(shape, size)
+    # The radius of the equipotential disc that stands for an element, m.
+    rim = jnp.sqrt(element_area(shape, size) / np.pi) * float(np.exp(-0.25))
     ee, ek, at_elements = rectangle_fields(places, elements, radius, size, shunt)
     kk = rectangle_green(elements, elements, rim, size) - (at_elements**2).sum(0)
     rho = sheet_resistance
@@ -142,8 +143,3 @@ def _shunts(
         return triangular_solve(chol, field, left_side=True, lower=True)
 
     return answer(places), answer(elements)
-
-
-def element_radius(shape: Shape, size: Float[Array, "2"]) -> Float[Array, ""]:
-    """Computes the radius (m) of the equipotential disc that stands for one element."""
-    return jnp.sqrt(element_area(shape, size) / np.pi) * float(np.exp(-0.25))

@@ -14,14 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax.kernels.sheet._mesh import (
-    centroids,
-    element_area,
-    node_areas,
-    nodes,
-    Shape,
-    triangles,
-)
+from tomojax.kernels.sheet._mesh import element_area, node_areas, nodes, Shape, triangles
 
 # What is outside conducts this part of the sheet: no node is loose.
 OUTSIDE = 1e-6
@@ -157,42 +150,12 @@ def stretch(
     return jnp.abs(moves(skin, places, cell) - unit).max((1, 2))
 
 
-def from_edge(
-    skin: Skin,
-    places: Float[Array, "M 2"],
-    width: Float[Array, ""],
-    shape: Shape,
-    size: Float[Array, "2"],
-) -> tuple[Float[Array, " M"], Float[Array, "M 2"]]:
-    """Computes distances of places from the edge, m in the chart, and the way there."""
-    at = nodes(shape, size)
-    square = ((at[:, None] - places) ** 2).sum(-1)
-    level = jnp.clip(skin.level, -jnp.max(size), jnp.max(size))
-    near = jnp.exp(-square / (2 * width**2))
-    near = near / near.sum(0)
-    mean = jnp.matmul(level, near, precision="highest")
-    apart = near * (level[:, None] - mean)
-    way = jnp.einsum("nm,nmd->md", apart, at[:, None] - places, precision="highest")
-    length = jnp.sqrt((way**2).sum(1, keepdims=True))
-    flat = length < 1e-6 * width * width / jnp.max(size)
-    unit = jnp.where(
-        flat, jnp.array([1.0, 0.0], way.dtype), way / jnp.where(flat, 1, length)
-    )
-    return -mean, unit
-
-
 def pinned_node(skin: Skin | None, shape: Shape) -> Array:
     """Returns the node that is pinned to 0 V: the last, or the one furthest inside."""
     last = (shape[0] + 1) * (shape[1] + 1) - 1
     if skin is None:
         return jnp.asarray(last, jnp.int32)
     return jnp.argmin(jax.lax.stop_gradient(skin.level)).astype(jnp.int32)
-
-
-def middles(skin: Skin | None, shape: Shape, size: Array) -> Float[Array, "K d"]:
-    """Computes the elements' centroids, in space."""
-    flat = centroids(shape, size)
-    return flat if skin is None else skin.points(flat)
 
 
 def _areas(corners: Float[Array, "K 3 d"]) -> Float[Array, " K"]:

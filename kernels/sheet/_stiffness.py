@@ -89,10 +89,3 @@ def spread(values: Float[Array, " elements"], shape: Shape) -> Float[Array, " no
     vertices = triangles(shape)
     shares = jnp.broadcast_to(values[:, None] / 3, vertices.shape)
     return jnp.zeros(n * b, values.dtype).at[vertices].add(shares)
-
-
-def at_elements(
-    potential: Float[Array, "nodes m"], shape: Shape
-) -> Float[Array, "elements m"]:
-    """Averages nodes' potentials over each element's vertices: b_kᵀu."""
-    return potential[triangles(shape)].mean(1)

@@ -79,7 +79,7 @@ def test_variances_are_found(rng) -> None:
         v = exact * (1 + gain * rng.standard_normal(30))
         v += common * rng.standard_normal((12, 1)) + white * rng.standard_normal(v.shape)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("tomojax.kernels.inverse._variance._STEPS", 300)
+            patch.setattr("tomojax.kernels.inverse._lambda._STEPS", 300)
             found = components(jnp.asarray(v))
         wanted = np.array([2.0, white, common, gain]) ** 2
         ratio = np.asarray(found) / wanted
@@ -99,7 +99,7 @@ def test_likelihood_never_falls(rng) -> None:
     values = []
     for steps in (1, 2, 4, 8):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("tomojax.kernels.inverse._variance._STEPS", steps)
+            patch.setattr("tomojax.kernels.inverse._lambda._STEPS", steps)
             t = jax.jit(lambda v: variance_components(*s, v))(jnp.asarray(v))
         c = t.image * a @ a.T + t.white * np.eye(15) + t.common * slot + t.gain * gain
         values.append(-np.linalg.slogdet(c)[1] - y @ np.linalg.solve(c, y))

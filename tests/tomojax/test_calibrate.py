@@ -85,7 +85,8 @@ def test_what_is_left_is_at_most_half(presses, calibration):
 @pytest.fixture(scope="module")
 def found(frames):
     """A calibration from them without their places."""
-    return tx.calibration.calibrated(sensor(), *frames)
+    rig = sensor()
+    return tx.calibration.calibrated(rig, tx.calibration.known_frames(rig, *frames))
 
 
 @pytest.fixture(scope="module")
@@ -343,7 +344,8 @@ def test_derivatives_by_voltages_are_those_of_the_held_problem():
         volts = exact * (1 + 5e-4 * rng.normal(size=9)) + 3e-4 * rng.normal(
             size=exact.shape
         )
-        found = tx.calibration.calibrated(sensor, volts, grounds)
+        known = tx.calibration.known_frames(sensor, volts, grounds)
+        found = tx.calibration.calibrated(sensor, known)
         held = tx.calibration.HeldCalibration(sensor, found)
         deviation = np.sqrt(np.diag(found.covariance))
         weights, along = (

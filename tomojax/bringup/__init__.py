@@ -4,15 +4,10 @@ This room judges recordings of nothing, of a rub and of two corners, in NumPy al
 knows the sheet's physics and nothing of methods or of how slots come in.
 """
 
-from tomojax.bringup import signs as signs
-from tomojax.bringup._check import check as check
-from tomojax.bringup._fault import Checked as Checked, Fault as Fault
-from tomojax.bringup._report import (
-    picture as picture,
-    summary as summary,
-    text as text,
-    write_order as write_order,
-)
+from tomojax.bringup import signs
+from tomojax.bringup._check import check
+from tomojax.bringup._fault import Checked, Fault
+from tomojax.bringup._report import picture, summary, text, write_order
 
 __all__ = [
     "check",

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from tomojax.bringup._fault import certainty, Fault
-from tomojax.bringup.sheet._silence import Silence
-from tomojax.bringup.sheet._slots import Slots
+from tomojax.bringup.sheet._slots import Silence, Slots
 
 # A channel that follows a touch by less than this part of what the others do is dead.
 _FOLLOWS = 0.05

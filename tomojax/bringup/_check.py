@@ -14,12 +14,11 @@ from tomojax.bringup._amounts import (
     SheetFactor,
 )
 from tomojax.bringup._channels import hum_faults, noise_faults, shorted
-from tomojax.bringup._corners import Corners
 from tomojax.bringup._fault import Checked, Fault, Seen
 from tomojax.bringup._places import joint_faults, place_faults
 from tomojax.bringup._reading import Reading, Work
 from tomojax.bringup._settling import common_settling, settle, settling_faults
-from tomojax.bringup._wires import judge_wires
+from tomojax.bringup._wires import Corners, judge_wires
 from tomojax.bringup._wiring import quality
 from tomojax.bringup.sheet._slots import slots_of
 from tomojax.recordings import Recording

@@ -7,8 +7,7 @@ from jaxtyping import Integer
 
 from tomojax.bringup._fault import Fault, Kind, SUREST
 from tomojax.bringup._wiring import Lines
-from tomojax.bringup.sheet._orders import lattice, starts, symmetries
-from tomojax.bringup.sheet._plane import Plane
+from tomojax.bringup.sheet._plane import lattice, Plane, starts, symmetries
 
 # Part of the channels, or of the judged lines, that a mirror or a shift must explain.
 _MOST = 0.6

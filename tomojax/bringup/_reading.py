@@ -20,8 +20,7 @@ from tomojax.bringup._wiring import (
 )
 from tomojax.bringup.sheet._fit import Fits, sound
 from tomojax.bringup.sheet._plane import Plane
-from tomojax.bringup.sheet._silence import silence_of
-from tomojax.bringup.sheet._slots import chosen, Slots
+from tomojax.bringup.sheet._slots import chosen, silence_of, Slots
 from tomojax.bringup.sheet._values import before_of, Values, values_of
 
 # Touched slots that are needed.

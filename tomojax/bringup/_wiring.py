@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax.bringup.sheet._fit import Fits, fitted, sound
-from tomojax.bringup.sheet._orders import starts
-from tomojax.bringup.sheet._plane import Plane
+from tomojax.bringup.sheet._plane import Plane, starts
 
 # Slots that starts are compared on.
 _SOME = 120

@@ -6,23 +6,6 @@ knows nothing of results.
 The names of `__init__.pyi` are imported when they are first used.
 """
 
-import lazy_loader as _lazy
+from tomojax._require import attach as _attach
 
-# The names are in the stub.
-# pyright: reportUnsupportedDunderAll=false
-__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
-
-# The rest serves the command and tests.
-__all__ = [
-    "Adapter",
-    "HeldCalibration",
-    "calibrate",
-    "calibrate_presses",
-    "calibrate_recording",
-    "calibrated_recording",
-    "force",
-    "pressure",
-    "read_places",
-    "still_fits",
-    "tare",
-]
+__getattr__, __dir__, __all__ = _attach(__name__, __file__)

@@ -3,6 +3,7 @@ from ._calibrate import (
     calibrate as calibrate,
     Calibrated as Calibrated,
     calibrated as calibrated,
+    known_frames as known_frames,
 )
 from ._held import HeldCalibration as HeldCalibration
 from ._pressure import (
@@ -14,6 +15,7 @@ from ._recording import (
     calibrate_recording as calibrate_recording,
     calibrated_recording as calibrated_recording,
     read_places as read_places,
+    tare as tare,
 )
 from ._report import (
     picture as picture,
@@ -22,19 +24,17 @@ from ._report import (
     summary as summary,
     text as text,
 )
-from ._slopes import (
+from ._unknowns import (
     rig_slopes as rig_slopes,
     slopes_by_rig as slopes_by_rig,
+    unknowns_of as unknowns_of,
 )
-from ._tare import tare as tare
-from ._unknowns import unknowns_of as unknowns_of
-from .drift import (
+from .drift._adapter import (
     Adapter as Adapter,
-    fit_text as fit_text,
     lone_places as lone_places,
-    still_fits as still_fits,
     stretches as stretches,
 )
+from .drift._still_fits import fit_text as fit_text, still_fits as still_fits
 
 # The rest serves the command and tests.
 __all__ = [

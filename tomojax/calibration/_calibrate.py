@@ -10,17 +10,16 @@ from jaxtyping import Float
 
 from tomojax._custom_types import Numbers
 from tomojax._require import require
-from tomojax.calibration._frames import Known, Sums, sums_of
-from tomojax.calibration._slopes import rig_slopes
+from tomojax.calibration._frames import Known, points_of, Sums, sums_of
 from tomojax.calibration._unknowns import (
-    calibration_of,
+    rig_slopes,
     Unknowns,
     unknowns_of,
     values_of,
     widened,
 )
 from tomojax.kernels.flags import Flag
-from tomojax.methods import Batch, method as make_method, Points
+from tomojax.methods import Batch
 from tomojax.sensor import Calibration, Sensor
 
 # What is never believed to be known better, of what nominal values leave.
@@ -118,24 +117,18 @@ def calibrate(
     >>> len(known.gain), len(known.sheet), known.error <= 1
     (4, 27, True)
     """
-    known = {"spread": spread, "times": times, "progress": progress}
-    return calibrated(sensor, voltages, grounds, places, calibration, **known).calibration
+    known = known_frames(sensor, voltages, grounds, places, spread, times)
+    return calibrated(sensor, known, calibration, progress).calibration
 
 
 def calibrated(
     sensor: Sensor,
-    voltages: Numbers,
-    grounds: Numbers,
-    places: Numbers | None = None,
+    known: Known,
     calibration: Calibration | None = None,
-    *,
-    spread: Numbers | None = None,
-    times: Numbers | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibrated:
     """Calibrates as `calibrate` does; returns the frames and the covariance too."""
     before = calibration or Calibration()
-    known = _known(sensor, voltages, grounds, places, spread, times)
     if not np.isfinite(known.places).all():
         progress("finding the contacts")
         known = _found(sensor, before, known)
@@ -148,9 +141,8 @@ def calibrated(
     covariance = np.linalg.inv(prior)
     for number in range(_PASSES):
         progress(f"pass {number + 1}")
-        told = calibration_of(unknowns, trial, before)
-        points = make_method(sensor, "points", 32, told)
-        assert isinstance(points, Points)
+        told = replace(before, **values_of(unknowns, trial))
+        points = points_of(sensor, told)
         volts = told.voltages(known.voltages.astype(float))
         new = sums_of(points, slopes, volts, known)
         first = first or new
@@ -224,14 +216,15 @@ def _step(
     return step, root @ (turn / whole) @ turn.T @ root.T, (back / part) @ back.T
 
 
-def _known(
+def known_frames(
     sensor: Sensor,
     voltages: Numbers,
     grounds: Numbers,
-    places: Numbers | None,
-    spread: Numbers | None,
-    times: Numbers | None,
+    places: Numbers | None = None,
+    spread: Numbers | None = None,
+    times: Numbers | None = None,
 ) -> Known:
+    """Checks frames and what is known of them, as `calibrate` says and raises."""
     m, v, under = sensor.electrode_count, np.asarray(voltages), np.asarray(grounds)
     fits = v.ndim == 3 and v.shape[2] == m and len(v) > 0
     require(fits, "voltages", f"shape {v.shape}", f"(frames, slots, {m})")
@@ -268,7 +261,7 @@ def _weight(places: np.ndarray, side: float) -> Float[np.ndarray, " n"]:
 
 def _found(sensor: Sensor, before: Calibration, known: Known) -> Known:
     """Keeps the frames with one contact, at places given or found by `points`."""
-    points = make_method(sensor, "points", 32, before)
+    points = points_of(sensor, before)
     batch = Batch(points, 1.0, contacts=2, images=False)
     volts = before.voltages(known.voltages.astype(points.noise.dtype))
     rows = batch(volts, known.grounds)

@@ -1,7 +1,7 @@
 """Computes what frames with one contact each say of the rig, the contact eliminated."""
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, cast, NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Integer
 
-from tomojax.calibration._slopes import RigSlopes, slopes_by_rig
+from tomojax.calibration._unknowns import RigSlopes, slopes_by_rig
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import descend, Normal
 from tomojax.kernels.contacts import Explained, normal_of, Sheet, WhitenedFrame
-from tomojax.methods import fitting_of, Points
+from tomojax.methods import fitting_of, method, Points
+from tomojax.sensor import Calibration, Sensor
 
 # Steps of a contact's own fit.
 _STEPS = 15
@@ -43,6 +44,11 @@ class Known(NamedTuple):
         """Makes JAX's arrays, of which a compiled call takes each frame by itself."""
         wide = Known(*(jnp.asarray(a, dtype) for a in self))
         return wide._replace(grounds=jnp.asarray(self.grounds))
+
+
+def points_of(sensor: Sensor, calibration: Calibration) -> Points:
+    """Makes the method `points` that frames are fitted by."""
+    return cast(Points, method(sensor, "points", 32, calibration))
 
 
 class Sums(NamedTuple):

@@ -10,10 +10,10 @@ from jaxtyping import Array, Float, Int
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated
-from tomojax.calibration._frames import Known, Near, near_of
-from tomojax.calibration._slopes import rig_slopes, RigSlopes, slopes_by_rig
+from tomojax.calibration._frames import Known, Near, near_of, points_of
+from tomojax.calibration._unknowns import rig_slopes, RigSlopes, slopes_by_rig
 from tomojax.kernels.contacts import Sheet, WhitenedFrame
-from tomojax.methods import method as make_method, Points
+from tomojax.methods import Points
 from tomojax.sensor import Sensor
 
 # Newton's steps end where none changes a value by more than this part of its deviation.
@@ -70,8 +70,7 @@ class HeldCalibration(eqx.Module):
         wide = sensor.dtype == np.float64
         require(wide, "sensor", sensor.dtype, "float64: derivatives are no better")
         unknowns, known = found.unknowns, found.frames
-        points = make_method(sensor, "points", 32, found.told)
-        assert isinstance(points, Points)
+        points = points_of(sensor, found.told)
         volts = found.told.voltages(known.voltages.astype(float))
         require(bool(np.isfinite(volts).all()), "found", "channels of NaN", "volts in all")
         prepared = points.prepare(known.grounds[0], np.ones(volts.shape[1:], bool), 1.0)

@@ -5,42 +5,39 @@ folder knows nothing of recordings, nor of results.
 """
 
 from tomojax.design._by_place import (
-    design_policy as design_policy,
+    design_policy,
     designs_by_place as designs_by_place,
-    PlaceDesigns as PlaceDesigns,
+    PlaceDesigns,
 )
-from tomojax.design._compare import (
-    compare_patterns as compare_patterns,
-    PatternFigures as PatternFigures,
-    PatternTable as PatternTable,
-)
-from tomojax.design._descend import descend_sets as descend_sets, tune as tune
+from tomojax.design._compare import compare_patterns, PatternFigures, PatternTable
+from tomojax.design._descend import descend_sets, tune
 from tomojax.design._design import (
-    Design as Design,
-    design as design,
+    Design,
+    design,
     each_its_own as each_its_own,
-    patterns_beside as patterns_beside,
+    patterns_beside,
 )
 from tomojax.design._electrodes import (
-    design_electrodes as design_electrodes,
-    ElectrodeDesign as ElectrodeDesign,
-    image_scale as image_scale,
-    image_spread as image_spread,
+    design_electrodes,
+    ElectrodeDesign,
+    image_scale,
+    image_spread,
 )
-from tomojax.design._search import exchange as exchange, relax as relax, Relaxed as Relaxed
-from tomojax.design.objectives import (
-    AbstractObjective as AbstractObjective,
-    design_objective as design_objective,
-    design_places as design_places,
-    exploratory_voltages as exploratory_voltages,
-    ImageError as ImageError,
-    ImageVariance as ImageVariance,
-    score as score,
+from tomojax.design._search import exchange as exchange, relax, Relaxed
+from tomojax.design.objectives._image_error import ImageError
+from tomojax.design.objectives._information import (
+    AbstractObjective,
+    ImageVariance,
     shape_objective as shape_objective,
     ShapeInformation as ShapeInformation,
-    simulate_scenes as simulate_scenes,
-    SimulatedScenes as SimulatedScenes,
 )
+from tomojax.design.objectives._problem import (
+    design_objective,
+    design_places,
+    exploratory_voltages,
+)
+from tomojax.design.objectives._rigs import simulate_scenes, SimulatedScenes
+from tomojax.design.objectives._scores import score as score
 
 # The rest serves other rooms.
 __all__ = [

@@ -18,7 +18,8 @@ from tomojax._custom_types import Numbers
 from tomojax._require import library, require
 from tomojax._shown import html_table
 from tomojax.design._design import grounds_of_each
-from tomojax.design.objectives import design_places, simulate_scenes
+from tomojax.design.objectives._problem import design_places
+from tomojax.design.objectives._rigs import simulate_scenes
 from tomojax.kernels.images import half_width, image_place
 from tomojax.sensor import ground_set, jacobian, Sensor
 from tomojax.step import ADAPTIVE

@@ -10,7 +10,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from tomojax._require import require
-from tomojax.design.objectives import AbstractObjective
+from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import adam, draw_subset, drawn_weights, heaviest
 
 # Sets that are drawn in the end.

@@ -16,7 +16,7 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from tomojax._checks import float_array, require, require_positive, require_shape
+from tomojax._checks import checked, require
 from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax.kernels.sheet import (
@@ -117,14 +117,13 @@ def design_electrodes(
     if places is None:
         places = _everywhere(sensor)
     require_whole("starts", starts)
-    where = float_array("places", places, sensor.dtype)
-    require_shape("places", where, (None, 2))
+    where = checked("places", places, "finite", (None, 2), dtype=sensor.dtype)
     require(len(where) > 0, "places", "none", "one place at least")
     off = int((~sensor.on_sheet(where)).sum())
     require(off == 0, "places", f"{off} off the sheet", "places on it")
     if lam is None:
         lam = _RELATIVE * image_scale(sensor, grid, contact_resistance)
-    require_positive("lam", float_array("lam", lam))
+    checked("lam", lam, "positive")
     edge = _EDGE * sensor.electrode_diameter
     low, high = edge, sensor.size - edge
 

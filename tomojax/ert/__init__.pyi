@@ -21,14 +21,13 @@ from ._sheet_change import (
 )
 from ._teaching import learn as learn, nominal as nominal
 from ._told import info_text as info_text, summary as summary
-from .bodies import (
+from .bodies._electrode_model import (
     disc_model as disc_model,
     ElectrodeModel as ElectrodeModel,
-    Levels as Levels,
-    LevelsFound as LevelsFound,
     rim_model as rim_model,
     Transfer as Transfer,
 )
+from .bodies._levels import Levels as Levels, LevelsFound as LevelsFound
 
 # The rest serves other rooms.
 __all__ = [

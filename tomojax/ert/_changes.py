@@ -301,7 +301,9 @@ def _fitted(frames: Float[Array, "n K"], maps: _Maps, count: int) -> _Fit:
     def look(frame: Float[Array, " K"], xy: Float[Array, "c 2"]) -> "_Look":
         rows = jax.vmap(thin_rows_at, (None, None, 0))(maps.table, maps.size, xy)
         own = rows[:, 0]
-        strength = _least_squares(own, frame)
+        matrix, long = _normal(own)
+        right = jnp.matmul(own, frame, precision="highest") / long
+        strength = solve_positive(matrix, right[:, None])[:, 0] / long
         left = frame - jnp.matmul(strength, own, precision="highest")
         slopes = strength[:, None, None] * rows[:, 1:]
         nearest = jnp.round(xy / step).astype(int)
@@ -359,11 +361,3 @@ def _normal(
     long = jnp.sqrt(jnp.sum(jacobian**2, 1))
     rows = jacobian / long[:, None]
     return jnp.matmul(rows, rows.T, precision="highest"), long
-
-
-def _least_squares(
-    rows: Float[Array, "c K"], frame: Float[Array, " K"]
-) -> Float[Array, " c"]:
-    matrix, long = _normal(rows)
-    right = jnp.matmul(rows, frame, precision="highest") / long
-    return solve_positive(matrix, right[:, None])[:, 0] / long

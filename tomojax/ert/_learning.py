@@ -169,13 +169,12 @@ def learn_places(
     at: Float[np.ndarray, "G 2"],
     width: float,
     progress: Callable[[str], None] | None = None,
-    seed: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves places whose deviation is above 0 to where maps of other frames put them.
 
     Returns places, and deviations along an axis.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     free, fixed = np.flatnonzero(deviation > 0), np.flatnonzero(deviation == 0)
     places, deviation = np.array(places), np.array(deviation)
     if len(free) < 2:

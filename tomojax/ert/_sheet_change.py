@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import checked, require, require_finite
+from tomojax._checks import checked, require
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.ert._pairs import Pairs
@@ -82,7 +82,7 @@ def sensitivities(sensor: Sensor, pairs: Pairs, places: Numbers) -> Float[Array,
     >>> tx.ert.sensitivities(sensor, pairs, [[0.05, 0.05], [0.03, 0.06]]).shape
     (2, 8, 4)
     """
-    at = checked("places", places, require_finite, (None, 2), dtype=sensor.dtype)
+    at = checked("places", places, "finite", (None, 2), dtype=sensor.dtype)
     inside = np.asarray((at >= 0) & (at <= sensor.size)).all()
     size = np.asarray(sensor.size).tolist()
     require(inside, "places", "some off the box", f"0 to {size} m, as the sensor has them")

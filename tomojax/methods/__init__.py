@@ -8,30 +8,6 @@ The names of `__init__.pyi` are imported when they are first used: reading a fil
 waits for no JAX.
 """
 
-import lazy_loader as _lazy
+from tomojax._require import attach as _attach
 
-# The names are in the stub.
-# pyright: reportUnsupportedDunderAll=false
-__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
-
-# The rest serves other rooms.
-__all__ = [
-    "AbstractMethod",
-    "Batch",
-    "DOUBT",
-    "empty_rows",
-    "Estimate",
-    "estimate",
-    "fields_of_rows",
-    "Frame",
-    "ImageShape",
-    "Linear",
-    "method",
-    "METHODS",
-    "NO_ANSWER",
-    "Points",
-    "Ready",
-    "Rows",
-    "Rung",
-    "Source",
-]
+__getattr__, __dir__, __all__ = _attach(__name__, __file__)

@@ -19,8 +19,8 @@ from ._contract import (
 )
 from ._errors import noise_of as noise_of
 from ._linear import Linear as Linear
+from ._maps import pixel_divisions as pixel_divisions
 from ._names import check_grid as check_grid, method as method, METHODS as METHODS
-from ._pixels import pixel_divisions as pixel_divisions
 from ._pure import estimate as estimate, Ready as Ready
 from ._rows import (
     DOUBT as DOUBT,
@@ -30,13 +30,9 @@ from ._rows import (
     Rows as Rows,
 )
 from ._source import Source as Source
-from .points import (
-    fitting_of as fitting_of,
-    Points as Points,
-    sheet_of as sheet_of,
-    UNIT as UNIT,
-)
-from .shapes import ImageShape as ImageShape
+from .points._found import fitting_of as fitting_of
+from .points._points import Points as Points, sheet_of as sheet_of, UNIT as UNIT
+from .shapes._image_shape import ImageShape as ImageShape
 
 # The rest serves other rooms.
 __all__ = [

@@ -15,26 +15,14 @@ from tomojax._stopping import stop_if_asked
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts import best_currents, whitened_columns
 from tomojax.kernels.flags import Flag
-from tomojax.methods._contract import (
-    AbstractMethod,
-    Estimate,
-    Frame,
-    judge,
-    judged,
-    Part,
-    Rung,
-)
-from tomojax.methods._errors import (
-    highest_cost,
-    misfit_cost,
-    PreparedErrors,
-    whitened,
-)
+from tomojax.methods._contract import AbstractMethod, Estimate, Frame, judged, Part, Rung
+from tomojax.methods._errors import highest_cost, misfit_cost, PreparedErrors, whitened
 from tomojax.methods._maps import factors_of
 from tomojax.methods._rows import Rows
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.methods.points._points import Points
-from tomojax.methods.shapes import described, ImageShape, PreparedShape
+from tomojax.methods.shapes._image_shape import described, ImageShape
+from tomojax.methods.shapes._model import PreparedShape
 from tomojax.sensor import Calibration, Sensor
 
 
@@ -121,9 +109,8 @@ class Auto(AbstractMethod):
         points = self.points.estimate(prepared.errors, voltages, count)
         some = points.contacts.count > 0
         points = points._replace(rung=jnp.where(some, Rung.POINTS.value, 0))
-        told = points.contacts, points.residual, points.flags, voltages
         # As `block` judges.
-        _, flags = judge(*told, self.points.residual_limit, self.noise)
+        flags = judged(self.points, points, voltages, images=False).flags
         left = flags & Flag.HIGH_RESIDUAL.value > 0
 
         larger = partial(self.larger, prepared, voltages, count)

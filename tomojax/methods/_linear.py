@@ -32,12 +32,13 @@ from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
     centring,
     factors_of,
+    Pixels,
+    pixels_of,
     Shared,
     shared_maps,
     slots_left,
     tikhonov_operator,
 )
-from tomojax.methods._pixels import Pixels, pixels_of
 from tomojax.paper import reduce_jacobian
 from tomojax.sensor import Calibration, nominal_noise, resistances, Sensor
 

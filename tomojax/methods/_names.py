@@ -8,7 +8,7 @@ import numpy as np
 from tomojax._programs import remembered
 from tomojax._require import one_of, require, require_whole
 from tomojax.methods._contract import AbstractMethod
-from tomojax.methods._pixels import pixel_divisions
+from tomojax.methods._maps import pixel_divisions
 from tomojax.sensor import Calibration, Sensor
 
 
@@ -30,8 +30,8 @@ METHODS: dict[str, type] = _Methods(
     auto="_auto:Auto",
     source="_source:Source",
     linear="_linear:Linear",
-    points="points:Points",
-    shape="shapes:ImageShape",
+    points="points._points:Points",
+    shape="shapes._image_shape:ImageShape",
 )
 
 # For each pitch: `source` reads a place around a peak, for which fewer are too few.

@@ -28,11 +28,8 @@ from tomojax.methods._contract import (
 from tomojax.methods._doubts import look_at
 from tomojax.methods._names import method
 from tomojax.methods._rows import Rows
-from tomojax.methods.points import Points
+from tomojax.methods.points._points import Points
 from tomojax.sensor import Sensor
-
-# Fields of a row that are there with images alone.
-_DRAWN = "image", "residual_by_electrode", "touch", "image_deviation"
 
 
 class Ready(eqx.Module):
@@ -143,7 +140,7 @@ class Ready(eqx.Module):
             residual=rms(v, good),
             flags=jnp.full_like(row.flags, Flag.NO_CONTACT.value),
             rung=jnp.zeros_like(row.rung),
-            **{name: getattr(row, name) for name in _DRAWN} | drawn,
+            **drawn,
         )
 
 

@@ -24,12 +24,12 @@ from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
     centring,
     factors_of,
+    pixels_of,
     Shared,
     shared_maps,
     slots_left,
     tikhonov_operator,
 )
-from tomojax.methods._pixels import pixels_of
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # What nominal values of sheet and electrodes leave unexplained of measured voltages: 0.9

@@ -4,25 +4,16 @@ This room applies Eq. 3 to any Jacobian, on arrays that a caller holds. The room
 nothing of the ladder of methods, nor of files.
 """
 
-from tomojax.paper._exported import load_exported as load_exported
-from tomojax.paper._merit import (
-    cell_size as cell_size,
-    Figures as Figures,
-    figures_of_merit as figures_of_merit,
-    pixels as pixels,
-)
+from tomojax.paper._exported import load_exported
+from tomojax.paper._merit import cell_size, Figures, figures_of_merit, pixels
 from tomojax.paper._patterns import (
-    AdaptivePattern as AdaptivePattern,
-    AdaptiveScan as AdaptiveScan,
-    exploration as exploration,
-    pattern as pattern,
-    PATTERNS as PATTERNS,
+    AdaptivePattern,
+    AdaptiveScan,
+    exploration,
+    pattern,
+    PATTERNS,
 )
-from tomojax.paper._reconstruct import (
-    reconstruct as reconstruct,
-    Reconstruction as Reconstruction,
-    reduce_jacobian as reduce_jacobian,
-)
+from tomojax.paper._reconstruct import reconstruct, Reconstruction, reduce_jacobian
 
 __all__ = [
     "AdaptivePattern",

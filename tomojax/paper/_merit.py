@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 from jaxtyping import Array, Float
 
-from tomojax._checks import float_array, require_finite, require_shape
+from tomojax._checks import float_array, require_array, require_shape
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
 from tomojax.kernels.images import (
@@ -66,8 +66,8 @@ def pixels(sensor: Sensor, image: Numbers) -> Float[Array, "*frames nx ny"]:
     >>> tx.paper.pixels(sensor, jnp.arange(512.0)).shape
     (16, 16)
     """
-    array = float_array("image", image)
     k = sensor.element_count
+    array = float_array("image", image)
     require_shape("image", array, (k,), (None, k))
     return array.reshape(*array.shape[:-1], *sensor.divisions, 2).mean(-1)
 
@@ -107,8 +107,8 @@ def figures_of_merit(sensor: Sensor, image: Numbers, truth: Numbers) -> Figures:
     (True, True)
     """
     images, truths = pixels(sensor, image), pixels(sensor, truth)
-    require_finite("image", images)
-    require_finite("truth", truths)
+    require_array("image", images, "finite")
+    require_array("truth", truths, "finite")
     one_truth = truths.ndim == 2
     require_shape("truth", truths, images.shape, images.shape[-2:])
     if images.ndim == 2:

@@ -8,14 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import (
-    checked,
-    float_array,
-    known,
-    require,
-    require_finite,
-    require_shape,
-)
+from tomojax._checks import checked, float_array, known, require, require_shape
 from tomojax._custom_types import Numbers
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.scan import (
@@ -107,7 +100,7 @@ def pattern(
         threshold=threshold,
     )
     shape, dtype = (2, sensor.electrode_count), sensor.dtype
-    explored = checked("voltages", voltages, require_finite, shape, dtype=dtype)
+    explored = checked("voltages", voltages, "finite", shape, dtype=dtype)
     if not each:
         return scan(explored)[0]
     grounds, regions = scan.around_each(explored, _EACH_AT_MOST)
@@ -189,9 +182,7 @@ class AdaptiveScan(eqx.Module):
             require(0 < percent <= 100, "alpha", percent, "a percentage in (0, 100]")
         if threshold is None:
             threshold = jnp.abs(sensor.drive_voltage) / 450  # some 20 times the noise
-        self.threshold = checked(
-            "threshold", threshold, require_finite, (), dtype=sensor.dtype
-        )
+        self.threshold = checked("threshold", threshold, "finite", (), dtype=sensor.dtype)
         self.electrode_xy = sensor.electrode_xy
         self.resistances = resistances(sensor).electrodes
         self.ground_xy = sensor.ground_xy()

@@ -1,6 +1,5 @@
 """Turns a frame and a Jacobian into an image: the paper's linear reconstruction (Eq. 3)."""
 
-from functools import partial
 from typing import cast, get_args, NamedTuple
 
 import equinox as eqx
@@ -14,16 +13,15 @@ from tomojax._checks import (
     float_array,
     known,
     require,
-    require_finite,
-    require_not_negative,
-    require_positive,
+    require_array,
+    require_indices,
     require_shape,
-    require_within,
 )
 from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax._shown import tuple_shown
 from tomojax.kernels import inverse
+from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 
 
@@ -142,24 +140,24 @@ def reconstruct(
     require_shape("voltages", v, shape, (None, *shape))
     given = np.ones(shape[:1]) if weights is None else weights
     shapes, dtype = (shape[:1], shape), maps.dtype
-    given = checked("weights", given, require_not_negative, *shapes, dtype=dtype)
+    given = checked("weights", given, "not negative", *shapes, dtype=dtype)
     if known(given):
         require(np.asarray(given).any(), "weights", "all 0", "a weight above 0")
     per_row = given if given.ndim == 2 else given[:, None]
     w = jnp.broadcast_to(per_row, shape)
     if known(v, w):
-        require_finite("voltages", jnp.where(w > 0, v, 0))
+        require_array("voltages", jnp.where(w > 0, v, 0), "finite")
     rules, routes = get_args(inverse.LambdaRule), get_args(inverse.SolveRoute)
     require(route in routes, "route", repr(route), f"one of {', '.join(routes)}")
     rule = None
     if isinstance(lam, str):
         require(lam in rules, "lam", repr(lam), f"a number or one of {', '.join(rules)}")
         rule, lam = lam, 1.0
-    value = checked("lam", lam, require_positive, (), v.shape[:-2], dtype=dtype)
+    value = checked("lam", lam, "positive", (), v.shape[:-2], dtype=dtype)
     missing = rule == "discrepancy" and noise is None
     require(not missing, "noise", None, "V rms for the rule 'discrepancy'")
     sigma = 1.0 if noise is None else noise
-    sigma = checked("noise", sigma, require_positive, (), dtype=dtype)
+    sigma = checked("noise", sigma, "positive", (), dtype=dtype)
     # Blocks that add over slots: for weights that do, in the dtype that holds them.
     additive = reduced and given.ndim == 1 and maps.dtype == jnp.float64
     blocks = additive and route == "auto"
@@ -175,9 +173,7 @@ def _slots(grounds: Numbers | None, count: int) -> Int[Array, " S"]:
         kind = np.asarray(grounds).dtype.kind
         require(kind in "iu", "grounds", repr(grounds), "numbers of slots, at least one")
     array = jnp.asarray(grounds)
-    require_shape("grounds", array, (None,))
-    require(array.size > 0, "grounds", "none", "at least one")
-    require_within("grounds", array, count)
+    require_indices("grounds", array, count)
     if known(array):
         twice = array.size - len(np.unique(np.asarray(array)))
         require(not twice, "grounds", f"{twice} repeated", "each at most once")
@@ -208,8 +204,7 @@ def _reconstruct(
         misfit = jnp.einsum("smk,k->sm", rows, solution, precision="highest") - frame
         residual = jnp.sqrt(jnp.mean(misfit**2, where=w > 0))
         # A GPU rounds products to TF32 otherwise: images off by 3e-4.
-        whole = partial(jnp.matmul, precision="highest")
-        image = whole(solution, slots.basis) if reduced else solution
+        image = matmul(solution, slots.basis) if reduced else solution
         flags = _flags(frame, lam, grounds, len(maps), w, image)
         image = jnp.where(flags == 0, image, jnp.nan)
         flags = flags | jnp.where(ran_out, Flag.BAD_LAMBDA.value, 0)

@@ -4,48 +4,37 @@ This room states what is there and computes what would be measured. The room kno
 of how contacts are found.
 """
 
-from tomojax.sensor._calibration import Calibration as Calibration, WAVES as WAVES
-from tomojax.sensor._converter import Converter as Converter
-from tomojax.sensor._edges import (
-    AbstractEdge as AbstractEdge,
-    PolygonEdge as PolygonEdge,
-    RoundEdge as RoundEdge,
+from tomojax.sensor._calibration import Calibration, WAVES as WAVES
+from tomojax.sensor._converter import Converter
+from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
+from tomojax.sensor._field import (
+    make_among as make_among,
+    make_field as make_field,
+    make_moves as make_moves,
+    make_waves as make_waves,
 )
-from tomojax.sensor._field import make_among as make_among, make_field as make_field
-from tomojax.sensor._field_slopes import make_moves as make_moves, make_waves as make_waves
 from tomojax.sensor._forward import (
     compiled_resistances as compiled_resistances,
-    contact_conductance as contact_conductance,
+    contact_conductance,
     exact_voltages as exact_voltages,
-    ground_set as ground_set,
-    jacobian as jacobian,
-    resistances as resistances,
-    sheet_on_mesh as sheet_on_mesh,
-    voltages as voltages,
+    ground_set,
+    jacobian,
+    resistances,
+    sheet_on_mesh,
+    voltages,
 )
 from tomojax.sensor._outline import (
-    AbstractOutline as AbstractOutline,
-    AbstractShape as AbstractShape,
+    AbstractOutline,
+    AbstractShape,
+    Mask,
+    Moving,
+    Scene,
+    Shifted,
 )
-from tomojax.sensor._scene import (
-    Mask as Mask,
-    Moving as Moving,
-    Scene as Scene,
-    Shifted as Shifted,
-)
-from tomojax.sensor._sensor import (
-    converter_of as converter_of,
-    nominal_noise as nominal_noise,
-    Sensor as Sensor,
-)
-from tomojax.sensor._shapes import (
-    Bar as Bar,
-    Disc as Disc,
-    Ellipse as Ellipse,
-    Polygon as Polygon,
-    Ring as Ring,
-)
-from tomojax.sensor.meshes import GridSurface as GridSurface, ToldSheet as ToldSheet
+from tomojax.sensor._sensor import converter_of, nominal_noise, Sensor
+from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
+from tomojax.sensor.meshes._grid_surface import GridSurface
+from tomojax.sensor.meshes._told import ToldSheet
 
 # The rest serves other rooms.
 __all__ = [

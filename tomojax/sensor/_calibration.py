@@ -151,8 +151,9 @@ class Calibration:
             sensor = replace(sensor, electrode_xy=jnp.asarray(moved, sensor.dtype))
         if not any(self.sheet):
             return sensor
-        centres = element_centres(np.asarray(sensor.size), divisions)
-        factor = self.sheet_factor(centres, np.asarray(sensor.size))
+        size = np.asarray(sensor.size)
+        centres = np.repeat(cell_centres(divisions) * size, 2, axis=0)  # of both halves
+        factor = self.sheet_factor(centres, size)
         values = np.asarray(sensor.sheet_resistance) * factor
         return replace(sensor, sheet_resistance=values, divisions=divisions)
 
@@ -179,14 +180,10 @@ class Calibration:
         require(known, f"{path}: schema", "another", SCHEMA)
         version = content.pop("schema_version", None)
         require(version == VERSION, f"{path}: schema_version", version, str(VERSION))
-        names = {one.name for one in fields(cls)}
+        names = sorted(one.name for one in fields(cls))
         for name in content:
-            require(
-                name in names,
-                f"{path}: {name!r:.60}",
-                "this field",
-                ", ".join(sorted(names)),
-            )
+            at = f"{path}: {name!r:.60}"
+            require(name in names, at, "this field", ", ".join(names))
         try:
             made = cls(**{name: _tuples(value) for name, value in content.items()})
             if electrodes is not None:
@@ -242,8 +239,3 @@ def _tuples(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _tuples(one) for name, one in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
-
-
-def element_centres(size: np.ndarray, divisions: tuple[int, int]) -> np.ndarray:
-    """Returns the centres of cells, twice each for a cell's two elements, (K, 2), m."""
-    return np.repeat(cell_centres(divisions) * size, 2, axis=0)

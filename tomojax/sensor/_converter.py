@@ -5,13 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    checking,
-    known,
-    require,
-    require_not_negative,
-    require_positive,
-)
+from tomojax._checks import checking, known, require
 from tomojax._shown import named, shown
 
 # A reading of the paper's converter, rms, of the drive: 0.3 mV of noise and zeros of as
@@ -39,10 +33,10 @@ class Converter(eqx.Module):
     """
 
     noise: Float[Array, ""] = eqx.field(
-        converter=checking("noise", require_not_negative, ()), default=0.3e-3
+        converter=checking("noise", "not negative", ()), default=0.3e-3
     )
     full_scale: Float[Array, ""] = eqx.field(
-        converter=checking("full_scale", require_positive, ()), default=5.0
+        converter=checking("full_scale", "positive", ()), default=5.0
     )
     bits: int | None = eqx.field(static=True, default=16)
 

@@ -9,13 +9,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    checked,
-    known,
-    require,
-    require_finite,
-    require_positive,
-)
+from tomojax._checks import checked, known, require
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
 from tomojax.sensor._outline import checked_center, Density, norm, Points
@@ -67,7 +61,7 @@ class RoundEdge(AbstractEdge):
 
     def __init__(self, center: Numbers, radius: Numbers):
         self.center = checked_center(center)
-        self.radius = checked("radius", radius, require_positive, ())
+        self.radius = checked("radius", radius, "positive", ())
 
     def distance(self, points: Points) -> Density:
         return round_distance(points, self.center, self.radius)
@@ -144,7 +138,7 @@ class PolygonEdge(AbstractEdge):
 
 
 def _loop(name: str, points: Numbers) -> Float[Array, "n 2"]:
-    loop = checked(name, points, require_finite, (None, 2))
+    loop = checked(name, points, "finite", (None, 2))
     require(3 <= len(loop) <= _MOST, name, f"{len(loop)} vertices", f"3 to {_MOST}")
     if known(loop) and bool((loop[0] == loop[-1]).all()):
         loop = loop[:-1]  # a closed ring, as GeoJSON and others have it

@@ -10,16 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import (
-    checked,
-    float_array,
-    known,
-    require,
-    require_finite,
-    require_not_negative,
-    require_shape,
-    require_within,
-)
+from tomojax._checks import checked, float_array, known, require, require_indices
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.kernels.sheet import (
@@ -41,7 +32,7 @@ from tomojax.kernels.sheet import (
 from tomojax.sensor._converter import Converter
 from tomojax.sensor._outline import AbstractShape
 from tomojax.sensor._placing import require_on_sheet
-from tomojax.sensor._sensor import check_conditions, element_values, Sensor
+from tomojax.sensor._sensor import check_conditions, Sensor
 
 Route = Literal["fem", "series"]
 Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]
@@ -122,7 +113,7 @@ def sheet_on_mesh(sensor: Sensor) -> FemSheet:
     what = "'linear', 'source', 'points' or 'auto', which ask for no more than is told"
     require(sensor.told is None, "told", "resistances of electrodes alone", what)
     return fem_sheet(
-        1 / element_values(sensor, sensor.sheet_resistance),
+        1 / jnp.broadcast_to(sensor.sheet_resistance, (sensor.element_count,)),
         sensor.electrode_xy,
         sensor.electrode_diameter / 2,
         sensor.divisions,
@@ -163,9 +154,7 @@ def ground_set(
         require(numbers, "grounds", repr(grounds), "electrode numbers or conductances")
     if jnp.issubdtype(jnp.result_type(array), jnp.integer):
         array = jnp.asarray(array)
-        require_shape("grounds", array, (None,))
-        require(array.size > 0, "grounds", "none", "at least one")
-        require_within("grounds", array, sensor.condition_count)
+        require_indices("grounds", array, sensor.condition_count)
         return array
     array = float_array("grounds", grounds, sensor.dtype)
     check_conditions("grounds", array, sensor.electrode_count)
@@ -202,14 +191,8 @@ def jacobian(
     >>> bool(soft.max() < 0.5)
     True
     """
-    rho = checked(
-        "contact_resistance",
-        contact_resistance,
-        require_not_negative,
-        (),
-        (sensor.element_count,),
-        dtype=sensor.dtype,
-    )
+    rho, shapes = contact_resistance, ((), (sensor.element_count,))
+    rho = checked("contact_resistance", rho, "not negative", *shapes, dtype=sensor.dtype)
     slots = ground_set(sensor, grounds)
     return _jacobian(sensor, slots, rho, resistances(sensor, route))
 
@@ -308,7 +291,7 @@ def voltages(
     """
     slots, dtype = ground_set(sensor, grounds), sensor.dtype
     if times is not None:
-        when = checked("times", times, require_finite, (len(slots),), dtype=dtype)
+        when = checked("times", times, "finite", (len(slots),), dtype=dtype)
         kind = type(scene).__name__
         require(callable(scene), "scene", kind, "a function of time with times")
         exact = _moving_voltages(sensor, cast(Callable, scene), slots, when)
@@ -318,7 +301,7 @@ def voltages(
         raise ValueError("times: got None, expected the time of each slot")
     else:
         shape = (sensor.element_count,)
-        g = checked("scene", scene, require_not_negative, shape, dtype=dtype)
+        g = checked("scene", scene, "not negative", shape, dtype=dtype)
         exact = exact_voltages(sensor, g, slots)
     return exact if converter is None else converter(exact, key)
 

@@ -3,21 +3,19 @@
 A shape gives the conductance per area (S/m²) at any point of the sheet. Outlines are signed
 distances (negative inside). Across an outline the conductance falls over the distance
 between two sample points. So the conductance is smooth in the shape's place and size.
+
+Scenes are made of shapes: any contact on cells, several at once, displaced, moving.
 """
 
 from abc import abstractmethod
 from dataclasses import fields
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tomojax._checks import (
-    checked,
-    float_array,
-    require_finite,
-    require_not_negative,
-)
+from tomojax._checks import checked, checking, require, require_array
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
 
@@ -94,15 +92,145 @@ def turned(points: Points, center: Array, angle: Array) -> Points:
     return jnp.stack([cos * x + sin * y, cos * y - sin * x], -1)
 
 
-def checked_center(value: Numbers) -> Array:
-    return checked("center", value, require_finite, (2,))
+checked_center = checking("center", "finite", (2,))
+checked_angle = checking("angle", "finite")
+checked_conductance = checking("conductance", "not negative", ())
 
 
-def checked_angle(value: Numbers) -> Array:
-    angle = float_array("angle", value)
-    require_finite("angle", angle)
-    return angle
+# Shapes of a scene that are printed.
+_SHOWN = 4
 
 
-def checked_conductance(value: Numbers, name: str = "conductance") -> Array:
-    return checked(name, value, require_not_negative, ())
+class Mask(AbstractShape):
+    """Any contact, as conductance per area (nx, ny), S/m², on even cells of the sheet.
+
+    **Example:**
+
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> cells = np.zeros((4, 4))
+    >>> cells[1, 2] = 1.0  # one sixteenth of the sheet: 400 mm²
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> siemens = tx.sensor.contact_conductance(sensor, tx.sensor.Mask(cells)).sum()
+    >>> print(f"{1e6 * float(siemens):.0f} µS")
+    400 µS
+    """
+
+    conductance: Float[Array, "nx ny"] = eqx.field(
+        converter=checking("conductance", "not negative", (None, None))
+    )
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        cells = jnp.array(self.conductance.shape)
+        index = jnp.floor(points / size * cells.astype(size.dtype)).astype(int)
+        on_sheet = ((index >= 0) & (index < cells)).all(-1)
+        i, j = jnp.moveaxis(jnp.clip(index, 0, cells - 1), -1, 0)
+        return jnp.where(on_sheet, self.conductance[i, j], 0)
+
+
+class Scene(AbstractShape):
+    """Several contacts on the sheet at once; a scene of no shape is an untouched sheet.
+
+    **Example:**
+
+    >>> import tomojax as tx
+    >>> two = tx.Scene(tx.Disc([0.02, 0.06], 0.005, 1.0), tx.Disc([0.06, 0.02], 0.005, 1.0))
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> tx.voltages(sensor, two, [0, 15]).shape
+    (2, 16)
+    >>> float(tx.voltages(sensor, tx.Scene(), [0, 15]).max())  # nothing touches
+    0.0
+    """
+
+    shapes: tuple[AbstractShape, ...]
+
+    def __init__(self, *shapes: AbstractShape):
+        for shape in shapes:
+            require(isinstance(shape, AbstractShape), "shapes", repr(shape), "shapes")
+        self.shapes = shapes
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        zero = jnp.zeros(points.shape[:-1], points.dtype)
+        return sum((s.density(points, blur, size) for s in self.shapes), zero)
+
+    def __repr__(self) -> str:
+        count, each = len(self.shapes), [repr(shape) for shape in self.shapes[:_SHOWN]]
+        more = [f"… {count} shapes"] if count > _SHOWN else []
+        return f"Scene({', '.join(each + more)})"
+
+
+class Shifted(AbstractShape):
+    """A shape displaced by `offset` (2,) m, its conductance times `factor`.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import tomojax as tx
+    >>> disc = tx.Disc([0.03, 0.03], 0.006, 1.0)
+    >>> lighter = tx.sensor.Shifted(disc, jnp.array([0.02, 0.0]), jnp.array(0.5))
+    >>> sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    >>> before, after = (
+    ...     tx.sensor.contact_conductance(sensor, shape).sum() for shape in (disc, lighter)
+    ... )
+    >>> print(f"{float(after / before):.2f}")
+    0.50
+    """
+
+    shape: AbstractShape
+    offset: Float[Array, "2"]
+    factor: Float[Array, ""]
+
+    def density(
+        self, points: Points, blur: Float[Array, ""], size: Float[Array, "2"]
+    ) -> Density:
+        return self.factor * self.shape.density(points - self.offset, blur, size)
+
+
+class Moving(eqx.Module):
+    """A shape that moves and changes its pressure, linearly between given times.
+
+    **Arguments:** `shape`; `times` (n,) s, increasing; `offsets` (n, 2) m from where
+    the shape stands; `factors` (n,) on its conductance. A call with a time gives the shape
+    at that time. Any function of time that returns a shape serves as well.
+
+    **Example:**
+
+    >>> import jax.numpy as jnp
+    >>> import numpy as np
+    >>> import tomojax as tx
+    >>> disc = tx.Disc([0.02, 0.04], 0.006, 1.0)
+    >>> slide = tx.sensor.Moving(disc, times=[0.0, 1.0], offsets=[[0, 0], [0.04, 0]])
+    >>> halfway = slide(jnp.array(0.5))
+    >>> print(np.round(1e3 * halfway.offset))  # mm
+    [20.  0.]
+    """
+
+    shape: AbstractShape
+    times: Float[Array, " n"]
+    offsets: Float[Array, "n 2"]
+    factors: Float[Array, " n"]
+
+    def __init__(
+        self,
+        shape: AbstractShape,
+        times: Numbers,
+        offsets: Numbers,
+        factors: Numbers = 1.0,
+    ):
+        require(isinstance(shape, AbstractShape), "shape", repr(shape), "a shape")
+        self.shape = shape
+        self.times = checked("times", times, "finite", (None,))
+        require_array("steps between times", self.times[1:] - self.times[:-1], "positive")
+        count = len(self.times)
+        self.offsets = checked("offsets", offsets, "finite", (count, 2))
+        given = checked("factors", factors, "not negative", (), (count,))
+        self.factors = jnp.broadcast_to(given, self.times.shape)
+
+    def __call__(self, time: Float[Array, ""]) -> Shifted:
+        at = lambda values: jnp.interp(time, self.times, values)  # noqa: E731
+        offset = jax.vmap(at, 1)(self.offsets)
+        return Shifted(self.shape, offset, at(self.factors))

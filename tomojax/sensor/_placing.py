@@ -10,10 +10,9 @@ from jaxtyping import Array, Float
 
 from tomojax._checks import float_array, known
 from tomojax._custom_types import Numbers
-from tomojax._require import require
+from tomojax._require import check_apart, require
 from tomojax.sensor._edges import AbstractEdge
-from tomojax.sensor._outline import AbstractShape
-from tomojax.sensor._scene import Scene
+from tomojax.sensor._outline import AbstractShape, Scene
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 
 # Places, or what `place_electrodes` takes by name.
@@ -118,17 +117,9 @@ def check_skin(sensor: Any) -> None:
         f"electrodes {outside[:5].tolist()} off the sheet, by {level.max():.3g} m",
         "middles on the sheet or on its edge",
     )
-    places = (
-        xy if sensor.surface is None else np.asarray(sensor.surface(sensor.electrode_xy))
-    )
-    apart = np.sqrt(((places[:, None] - places) ** 2).sum(-1)) + np.diag([np.inf] * len(xy))
-    one, other = np.unravel_index(apart.argmin(), apart.shape)
-    require(
-        apart.min() > diameter - slack,
-        "electrode_xy",
-        f"electrodes {one} and {other} {apart.min():.3g} m apart",
-        f"more than their diameter, {diameter:g} m",
-    )
+    curved = sensor.surface is not None
+    places = np.asarray(sensor.surface(sensor.electrode_xy)) if curved else xy
+    check_apart(places, diameter, slack)
     if sensor.outline is None:
         return
     shape = sensor.divisions

@@ -17,9 +17,7 @@ from tomojax._checks import (
     float_array,
     known,
     require,
-    require_finite,
-    require_not_negative,
-    require_positive,
+    require_array,
     require_shape,
 )
 from tomojax._custom_types import Numbers
@@ -39,7 +37,9 @@ from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
-from tomojax.sensor.meshes import chart_places, read_triangles, ToldSheet, unroll
+from tomojax.sensor.meshes._mesh_file import read_triangles
+from tomojax.sensor.meshes._told import ToldSheet
+from tomojax.sensor.meshes._triangles import chart_places, unroll
 
 # Cells of a cut sheet's mesh, of an electrode's diameter; and the most along a side.
 _CELLS = 3
@@ -144,22 +144,20 @@ class Sensor(eqx.Module):
         self.divisions = _whole_divisions(divisions)
 
     def __check_init__(self) -> None:
-        require_shape("electrode_xy", self.electrode_xy, (None, 2))
-        m, above, least = self.electrode_count, require_positive, require_not_negative
+        require_array("electrode_xy", self.electrode_xy, "finite", (None, 2))
+        m = self.electrode_count
         require(m >= 2, "electrode_xy", m, "two")
-        for name, check, *shapes in (
-            ("electrode_xy", require_finite, (None, 2)),
-            ("size", above, (2,)),
-            ("electrode_diameter", above, ()),
-            ("sheet_resistance", above, (), (self.element_count,)),
-            ("ground_resistance", least, (), (m,)),
-            ("drive_voltage", require_finite, ()),
-            ("resolution", least, ()),
-            ("electrode_shunt", above, ()),
+        for name, rule, *shapes in (
+            ("size", "positive", (2,)),
+            ("electrode_diameter", "positive", ()),
+            ("sheet_resistance", "positive", (), (self.element_count,)),
+            ("ground_resistance", "not negative", (), (m,)),
+            ("drive_voltage", "finite", ()),
+            ("resolution", "not negative", ()),
+            ("electrode_shunt", "positive", ()),
         ):
             if (value := getattr(self, name)) is not None:
-                require_shape(name, value, *shapes)
-                check(name, value)
+                require_array(name, value, rule, *shapes)  # pyright: ignore
         if self.told is not None:
             require_shape("told", self.told.electrodes, (m, m))
         if self.conditions is not None:
@@ -192,10 +190,10 @@ class Sensor(eqx.Module):
         for name, count in (("rows", rows), ("columns", columns)):
             require_whole(name, count)
         dtype = others.get("dtype")
-        step = jnp.broadcast_to(float_array("pitch", pitch, dtype), 2)
-        rim = jnp.broadcast_to(float_array("margin", margin, dtype), 2)
-        require_positive("pitch", step)
-        require_positive("margin", rim)
+        step, rim = (
+            jnp.broadcast_to(checked(name, value, "positive", dtype=dtype), 2)
+            for name, value in (("pitch", pitch), ("margin", margin))
+        )
         count = np.array([rows, columns])
         index = np.indices((rows, columns)).reshape(2, -1).T
         xy = rim + step * index.astype(step.dtype)
@@ -215,7 +213,7 @@ class Sensor(eqx.Module):
         >>> sensor.electrode_count, bool(sensor.on_sheet([[0.001, 0.001]]).any())
         (25, False)
         """
-        across = checked("diameter", diameter, require_positive, ())
+        across = checked("diameter", diameter, "positive", ())
         size = jnp.broadcast_to(across, 2)
         return cls.cut(size, RoundEdge(size / 2, across / 2), electrodes, **others)
 
@@ -381,7 +379,7 @@ class Sensor(eqx.Module):
 
     def on_sheet(self, points: Numbers) -> Bool[Array, "*n"]:
         """Tells which points (…, 2), m, are on the sheet."""
-        at = checked("points", points, require_finite, (None, 2), dtype=self.dtype)
+        at = checked("points", points, "finite", (None, 2), dtype=self.dtype)
         inside = ((at >= 0) & (at <= self.size)).all(-1)
         return inside if self.outline is None else inside & (self.outline.distance(at) < 0)
 
@@ -489,7 +487,7 @@ def check_conditions(name: str, table: Array, electrodes: int) -> None:
     """Refuses a table of conductances to ground, S. **Raises:** `ValueError`."""
     require_shape(name, table, (None, electrodes))
     require(table.size > 0, name, "none", "at least one")
-    require_not_negative(name, table)
+    require_array(name, table, "not negative")
     if known(table):
         floating = np.flatnonzero(np.asarray(table).sum(1) == 0)
         require(not floating.size, name, f"slots {floating[:5]} ungrounded", "a ground")
@@ -528,11 +526,6 @@ def _stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndar
     at, step = jnp.asarray(places), jnp.asarray(size) / _MOST_CELLS
     long = local_cells(Skin(jnp.zeros(0), surface), at, step.astype(at.dtype))
     return np.asarray(long, float) / np.asarray(step, float)[:, None]
-
-
-def element_values(sensor: Sensor, values: jax.Array) -> Float[Array, " K"]:
-    """Returns one value per element, from one value or K values."""
-    return jnp.broadcast_to(values, (sensor.element_count,))
 
 
 def nominal_noise(sensor: Sensor) -> float:

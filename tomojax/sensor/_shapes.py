@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tomojax._checks import checking, require, require_finite, require_positive
+from tomojax._checks import checked, checking, require, require_array
 from tomojax._custom_types import Numbers
 from tomojax.sensor._edges import polygon_distance
 from tomojax.sensor._outline import (
@@ -27,7 +27,7 @@ Outline = TypeVar("Outline", bound=AbstractOutline)
 
 def _of_total(shape: Outline, siemens: Numbers, area: Array) -> Outline:
     """Returns the shape with so many siemens spread over its area, m²."""
-    total = checked_conductance(siemens, "siemens")
+    total = checked("siemens", siemens, "not negative", ())
     return replace(shape, conductance=total / area.astype(total.dtype))
 
 
@@ -52,7 +52,7 @@ class Disc(AbstractOutline):
     """
 
     center: Float[Array, "2"] = eqx.field(converter=checked_center)
-    radius: Float[Array, ""] = eqx.field(converter=checking("radius", require_positive, ()))
+    radius: Float[Array, ""] = eqx.field(converter=checking("radius", "positive", ()))
     conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
     @classmethod
@@ -80,7 +80,7 @@ class Ellipse(AbstractOutline):
 
     center: Float[Array, "2"] = eqx.field(converter=checked_center)
     semi_axes: Float[Array, "2"] = eqx.field(
-        converter=checking("semi_axes", require_positive, (2,))
+        converter=checking("semi_axes", "positive", (2,))
     )
     angle: Float[Array, ""] = eqx.field(converter=checked_angle)
     conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
@@ -120,8 +120,8 @@ class Bar(AbstractOutline):
     """
 
     center: Float[Array, "2"] = eqx.field(converter=checked_center)
-    length: Float[Array, ""] = eqx.field(converter=checking("length", require_positive, ()))
-    width: Float[Array, ""] = eqx.field(converter=checking("width", require_positive, ()))
+    length: Float[Array, ""] = eqx.field(converter=checking("length", "positive", ()))
+    width: Float[Array, ""] = eqx.field(converter=checking("width", "positive", ()))
     angle: Float[Array, ""] = eqx.field(converter=checked_angle)
     conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
@@ -158,12 +158,12 @@ class Ring(AbstractOutline):
     """
 
     center: Float[Array, "2"] = eqx.field(converter=checked_center)
-    inner: Float[Array, ""] = eqx.field(converter=checking("inner", require_positive, ()))
-    outer: Float[Array, ""] = eqx.field(converter=checking("outer", require_positive, ()))
+    inner: Float[Array, ""] = eqx.field(converter=checking("inner", "positive", ()))
+    outer: Float[Array, ""] = eqx.field(converter=checking("outer", "positive", ()))
     conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 
     def __check_init__(self) -> None:
-        require_positive("outer − inner", self.outer - self.inner)
+        require_array("outer − inner", self.outer - self.inner, "positive")
 
     @classmethod
     def of_total(
@@ -194,7 +194,7 @@ class Polygon(AbstractOutline):
     """
 
     vertices: Float[Array, "n 2"] = eqx.field(
-        converter=checking("vertices", require_finite, (None, 2))
+        converter=checking("vertices", "finite", (None, 2))
     )
     conductance: Float[Array, ""] = eqx.field(converter=checked_conductance)
 

@@ -3,6 +3,6 @@
 These files know physics and the residuals of contacts. They know no fault.
 """
 
-from tomojax.bringup.sheet._plane import Plane as Plane
+from tomojax.bringup.sheet._plane import Plane
 
 __all__ = ["Plane"]

@@ -5,6 +5,6 @@ code uses NumPy and SciPy alone, for `tomojax info`. `check` finds more, in a re
 for `check`.
 """
 
-from tomojax.bringup.signs._signs import find_signs as find_signs, Sign as Sign
+from tomojax.bringup.signs._signs import find_signs, Sign
 
 __all__ = ["find_signs", "Sign"]

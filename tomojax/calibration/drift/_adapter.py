@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
+from tomojax.calibration._frames import points_of
 from tomojax.calibration.drift._filter import Drift
 from tomojax.calibration.drift._fitted import left_of
-from tomojax.methods import method as make_method, Points
+from tomojax.methods import Points
 from tomojax.sensor import Calibration, nominal_noise, Sensor
 
 # Drift, 1 σ of its rate an hour: of zeros, of the nominal noise (1 mV where that is
@@ -107,10 +108,7 @@ class Adapter:
     ):
         self.begun = calibration or Calibration()
         m = sensor.electrode_count
-        if points is None:
-            made = make_method(sensor, "points", 32, self.begun)
-            assert isinstance(made, Points)
-            points = made
+        points = points or points_of(sensor, self.begun)
         self._points, self._pitch = points, float(sensor.mean_pitch)
         self._unit, self._noise = nominal_noise(sensor), float(points.noise)
         self._codes = float(sensor.resolution)

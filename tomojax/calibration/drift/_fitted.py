@@ -36,7 +36,7 @@ def left_of(
     A channel that is NaN in some slot of some frame is not used. Calls have one size, so
     that one program serves any number of frames of as many slots.
     """
-    n, slots, m = voltages.shape
+    n, slots, _ = voltages.shape
     used = np.isfinite(voltages).all((0, 1))
     prepared = points.prepare(np.zeros(slots, int), np.tile(used, (slots, 1)), 1.0)
     # The slots that stand for all are the same whatever the channels.
@@ -50,9 +50,6 @@ def left_of(
         given = (jnp.asarray(a, dtype) for a in (volts[some], starts))
         found = _left(points, prepared, jnp.asarray(grounds[some]), *given)
         parts.append([np.asarray(a, float)[: n - k] for a in found])
-    if not parts:
-        none = np.zeros((0, m))
-        return Left(none, none, np.zeros(0), np.zeros((0, 2)))
     found = Left(*(np.concatenate(a) for a in zip(*parts)))
     told = used & (found.variance > 0)
     return found._replace(

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.calibration._recording import frame_length, touched
-from tomojax.calibration._tare import quiet_slots, tare
+from tomojax.calibration._frames import points_of
+from tomojax.calibration._recording import frame_length, quiet_slots, tare, touched
 from tomojax.calibration.drift._adapter import lone_places, silence
 from tomojax.calibration.drift._fitted import left_of
-from tomojax.methods import Batch, method as make_method, Points
+from tomojax.methods import Batch
 from tomojax.recordings import Recording
 from tomojax.sensor import Calibration, nominal_noise
 
@@ -92,8 +92,7 @@ def _contacts(recording: Recording, calibration: Calibration) -> dict[str, Any]:
     if not len(frames.number):
         return none
     frames = frames.usable().spread(_FRAMES)
-    points = make_method(sensor, "points", 32, calibration)
-    assert isinstance(points, Points)
+    points = points_of(sensor, calibration)
     volts, grounds = tared.voltages(frames.voltages.astype(np.float32)), frames.grounds
     rows = Batch(points, 1.0, contacts=2, images=False)(volts, grounds)
     places = lone_places(rows)

@@ -8,18 +8,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.stats import qmc
 
-from tomojax._checks import (
-    float_array,
-    known,
-    require,
-    require_finite,
-    require_positive,
-    require_shape,
-)
+from tomojax._checks import checked, known, require, require_array
 from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax.design.objectives._contacts import blobs, Contact, without_current
-from tomojax.design.objectives._images import simulated_image
+from tomojax.design.objectives._image_error import simulated_image
 from tomojax.design.objectives._information import (
     AbstractObjective,
     Criterion,
@@ -69,9 +62,8 @@ def design_places(
     size = np.asarray(sensor.size, float)
     margin = sensor.mean_pitch / 2
     given = [margin, margin, *(size - margin)] if region is None else region
-    box = np.asarray(float_array("region", given), float)
+    box = np.asarray(checked("region", given, "finite"), float)
     require(box.shape == (4,), "region", f"shape {box.shape}", "x0, y0, x1, y1")
-    require_finite("region", jnp.asarray(box))
     low, high = box[:2], box[2:]
     text = ", ".join(f"{v:g}" for v in box)
     require((low < high).all(), "region", text, "x0 < x1 and y0 < y1")
@@ -134,17 +126,15 @@ def design_objective(
         ("criterion", criterion, get_args(Criterion)),
     ):
         require(value in among, name, repr(value), f"one of {', '.join(among)}")
-    where = float_array("places", places, sensor.dtype)
-    require_shape("places", where, (None, 2))
+    where = checked("places", places, "finite", (None, 2), dtype=sensor.dtype)
     require(len(where) > 0, "places", "none", "one place at least")
-    require_finite("places", where)
     if known(where):
         on = (np.asarray(where) >= 0) & (np.asarray(where) <= np.asarray(sensor.size))
         off = int((~on.all(1)).sum())
         require(off == 0, "places", f"{off} off the sheet", "places on it")
     for name, number in (("lam", lam), ("radius", radius), ("conductance", conductance)):
         if number is not None:
-            require_positive(name, float_array(name, number))
+            checked(name, number, "positive")
     rigs = criterion == "rigs"
     fits = not rigs or method != "source"
     require(fits, "criterion", "'rigs' of 'source'", "another, or another method")
@@ -182,11 +172,9 @@ def design_objective(
 def _precision(sensor: Sensor, noise: Numbers) -> Float[Array, "M M"]:
     """Returns N⁻¹ of the noise, 1/V²."""
     m = sensor.electrode_count
-    given = float_array("noise", noise, sensor.dtype)
-    require_shape("noise", given, (), (m,), (m, m))
-    require_finite("noise", given)
+    given = checked("noise", noise, "finite", (), (m,), (m, m), dtype=sensor.dtype)
     if given.ndim < 2:
-        require_positive("noise", given)
+        require_array("noise", given, "positive")
     covariance = given if given.ndim == 2 else jnp.diag(jnp.broadcast_to(given**2, (m,)))
     if not known(covariance):
         return jnp.linalg.inv(covariance)
@@ -218,14 +206,10 @@ def image_objective(
     columns = matmul(blobs(method.shape, method.cell, places, width), basis.T)
     columns = columns / jnp.linalg.norm(columns, axis=1, keepdims=True)
     if criterion == "d":
-        columns = _span(columns)
+        # Orthonormal rows of the columns' span, for singular values above a tenth.
+        _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
+        columns = jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
     return ImageVariance(criterion, grams, columns, shares, jnp.asarray(lam, grams.dtype))
-
-
-def _span(columns: Float[Array, "P r"]) -> Float[Array, "q r"]:
-    """Returns orthonormal rows of the columns' span, for singular values above a tenth."""
-    _, s, vt = np.linalg.svd(np.asarray(columns, float), full_matrices=False)
-    return jnp.asarray(vt[s > 0.1 * s[0]], columns.dtype)
 
 
 @jax.jit

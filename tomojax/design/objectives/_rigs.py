@@ -9,13 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from tomojax._checks import (
-    float_array,
-    require,
-    require_finite,
-    require_positive,
-    require_shape,
-)
+from tomojax._checks import checked, require
 from tomojax._custom_types import Numbers
 from tomojax._shown import tuple_shown
 from tomojax.kernels.contacts import field_at, green_of, metallic, Sheet, solve_small
@@ -133,17 +127,14 @@ def simulate_scenes(
     >>> scenes.places.shape, scenes.voltages.shape  # scenes, slots, channels
     ((4, 2), (4, 16, 16))
     """
-    given = float_array("places", places, sensor.dtype)
-    require_shape("places", given, (None, 2), (None, None, 2))
-    require_finite("places", given)
+    shapes, dtype = ((None, 2), (None, None, 2)), sensor.dtype
+    given = checked("places", places, "finite", *shapes, dtype=dtype)
     at = np.asarray(given).reshape(len(given), -1, 2)
     off = int(((at < 0) | (at > np.asarray(sensor.size))).any(-1).sum())
     require(off == 0, "places", f"{off} off the sheet", "places on it")
     require(1 <= rigs <= len(at), "rigs", rigs, f"1 to {len(at)}, one scene each at least")
-    radii = float_array("radius", radius, sensor.dtype)
-    require_shape("radius", radii, (), (len(at),))
-    require_positive("radius", radii)
-    require_positive("conductance", float_array("conductance", conductance))
+    radii = checked("radius", radius, "positive", (), (len(at),), dtype=dtype)
+    checked("conductance", conductance, "positive")
     radii = np.broadcast_to(np.asarray(radii), len(at))
     away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
     reach = radii + np.asarray(sensor.electrode_diameter) / 2

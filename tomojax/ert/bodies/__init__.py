@@ -2,20 +2,3 @@
 
 The room knows the complete electrode model, and levels of conductance.
 """
-
-from tomojax.ert.bodies._electrode_model import (
-    disc_model as disc_model,
-    ElectrodeModel as ElectrodeModel,
-    rim_model as rim_model,
-    Transfer as Transfer,
-)
-from tomojax.ert.bodies._levels import Levels as Levels, LevelsFound as LevelsFound
-
-__all__ = [
-    "disc_model",
-    "ElectrodeModel",
-    "Levels",
-    "LevelsFound",
-    "rim_model",
-    "Transfer",
-]

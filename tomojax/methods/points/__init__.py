@@ -4,7 +4,6 @@
 other methods.
 """
 
-from tomojax.methods.points._found import fitting_of as fitting_of, Found as Found
+# For the tests; the other rooms enter by `tomojax.methods`.
+from tomojax.methods.points._found import Found as Found
 from tomojax.methods.points._ladder import Ladder as Ladder, wants_curve as wants_curve
-from tomojax.methods.points._points import Points as Points
-from tomojax.methods.points._sheet import sheet_of as sheet_of, UNIT as UNIT

@@ -9,18 +9,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import solve_positive
-from tomojax.methods.points._blocks import (
-    begun,
-    called,
-    each_frame,
-    Frames,
-    put,
-)
+from tomojax.methods.points._blocks import begun, called, each_frame, Frames, put
 from tomojax.methods.points._faults import searched
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS
-from tomojax.methods.points._found import Ended, Fitting, Found
+from tomojax.methods.points._found import (
+    apart_and_strong,
+    Ended,
+    Fitting,
+    Found,
+    long_enough,
+)
 from tomojax.methods.points._ladder import bar_at, GAIN, ring_at, seen_at_all, shaped
-from tomojax.methods.points._sound import apart_and_strong, long_enough
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
 # here is an upper bound, as the others stay where they are.

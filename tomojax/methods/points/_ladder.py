@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from tomojax.kernels import contacts as model
 from tomojax.kernels.algebra import tree_where
@@ -14,12 +14,16 @@ from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
 from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
-from tomojax.methods.points._found import Ended, Fitting, Found, LEFT, look_of
-from tomojax.methods.points._sound import (
+from tomojax.methods.points._found import (
     APART,
     apart_and_strong,
+    Ended,
+    Fitting,
+    Found,
     is_long,
+    LEFT,
     long_enough,
+    look_of,
     near_and_strong,
 )
 
@@ -67,15 +71,11 @@ class Ladder(NamedTuple):
 def _due(ladder: Ladder, size: int) -> Any:
     """Tells whether `size` discs are worth a try: the next step, with enough to gain."""
     # A promise that is no number is no reason not to try.
-    worth = ~(ladder.promise <= _enough_for(size)) & (ladder.discs.count == size - 1)
+    enough = _PROMISE * GAIN * (size - 1)
+    worth = ~(ladder.promise <= enough) & (ladder.discs.count == size - 1)
     # As many discs that leave what is usual are no better than a curve that leaves this.
     best, more = ladder.best, GAIN * (extra(size) - 1)
     return worth & ~(shaped(best) & (best.cost < best.usual + more))
-
-
-def _enough_for(size: int) -> float:
-    """Returns the promise for which `size` discs are worth a try."""
-    return _PROMISE * GAIN * (size - 1)
 
 
 def wants_curve(ladder: Ladder) -> Any:
@@ -84,14 +84,11 @@ def wants_curve(ladder: Ladder) -> Any:
     Two long discs may stand for a bar, which is then tried. So may two discs near each
     other.
     """
-    two = (ladder.discs.count == 2) & _explains(ladder.discs)
+    # Where a larger model has less to gain than the cost beyond the usual.
+    explained = ladder.discs.cost < ladder.discs.usual + GAIN
+    two = (ladder.discs.count == 2) & explained
     square = (ladder.discs.parameters[..., :2, 3:5] ** 2).sum(-1)
     return ladder.rivals | ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
-
-
-def _explains(found: Found) -> Any:
-    """Tells whether the cost beyond the usual is less than a larger model has to gain."""
-    return found.cost < found.usual + GAIN
 
 
 def shaped(found: Found) -> Any:
@@ -229,7 +226,10 @@ def _promise(
     at, some, m = look_of(scene), scene.prepared.compared, scene.voltages.shape[1]
     scale = scene.frame.scale[some]
     rest, slope = ended.rest[some], ended.slope[some].transpose(1, 0, 2)
-    own = model.own_beside(at, _own_columns(scene, discs, size, scene.frame.grounds[some]))
+    sheet, each = scene.method.sheet, jax.vmap(model.field_at, (None, 0, 0))
+    made = each(sheet.field, discs.place[:size], discs.radius[:size])  # by an ampere
+    made = volts_per_ampere(sheet.slots, made, scene.frame.grounds[some])
+    own = model.own_beside(at, made)
     normal = jnp.einsum("psw,qsw->pq", slope, slope, precision="highest")
     right = jnp.einsum("psw,sw->p", slope, rest, precision="highest")
     left = model.along(at, scale * rest[:, :m])
@@ -289,16 +289,6 @@ def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
     angle = jnp.arctan2(long[1], long[0]) / 2
     along = h * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     return discs.place[0] + jnp.stack([along, -along])
-
-
-def _own_columns(
-    scene: Fitting, discs: Found, size: int, grounds: Int[Array, " s"]
-) -> Float[Array, "C s M"]:
-    """Computes the voltages that the discs make per ampere."""
-    sheet = scene.method.sheet
-    each = jax.vmap(model.field_at, (None, 0, 0))
-    own = each(sheet.field, discs.place[:size], discs.radius[:size])
-    return volts_per_ampere(sheet.slots, own, grounds)
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:

@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax._programs import kept
-from tomojax.kernels.contacts import field_at, Sheet
+from tomojax.kernels.contacts import Field, field_at, NARROW, Sheet, thin_of
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import largest_variance, points_as_contacts, points_image, Spots
 from tomojax.kernels.sheet import cell_centres, lengthened
@@ -24,15 +24,53 @@ from tomojax.methods._contract import (
     sign_of,
 )
 from tomojax.methods._errors import Errors, PreparedErrors
-from tomojax.methods._pixels import pixels_of
+from tomojax.methods._maps import pixels_of
 from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames
 from tomojax.methods.points._faults import searched
 from tomojax.methods.points._films import filmed
 from tomojax.methods.points._found import fitting_of, Found
 from tomojax.methods.points._ladder import first, steps
-from tomojax.methods.points._sheet import neighbours_of, sheet_of, UNIT
-from tomojax.sensor import Calibration, Sensor
+from tomojax.sensor import Calibration, make_field, Sensor
+
+# Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
+# can be told of a contact grows with the pitch, whatever the electrodes' size.
+USUAL, UNIT = 0.3, 0.05
+
+# Electrodes nearer than so many pitches are neighbours.
+_BESIDE = 1.6
+
+
+def sheet_of(sensor: Sensor) -> Sheet:
+    """Computes the electrodes' potentials, and lengths that suit the sensor."""
+    pitch, field = sensor.mean_pitch, make_field(sensor)
+    usual = jnp.asarray(USUAL * pitch, sensor.dtype)
+    narrow = jnp.asarray(NARROW * USUAL * pitch, sensor.dtype)
+    thin, resistance = _beside(field, narrow, sensor.sheet_resistance)
+    return Sheet(
+        field=field,
+        thin=thin,
+        sheet_resistance=resistance,
+        slots=sensor.slots(field.electrodes),
+        drive_voltage=sensor.drive_voltage,
+        unit=jnp.asarray(UNIT * pitch, sensor.dtype),
+        size=usual,
+    )
+
+
+def neighbours_of(sensor: Sensor) -> Integer[np.ndarray, "n 2"]:
+    """Lists pairs of electrodes that lie beside each other, or across from a corner."""
+    xy = np.asarray(sensor.electrode_xy, float)
+    apart = np.sqrt(((xy[:, None] - xy) ** 2).sum(-1))
+    near = np.argwhere(np.triu(apart < _BESIDE * sensor.mean_pitch, 1))
+    return near if len(near) else np.zeros((1, 2), int)
+
+
+@jax.jit  # as one program to compile
+def _beside(field: Field, narrow: Array, resistance: Array) -> tuple[Array, Array]:
+    """Computes the table for narrow contacts, and the sheet's mean resistance."""
+    return thin_of(field, narrow), jnp.exp(jnp.mean(jnp.log(resistance)))
+
 
 # Candidates for each pitch.
 _CANDIDATES = 2.5

@@ -3,7 +3,3 @@
 The model fits a frame, the description reads contacts off the fit, and the method keeps the
 ladder's contract. The folder knows no other rung than `source`.
 """
-
-from tomojax.methods.shapes._described import described as described
-from tomojax.methods.shapes._image_shape import ImageShape as ImageShape
-from tomojax.methods.shapes._model import PreparedShape as PreparedShape

@@ -27,7 +27,7 @@ from tomojax.methods._errors import (
     whitened,
     without_offset,
 )
-from tomojax.methods._pixels import pixel_sites, pixels_of
+from tomojax.methods._maps import pixel_sites, pixels_of
 from tomojax.methods._source import PreparedSource, Source
 from tomojax.sensor import Calibration, Sensor
 

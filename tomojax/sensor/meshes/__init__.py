@@ -2,21 +2,3 @@
 
 This room knows triangles and grids. The room knows nothing of sensors.
 """
-
-from tomojax.sensor.meshes._grid_surface import GridSurface as GridSurface
-from tomojax.sensor.meshes._mesh_file import read_triangles as read_triangles
-from tomojax.sensor.meshes._told import ToldSheet as ToldSheet
-from tomojax.sensor.meshes._triangles import (
-    chart_places as chart_places,
-    unroll as unroll,
-    Unrolled as Unrolled,
-)
-
-__all__ = [
-    "chart_places",
-    "GridSurface",
-    "read_triangles",
-    "ToldSheet",
-    "unroll",
-    "Unrolled",
-]

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import checked, require_finite, require_positive
+from tomojax._checks import checked
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
 from tomojax.kernels.contacts import cubic
@@ -43,8 +43,8 @@ class GridSurface(eqx.Module):
     size: Float[Array, "2"]
 
     def __init__(self, places: Numbers, size: Numbers):
-        self.places = checked("surface", places, require_finite, (None, None, 3))
-        self.size = checked("size", size, require_positive, (2,), dtype=self.places.dtype)
+        self.places = checked("surface", places, "finite", (None, None, 3))
+        self.size = checked("size", size, "positive", (2,), dtype=self.places.dtype)
 
     @classmethod
     def of(cls, surface: Callable, size: Numbers) -> "GridSurface":

@@ -8,7 +8,7 @@ import scipy
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float, Int
 
-from tomojax._checks import float_array, known, require, require_finite, require_shape
+from tomojax._checks import checked, float_array, known, require, require_shape
 from tomojax._custom_types import Numbers
 
 
@@ -45,10 +45,8 @@ class ToldSheet(eqx.Module):
     nearest: Int[np.ndarray, " points"]  # the point on the sheet that each stands for
 
     def __init__(self, electrodes: Numbers, potentials: Numbers):
-        ee = self.electrodes = float_array("electrodes", electrodes)
-        require_shape("electrodes", ee, (None, None))
+        ee = self.electrodes = checked("electrodes", electrodes, "finite", (None, None))
         require_shape("electrodes", ee, (len(ee), len(ee)))
-        require_finite("electrodes", ee)
         rows = float_array("potentials", potentials, ee.dtype)
         require_shape("potentials", rows, (len(ee), None, None))
         require(min(rows.shape) >= 2, "potentials", f"shape {rows.shape}", "2 × 2 or more")
