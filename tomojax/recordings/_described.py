@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, Shaped
 
 from tomojax._require import require
 from tomojax.files import read_toml
@@ -182,6 +183,15 @@ def _range(
 def scaled(told: dict[str, Any]) -> tuple[float, float]:
     """Returns V per code, and V at code 0."""
     return number("scale", told["scale"]), number("offset", told.get("offset", 0.0))
+
+
+def volts_of(
+    codes: Shaped[np.ndarray, "*n"], scale: float, offset: float
+) -> Float32[np.ndarray, "*n"]:
+    """Turns codes into volts, by way of float64."""
+    volts = np.multiply(codes, scale, dtype=np.float64)
+    volts += offset
+    return volts.astype(np.float32)
 
 
 def rails_of(codes: np.dtype, scale: float, offset: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from tomojax.recordings._described import (
     number,
     rails_of,
     size_of,
+    volts_of,
     whole_numbers,
 )
 from tomojax.recordings._outline import Outline
@@ -215,10 +216,7 @@ class Hdf5Recording(Recording):
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         codes, ground = self.read_codes(start, stop)
-        scale, offset = self.codes_to_volts
-        volts = np.multiply(codes, scale, dtype=np.float64)
-        volts += offset
-        return Scans(volts.astype(np.float32), ground, self.t0[start:stop])
+        return Scans(volts_of(codes, *self.codes_to_volts), ground, self.t0[start:stop])
 
     def close(self) -> None:
         self._file.close()
@@ -240,12 +238,12 @@ def _open(path: Path) -> OpenContainer:
     try:
         return open_container(path)
     except OSError as error:
-        reason = str(error)
+        whole = f"cannot be opened as HDF5 ({error})"
+        cut = f"cut off ({error}), expected all of it"
+        told = cut if "truncated" in str(error) else whole
+        raise ValueError(f"file: {told}; {_MEND}") from None
     except ValueError as error:
         raise ValueError(f"{error}; {_MEND}") from None
-    if "truncated" in reason:
-        raise ValueError(f"file: cut off ({reason}), expected all of it; {_MEND}")
-    raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
 def is_hdf5(raw: BinaryIO) -> bool:

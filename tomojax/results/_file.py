@@ -216,13 +216,13 @@ class RowWriter:
             some = np.ascontiguousarray(some, kind)
             require(some.shape[1:] == shape, name, f"shape {shape}", f"{some.shape[1:]}")
             row = kind.itemsize * int(np.prod(shape))
-            _write_all(self._data, some, offset + start * row)
+            _write(self._data, some, offset + start * row)
 
     def mark(self) -> None:
         """Marks all chunks written so far as done; keeps the last one's state."""
         os.fsync(self._data.fileno())
         for chunk in self._unmarked:
-            _write_some(self._marks, b"\x01", chunk)
+            _write(self._marks, b"\x01", chunk)
         os.fsync(self._marks.fileno())
         self._unmarked.clear()
         self._marked = monotonic()
@@ -260,18 +260,11 @@ def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -
     h5py.h5d.create(file.id, name.encode(), kind_id, space, plist)
 
 
-def _write_all(file: FileIO, values: np.ndarray, offset: int) -> None:
+def _write(file: FileIO, values: np.ndarray | bytes, offset: int) -> None:
     left = memoryview(values).cast("B")
-    while left:
-        count = _write_some(file, left[: 1 << 26], offset)
-        left, offset = left[count:], offset + count
-
-
-def _write_some(file: FileIO, values: memoryview | bytes, offset: int) -> int:
-    if hasattr(os, "pwrite"):
-        return os.pwrite(file.fileno(), values, offset)
-    file.seek(offset)  # Windows: one writer has this file
-    return file.write(values)
+    file.seek(offset)
+    while left:  # an unbuffered file takes as much as it likes at once
+        left = left[file.write(left) :]
 
 
 def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:
