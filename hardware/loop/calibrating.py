@@ -7,7 +7,6 @@ the slots on the disk say how well each part is known.
 import json
 import os
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +100,8 @@ class Known:
 def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
     """Draws the map and prints the lines until the ring is done."""
     drawn, known = Map(rig_of(told)), Known(path)
-    row, done, left = 0, False, np.zeros((0, ring.electrodes))
-    while not done:
-        done = ring.done
-        rows, row, _ = ring.since(row)
+    left = np.zeros((0, ring.electrodes))
+    for rows, _ in ring.follow(_EVERY, 0):
         volts = rows["codes"] * told["scale"] + told["offset"]
         volts = np.concatenate([left, volts])
         whole = len(volts) // _SLOTS * _SLOTS
@@ -113,7 +110,6 @@ def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
         image = drawn.image()
         ring.head["image"][: image.shape[0], : image.shape[1]] = image
         ring.say("\n".join(filter(None, (drawn.text(), known.text))))
-        time.sleep(0 if done else _EVERY)
     known.close()
 
 

@@ -78,12 +78,9 @@ def watch(ring: SlotRing, terminal: bool) -> None:
         time.sleep(0 if done else period)
         now, count = time.monotonic(), int(ring.head["rows"])
         rate, before, rows = (count - rows) / (now - before), now, count
-        worked = ring.rows["latency"][(count - 1) % ring.length] if count else np.nan
-        back = 0
-        while count and np.isnan(worked) and back < min(count, 100) - 1:
-            back += 1  # the last that was worked on
-            worked = ring.rows["latency"][(count - 1 - back) % ring.length]
-        last = ring.rows[(count - 1 - back) % ring.length].copy() if count else None
+        newest = ring.since(max(0, count - 100))[0]
+        worked = newest[np.isfinite(newest["latency"])]
+        last = next((some[-1] for some in (worked, newest) if len(some)), None)
         told = lines(ring, last, rate, explained)
         if terminal:
             shown = blocks(ring.head["image"]) + told

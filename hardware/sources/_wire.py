@@ -1,6 +1,5 @@
 """Reads slots over a wire: finds gaps by sequence numbers, and mends a cut connection."""
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -290,17 +289,13 @@ class WireSource(SlotSource):
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         numbers = told.rate, told.scale, told.offset
-        sound = all(map(math.isfinite, numbers)) and _possible(told)
-        require(
-            sound, "rate, scale, offset", f"a rig with {numbers}", "a rate, and a scale"
-        )
+        names, got = "rate, scale, offset", f"a rig with {numbers}"
+        require(_possible(told), names, got, "a rate, and a scale")
         self._told = told
         if before is not None:
             # What is recorded and worked on would mean something else from here on.
             was = before.rate, before.scale, before.offset
-            require(
-                numbers == was, "rate, scale, offset", f"a rig with {numbers}", f"{was}"
-            )
+            require(numbers == was, names, got, f"{was}")
         self.rate, self.scale, self.offset = numbers
         self._order.rate, self._heard = told.rate, arrived
         if before is None:

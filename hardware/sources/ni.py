@@ -189,15 +189,13 @@ class NiSource(SlotSource):
         except self._daq.errors.DaqReadError as error:
             if error.error_code == _TIMEOUT:
                 return False
-            self._again()  # it kept more than it has room for: the oldest are gone
+            # It kept more than it has room for: the oldest are gone.
+            self.counters.disconnects += 1
+            self._halt()
+            self._go()
             return False
         self._block, self._waits, self._last = block, count, time.perf_counter()
         return True
-
-    def _again(self) -> None:
-        self.counters.disconnects += 1
-        self._halt()
-        self._go()
 
     def _halt(self) -> None:
         assert self._tasks is not None

@@ -1,6 +1,5 @@
 """Writes MCAP with ROS 2's messages, without ROS: for rosbag2, Foxglove and learners."""
 
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,14 @@ from tomojax.exports._source import plain, Progress, Source
 
 _FRAME = "tomojax_sheet"
 
-# Of a point: name, offset, type (6: uint32, 7: float32).
-_POINT = (
-    ("x", 0, 7),
-    ("y", 4, 7),
-    ("z", 8, 7),
-    ("number", 12, 6),
-    ("conductance", 16, 7),
-    ("force", 20, 7),
+# Of a contact in a cloud; and ROS's numbers of the types.
+_POINT = np.dtype(
+    [
+        (name, "<u4" if name == "number" else "<f4")
+        for name in ("x", "y", "z", "number", "conductance", "force")
+    ]
 )
-_PACKED = struct.Struct("<fffIff")
+_TYPES = {"u": 6, "f": 7}
 _NUMBERS = ("radius", "angle", "current", "conductance", "force")
 
 TOPICS = {
@@ -113,22 +110,20 @@ def _listed(block: dict[str, np.ndarray], name: str, shape: tuple[int, ...]) -> 
 
 
 def _cloud(contacts: list[dict]) -> dict[str, Any]:
-    names = ("x", "y", "number", "conductance", "force")
-    data = b"".join(
-        _PACKED.pack(x, y, 0.0, number, g, force)
-        for x, y, number, g, force in ([c[n] for n in names] for c in contacts)
-    )
+    points = np.zeros(len(contacts), _POINT)  # z is 0
+    for name in ("x", "y", "number", "conductance", "force"):
+        points[name] = [one[name] for one in contacts]
     return {
         "height": 1,
         "width": len(contacts),
         "fields": [
-            {"name": name, "offset": at, "datatype": kind, "count": 1}
-            for name, at, kind in _POINT
+            {"name": name, "offset": at, "datatype": _TYPES[kind.kind], "count": 1}
+            for name, (kind, at, *_) in (_POINT.fields or {}).items()
         ],
         "is_bigendian": False,
-        "point_step": _PACKED.size,
-        "row_step": len(data),
-        "data": data,
+        "point_step": _POINT.itemsize,
+        "row_step": points.nbytes,
+        "data": points.tobytes(),
         "is_dense": True,
     }
 

@@ -219,9 +219,11 @@ class LoadedResults:
             end = min(at + each, stop)
             yield {name: self.stretch(name, at, end) for name in names}
 
-    def thinned(self, name: str, step: int) -> np.ndarray:
-        """Reads every `step`-th row of a dataset."""
-        blocks = self.blocks([name], step * max(1, _ROWS // step))
+    def thinned(
+        self, name: str, step: int, start: int = 0, stop: int | None = None
+    ) -> np.ndarray:
+        """Reads every `step`-th row of a dataset, from row `start` on."""
+        blocks = self.blocks([name], step * max(1, _ROWS // step), start, stop)
         return np.concatenate([block[name][::step] for block in blocks])
 
     def unit(self, name: str) -> str:
