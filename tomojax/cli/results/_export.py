@@ -48,11 +48,9 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     type=entry.NUMBER,
     help="Write rows from this time on, s after the first row. [default: 0]",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
-    help="Write this file, or files in this folder for several RESULTS. [default: beside "
+@entry.out_option(
+    entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
+    "Write this file, or files in this folder for several RESULTS. [default: beside "
     "RESULTS]",
 )
 @click.option(
