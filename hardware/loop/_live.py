@@ -20,6 +20,7 @@ _MEANWHILE = 0.2  # s between calls of `meanwhile`
 _IN_C = 0.05  # s that C works on slots without looking about
 _AGAIN = 20  # slots after which a ground that is not obeyed is asked for again
 
+_SAID = "count", "xy", "conductance"  # of contacts
 _NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 
 
@@ -163,25 +164,15 @@ class _Loop:
             self._asked, self._unheeded = ground, 0
         latency = time.perf_counter() - got.arrived
         ring.head["latency"][min(int(1e6 * latency), LONGEST - 1)] += 1
-        ring.put(got, codes, _said(out, latency, ground))
+        said = {name: getattr(out.contacts, name) for name in _SAID}
+        said |= {"latency": latency, "next": ground, "flags": out.flags}
+        ring.put(got, codes, said)
 
     def end(self) -> None:
         """Takes the wire back from C, and counts a last time."""
         if self._in_c is not None:
             self._in_c.give_back(self._source)
         self.count()
-
-
-def _said(out: Any, latency: float, ground: int) -> dict[str, Any]:
-    contacts = out.contacts
-    return {
-        "latency": latency,
-        "next": ground,
-        "flags": out.flags,
-        "count": contacts.count,
-        "xy": contacts.xy,
-        "conductance": contacts.conductance,
-    }
 
 
 def _draw(ring: SlotRing, step: "tomojax.step.Step", state: Any) -> None:

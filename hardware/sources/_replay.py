@@ -64,13 +64,9 @@ class ReplaySource(SlotSource):
         codes[:] = np.clip(exact, -32768, 32767)
         ground = int(self._chunk.grounds[inside, slot])
         lost = self._before.get(self._row, 0) * recording.slots if slot == 0 else 0
-        number = self._number + lost
-        self._number = number + 1
         self._slot = (slot + 1) % recording.slots
         self._row += self._slot == 0
-        self.counters.slots += 1
-        self.counters.lost += lost
-        return Got(ground, lost, number, when, time.perf_counter())
+        return self._counted(ground, lost, when, time.perf_counter())
 
     def _due(self, when: float, timeout: float) -> bool:
         """Waits for a slot's time, no longer than `timeout`."""

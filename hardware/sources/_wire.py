@@ -94,7 +94,7 @@ class WireSource(SlotSource):
         self._messages: deque[tuple[bytes, float]] = deque()
         self._ready: deque[tuple[frames.Slot, Got]] = deque()
         self._order, self._clock = Numbers(self.counters), Clock(self.counters)
-        self._number = self._missed = 0
+        self._missed = 0
         # When a slot was last given out, or the rig described itself.
         self._heard = self._asked = self._opened = 0.0
         self._last: Got | None = None
@@ -261,15 +261,10 @@ class WireSource(SlotSource):
         away = (lost + 1) / self.rate
         if placed.anew and self._last is not None:
             self._clock.begin(self._last.time + away)
-        self._number += lost
         when = self._clock(slot.microseconds, away)
-        got = Got(slot.ground, lost, self._number, when, arrived)
-        self._number += 1
-        self.counters.lost += lost
-        self.counters.slots += 1
-        self._last = got
+        self._last = self._counted(slot.ground, lost, when, arrived)
         self._heed(slot.ground)
-        return got
+        return self._last
 
     def _heed(self, ground: int) -> None:
         """Asks for the grounds again if a command seems to be lost."""

@@ -167,11 +167,8 @@ class NiSource(SlotSource):
         ground = self._grounds[self._turn % len(self._grounds)]
         self._turn += 1
         lost = self._lost()
-        number = self._number + lost
-        self._number = number + 1
-        self.counters.slots += 1
-        self.counters.lost += lost
-        return Got(ground, lost, number, number / self.rate, self._last)
+        when = (self._number + lost) / self.rate
+        return self._counted(ground, lost, when, self._last)
 
     def _lost(self) -> int:
         """Returns how many slots a stop has cost."""

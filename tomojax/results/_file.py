@@ -57,7 +57,8 @@ class ResultsFile:
         return partial_path(self.out, ending)
 
     def create(self, datasets: dict[str, Dataset], attributes: dict[str, Any]) -> None:
-        """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
+        """Lays the file out anew. **Raises:** `ValueError` where the disk is too small."""
+        self.discard()
         building = self.beside(".new")
         try:
             with h5py.File(building, "w") as file:
@@ -84,15 +85,11 @@ class ResultsFile:
             self.beside(".done").write_bytes(bytes(self.chunks))
             building.replace(self.partial)
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
-            building.unlink(missing_ok=True)
-            self.beside(".done").unlink(missing_ok=True)
-            size = sum(
-                np.dtype(one.kind).itemsize * math.prod(one.shape)
-                for one in datasets.values()
-            )
-            raise ValueError(
-                f"{self.out}: {reason(error)}; {size / 1e9:.3g} GB are needed there"
-            ) from None
+            self.discard()
+            each = datasets.values()
+            size = sum(np.dtype(a.kind).itemsize * math.prod(a.shape) for a in each)
+            told = f"{reason(error)}; {size / 1e9:.3g} GB are needed there"
+            raise ValueError(f"{self.out}: {told}") from None
 
     def done(self) -> np.ndarray:
         """Returns the chunks that are written."""
@@ -167,12 +164,10 @@ def write_rows(
     check_output(out, False, overwrite)
     file = ResultsFile(out, 1)
     with file.locked():
-        file.discard()
         file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
         with contextlib.closing(RowWriter(file)) as writer:
-            writer.write(
-                0, 0, {name: values for name, (_, values) in columns.items()}, None
-            )
+            rows = {name: values for name, (_, values) in columns.items()}
+            writer.write(0, 0, rows, None)
             writer.mark()
         file.finish()
 
@@ -279,14 +274,7 @@ def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True)
     ours = not out.is_file() or out.stat().st_size == 0 or is_results(out)
     if resume or overwrite:
         require(ours, f"{out}", "a file that holds no results", "a new name")
-    if not overwrite:
-        require(
-            not out.exists() or resume, f"{out}", "a file", "a new name, or --overwrite"
-        )
-        begun = resumes and partial_path(out).exists()
-        require(
-            not begun or resume,
-            f"{partial_path(out)}",
-            "work begun there",
-            "--resume to go on with it, or --overwrite",
-        )
+    if not (overwrite or resume):
+        require(not out.exists(), f"{out}", "a file", "a new name, or --overwrite")
+        begun, mend = partial_path(out), "--resume to go on with it, or --overwrite"
+        require(not (resumes and begun.exists()), f"{begun}", "work begun there", mend)

@@ -66,7 +66,7 @@ def check_source(
         if time.perf_counter() > trial.due:
             trial.say(f"{trial.call} has not come back: {trial.mend}")
             break
-    return list(trial.found)
+    return list(trial.found.values())
 
 
 class _Trial:
@@ -75,17 +75,13 @@ class _Trial:
     def __init__(self, source: Any, seconds: float, grounds: Any, obeys: bool):
         self.source, self.seconds, self.obeys = source, seconds, obeys
         self.grounds = grounds
-        self.found: list[str] = []
-        self._said: set[str] = set()
+        self.found: dict[str, str] = {}  # by what a sentence is about
         self.got: list[Got] = []
         self._enter("start()", _START, "it raises OSError where no rig answers")
 
     def say(self, text: str, about: str = "") -> None:
         """Adds a sentence; of several `about` the same the first."""
-        about = about or text
-        if about not in self._said:
-            self._said.add(about)
-            self.found.append(text)
+        self.found.setdefault(about or text, text)
 
     def _enter(self, call: str, seconds: float, mend: str) -> None:
         self.call, self.mend = call, mend
@@ -186,15 +182,12 @@ class _Trial:
         if not isinstance(got, Got):
             self.say(f"read() returned {type(got).__name__}, expected a Got or None")
             return False
-        for name in ("ground", "lost", "number"):
-            value = getattr(got, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool):
-                self.say(f"{name} of a Got is {value!r}, expected a whole number")
-                return False
-        for name in ("time", "arrived"):
-            value = getattr(got, name)
-            if not _is_finite(value):
-                self.say(f"{name} of a Got is {value!r}, expected seconds")
+        for name, value in got._asdict().items():
+            seconds = name in ("time", "arrived")
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not (_is_finite(value) if seconds else whole):
+                expected = "seconds" if seconds else "a whole number"
+                self.say(f"{name} of a Got is {value!r}, expected {expected}")
                 return False
         return True
 

@@ -146,13 +146,9 @@ def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None
 
     endings = KINDS[kind].endings
     for place in places:
+        expected = f"a name with {' or '.join(endings)}"
         named = not endings or place.suffix in endings
-        require(
-            named,
-            f"--out: {place}",
-            repr(place.suffix),
-            f"a name with {' or '.join(endings)}",
-        )
+        require(named, f"--out: {place}", repr(place.suffix), expected)
     written = [
         entry.Written(path, "--out", kind, kind != "film" and len(places) > 1, ())
         for place in places

@@ -70,9 +70,7 @@ class LoadedResults:
         self.rows, known = shape[0], fields_of_rows()
         require(file.dtype("t").kind == "f", "t", file.dtype("t"), "float64")
         sizes: dict[str, int] = {}
-        for name in known:
-            if name not in file.names:
-                continue
+        for name in [n for n in known if n in file.names]:
             shape, field = file.shape(name), known[name]
             kind = file.dtype(name).kind
             wanted = "f" if np.dtype(field.kind).kind == "f" else "iu"
