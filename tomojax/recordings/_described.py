@@ -11,27 +11,24 @@ from tomojax.files import read_toml
 from tomojax.recordings._outline import Outline
 from tomojax.recordings._recording import check_numbers, PAPER, Rig
 
+# Attributes of a recording that its reader uses.
+FIELDS = {
+    *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
+    "outline", "diameter",
+}  # fmt: skip
+
 # Keys of a sidecar, of options, or of arrays beside the voltages.
 KEYS = {
-    *PAPER,
-    "size",
+    *FIELDS,
     "electrode_xy",
     "rows",
     "columns",
     "pitch",
-    "scale",
-    "offset",
     "rails",
     "resolution",
     "slots",
-    "notes",
     "settle_delay",
     "convert_period",
-    "units",
-    "schema",
-    "schema_version",
-    "outline",
-    "diameter",
     "outline_xy",
     "holes",
     "surface",

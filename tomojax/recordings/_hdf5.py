@@ -8,6 +8,7 @@ import numpy as np
 from tomojax._require import require
 from tomojax.files import open_container, OpenContainer
 from tomojax.recordings._described import (
+    FIELDS,
     MOST_SLOTS,
     number,
     rails_of,
@@ -25,11 +26,6 @@ from tomojax.recordings._recording import (
     settle,
     VERSIONS,
 )
-
-_FIELDS = {
-    *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
-    "outline", "diameter",
-}  # fmt: skip
 
 _MEND = "copy it again from where it was recorded"
 
@@ -261,11 +257,11 @@ class _Fields(dict[str, Any]):
     """Fields of a recording by name; says why a field that is asked for is missing."""
 
     def __init__(self, file: OpenContainer, header: dict[str, Any], matlab: bool):
-        unknown = sorted(header.keys() - _FIELDS)
-        require(not unknown, "header", unknown, f"some of {sorted(_FIELDS)}")
+        unknown = sorted(header.keys() - FIELDS)
+        require(not unknown, "header", unknown, f"some of {sorted(FIELDS)}")
         own = file.attributes
         if matlab:
-            names = (_FIELDS & {*file.names}) - header.keys()
+            names = (FIELDS & {*file.names}) - header.keys()
             own = {name: _variable(file, name) for name in sorted(names)}
         super().__init__(own | header)
         self._none = "no such variable" if matlab else "no such attribute"

@@ -57,21 +57,19 @@ class Work:
         self.settings, self._size = settings, size
         recording = self.recording = _opened(recording)
         self._calibration = calibration_of(recording, settings)
+        sensor, method = recording.rig.sensor(), settings.method
+        self._curved = None if sensor.surface is None else sensor
         self._model: Any
-        if settings.method == "follow":
+        if method == "follow":
             from tomojax.results._following import Following
 
             self._model = Following(recording, settings, self._calibration, size)
         else:
-            sensor, grid = recording.rig.sensor(), settings.pixels
-            self._model = methods.method(sensor, settings.method, grid, self._calibration)
-        outline, self._curved = recording.rig.outline, None
-        if outline is not None and outline.surface is not None:
-            self._curved = recording.rig.sensor()
+            grid = settings.pixels
+            self._model = methods.method(sensor, method, grid, self._calibration)
         self._chosen = None
         if settings.policy:
-            contacts, method = settings.contacts, settings.method
-            self._chosen = Chosen(settings.policy, recording, contacts, method)
+            self._chosen = Chosen(settings.policy, recording, settings.contacts, method)
         self._solvers: dict[float, AbstractSolver] = {}
 
     def __getstate__(self) -> dict[str, Any]:
