@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.events import Event, EventFinder
+from tomojax.events import EventFinder
 from tomojax.exports._messages import definition
 from tomojax.exports._source import plain, Progress, Source
 
@@ -63,7 +63,9 @@ def write(source: Source, out: Path, progress: Progress) -> None:
             if "image" in schemas:
                 put("image", t, _image(row["image"]))
         for event in source.events():
-            put("events", event.t, _event(event))
+            x, y = event.xy
+            told = {"device_time": event.t, "event": event.kind, "x": x, "y": y}
+            put("events", event.t, event._asdict() | told)
         writer.finish()
 
 
@@ -150,8 +152,3 @@ def _image(image: np.ndarray) -> dict[str, Any]:
         "step": shown.strides[0],
         "data": shown.tobytes(),
     }
-
-
-def _event(event: Event) -> dict[str, Any]:
-    (x, y), told = event.xy, event._asdict()
-    return told | {"device_time": event.t, "event": event.kind, "x": x, "y": y}

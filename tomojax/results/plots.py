@@ -25,7 +25,10 @@ _SMALLEST = 2.0  # square points; of the smallest dot
 def timeline(path: Path) -> Figure:
     """Draws contacts' places and currents over time, the path on the sheet, and flags."""
     with LoadedResults(path) as file:
-        rows = _thinned(file)
+        step = max(1, -(-file.rows // _POINTS))  # so many rows as a picture shows
+        names = ["t", "contact_xy", "contact_current", "flags", "residual"]
+        names += {"contact_covariance"} & set(file.names)
+        rows = {name: file.thinned(name, step) for name in names}
         shown = _largest(file) if "image" in file.names else {}
         size, electrodes = file.size(), np.zeros((0, 2))
         if "electrode_xy" in file.attributes:
@@ -55,15 +58,6 @@ def timeline(path: Path) -> Figure:
         each = shown["residual_by_electrode"]
         _on_electrodes(right["residual_by_electrode"], each, size, electrodes)
     return figure
-
-
-def _thinned(file: LoadedResults) -> dict[str, np.ndarray]:
-    """Returns so many rows as a picture shows."""
-    step = max(1, -(-file.rows // _POINTS))
-    names = ["t", "contact_xy", "contact_current", "flags", "residual"]
-    if "contact_covariance" in file.names:
-        names.append("contact_covariance")
-    return {name: file.thinned(name, step) for name in names}
 
 
 def _largest(file: LoadedResults) -> dict[str, Any]:

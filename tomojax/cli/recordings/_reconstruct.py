@@ -27,7 +27,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @entry.out_option(
     entry.OutputFile(
         "results",
-        lambda given: given["rec"][0].with_name(given["rec"][0].stem + ".results.h5"),
+        lambda given: given["rec"][0].with_suffix(".results.h5"),
         unless=lambda given: _several(given["rec"]),
     ),
     "Write the results to this file, or to this folder for several recordings. "

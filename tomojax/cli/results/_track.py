@@ -14,7 +14,7 @@ _DRIFT = entry.Pair(float, "M,LN_G", "auto or M,LN_G, 0 or more", words={"auto":
 @click.command(cls=entry.Command)
 @click.argument("results", type=entry.InputFile())
 @entry.out_option(
-    entry.OutputFile("results", lambda given: _track_of(given["results"])),
+    entry.OutputFile("results", lambda given: given["results"].with_suffix(".track.h5")),
     "Write the tracks here. [default: RESULTS.track.h5]",
 )
 @click.option(
@@ -74,7 +74,3 @@ def _check_stretch(results: Path, since: float | None, until: float | None) -> N
 
     with LoadedResults(results) as file, naming(results):
         stretch_of(file.read("t"), since, until)
-
-
-def _track_of(results: Path) -> Path:
-    return results.with_name(results.stem + ".track.h5")
