@@ -56,9 +56,8 @@ def run(
     if step is not None:
         here, there = ring.contacts, step.contact_count
         require(here == there, "ring", f"{here} contacts", f"{there}, as the step has")
-        require(
-            step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"
-        )
+        channels = step.electrode_count
+        require(channels == m, "step", f"{channels} channels", f"{m}")
     loop = _Loop(source, step, ring, policy, budget)
     image_due, other_due = 0.0, 0.0
     try:

@@ -79,8 +79,9 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
             finder = EventFinder.of_rows(source.pitch, interval)
         shape = block["contact_xy"].shape[:2]
         each = {n: _listed(block, f"contact_{n}", shape) for n in _NUMBERS}
-        xy = block["contact_xy"].tolist()
-        covariance = _listed(block, "contact_covariance", (*shape, 3))
+        each["covariance"] = _listed(block, "contact_covariance", (*shape, 3))
+        xy = block["contact_xy"]
+        each |= {"x": xy[..., 0].tolist(), "y": xy[..., 1].tolist()}
         flags, count = block["flags"].tolist(), block["contact_count"].tolist()
         residual = _listed(block, "residual", shape[:1])
         for k in range(len(t)):
@@ -89,16 +90,10 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
                 numbers = block["contact_track"][k, :n].tolist()
             else:
                 g = each["conductance"][k][:n]
-                numbers = finder.row(t[k], xy[k][:n], g, flags[k])[0]
+                numbers = finder.row(t[k], xy[k, :n].tolist(), g, flags[k])[0]
             contacts = [
-                {
-                    "number": numbers[c],
-                    "x": xy[k][c][0],
-                    "y": xy[k][c][1],
-                    **{name: values[k][c] for name, values in each.items()},
-                    "covariance": covariance[k][c],
-                }
-                for c in range(n)
+                {"number": number, **{name: each[name][k][c] for name in each}}
+                for c, number in enumerate(numbers)
             ]
             state = {"flags": flags[k], "residual": residual[k], "contacts": contacts}
             image = block["image"][k] if "image" in block else None

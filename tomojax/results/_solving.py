@@ -39,12 +39,9 @@ class Chosen:
         self.size, self.corners = np.asarray(sensor.size), np.asarray(exploration(sensor))
         asked = np.union1d(self.table, self.corners)
         missing = np.setdiff1d(asked, recording.read(0, 1).grounds)
-        require(
-            not len(missing),
-            f"{path}: table",
-            f"grounds that the recording lacks: {', '.join(map(str, missing[:8]))}",
-            "a recording with all of them in each scan",
-        )
+        told = f"grounds that the recording lacks: {', '.join(map(str, missing[:8]))}"
+        expected = "a recording with all of them in each scan"
+        require(not len(missing), f"{path}: table", told, expected)
         points = make_method(sensor, "points", 8)
         self._find = Batch(points, 1.0, contacts, images=False)
 

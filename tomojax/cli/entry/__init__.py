@@ -37,6 +37,7 @@ from tomojax.cli.entry._options import (
     calibration_option as calibration_option,
     grouped as grouped,
     like_option as like_option,
+    since_option as since_option,
     stretch_options as stretch_options,
     wire_options as wire_options,
 )

@@ -42,12 +42,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     "ends the stretch instead, s after the first row. [default: by the ending of "
     "-o; the end]",
 )
-@click.option(
-    "--from",
-    "since",
-    type=entry.NUMBER,
-    help="Write rows from this time on, s after the first row. [default: 0]",
-)
+@entry.since_option
 @entry.out_option(
     entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
     "Write this file, or files in this folder for several RESULTS. [default: beside "
