@@ -7,6 +7,7 @@ the slots on the disk say how well each part is known.
 import json
 import os
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -69,15 +70,14 @@ class Known:
 
     def __init__(self, path: Path):
         self.text, self._path = "", path
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._work, daemon=True).start()
 
     def _work(self) -> None:
         from tomojax.calibration import calibrated_recording, text
         from tomojax.recordings import open_recording
 
-        while not self._over.wait(_AGAIN):
+        while True:
+            time.sleep(_AGAIN)
             try:
                 with open_recording(self._path) as recording:
                     found = calibrated_recording(
@@ -93,9 +93,6 @@ class Known:
         if not self.text.startswith("so far"):
             self.text = f"calibrating what is there: {text}"
 
-    def close(self) -> None:
-        self._over.set()
-
 
 def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
     """Draws the map and prints the lines until the ring is done."""
@@ -110,7 +107,6 @@ def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
         image = drawn.image()
         ring.head["image"][: image.shape[0], : image.shape[1]] = image
         ring.say("\n".join(filter(None, (drawn.text(), known.text))))
-    known.close()
 
 
 def main() -> None:
