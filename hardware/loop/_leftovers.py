@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, ExitStack, suppress
 from pathlib import Path
 
 try:
@@ -37,18 +37,13 @@ def abandoned(path: Path) -> bool:
     """Tells whether the process that claimed a path has ended; False if nobody knows."""
     if fcntl is None:
         return False
-    try:
-        number = os.open(path, os.O_RDONLY)
-    except OSError:
-        return False
-    try:
+    with suppress(OSError), ExitStack() as stack:
+        number = os.open(path, os.O_RDONLY)  # a folder, too
+        stack.callback(os.close, number)
         # Shared: two that ask at once do not take each other for the owner.
         fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
         return True
-    except OSError:
-        return False
-    finally:
-        os.close(number)
+    return False
 
 
 def sweep(folder: Path, pattern: str) -> None:

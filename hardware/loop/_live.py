@@ -20,6 +20,7 @@ _MEANWHILE = 0.2  # s between calls of `meanwhile`
 _IN_C = 0.05  # s that C works on slots without looking about
 _AGAIN = 20  # slots after which a ground that is not obeyed is asked for again
 
+_SAID = "count", "xy", "conductance"  # of contacts
 _NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
 
 
@@ -56,9 +57,8 @@ def run(
     if step is not None:
         here, there = ring.contacts, step.contact_count
         require(here == there, "ring", f"{here} contacts", f"{there}, as the step has")
-        require(
-            step.electrode_count == m, "step", f"{step.electrode_count} channels", f"{m}"
-        )
+        channels = step.electrode_count
+        require(channels == m, "step", f"{channels} channels", f"{m}")
     loop = _Loop(source, step, ring, policy, budget)
     image_due, other_due = 0.0, 0.0
     try:
@@ -168,25 +168,15 @@ class _Loop:
         longer = latency - waited > self._usual
         self._usual += self._period / (32 if longer else -32)
         ring.head["latency"][min(int(1e6 * latency), LONGEST - 1)] += 1
-        ring.put(got, codes, _said(out, latency, ground))
+        said = {name: getattr(out.contacts, name) for name in _SAID}
+        said |= {"latency": latency, "next": ground, "flags": out.flags}
+        ring.put(got, codes, said)
 
     def end(self) -> None:
         """Takes the wire back from C, and counts a last time."""
         if self._in_c is not None:
             self._in_c.give_back(self._source)
         self.count()
-
-
-def _said(out: Any, latency: float, ground: int) -> dict[str, Any]:
-    contacts = out.contacts
-    return {
-        "latency": latency,
-        "next": ground,
-        "flags": out.flags,
-        "count": contacts.count,
-        "xy": contacts.xy,
-        "conductance": contacts.conductance,
-    }
 
 
 def _draw(ring: SlotRing, step: "tomojax.step.Step", state: Any) -> None:

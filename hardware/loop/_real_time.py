@@ -5,7 +5,7 @@ import ctypes
 import gc
 import os
 import signal
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack, suppress
 from pathlib import Path
 
 # One function of the whole step, where a step is else some hundred tasks: see `Step`.
@@ -30,40 +30,33 @@ def real_time(priority: int = 50):
     """
     import jax  # processes beside the loop start without
 
-    before = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = " ".join((before, *_FLAGS)).strip()
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    done = ["one function", "no other threads", "no garbage collection"]
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    fifo = None
-    if cores:
-        os.sched_setaffinity(0, {_quietest(cores)})
-        done.append("one core")
-        try:
-            fifo = os.sched_getscheduler(0), os.sched_getparam(0)
-            first = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-            os.sched_setscheduler(0, first, os.sched_param(priority))
-            done.append("SCHED_FIFO")
-        except (PermissionError, AttributeError):  # not allowed, or not this system's
-            fifo = None
-    if locked := _lock_memory():
-        done.append("locked memory")
-    try:
+    with ExitStack() as undo:
+        before = os.environ.get("XLA_FLAGS", "")
+        undo.callback(os.environ.update, XLA_FLAGS=before)
+        os.environ["XLA_FLAGS"] = " ".join((before, *_FLAGS)).strip()
+        undo.callback(jax.config.update, "jax_cpu_enable_async_dispatch", True)
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
+        undo.callback(gc.unfreeze)
+        undo.callback(gc.enable)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        done = ["one function", "no other threads", "no garbage collection"]
+        if hasattr(os, "sched_getaffinity"):
+            cores = os.sched_getaffinity(0)
+            undo.callback(os.sched_setaffinity, 0, cores)
+            os.sched_setaffinity(0, {_quietest(cores)})
+            done.append("one core")
+            with suppress(PermissionError, AttributeError):  # not allowed, or not there
+                scheduler, asked = os.sched_getscheduler(0), os.sched_getparam(0)
+                first = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                os.sched_setscheduler(0, first, os.sched_param(priority))
+                undo.callback(os.sched_setscheduler, 0, scheduler, asked)
+                done.append("SCHED_FIFO")
+        if _lock_memory():
+            undo.callback(ctypes.CDLL(None).munlockall)
+            done.append("locked memory")
         yield done
-    finally:
-        if locked:
-            ctypes.CDLL(None).munlockall()
-        if fifo is not None:
-            os.sched_setscheduler(0, *fifo)
-        if cores:
-            os.sched_setaffinity(0, cores)
-        gc.enable()
-        gc.unfreeze()
-        jax.config.update("jax_cpu_enable_async_dispatch", True)
-        os.environ["XLA_FLAGS"] = before
 
 
 def _lock_memory() -> bool:

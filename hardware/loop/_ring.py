@@ -7,7 +7,9 @@ oldest slots. That reader is told how many slots are lost, and no other process 
 import json
 import os
 import tempfile
+import time
 import weakref
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -163,6 +165,21 @@ class SlotRing:
         still = max(0, int(self.head["rows"]) - self.length + 1 - first)
         gone = first - row + min(still, stop - first)
         return found[still:], stop, gone
+
+    def follow(
+        self, every: float, row: int, most: int = 1 << 14
+    ) -> Iterator[tuple[np.ndarray, int]]:
+        """Yields rows from `row` on, and how many are gone, until the ring is done.
+
+        The next look comes `every` s later, or at once where more than `most` rows wait.
+        """
+        done, waiting = False, True
+        while waiting or not done:
+            done = self.done
+            rows, row, gone = self.since(row, most)
+            yield rows, gone
+            waiting = len(rows) == most
+            time.sleep(0 if done or waiting else every)
 
     def count(self, **numbers: int) -> None:
         for name, value in numbers.items():

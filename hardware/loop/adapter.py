@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from tomojax._whole import whole
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
 from tomojax.recordings import rig_of
@@ -37,13 +38,11 @@ class Log:
         self._entries.append((adapter.time, adapter.offset, adapter.gain))
         if self._path is None:
             return
-        new = self._path.with_name(self._path.name + ".new")
-        with h5py.File(new, "w") as file:
+        with whole(self._path) as new, h5py.File(new, "w") as file:
             names = zip(("t", "zero", "gain"), ("s", "V", "1"), zip(*self._entries))
             for name, unit, values in names:
                 file[f"adapted_{name}"] = np.array(values)
                 file[f"adapted_{name}"].attrs["unit"] = unit
-        new.replace(self._path)
 
 
 def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) -> str:
@@ -53,12 +52,10 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
 
     known = Calibration.load(path) if path else Calibration()
     adapter = Adapter(rig_of(told).sensor(), known, age=known.age_hours())
-    log, row, done = Log(out), int(ring.head["rows"]), False
+    log = Log(out)
     zero = np.broadcast_to(np.asarray(known.offset, float), ring.electrodes)
     gain = np.broadcast_to(np.asarray(known.gain, float), ring.electrodes)
-    while not done:
-        done = ring.done
-        rows, row, _ = ring.since(row)
+    for rows, _ in ring.follow(_EVERY, int(ring.head["rows"])):
         if len(rows):
             places = _places(rows)
             volts = rows["codes"].astype(np.float32) * told["scale"] + told["offset"]
@@ -67,7 +64,6 @@ def follow(ring: SlotRing, told: dict[str, Any], path: str, out: Path | None) ->
             factor = gain / adapter.gain
             ring.trim[...] = factor, zero - adapter.offset * factor
             log.add(adapter)
-        time.sleep(0 if done else _EVERY)
     log.add(adapter, last=True)
     moved = np.std(adapter.offset - zero), np.std(adapter.gain / gain)
     text = f"adapted: zeros moved by {1e3 * moved[0]:.2f} mV rms, gains by "

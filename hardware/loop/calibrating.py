@@ -70,15 +70,14 @@ class Known:
 
     def __init__(self, path: Path):
         self.text, self._path = "", path
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._work, daemon=True).start()
 
     def _work(self) -> None:
         from tomojax.calibration import calibrated_recording, text
         from tomojax.recordings import open_recording
 
-        while not self._over.wait(_AGAIN):
+        while True:
+            time.sleep(_AGAIN)
             try:
                 with open_recording(self._path) as recording:
                     found = calibrated_recording(
@@ -94,17 +93,12 @@ class Known:
         if not self.text.startswith("so far"):
             self.text = f"calibrating what is there: {text}"
 
-    def close(self) -> None:
-        self._over.set()
-
 
 def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
     """Draws the map and prints the lines until the ring is done."""
     drawn, known = Map(rig_of(told)), Known(path)
-    row, done, left = 0, False, np.zeros((0, ring.electrodes))
-    while not done:
-        done = ring.done
-        rows, row, _ = ring.since(row)
+    left = np.zeros((0, ring.electrodes))
+    for rows, _ in ring.follow(_EVERY, 0):
         volts = rows["codes"] * told["scale"] + told["offset"]
         volts = np.concatenate([left, volts])
         whole = len(volts) // _SLOTS * _SLOTS
@@ -113,8 +107,6 @@ def watch(ring: SlotRing, told: dict[str, Any], path: Path) -> None:
         image = drawn.image()
         ring.head["image"][: image.shape[0], : image.shape[1]] = image
         ring.say("\n".join(filter(None, (drawn.text(), known.text))))
-        time.sleep(0 if done else _EVERY)
-    known.close()
 
 
 def main() -> None:

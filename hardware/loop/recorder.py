@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -98,11 +99,8 @@ class File:
 
 def free_path(path: Path) -> Path:
     """Returns `path`, or the first of path-1, path-2, … that does not exist."""
-    number, found = 0, path
-    while found.exists():
-        number += 1
-        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return found
+    others = (path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(1))
+    return next(found for found in chain([path], others) if not found.exists())
 
 
 def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float) -> None:

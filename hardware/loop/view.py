@@ -10,15 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from tomojax.hardware.loop import _told
 from tomojax.hardware.loop._real_time import begun
 from tomojax.hardware.loop._ring import SlotRing
-from tomojax.hardware.loop._told import (
-    counted_text,
-    flag_text,
-    latency_text,
-    load_text,
-    shades,
-)
 from tomojax.kernels.flags import Flag
 
 _EVERY = 0.1  # s
@@ -31,7 +25,7 @@ _REST = "\x1b[K"
 
 def blocks(image: np.ndarray) -> list[str]:
     """Returns an image as lines of half blocks in grey, x to the right and y upwards."""
-    grey = (232 + np.rint(23 * shades(image))).astype(int)
+    grey = (232 + np.rint(23 * _told.shades(image))).astype(int)
     return [
         "".join(f"\x1b[38;5;{a};48;5;{b}m▀" for a, b in zip(upper, lower)) + "\x1b[0m"
         for upper, lower in zip(grey[::2], grey[1::2])
@@ -44,9 +38,9 @@ def lines(ring: SlotRing, last: Any, rate: float, explained: set[Flag]) -> list[
     recorded = f"{int(ring.head['recorded'])} recorded, {behind} to come"
     dropped = int(ring.head["dropped"])
     found = [
-        f"{rate:.0f} slots/s; {counted_text(ring)}",
-        load_text(ring),
-        latency_text(ring, 0.5, 0.99, 0.999),
+        f"{rate:.0f} slots/s; {_told.counted_text(ring)}",
+        _told.load_text(ring),
+        _told.latency_text(ring, 0.5, 0.99, 0.999),
         (f"{recorded}, {dropped} NOT" if dropped else recorded)
         if ring.head["recorded"]
         else "not recorded",
@@ -61,7 +55,7 @@ def lines(ring: SlotRing, last: Any, rate: float, explained: set[Flag]) -> list[
     for xy, g in zip(last["xy"][: last["count"]], last["conductance"]):
         x, y = 1e3 * xy
         found.append(f"contact at {x:6.2f}, {y:6.2f} mm, {1e6 * g:9.2f} µS")
-    found += [flag_text(flag) for flag in flags if flag not in explained]
+    found += [_told.flag_text(flag) for flag in flags if flag not in explained]
     return found
 
 
@@ -78,12 +72,9 @@ def watch(ring: SlotRing, terminal: bool) -> None:
         time.sleep(0 if done else period)
         now, count = time.monotonic(), int(ring.head["rows"])
         rate, before, rows = (count - rows) / (now - before), now, count
-        worked = ring.rows["latency"][(count - 1) % ring.length] if count else np.nan
-        back = 0
-        while count and np.isnan(worked) and back < min(count, 100) - 1:
-            back += 1  # the last that was worked on
-            worked = ring.rows["latency"][(count - 1 - back) % ring.length]
-        last = ring.rows[(count - 1 - back) % ring.length].copy() if count else None
+        newest = ring.since(max(0, count - 100))[0]
+        worked = newest[np.isfinite(newest["latency"])]
+        last = next((some[-1] for some in (worked, newest) if len(some)), None)
         told = lines(ring, last, rate, explained)
         if terminal:
             shown = blocks(ring.head["image"]) + told

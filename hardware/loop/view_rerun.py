@@ -1,7 +1,6 @@
 """Shows the live loop in rerun's viewer, or writes it to rerun's file, beside the loop."""
 
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +20,9 @@ def watch(ring: SlotRing, path: Path | None) -> None:
     rr.init("tomojax", spawn=path is None)
     if path is not None:
         rr.save(path)
-    row, done = 0, False
-    while not done:
-        done = ring.done
-        rows, row, _ = ring.since(row)
+    for rows, _ in ring.follow(_EVERY, 0):
         if len(rows):
             _log(rr, ring, rows)
-        time.sleep(0 if done else _EVERY)
     rr.disconnect()
 
 

@@ -70,33 +70,25 @@ def _time(t: float) -> Any:
 
 def _scene(row: LiveRow) -> Any:
     """Returns an entity with a disc for each contact; the next row's entity replaces it."""
-    from foxglove.messages import (
-        Color,
-        CylinderPrimitive,
-        Pose,
-        Quaternion,
-        SceneEntity,
-        SceneUpdate,
-        Vector3,
-    )
+    from foxglove import messages
 
     discs = [
-        CylinderPrimitive(
-            pose=Pose(
-                position=Vector3(x=one.x, y=one.y, z=0.0),
-                orientation=Quaternion(x=0, y=0, z=0, w=1),
+        messages.CylinderPrimitive(
+            pose=messages.Pose(
+                position=messages.Vector3(x=one.x, y=one.y, z=0.0),
+                orientation=messages.Quaternion(x=0, y=0, z=0, w=1),
             ),
-            size=Vector3(x=2 * _RADIUS, y=2 * _RADIUS, z=_HIGH),
+            size=messages.Vector3(x=2 * _RADIUS, y=2 * _RADIUS, z=_HIGH),
             bottom_scale=1.0,
             top_scale=1.0,
-            color=Color(r=0.0, g=0.7, b=0.9, a=0.9),
+            color=messages.Color(r=0.0, g=0.7, b=0.9, a=0.9),
         )
         for one in row.contacts
     ]
-    entity = SceneEntity(
+    entity = messages.SceneEntity(
         timestamp=_time(row.t), frame_id=_FRAME, id="contacts", cylinders=discs
     )
-    return SceneUpdate(entities=[entity])
+    return messages.SceneUpdate(entities=[entity])
 
 
 def _image(image: np.ndarray, t: float) -> Any:

@@ -15,7 +15,7 @@ from tomojax.hardware.sinks._where import Where
 _EVERY = 0.1
 
 
-class JsonSink:
+class JsonlSink:
     """A file of JSON lines whose keys have units; an unknown number is null.
 
     A row is {"t_s", "slot", "flags", "contacts": [{"number", "x_m", …}]}. An event is
@@ -49,13 +49,7 @@ class JsonSink:
 def row_as_json(row: LiveRow) -> dict[str, Any]:
     """Returns a row by keys with units."""
     contacts = [
-        {
-            "number": one.number,
-            "x_m": _known(one.x),
-            "y_m": _known(one.y),
-            "conductance_S": _known(one.conductance),
-            "force_N": _known(one.force),
-        }
+        {"number": one.number, **_known((one.x, one.y), one.conductance, one.force)}
         for one in row.contacts
     ]
     return {"t_s": row.t, "slot": row.slot, "flags": row.flags, "contacts": contacts}
@@ -63,16 +57,12 @@ def row_as_json(row: LiveRow) -> dict[str, Any]:
 
 def event_as_json(event: Event) -> dict[str, Any]:
     """Returns an event by keys with units."""
-    return {
-        "t_s": event.t,
-        "event": event.kind,
-        "contact": event.contact,
-        "x_m": _known(event.xy[0]),
-        "y_m": _known(event.xy[1]),
-        "conductance_S": _known(event.conductance),
-        "force_N": _known(event.force),
-    }
+    told = {"t_s": event.t, "event": event.kind, "contact": event.contact}
+    return told | _known(event.xy, event.conductance, event.force)
 
 
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _known(
+    xy: tuple[float, float], conductance: float, force: float
+) -> dict[str, float | None]:
+    told = {"x_m": xy[0], "y_m": xy[1], "conductance_S": conductance, "force_N": force}
+    return {name: value if math.isfinite(value) else None for name, value in told.items()}

@@ -1,11 +1,10 @@
 """OSC over UDP, for sound and light."""
 
-from contextlib import suppress
 from typing import Any
 
 from tomojax.events import Event
 from tomojax.hardware.loop import SlotRing
-from tomojax.hardware.sinks._rows import LiveRow
+from tomojax.hardware.sinks._rows import goes_out, LiveRow
 from tomojax.hardware.sinks._where import Where
 
 
@@ -29,18 +28,11 @@ class OscSink:
         bundle.add_content(_message("count", [len(row.contacts)]))
         for one in row.contacts:
             bundle.add_content(_message("contact", list(one)))
-        try:
-            self._client.send(bundle.build())
-        except ConnectionError:  # nobody listens
-            return True
-        except OSError:
-            return False
-        return True
+        return goes_out(self._client.send, bundle.build())
 
     def event(self, event: Event, row: LiveRow | None) -> None:
         told = [event.contact, *event.xy, event.conductance, event.force]
-        with suppress(OSError):
-            self._client.send(_message(event.kind, told))
+        goes_out(self._client.send, _message(event.kind, told))
 
     def close(self) -> None:
         pass

@@ -1,7 +1,6 @@
 """Turns a ring's rows into rows for sinks: contacts with numbers and forces, and events."""
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -43,15 +42,21 @@ class Sink(Protocol):
 
     def put(self, row: LiveRow) -> bool | None:
         """Takes a row; returns False if the row was not sent."""
-        ...
 
     def event(self, event: Event, row: LiveRow | None) -> None:
         """Takes a touch-down or a lift-off, and the row that told it (None at the end)."""
-        ...
 
     def close(self) -> None:
         """Ends the sink after all that was put is sent."""
-        ...
+
+
+def goes_out(send: Callable[[Any], Any], told: Any) -> bool:
+    """Sends something; returns False if it was not sent. Nobody needs to listen."""
+    try:
+        send(told)
+    except OSError as error:  # a full buffer, no network
+        return isinstance(error, ConnectionError)
+    return True
 
 
 class Force(NamedTuple):
@@ -93,28 +98,21 @@ def follow(
     size, m = np.asarray(told["size"], float), len(told["electrode_xy"])
     pitch = math.sqrt(float(np.prod(size)) / m)
     finder = EventFinder.of_rows(pitch, 1 / float(told["f_switch"]))
-    at, done = 0, False
     sent = lost = thinned = 0
     due = -math.inf
-    while not done:
-        done = ring.done
-        while True:
-            rows, at, gone = ring.since(at, _MOST)
-            lost += gone
-            for one in rows[np.isfinite(rows["latency"])]:
-                row, events = _row(one, finder, force)
-                for event in events:
-                    sink.event(event, row)
-                if row.t >= due:
-                    # In step with the rate, unless rows are slower than that.
-                    due = max(due + 1 / rate, row.t)
-                    gone_out = sink.put(row) is not False
-                    sent, lost = sent + gone_out, lost + (not gone_out)
-                else:
-                    thinned += 1
-            if len(rows) < _MOST:
-                break
-        time.sleep(0 if done else _EVERY)
+    for rows, gone in ring.follow(_EVERY, 0, _MOST):
+        lost += gone
+        for one in rows[np.isfinite(rows["latency"])]:
+            row, events = _row(one, finder, force)
+            for event in events:
+                sink.event(event, row)
+            if row.t >= due:
+                # In step with the rate, unless rows are slower than that.
+                due = max(due + 1 / rate, row.t)
+                gone_out = sink.put(row) is not False
+                sent, lost = sent + gone_out, lost + (not gone_out)
+            else:
+                thinned += 1
     for event in finder.finish():
         sink.event(event, None)
     sink.close()

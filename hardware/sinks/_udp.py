@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from tomojax.events import Event
 from tomojax.hardware.loop import SlotRing
-from tomojax.hardware.sinks._rows import LiveContact, LiveRow
+from tomojax.hardware.sinks._rows import goes_out, LiveContact, LiveRow
 from tomojax.hardware.sinks._where import Where
 
 # As the header has them: little-endian, no padding but the three bytes at the end.
@@ -44,13 +44,8 @@ class UdpSink:
         number = self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         told = MAGIC, VERSION, KINDS[kind], number, slot, t, flags, len(contacts)
         data = HEAD.pack(*told) + b"".join(CONTACT.pack(*one) for one in contacts)
-        try:
-            self._socket.sendto(data, self._to)
-        except ConnectionError:  # nobody listens, which is no fault of ours
-            return True
-        except OSError:  # a full buffer, no network: the number tells who listens
-            return False
-        return True
+        # What is lost, the number tells who listens.
+        return goes_out(lambda data: self._socket.sendto(data, self._to), data)
 
     def close(self) -> None:
         self._socket.close()

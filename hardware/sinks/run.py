@@ -20,20 +20,10 @@ from tomojax.hardware.sinks._where import parse, Where
 _NICE = 5
 
 
-# The class of each kind, in the kind's own module: it imports the library.
-_CLASSES = {
-    "udp": "UdpSink",
-    "jsonl": "JsonSink",
-    "osc": "OscSink",
-    "lsl": "LslSink",
-    "foxglove": "FoxgloveSink",
-}
-
-
 def open_sink(where: Where, ring: SlotRing) -> Sink:
-    """Opens the sink of a parsed name."""
+    """Opens the sink of a parsed name: a class in the kind's own module."""
     module = import_module(f"tomojax.hardware.sinks._{where.kind}")
-    return getattr(module, _CLASSES[where.kind])(where, ring)
+    return getattr(module, f"{where.kind.title()}Sink")(where, ring)
 
 
 def main() -> None:

@@ -137,18 +137,15 @@ def unpack(
             return None
         codes = np.frombuffer(message, "<i2", electrodes, _HEAD.size)
         return Slot(ground, sequence, time, codes)
-    if len(message) == _DESCRIPTION.size + 4:
-        kind, version, *rest = _DESCRIPTION.unpack_from(message)
-        fits = kind == DESCRIPTION and version == VERSION
-        return Description(*rest) if fits and _sound(message) else None
-    if len(message) == _DESCRIPTION.size + _HELD.size + _CRC.size:
-        kind, version, *rest = _DESCRIPTION.unpack_from(message)
+    more = len(message) - _DESCRIPTION.size - _CRC.size
+    if more not in (0, _HELD.size):
+        return None
+    kind, version, *rest = _DESCRIPTION.unpack_from(message)
+    table, held, zero = None, 0, 0
+    if more:
         table, held, zero = _HELD.unpack_from(message, _DESCRIPTION.size)
-        fits = kind == DESCRIPTION and version == TABLES and not zero
-        return (
-            Description(*rest, table=table, held=held) if fits and _sound(message) else None
-        )
-    return None
+    fits = kind == DESCRIPTION and version == (TABLES if more else VERSION) and not zero
+    return Description(*rest, table, held) if fits and _sound(message) else None
 
 
 def unpack_row(message: bytes, electrodes: int) -> Row | None:

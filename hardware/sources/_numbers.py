@@ -94,16 +94,12 @@ class Numbers:
 
     def _between(self, slot: Slot) -> list[tuple[Slot, float]]:
         """Returns waiting slots that the clock places just before this slot."""
-        waited = self._odd
-        if not waited:
-            return []
+        waited, self._odd = self._odd, []
         first = self._last[0].microseconds if self._last else -1
         times = [first, *(odd.microseconds for odd, _ in waited), slot.microseconds]
         if all(a < b for a, b in zip(times, times[1:])) and times[-1] - first < _DAY:
             self._counters.late -= len(waited)
-            self._odd = []
             return waited
-        self._odd = []
         return []
 
     def _goes_on(self, slot: Slot) -> bool:

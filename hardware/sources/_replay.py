@@ -34,9 +34,7 @@ class ReplaySource(SlotSource):
         self.scale = (high - low) / 65535
         self.offset = low + 32768 * self.scale
         self.counters = Counters()
-        self._before = dict(
-            zip(recording.rows_after_gaps().tolist(), recording.gaps[:, 1].tolist())
-        )
+        self._before = recording.lost_before()
         self._stopped = True
 
     def start(self) -> None:
@@ -63,14 +61,10 @@ class ReplaySource(SlotSource):
         exact = np.rint((volts - self.offset) / self.scale)
         codes[:] = np.clip(exact, -32768, 32767)
         ground = int(self._chunk.grounds[inside, slot])
-        lost = self._before.get(self._row, 0) * recording.slots if slot == 0 else 0
-        number = self._number + lost
-        self._number = number + 1
+        lost = 0 if slot else int(self._before[self._row]) * recording.slots
         self._slot = (slot + 1) % recording.slots
         self._row += self._slot == 0
-        self.counters.slots += 1
-        self.counters.lost += lost
-        return Got(ground, lost, number, when, time.perf_counter())
+        return self._counted(ground, lost, when, time.perf_counter())
 
     def _due(self, when: float, timeout: float) -> bool:
         """Waits for a slot's time, no longer than `timeout`."""

@@ -90,6 +90,7 @@ class SlotSource(ABC):
     scale: float
     offset: float
     counters: Counters
+    _number = 0  # of the next slot
 
     @abstractmethod
     def start(self) -> None:
@@ -122,6 +123,14 @@ class SlotSource(ABC):
     def waiting(self) -> int:
         """Slots that have come and are not yet read."""
         return 0
+
+    def _counted(self, ground: int, lost: int, time: float, arrived: float) -> Got:
+        """Counts a slot that is given out, and the `lost` ones before it."""
+        number = self._number + lost
+        self._number = number + 1
+        self.counters.slots += 1
+        self.counters.lost += lost
+        return Got(ground, lost, number, time, arrived)
 
     def hand_over(self) -> Handed | None:
         """Hands the line to a loop in C while all is in order; None where it cannot."""

@@ -1,6 +1,5 @@
 """Reads slots over a wire: finds gaps by sequence numbers, and mends a cut connection."""
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -95,7 +94,7 @@ class WireSource(SlotSource):
         self._messages: deque[tuple[bytes, float]] = deque()
         self._ready: deque[tuple[frames.Slot, Got]] = deque()
         self._order, self._clock = Numbers(self.counters), Clock(self.counters)
-        self._number = self._missed = 0
+        self._missed = 0
         # When a slot was last given out, or the rig described itself.
         self._heard = self._asked = self._opened = 0.0
         self._last: Got | None = None
@@ -262,15 +261,10 @@ class WireSource(SlotSource):
         away = (lost + 1) / self.rate
         if placed.anew and self._last is not None:
             self._clock.begin(self._last.time + away)
-        self._number += lost
         when = self._clock(slot.microseconds, away)
-        got = Got(slot.ground, lost, self._number, when, arrived)
-        self._number += 1
-        self.counters.lost += lost
-        self.counters.slots += 1
-        self._last = got
+        self._last = self._counted(slot.ground, lost, when, arrived)
         self._heed(slot.ground)
-        return got
+        return self._last
 
     def _heed(self, ground: int) -> None:
         """Asks for the grounds again if a command seems to be lost."""
@@ -290,17 +284,13 @@ class WireSource(SlotSource):
         here, m = told.electrodes, f"{self.electrodes}, as the sensor has"
         require(here == self.electrodes, "electrodes", f"a rig with {here}", m)
         numbers = told.rate, told.scale, told.offset
-        sound = all(map(math.isfinite, numbers)) and _possible(told)
-        require(
-            sound, "rate, scale, offset", f"a rig with {numbers}", "a rate, and a scale"
-        )
+        names, got = "rate, scale, offset", f"a rig with {numbers}"
+        require(_possible(told), names, got, "a rate, and a scale")
         self._told = told
         if before is not None:
             # What is recorded and worked on would mean something else from here on.
             was = before.rate, before.scale, before.offset
-            require(
-                numbers == was, "rate, scale, offset", f"a rig with {numbers}", f"{was}"
-            )
+            require(numbers == was, names, got, f"{was}")
         self.rate, self.scale, self.offset = numbers
         self._order.rate, self._heard = told.rate, arrived
         if before is None:

@@ -167,11 +167,8 @@ class NiSource(SlotSource):
         ground = self._grounds[self._turn % len(self._grounds)]
         self._turn += 1
         lost = self._lost()
-        number = self._number + lost
-        self._number = number + 1
-        self.counters.slots += 1
-        self.counters.lost += lost
-        return Got(ground, lost, number, number / self.rate, self._last)
+        when = (self._number + lost) / self.rate
+        return self._counted(ground, lost, when, self._last)
 
     def _lost(self) -> int:
         """Returns how many slots a stop has cost."""
@@ -189,15 +186,13 @@ class NiSource(SlotSource):
         except self._daq.errors.DaqReadError as error:
             if error.error_code == _TIMEOUT:
                 return False
-            self._again()  # it kept more than it has room for: the oldest are gone
+            # It kept more than it has room for: the oldest are gone.
+            self.counters.disconnects += 1
+            self._halt()
+            self._go()
             return False
         self._block, self._waits, self._last = block, count, time.perf_counter()
         return True
-
-    def _again(self) -> None:
-        self.counters.disconnects += 1
-        self._halt()
-        self._go()
 
     def _halt(self) -> None:
         assert self._tasks is not None

@@ -19,6 +19,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,8 @@ _SPIN = 3e-5
 
 def wake_in_time() -> None:
     """Asks Linux to wake this process in time; others wake up to 50 µs late."""
-    try:
+    with suppress(AttributeError, OSError):
         ctypes.CDLL(None).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK, 1 ns
-    except (AttributeError, OSError):
-        pass
 
 
 class Pty:

@@ -37,17 +37,13 @@ def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, l
 
 def ellipse_columns(xy: Any, covariance: Any) -> dict[str, list]:
     """Returns ellipses of two standard deviations of places, mm."""
-    found: dict[str, list] = {name: [] for name in ("x", "y", "w", "h", "angle")}
-    for (x, y), (xx, yy, both) in zip(np.asarray(xy, float), np.asarray(covariance, float)):
-        if not np.isfinite([x, y, xx, yy, both]).all():
-            continue
-        values, turned = np.linalg.eigh([[xx, both], [both, yy]])
-        h, w = 4e3 * np.sqrt(np.maximum(values, 0))
-        angle = np.arctan2(turned[1, 1], turned[0, 1])
-        row = 1e3 * x, 1e3 * y, float(w), float(h), float(angle)
-        for name, value in zip(found, row):
-            found[name].append(value)
-    return found
+    rows = np.column_stack([xy, covariance]).astype(float)
+    x, y, xx, yy, both = rows[np.isfinite(rows).all(1)].T
+    values, turned = np.linalg.eigh(np.array([[xx, both], [both, yy]]).T)
+    h, w = 4e3 * np.sqrt(np.maximum(values, 0)).T
+    angle = np.arctan2(turned[:, 1, 1], turned[:, 0, 1])
+    told = {"x": 1e3 * x, "y": 1e3 * y, "w": w, "h": h, "angle": angle}
+    return {name: column.tolist() for name, column in told.items()}
 
 
 def flag_lines(flags: int) -> list[tuple[str, str, int]]:

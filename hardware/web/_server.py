@@ -55,18 +55,15 @@ class Pages:
         answer: Callable[[dict[str, str]], dict[str, Any]],
         mark: Callable[[str], float] | None = None,
     ):
+        from bokeh.settings import settings  # an extra's
+
         here = Path(__file__).parent
         names = "page.html", "page.css", "page.js"
         self.files = {name: (here / name).read_bytes() for name in names}
-        self.files["bokeh.min.js"] = _bokeh()
+        scripts = Path(settings.bokehjs_path(), "js")
+        self.files["bokeh.min.js"] = (scripts / "bokeh.min.js").read_bytes()
         self.files["page.json"] = json.dumps(document).encode()
         self.answer, self.mark = answer, mark
-
-
-def _bokeh() -> bytes:
-    from bokeh.settings import settings
-
-    return Path(settings.bokehjs_path(), "js", "bokeh.min.js").read_bytes()
 
 
 def serve(

@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 
 from tomojax.hardware.loop import begun, counted_text, latency_text, load_text, SlotRing
-from tomojax.hardware.web._data import (
-    chosen_electrode,
-    contact_columns,
-    flag_lines,
-    marked_line,
-    numbers,
-    pixels,
-    spectrum,
-    volt_columns,
-)
+from tomojax.hardware.web import _data as data
 from tomojax.hardware.web._page import document, flag_rows
 from tomojax.hardware.web._server import Pages, quiet, serve
 from tomojax.recordings import rig_of
@@ -81,8 +72,10 @@ class LivePage:
         ages = np.linspace(0.1, 0.8, len(trail)).tolist()
         count = int(last["count"])
         sources = {
-            "image": pixels(ring.head["image"]),
-            "contacts": contact_columns(last["xy"][:count], last["conductance"][:count]),
+            "image": data.pixels(ring.head["image"]),
+            "contacts": data.contact_columns(
+                last["xy"][:count], last["conductance"][:count]
+            ),
             "trails": {
                 "x": (1e3 * trail[:, 0]).tolist(),
                 "y": (1e3 * trail[:, 1]).tolist(),
@@ -92,7 +85,7 @@ class LivePage:
         said: dict[str, Any] = {
             "sources": sources,
             "told": [*self._said(last), *self._counted()],
-            "flags": flag_lines(int(last["flags"])),
+            "flags": data.flag_lines(int(last["flags"])),
             "title": "live",
         }
         if "lines" in asked:
@@ -131,22 +124,22 @@ class LivePage:
 
     def _add_lines(self, said: dict[str, Any], asked: dict[str, str]) -> None:
         t, count, low, high, flags = (list(c) for c in zip(*self._parts))
-        low, high = (numbers(1e6 * np.array(some)) for some in (low, high))
+        low, high = (data.numbers(1e6 * np.array(some)) for some in (low, high))
         line = {"t": t, "count": count, "low": low, "high": high}
         since = t[-1] - _SPAN
         marks = [(when, text) for when, text in self._marks if when >= since]
-        shown, names = marked_line(line, flag_rows(t, flags), marks, since, t[-1])
+        shown, names = data.marked_line(line, flag_rows(t, flags), marks, since, t[-1])
         said |= {"names": names, "times": [since, t[-1]]}
         sources = said["sources"]
         volts = self._scale * self._last["codes"].astype(float) + self._offset
-        sources |= {**shown, "volts": volt_columns(volts)}
+        sources |= {**shown, "volts": data.volt_columns(volts)}
         ring, end = self._ring, int(self._ring.head["rows"])
         first = max(0, end - _SPECTRUM)
         if end - first < 64:
             return
         codes = ring.rows["codes"][np.arange(first, end) % ring.length]
-        electrode = chosen_electrode(asked, ring.electrodes)
-        sources["spectrum"] = spectrum(
+        electrode = data.chosen_electrode(asked, ring.electrodes)
+        sources["spectrum"] = data.spectrum(
             self._scale * codes[:, electrode].astype(float), self._rate
         )
 

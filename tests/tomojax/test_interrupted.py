@@ -57,7 +57,7 @@ def test_a_full_disk_is_a_line_and_can_be_resumed(touched, tmp_path, monkeypatch
     out, one = tmp_path / "o.h5", tmp_path / "one.h5"
     tx.reconstruct_recording(touched, one, settings())
     with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", full)
+        patch.setattr(os, "fsync", full)  # where a disk tells that it is full
         with pytest.raises(ValueError, match="o.h5: No space left.*--resume goes on"):
             tx.reconstruct_recording(touched, out, settings())
     assert not out.exists()

@@ -30,7 +30,7 @@ _MAP = 32
     multiple=True,
     help="Design for a contact at X Y, mm. May be repeated.",
 )
-@click.option("--slots", type=int, default=8, help="Ground so many electrodes.")
+@click.option("--slots", default=8, help="Ground so many electrodes.")
 @click.option(
     "--grounds",
     metavar="E,E,…",
@@ -56,12 +56,7 @@ _MAP = 32
 @click.option(
     "--lam", type=entry.NUMBER, help="Image's regularisation λ. [default: by noise]"
 )
-@click.option(
-    "--contacts",
-    type=int,
-    default=64,
-    help="Spread this many contacts over the region.",
-)
+@click.option("--contacts", default=64, help="Spread this many contacts over the region.")
 @entry.like_option
 @entry.json_option("the whole report", makes=True)
 @click.option("--out", type=entry.OutputFolder("design.png"), help="Folder for a picture.")

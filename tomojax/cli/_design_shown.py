@@ -50,15 +50,7 @@ def draw(sensor: Any, rows: Rows, summary: Summary, places: Any, figures: Any) -
     import numpy as np
     from matplotlib.figure import Figure
 
-    from tomojax._pictures import (
-        lay_sheet,
-        name_points,
-        plain,
-        show_image,
-        style,
-        VALUE,
-        VERMILION,
-    )
+    from tomojax import _pictures as look
 
     s, (scale, unit) = summary, _scale(summary)
     figure = Figure(figsize=(14, 5.2), layout="constrained")
@@ -68,11 +60,11 @@ def draw(sensor: Any, rows: Rows, summary: Summary, places: Any, figures: Any) -
     figure.suptitle(f"Grounds designed for {s['method']}: the least {word}")
     if figures is not None:
         label, image = f"{word} there, {unit}", scale * figures
-        show_image(left, image, sensor.size, label, cmap=f"{VALUE}_r", norm="log")
-    lay_sheet(left, sensor.size, sensor.electrode_xy, float(sensor.electrode_diameter))
+        look.show_image(left, image, sensor.size, label, cmap=f"{look.VALUE}_r", norm="log")
+    look.lay_sheet(left, sensor.size, sensor.electrode_xy, float(sensor.electrode_diameter))
     left.plot(*1e3 * places.T, "k.", ms=2)
     for order, ground in enumerate(s["grounds"], 1):
-        left.plot(*xy[ground], "o", color=VERMILION, ms=11)
+        left.plot(*xy[ground], "o", color=look.VERMILION, ms=11)
         left.text(*xy[ground], str(order), color="w", ha="center", va="center", size=8)
     left.set_title(f"{len(s['grounds'])} grounds in order; dots: contacts")
     rows = sorted(rows, key=lambda row: row["slots"])
@@ -83,20 +75,22 @@ def draw(sensor: Any, rows: Rows, summary: Summary, places: Any, figures: Any) -
         some = [row for row in rows if row["adaptive"] == adaptive]
         values = [scale * row["designed"] for row in some]
         slots = [row["slots"] for row in some]
-        right.loglog(slots, values, **style(k, label=f"designed, {label}"))
+        right.loglog(slots, values, **look.style(k, label=f"designed, {label}"))
     right.loglog([], [], "o", color="0.4", ms=5, label="pattern")
     right.loglog([], [], "^", color="0.4", ms=5, label="pattern that knows the contact")
     at = len(s["grounds"]), scale * s["objective"]
     right.loglog(
-        *at, "*", color=VERMILION, ms=12, ls="none", label="the design on the left"
+        *at, "*", color=look.VERMILION, ms=12, ls="none", label="the design on the left"
     )
     names = [row["name"].replace("_", " ") for row in rows]
-    name_points(right, [(n, r["slots"], scale * r["value"]) for n, r in zip(names, rows)])
+    look.name_points(
+        right, [(n, r["slots"], scale * r["value"]) for n, r in zip(names, rows)]
+    )
     right.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
     slots = sorted({row["slots"] for row in rows})
     right.set_xticks(slots, [str(n) for n in slots], minor=False)
     right.set_xticks([], minor=True)
-    plain(right.yaxis)
+    look.plain(right.yaxis)
     right.set(xlabel="slots", ylabel=f"{word}, {unit}")
     right.set_title("Patterns and designs, the lower the better")
     return figure

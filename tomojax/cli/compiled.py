@@ -4,7 +4,7 @@ import os
 import re
 import sys
 import warnings
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -91,15 +91,15 @@ def _drop_when_cut_short(folder: Path) -> None:
 class Compiling:
     """Counts programs and adds up seconds, by the name of the compiled function."""
 
-    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    programs: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
+    programs: Counter[str] = field(default_factory=Counter)
     kept: int = 0  # programs that JAX's cache had
     begun: float = field(default_factory=perf_counter)
 
     def table(self) -> str:
         """Writes the programs that took longest, and the sum of all."""
         lines = [
-            f"{perf_counter() - self.begun:.1f} s in all; {sum(self.programs.values())} "
+            f"{perf_counter() - self.begun:.1f} s in all; {self.programs.total()} "
             f"programs compiled in {sum(self.seconds.values()):.1f} s, {self.kept} of them "
             f"kept from before"
         ]
@@ -131,7 +131,7 @@ def compiling(
                 begun()
             told.seconds[name] += duration_secs
             if duration_secs > _LONG:
-                say(f"compiling program {sum(told.programs.values()) + 1}: {name}")
+                say(f"compiling program {told.programs.total() + 1}: {name}")
         elif event == _COMPILED:
             told.seconds[name] += duration_secs
             told.programs[name] += 1

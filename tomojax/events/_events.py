@@ -145,18 +145,18 @@ class EventFinder:
             for (x, y), g, f in zip(xy, conductance, forces)
         ]
         numbers = [0] * len(seen)
-        for k, contact in self._pairs(seen):
+        pairs = dict(self._pairs(seen))
+        for k, contact in pairs.items():
             contact.last, contact.missed, contact.text = seen[k], 0, ""
             contact.rows += 1
             numbers[k] = self._number(contact, found)
-        joined, mine = {id(one.last) for one in self._there}, set(map(id, seen))
         for contact in self._there:
-            if id(contact.last) not in mine:
+            if contact not in pairs.values():
                 contact.missed += 1
                 contact.text = contact.text or text
         found += self._ended(t - self._hold, self._rows)
         for k, event in enumerate(seen):
-            if id(event) not in joined:
+            if k not in pairs:
                 new = _Seen(event._replace(text=text))
                 self._there.append(new)
                 numbers[k] = self._number(new, found)

@@ -67,17 +67,17 @@ def events_beside(out: Path) -> Path:
 def event_columns(events: list[Event]) -> dict[str, Any]:
     """Makes columns of the events in order: touch-down, lift-off and marks."""
 
-    def numbers(name: str) -> np.ndarray:
-        return np.array([getattr(event, name) for event in events], np.float32)
+    def column(name: str, kind: Any = np.float32) -> np.ndarray:
+        return np.array([getattr(event, name) for event in events], kind)
 
-    xy = np.array([event.xy for event in events], np.float32).reshape(-1, 2)
+    x, y = column("xy").reshape(-1, 2).T
     return {
-        "t_s": np.array([event.t for event in events], float),
-        "event": np.array([event.kind for event in events], object),
-        "contact": np.array([event.contact for event in events], np.int64),
-        "x_m": xy[:, 0],
-        "y_m": xy[:, 1],
-        "conductance_S": numbers("conductance"),
-        "force_N": numbers("force"),
-        "text": np.array([event.text for event in events], object),
+        "t_s": column("t", float),
+        "event": column("kind", object),
+        "contact": column("contact", np.int64),
+        "x_m": x,
+        "y_m": y,
+        "conductance_S": column("conductance"),
+        "force_N": column("force"),
+        "text": column("text", object),
     }

@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -14,21 +13,17 @@ from tomojax.exports._source import Progress, Source
 
 def write(source: Source, out: Path, progress: Progress) -> None:
     """Writes both files; a cell without a number is empty."""
+    _lines(out, tables(source, columns(source), progress))
+    _lines(events_beside(out), [event_columns(source.events())])
+
+
+def _lines(out: Path, tables: Iterable[dict[str, np.ndarray]]) -> None:
     with whole(out) as part, part.open("w", newline="", encoding="utf-8") as file:
-        _lines(file, tables(source, columns(source), progress))
-    with (
-        whole(events_beside(out)) as part,
-        part.open("w", newline="", encoding="utf-8") as file,
-    ):
-        _lines(file, [event_columns(source.events())])
-
-
-def _lines(file: TextIO, tables: Iterable[dict[str, np.ndarray]]) -> None:
-    to = csv.writer(file, lineterminator="\n")
-    for number, table in enumerate(tables):
-        if number == 0:
-            to.writerow(table)
-        to.writerows(zip(*map(_texts, table.values())))
+        to = csv.writer(file, lineterminator="\n")
+        for number, table in enumerate(tables):
+            if number == 0:
+                to.writerow(table)
+            to.writerows(zip(*map(_texts, table.values())))
 
 
 def _texts(values: np.ndarray) -> list:

@@ -4,11 +4,10 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from tomojax._require import not_installed, require
+from tomojax._require import require, require_library
 from tomojax.exports._columns import events_beside
 from tomojax.exports._source import Progress, Source
 
@@ -56,8 +55,8 @@ def check_kind(kind: str) -> Kind:
     """Finds a kind. **Raises:** `ValueError` if unknown, or if its library is missing."""
     require(kind in KINDS, "kind", repr(kind), ", ".join(KINDS))
     found = KINDS[kind]
-    if found.library and find_spec(found.library) is None:
-        raise ValueError(not_installed(found.library, found.extra))
+    if found.library:
+        require_library(found.library, found.extra)
     return found
 
 

@@ -139,10 +139,11 @@ class _Picture:
         draw_overview(line, whole)
         self._now = line.axvline(whole.t[0], color="k", lw=1)
         moving = self._shown, electrodes, self._dots, self._rings
-        self._moving = [artist for artist in moving if artist is not None]
-        self._moving += [*sheet.spines.values(), self._title, self._now]
-        self._canvas, self._still = still(figure, self._moving)
-        self.shape = np.asarray(self._canvas.buffer_rgba()).shape[:2]
+        shown = [artist for artist in moving if artist is not None]
+        self._pixels = still(
+            figure, [*shown, *sheet.spines.values(), self._title, self._now]
+        )
+        self.shape = self._pixels().shape[:2]
 
     def draw(self, number: int, row: int) -> np.ndarray:
         """Draws a picture; returns the pixels (height, width, 4)."""
@@ -161,7 +162,4 @@ class _Picture:
         what = "no contact" if not count else f"{count} contact{'s'[: count > 1]}"
         self._title.set_text(f"{told['t']:8.3f} s  {self.pace}  {what}  {level}")
         self._now.set_xdata([told["t"]] * 2)
-        self._canvas.restore_region(self._still)
-        for artist in self._moving:
-            artist.axes.draw_artist(artist)
-        return np.asarray(self._canvas.buffer_rgba())
+        return self._pixels()

@@ -1,6 +1,5 @@
 """Writes MCAP with ROS 2's messages, without ROS: for rosbag2, Foxglove and learners."""
 
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,22 +7,20 @@ from typing import Any
 import numpy as np
 
 from tomojax._whole import whole
-from tomojax.events import Event, EventFinder
+from tomojax.events import EventFinder
 from tomojax.exports._messages import definition
 from tomojax.exports._source import plain, Progress, Source
 
 _FRAME = "tomojax_sheet"
 
-# Of a point: name, offset, type (6: uint32, 7: float32).
-_POINT = (
-    ("x", 0, 7),
-    ("y", 4, 7),
-    ("z", 8, 7),
-    ("number", 12, 6),
-    ("conductance", 16, 7),
-    ("force", 20, 7),
+# Of a contact in a cloud; and ROS's numbers of the types.
+_POINT = np.dtype(
+    [
+        (name, "<u4" if name == "number" else "<f4")
+        for name in ("x", "y", "z", "number", "conductance", "force")
+    ]
 )
-_PACKED = struct.Struct("<fffIff")
+_TYPES = {"u": 6, "f": 7}
 _NUMBERS = ("radius", "angle", "current", "conductance", "force")
 
 TOPICS = {
@@ -66,7 +63,9 @@ def write(source: Source, out: Path, progress: Progress) -> None:
             if "image" in schemas:
                 put("image", t, _image(row["image"]))
         for event in source.events():
-            put("events", event.t, _event(event))
+            x, y = event.xy
+            told = {"device_time": event.t, "event": event.kind, "x": x, "y": y}
+            put("events", event.t, event._asdict() | told)
         writer.finish()
 
 
@@ -80,8 +79,9 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
             finder = EventFinder.of_rows(source.pitch, interval)
         shape = block["contact_xy"].shape[:2]
         each = {n: _listed(block, f"contact_{n}", shape) for n in _NUMBERS}
-        xy = block["contact_xy"].tolist()
-        covariance = _listed(block, "contact_covariance", (*shape, 3))
+        each["covariance"] = _listed(block, "contact_covariance", (*shape, 3))
+        xy = block["contact_xy"]
+        each |= {"x": xy[..., 0].tolist(), "y": xy[..., 1].tolist()}
         flags, count = block["flags"].tolist(), block["contact_count"].tolist()
         residual = _listed(block, "residual", shape[:1])
         for k in range(len(t)):
@@ -90,16 +90,10 @@ def _rows(source: Source, progress: Progress) -> Iterator[tuple[float, dict[str,
                 numbers = block["contact_track"][k, :n].tolist()
             else:
                 g = each["conductance"][k][:n]
-                numbers = finder.row(t[k], xy[k][:n], g, flags[k])[0]
+                numbers = finder.row(t[k], xy[k, :n].tolist(), g, flags[k])[0]
             contacts = [
-                {
-                    "number": numbers[c],
-                    "x": xy[k][c][0],
-                    "y": xy[k][c][1],
-                    **{name: values[k][c] for name, values in each.items()},
-                    "covariance": covariance[k][c],
-                }
-                for c in range(n)
+                {"number": number, **{name: each[name][k][c] for name in each}}
+                for c, number in enumerate(numbers)
             ]
             state = {"flags": flags[k], "residual": residual[k], "contacts": contacts}
             image = block["image"][k] if "image" in block else None
@@ -113,22 +107,20 @@ def _listed(block: dict[str, np.ndarray], name: str, shape: tuple[int, ...]) -> 
 
 
 def _cloud(contacts: list[dict]) -> dict[str, Any]:
-    names = ("x", "y", "number", "conductance", "force")
-    data = b"".join(
-        _PACKED.pack(x, y, 0.0, number, g, force)
-        for x, y, number, g, force in ([c[n] for n in names] for c in contacts)
-    )
+    points = np.zeros(len(contacts), _POINT)  # z is 0
+    for name in ("x", "y", "number", "conductance", "force"):
+        points[name] = [one[name] for one in contacts]
     return {
         "height": 1,
         "width": len(contacts),
         "fields": [
-            {"name": name, "offset": at, "datatype": kind, "count": 1}
-            for name, at, kind in _POINT
+            {"name": name, "offset": at, "datatype": _TYPES[kind.kind], "count": 1}
+            for name, (kind, at, *_) in (_POINT.fields or {}).items()
         ],
         "is_bigendian": False,
-        "point_step": _PACKED.size,
-        "row_step": len(data),
-        "data": data,
+        "point_step": _POINT.itemsize,
+        "row_step": points.nbytes,
+        "data": points.tobytes(),
         "is_dense": True,
     }
 
@@ -155,8 +147,3 @@ def _image(image: np.ndarray) -> dict[str, Any]:
         "step": shown.strides[0],
         "data": shown.tobytes(),
     }
-
-
-def _event(event: Event) -> dict[str, Any]:
-    (x, y), told = event.xy, event._asdict()
-    return told | {"device_time": event.t, "event": event.kind, "x": x, "y": y}

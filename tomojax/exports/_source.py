@@ -1,7 +1,7 @@
 """Reads a stretch of a results file in blocks of rows, for writers of other formats."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +10,12 @@ import numpy as np
 from tomojax._require import require
 from tomojax._stretch import stretch_of
 from tomojax.events import Event, EventFinder, events_of_tracks
+from tomojax.recordings import Progress as Progress
 from tomojax.results.loading import LoadedResults
 
 # Numbers that are read at once: a block of images of 32 × 32 is of 4096 rows.
 _BLOCK = 1 << 22
 
-Progress = Callable[[int, int], None]
 
 # Of each field what it is, in words; their units are in the file.
 WORDS = {
@@ -98,6 +98,10 @@ class Source:
         """Returns a field of the `k`th row."""
         return self._file.row(name, self.start + k)
 
+    def thinned(self, name: str, step: int) -> np.ndarray:
+        """Returns a field of every `step`-th row."""
+        return self._file.thinned(name, step, self.start, self.stop)
+
     def blocks(
         self, names: list[str], progress: Progress = lambda done, total: None
     ) -> Iterator[dict[str, np.ndarray]]:
@@ -148,17 +152,15 @@ class Source:
         return found + finder.finish()
 
     def _tracked(self) -> list[Event]:
-        first: dict[int, Event] = {}
-        last: dict[int, Event] = {}
+        found: dict[tuple[str, int], Event] = {}
         names = ["t", "contact_track", "contact_xy", "contact_conductance"]
         for block in self.blocks(names):
-            t, track, xy, conductance = (block[name] for name in names)
-            for event in events_of_tracks(t, track, xy, conductance):
-                if event.kind == "touch_down":
-                    first.setdefault(event.contact, event)
-                else:
-                    last[event.contact] = event
-        return [*first.values(), *last.values()]
+            for event in events_of_tracks(*block.values()):
+                one = event.kind, event.contact
+                # Of several blocks the first touch-down, and the last lift-off.
+                if event.kind == "lift_off" or one not in found:
+                    found[one] = event
+        return list(found.values())
 
     def close(self) -> None:
         self._file.close()

@@ -24,16 +24,10 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     lay_sheet(sheet, source.size, source.electrode_xy, outline=source.outline)
     tracked = "contact_track" in source.names
     step = max(1, -(-source.rows // _POINTS))
-    names = ["contact_xy", *(("contact_track",) if tracked else ())]
-    kept, at = {name: [] for name in names}, 0
-    for block in source.blocks(names, progress):
-        size = len(block["contact_xy"])
-        for name in names:
-            kept[name].append(block[name][-at % step :: step])
-        at += size
-    xy = 1e3 * np.concatenate(kept["contact_xy"])
+    xy = 1e3 * source.thinned("contact_xy", step)
+    progress(source.rows, source.rows)
     if tracked:
-        track = np.concatenate(kept["contact_track"])
+        track = source.thinned("contact_track", step)
         for number in np.unique(track[track > 0]):
             sheet.plot(*xy[track == number].T, lw=1, color=style(int(number))["color"])
     else:

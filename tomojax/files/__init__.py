@@ -9,16 +9,4 @@ The names of `__init__.pyi` are imported when they are first used.
 
 import lazy_loader as _lazy
 
-# The names are in the stub.
-# pyright: reportUnsupportedDunderAll=false
-__getattr__, __dir__, _ = _lazy.attach_stub(__name__, __file__)
-
-__all__ = [
-    "open_container",
-    "OpenContainer",
-    "read_json",
-    "read_npz",
-    "read_table",
-    "read_toml",
-    "readers",
-]
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

@@ -6,7 +6,7 @@ import os
 import threading
 from operator import index
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex, TYPE_CHECKING
+from typing import Any, Literal, NoReturn, SupportsIndex, TYPE_CHECKING
 
 import numpy as np
 
@@ -202,9 +202,8 @@ class OpenContainer:
             self.close()
             raise
         self._gone()
-        raise AssertionError
 
-    def _gone(self) -> None:
+    def _gone(self) -> NoReturn:
         self.close()
         raise OSError("damaged: its library crashes or does not come back")
 

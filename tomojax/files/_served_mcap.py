@@ -9,7 +9,8 @@ import json
 import struct
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import Any, BinaryIO
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -28,54 +29,37 @@ class Mcap(Served):
     """A file's slots in the form of `Hdf5`'s datasets; metadata "tomojax" as attributes."""
 
     def __init__(self, path: str):
-        from mcap.reader import make_reader
+        from mcap.reader import NonSeekingReader
 
         self.attributes = {}
-        self._slots: list[bytes] = []
-        self._encoding = ""
+        slots, encoding = [], ""
         with open(path, "rb") as file:
-            # Messages come in order of time. Checksums tell of damage.
+            # As streams: what comes before a place where the file is cut off, or damaged by
+            # its checksums, is read.
+            with suppress(Exception):
+                self._describe(NonSeekingReader(file, validate_crcs=True).iter_metadata())
+            file.seek(0)
+            reader = NonSeekingReader(file, validate_crcs=True)
             try:
-                reader = make_reader(file, validate_crcs=True)
-                self._collect(reader.iter_messages())
-                self._describe(reader.iter_metadata())
+                for schema, channel, message in reader.iter_messages(log_time_order=False):
+                    if schema is not None and schema.name == _SCHEMA:
+                        told = f"{schema.encoding} {channel.message_encoding}"
+                        encoding = encoding or told
+                        slots.append((message.log_time, message.data))
             except Exception:
-                self._read_stream(file)
-        if not self._slots:
+                if not slots:
+                    raise
+                self.attributes["cut"] = encode(True)
+        if not slots:
             raise Refused(f"no message {_SCHEMA}")
-        if self._encoding != "ros2msg cdr":
-            raise Refused(f"{_SCHEMA} as {self._encoding}, expected ros2msg cdr")
-        self._columns = _table(self._slots)
+        if encoding != "ros2msg cdr":
+            raise Refused(f"{_SCHEMA} as {encoding}, expected ros2msg cdr")
+        slots.sort(key=itemgetter(0))
+        self._columns = _table([data for _, data in slots])
         self.members = {
             name: {"shape": list(a.shape), "dtype": a.dtype.str, "stored": a.nbytes}
             for name, a in self._columns.items()
         }
-
-    def _read_stream(self, file: BinaryIO) -> None:
-        """Reads what comes before the place where a file is cut off or damaged."""
-        from mcap.reader import NonSeekingReader
-
-        self._slots.clear()
-        self._encoding = ""
-        file.seek(0)
-        with suppress(Exception):
-            self._describe(NonSeekingReader(file, validate_crcs=True).iter_metadata())
-        file.seek(0)
-        reader = NonSeekingReader(file, validate_crcs=True)
-        try:
-            self._collect(reader.iter_messages(log_time_order=False))
-        except Exception:
-            if not self._slots:
-                raise
-        self.attributes["cut"] = encode(True)
-
-    def _collect(self, messages: Iterable[Any]) -> None:
-        """Collects the slots, and their encoding."""
-        for schema, channel, message in messages:
-            if schema is not None and schema.name == _SCHEMA:
-                told = f"{schema.encoding} {channel.message_encoding}"
-                self._encoding = self._encoding or told
-                self._slots.append(message.data)
 
     def _describe(self, records: Iterable[Any]) -> None:
         """Reads the file's description of the rig."""

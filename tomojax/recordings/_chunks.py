@@ -81,14 +81,8 @@ def read_chunk(recording: Recording, start: int, stop: int, rate: Rate = "scan")
     if rate == "scan":
         return Chunk(t0, v, grounds, good, np.bitwise_or.reduce(bits, 1))
     t = t0[:, None] + np.arange(recording.slots) / rig.f_switch
-    m = recording.electrodes
-    return Chunk(
-        t.ravel(),
-        v.reshape(-1, 1, m),
-        grounds.reshape(-1, 1),
-        good.reshape(-1, 1, m),
-        bits.ravel(),
-    )
+    v, good = (a.reshape(-1, 1, recording.electrodes) for a in (v, good))
+    return Chunk(t.ravel(), v, grounds.reshape(-1, 1), good, bits.ravel())
 
 
 def _after_gaps(recording: Recording, t0: np.ndarray, first: int) -> np.ndarray:

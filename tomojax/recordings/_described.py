@@ -4,33 +4,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, Shaped
 
 from tomojax._require import require
 from tomojax.files import read_toml
 from tomojax.recordings._outline import Outline
 from tomojax.recordings._recording import check_numbers, PAPER, Rig
 
+# Attributes of a recording that its reader uses.
+FIELDS = {
+    *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
+    "outline", "diameter",
+}  # fmt: skip
+
 # Keys of a sidecar, of options, or of arrays beside the voltages.
 KEYS = {
-    *PAPER,
-    "size",
+    *FIELDS,
     "electrode_xy",
     "rows",
     "columns",
     "pitch",
-    "scale",
-    "offset",
     "rails",
     "resolution",
     "slots",
-    "notes",
     "settle_delay",
     "convert_period",
-    "units",
-    "schema",
-    "schema_version",
-    "outline",
-    "diameter",
     "outline_xy",
     "holes",
     "surface",
@@ -182,6 +180,15 @@ def _range(
 def scaled(told: dict[str, Any]) -> tuple[float, float]:
     """Returns V per code, and V at code 0."""
     return number("scale", told["scale"]), number("offset", told.get("offset", 0.0))
+
+
+def volts_of(
+    codes: Shaped[np.ndarray, "*n"], scale: float, offset: float
+) -> Float32[np.ndarray, "*n"]:
+    """Turns codes into volts, by way of float64."""
+    volts = np.multiply(codes, scale, dtype=np.float64)
+    volts += offset
+    return volts.astype(np.float32)
 
 
 def rails_of(codes: np.dtype, scale: float, offset: float) -> tuple[float, float]:

@@ -8,10 +8,12 @@ import numpy as np
 from tomojax._require import require
 from tomojax.files import open_container, OpenContainer
 from tomojax.recordings._described import (
+    FIELDS,
     MOST_SLOTS,
     number,
     rails_of,
     size_of,
+    volts_of,
     whole_numbers,
 )
 from tomojax.recordings._outline import Outline
@@ -24,11 +26,6 @@ from tomojax.recordings._recording import (
     settle,
     VERSIONS,
 )
-
-_FIELDS = {
-    *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
-    "outline", "diameter",
-}  # fmt: skip
 
 _MEND = "copy it again from where it was recorded"
 
@@ -215,10 +212,7 @@ class Hdf5Recording(Recording):
     def read(self, start: int, stop: int) -> Scans:
         stop = min(stop, self.scans)
         codes, ground = self.read_codes(start, stop)
-        scale, offset = self.codes_to_volts
-        volts = np.multiply(codes, scale, dtype=np.float64)
-        volts += offset
-        return Scans(volts.astype(np.float32), ground, self.t0[start:stop])
+        return Scans(volts_of(codes, *self.codes_to_volts), ground, self.t0[start:stop])
 
     def close(self) -> None:
         self._file.close()
@@ -240,12 +234,12 @@ def _open(path: Path) -> OpenContainer:
     try:
         return open_container(path)
     except OSError as error:
-        reason = str(error)
+        whole = f"cannot be opened as HDF5 ({error})"
+        cut = f"cut off ({error}), expected all of it"
+        told = cut if "truncated" in str(error) else whole
+        raise ValueError(f"file: {told}; {_MEND}") from None
     except ValueError as error:
         raise ValueError(f"{error}; {_MEND}") from None
-    if "truncated" in reason:
-        raise ValueError(f"file: cut off ({reason}), expected all of it; {_MEND}")
-    raise ValueError(f"file: cannot be opened as HDF5 ({reason}); {_MEND}")
 
 
 def is_hdf5(raw: BinaryIO) -> bool:
@@ -263,11 +257,11 @@ class _Fields(dict[str, Any]):
     """Fields of a recording by name; says why a field that is asked for is missing."""
 
     def __init__(self, file: OpenContainer, header: dict[str, Any], matlab: bool):
-        unknown = sorted(header.keys() - _FIELDS)
-        require(not unknown, "header", unknown, f"some of {sorted(_FIELDS)}")
+        unknown = sorted(header.keys() - FIELDS)
+        require(not unknown, "header", unknown, f"some of {sorted(FIELDS)}")
         own = file.attributes
         if matlab:
-            names = (_FIELDS & {*file.names}) - header.keys()
+            names = (FIELDS & {*file.names}) - header.keys()
             own = {name: _variable(file, name) for name in sorted(names)}
         super().__init__(own | header)
         self._none = "no such variable" if matlab else "no such attribute"

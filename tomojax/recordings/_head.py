@@ -5,8 +5,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from tomojax.recordings._described import rails_of
-from tomojax.recordings._outline import Outline
+from tomojax.recordings import _described
 from tomojax.recordings._recording import PAPER, Rig, SCHEMA
 
 
@@ -42,14 +41,7 @@ def write_attributes(file: h5py.File, told: dict[str, Any]) -> None:
 
 def rig_of(told: dict[str, Any]) -> Rig:
     """Returns the rig that a recording's attributes describe."""
-    tables = {name: np.asarray(rows) for name, rows in told.get("tables", {}).items()}
-    scale = float(told["scale"])
-    return Rig(
-        **{name: float(told[name]) for name in PAPER},  # pyright: ignore
-        size=tuple(told["size"]),
-        electrode_xy=np.asarray(told["electrode_xy"], float),
-        rails=rails_of(np.dtype(np.int16), scale, told["offset"]),
-        resolution=abs(scale),
-        outline=Outline.read(told, tables.get),
-        conditions=tables.get("conditions/to_ground"),
-    )
+    tables = told.get("tables", {})
+    named = {name.removeprefix("conditions/"): rows for name, rows in tables.items()}
+    count = len(told["electrode_xy"])
+    return _described.rig_of(told | named, count, np.dtype(np.int16))[0]

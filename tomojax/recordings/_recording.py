@@ -224,8 +224,8 @@ class Recording(ABC):
 
     def rows_after_gaps(self) -> np.ndarray:
         """Returns rows just before which scans were lost."""
-        lost_before = np.concatenate([[0], np.cumsum(self.gaps[:, 1])[:-1]])
-        return (self.gaps[:, 0] - lost_before).astype(int)
+        number, lost = self.gaps.T
+        return (number - np.cumsum(lost) + lost).astype(int)
 
     def lost_before(self) -> Integer[np.ndarray, " k"]:
         """Counts the scans lost just before each scan, and those lost behind the last."""
@@ -301,7 +301,10 @@ def check(recording: Recording) -> None:
     if rig.conditions is not None:
         check_table(rig.conditions, m)
     _cells(rig)
-    _check_gaps(recording)
+    gaps = recording.gaps
+    fits = gaps.ndim == 2 and gaps.shape[1] == 2
+    require(fits, "gaps", f"shape {gaps.shape}", "(n, 2)")
+    require((gaps >= 0).all(), "gaps", "a negative number", "[scan number, scans lost]")
 
 
 def check_numbers(rig: Rig) -> None:
@@ -343,15 +346,3 @@ def _cells(rig: Rig) -> np.ndarray:
     expected = f"about {least:.2g} m or more on this sheet, for {_MOST_CELLS} cells"
     require(cells.prod() <= _MOST_CELLS, "electrode_diameter", told, expected)
     return cells
-
-
-def _check_gaps(recording: Recording) -> None:
-    gaps = recording.gaps
-    shape = gaps.shape
-    require(gaps.ndim == 2 and shape[1] == 2, "gaps", f"shape {shape}", "(n, 2)")
-    require((gaps >= 0).all(), "gaps", "a negative number", "[scan number, scans lost]")
-    # Numbers count lost scans too: after n lost ones a row's number is n higher.
-    total = recording.scans + gaps[:, 1].sum()
-    rising = (np.diff(gaps[:, 0]) > gaps[:-1, 1] - 1).all() if len(gaps) > 1 else True
-    inside = not len(gaps) or gaps[:, 0].max() <= total
-    require(rising and inside, "gaps", "numbers out of order or beyond the end", "rising")

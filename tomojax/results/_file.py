@@ -57,7 +57,8 @@ class ResultsFile:
         return partial_path(self.out, ending)
 
     def create(self, datasets: dict[str, Dataset], attributes: dict[str, Any]) -> None:
-        """Lays the file out. **Raises:** `ValueError` where the disk is too small."""
+        """Lays the file out anew. **Raises:** `ValueError` where the disk is too small."""
+        self.discard()
         building = self.beside(".new")
         try:
             with h5py.File(building, "w") as file:
@@ -84,15 +85,11 @@ class ResultsFile:
             self.beside(".done").write_bytes(bytes(self.chunks))
             building.replace(self.partial)
         except (OSError, RuntimeError) as error:  # HDF5 says it in either way
-            building.unlink(missing_ok=True)
-            self.beside(".done").unlink(missing_ok=True)
-            size = sum(
-                np.dtype(one.kind).itemsize * math.prod(one.shape)
-                for one in datasets.values()
-            )
-            raise ValueError(
-                f"{self.out}: {reason(error)}; {size / 1e9:.3g} GB are needed there"
-            ) from None
+            self.discard()
+            each = datasets.values()
+            size = sum(np.dtype(a.kind).itemsize * math.prod(a.shape) for a in each)
+            told = f"{reason(error)}; {size / 1e9:.3g} GB are needed there"
+            raise ValueError(f"{self.out}: {told}") from None
 
     def done(self) -> np.ndarray:
         """Returns the chunks that are written."""
@@ -167,12 +164,10 @@ def write_rows(
     check_output(out, False, overwrite)
     file = ResultsFile(out, 1)
     with file.locked():
-        file.discard()
         file.create({name: dataset for name, (dataset, _) in columns.items()}, attributes)
         with contextlib.closing(RowWriter(file)) as writer:
-            writer.write(
-                0, 0, {name: values for name, (_, values) in columns.items()}, None
-            )
+            rows = {name: values for name, (_, values) in columns.items()}
+            writer.write(0, 0, rows, None)
             writer.mark()
         file.finish()
 
@@ -216,13 +211,13 @@ class RowWriter:
             some = np.ascontiguousarray(some, kind)
             require(some.shape[1:] == shape, name, f"shape {shape}", f"{some.shape[1:]}")
             row = kind.itemsize * int(np.prod(shape))
-            _write_all(self._data, some, offset + start * row)
+            _write(self._data, some, offset + start * row)
 
     def mark(self) -> None:
         """Marks all chunks written so far as done; keeps the last one's state."""
         os.fsync(self._data.fileno())
         for chunk in self._unmarked:
-            _write_some(self._marks, b"\x01", chunk)
+            _write(self._marks, b"\x01", chunk)
         os.fsync(self._marks.fileno())
         self._unmarked.clear()
         self._marked = monotonic()
@@ -260,18 +255,11 @@ def _contiguous(file: h5py.File, name: str, shape: tuple[int, ...], kind: str) -
     h5py.h5d.create(file.id, name.encode(), kind_id, space, plist)
 
 
-def _write_all(file: FileIO, values: np.ndarray, offset: int) -> None:
+def _write(file: FileIO, values: np.ndarray | bytes, offset: int) -> None:
     left = memoryview(values).cast("B")
-    while left:
-        count = _write_some(file, left[: 1 << 26], offset)
-        left, offset = left[count:], offset + count
-
-
-def _write_some(file: FileIO, values: memoryview | bytes, offset: int) -> int:
-    if hasattr(os, "pwrite"):
-        return os.pwrite(file.fileno(), values, offset)
-    file.seek(offset)  # Windows: one writer has this file
-    return file.write(values)
+    file.seek(offset)
+    while left:  # an unbuffered file takes as much as it likes at once
+        left = left[file.write(left) :]
 
 
 def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True) -> None:
@@ -286,14 +274,7 @@ def check_output(out: Path, resume: bool, overwrite: bool, resumes: bool = True)
     ours = not out.is_file() or out.stat().st_size == 0 or is_results(out)
     if resume or overwrite:
         require(ours, f"{out}", "a file that holds no results", "a new name")
-    if not overwrite:
-        require(
-            not out.exists() or resume, f"{out}", "a file", "a new name, or --overwrite"
-        )
-        begun = resumes and partial_path(out).exists()
-        require(
-            not begun or resume,
-            f"{partial_path(out)}",
-            "work begun there",
-            "--resume to go on with it, or --overwrite",
-        )
+    if not (overwrite or resume):
+        require(not out.exists(), f"{out}", "a file", "a new name, or --overwrite")
+        begun, mend = partial_path(out), "--resume to go on with it, or --overwrite"
+        require(not (resumes and begun.exists()), f"{begun}", "work begun there", mend)

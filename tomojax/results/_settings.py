@@ -111,9 +111,8 @@ class Settings:
             for name in ("lam", "threshold", "policy"):
                 given = getattr(self, name)
                 require(given is None, name, given, "none with follow")
-        require(
-            self.chunk is None or self.chunk > 0, "chunk", self.chunk, "scans, 1 or more"
-        )
+        some = self.chunk is None or self.chunk > 0
+        require(some, "chunk", self.chunk, "scans, 1 or more")
         whole = not (self.adapt and self.policy)
         require(whole, "adapt", "with a policy", "all slots of each scan: no policy")
         apart = self.policy is None or self.rate == "scan"

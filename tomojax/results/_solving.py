@@ -2,10 +2,10 @@
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
 from tomojax._require import require
 from tomojax.methods import Batch, method as make_method, Rows
@@ -14,17 +14,6 @@ from tomojax.sensor import Calibration
 
 # Methods whose λ/σ₁² a table has.
 _WITH_LAMBDA = "linear", "source"
-
-
-class Slots(NamedTuple):
-    """Frames of a chunk that all use the same number of slots."""
-
-    frames: Int[np.ndarray, " k"]
-    slots: Int[np.ndarray, "k s"]  # of each frame, in order
-
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """Returns the slots' part of values (n, S, …)."""
-        return values[self.frames[:, None], self.slots]
 
 
 class Chosen:
@@ -50,12 +39,9 @@ class Chosen:
         self.size, self.corners = np.asarray(sensor.size), np.asarray(exploration(sensor))
         asked = np.union1d(self.table, self.corners)
         missing = np.setdiff1d(asked, recording.read(0, 1).grounds)
-        require(
-            not len(missing),
-            f"{path}: table",
-            f"grounds that the recording lacks: {', '.join(map(str, missing[:8]))}",
-            "a recording with all of them in each scan",
-        )
+        told = f"grounds that the recording lacks: {', '.join(map(str, missing[:8]))}"
+        expected = "a recording with all of them in each scan"
+        require(not len(missing), f"{path}: table", told, expected)
         points = make_method(sensor, "points", 8)
         self._find = Batch(points, 1.0, contacts, images=False)
 
@@ -66,7 +52,7 @@ class Chosen:
 
     def __call__(
         self, chunk: Chunk, volts: Float[np.ndarray, "n S M"]
-    ) -> tuple[list[Slots], Float[np.ndarray, " n"] | None]:
+    ) -> tuple[Bool[np.ndarray, "n S"], Float[np.ndarray, " n"] | None]:
         """Returns the slots to use of a chunk's frames, and λ/σ₁² of each frame."""
         explores = np.isin(chunk.grounds, self.corners)
         order = np.argsort(~explores, 1, kind="stable")[:, : len(self.corners)]
@@ -84,13 +70,7 @@ class Chosen:
             used[k] = np.isin(chunk.grounds[k], each[turn % some, turn])
             if lams is not None and self.lam is not None:
                 lams[k] = self.lam[cells[0, 0], cells[0, 1]]
-        counts = used.sum(1)
-        parts = []
-        for count in np.unique(counts):
-            frames = np.flatnonzero(counts == count)
-            slots = np.nonzero(used[frames])[1].reshape(-1, count)
-            parts.append(Slots(frames, slots))
-        return parts, lams
+        return used, lams
 
 
 class AbstractSolver(ABC):
@@ -122,12 +102,13 @@ class EachAlone(AbstractSolver):
         volts, batch = self._calibration.voltages(voltages), self._batch
         if self._chosen is None:
             return batch(volts, grounds, good, flags), None
-        parts, lams = self._chosen(frames, volts)
-        rows = batch.empty(len(volts))
-        for part in parts:
+        used, lams = self._chosen(frames, volts)
+        rows, counts = batch.empty(len(volts)), used.sum(1)
+        for count in np.unique(counts):  # frames that use the same number of slots
+            some = np.flatnonzero(counts == count)
+            at = some[:, None], np.nonzero(used[some])[1].reshape(-1, count)
             lam = None
             if lams is not None and self._own_lam:
-                lam = lams[part.frames] * batch.method.scale()
-            v, asked, used = part.of(volts), part.of(grounds), part.of(good)
-            rows.put(part.frames, batch(v, asked, used, flags[part.frames], lam))
+                lam = lams[some] * batch.method.scale()
+            rows.put(some, batch(volts[at], grounds[at], good[at], flags[some], lam))
         return rows, None

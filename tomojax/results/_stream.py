@@ -207,7 +207,6 @@ def _make(
             "versions": json.dumps(config["versions"]),
             "configuration": json.dumps(config, sort_keys=True),
         }
-        file.discard()
         file.create(datasets, attributes)
     try:
         attributes = attributes_of(file.partial)

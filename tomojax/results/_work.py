@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 
 from tomojax import methods
-from tomojax.recordings import Chunk, read_chunk, Recording, Rig
+from tomojax.recordings import Chunk, read_chunk, Recording
 from tomojax.results._file import Dataset
 from tomojax.results._settings import (
     calibration_of,
@@ -57,21 +57,19 @@ class Work:
         self.settings, self._size = settings, size
         recording = self.recording = _opened(recording)
         self._calibration = calibration_of(recording, settings)
+        sensor, method = recording.rig.sensor(), settings.method
+        self._curved = None if sensor.surface is None else sensor
         self._model: Any
-        if settings.method == "follow":
+        if method == "follow":
             from tomojax.results._following import Following
 
             self._model = Following(recording, settings, self._calibration, size)
         else:
-            sensor, grid = recording.rig.sensor(), settings.pixels
-            self._model = methods.method(sensor, settings.method, grid, self._calibration)
-        outline, self._curved = recording.rig.outline, None
-        if outline is not None and outline.surface is not None:
-            self._curved = recording.rig.sensor()
+            grid = settings.pixels
+            self._model = methods.method(sensor, method, grid, self._calibration)
         self._chosen = None
         if settings.policy:
-            contacts, method = settings.contacts, settings.method
-            self._chosen = Chosen(settings.policy, recording, contacts, method)
+            self._chosen = Chosen(settings.policy, recording, settings.contacts, method)
         self._solvers: dict[float, AbstractSolver] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -82,20 +80,23 @@ class Work:
         lam, model = self._lam(), self._model
         recording, settings = self.recording, self.settings
         marks = {"marks": json.dumps(recording.marks)} if recording.marks else {}
+        size, edge = recording.rig.size, recording.rig.outline
+        lines = [] if edge is None else [line.tolist() for line in edge.lines(size)]
+        outline = {} if edge is None else {"outline": json.dumps(lines)}
         return self._datasets(), {
             "method": settings.method,
             "rate": settings.rate,
             "lam": lam,
             "lam_relative": lam / model.scale(),
             "pattern": recording.read(0, 1).grounds[0],  # of the first scan
-            "size": recording.rig.size,
+            "size": size,
             "electrode_xy": recording.rig.electrode_xy,
             "drive_voltage": recording.rig.drive_voltage,
             "sheet_resistance": recording.rig.sheet_resistance,
             "calibration": json.dumps(asdict(self._calibration)),
             "recording": recording.path.name,
             **marks,
-            **_outline(recording.rig),
+            **outline,
         }
 
     def remembered(self, lam: float) -> dict[str, Any]:
@@ -302,10 +303,3 @@ def _opened(recording: Any) -> Recording:
 
 def _asked(work: Work, name: str, *args: Any) -> Any:
     return getattr(work, name)(*args)
-
-
-def _outline(rig: Rig) -> dict[str, str]:
-    """Returns the outline of a sheet that does not fill its box, as lines, m."""
-    if rig.outline is None:
-        return {}
-    return {"outline": json.dumps([line.tolist() for line in rig.outline.lines(rig.size)])}

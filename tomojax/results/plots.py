@@ -3,6 +3,7 @@
 # pyright: reportCallIssue=false, reportOptionalMemberAccess=false, reportOperatorIssue=false
 # (h5py does not say whether a name is a group or a dataset)
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,10 @@ _SMALLEST = 2.0  # square points; of the smallest dot
 def timeline(path: Path) -> Figure:
     """Draws contacts' places and currents over time, the path on the sheet, and flags."""
     with LoadedResults(path) as file:
-        rows = _thinned(file)
+        step = max(1, -(-file.rows // _POINTS))  # so many rows as a picture shows
+        names = ["t", "contact_xy", "contact_current", "flags", "residual"]
+        names += {"contact_covariance"} & set(file.names)
+        rows = {name: file.thinned(name, step) for name in names}
         shown = _largest(file) if "image" in file.names else {}
         size, electrodes = file.size(), np.zeros((0, 2))
         if "electrode_xy" in file.attributes:
@@ -54,15 +58,6 @@ def timeline(path: Path) -> Figure:
         each = shown["residual_by_electrode"]
         _on_electrodes(right["residual_by_electrode"], each, size, electrodes)
     return figure
-
-
-def _thinned(file: LoadedResults) -> dict[str, np.ndarray]:
-    """Returns so many rows as a picture shows."""
-    step = max(1, -(-file.rows // _POINTS))
-    names = ["t", "contact_xy", "contact_current", "flags", "residual"]
-    if "contact_covariance" in file.names:
-        names.append("contact_covariance")
-    return {name: file.thinned(name, step) for name in names}
 
 
 def _largest(file: LoadedResults) -> dict[str, Any]:
@@ -166,11 +161,11 @@ def _on_electrodes(axes: Any, each: np.ndarray, size: np.ndarray, xy: np.ndarray
     axes.set_title("Residual of each electrode in that row", fontsize=11)
 
 
-def still(figure: Figure, moving: list):
-    """Draws all but the artists `moving`; returns the canvas and its pixels.
+def still(figure: Figure, moving: list) -> Callable[[], np.ndarray]:
+    """Draws all but the artists `moving`; returns what draws these, and gives pixels.
 
-    Matplotlib lays a figure out anew for each drawing, in 0.4 s; this function does so
-    once.
+    The pixels (height, width, 4) are overwritten by the next picture's. Matplotlib lays a
+    figure out anew for each drawing, in 0.4 s; this function does so once.
     """
     canvas = FigureCanvasAgg(figure)
     for _ in range(2):  # the second layout starts from the sizes that the first one found
@@ -179,4 +174,12 @@ def still(figure: Figure, moving: list):
     for artist in moving:
         artist.set_animated(True)
     canvas.draw()
-    return canvas, canvas.copy_from_bbox(figure.bbox)
+    background = canvas.copy_from_bbox(figure.bbox)
+
+    def draw() -> np.ndarray:
+        canvas.restore_region(background)
+        for artist in moving:
+            artist.axes.draw_artist(artist)
+        return np.asarray(canvas.buffer_rgba())
+
+    return draw

@@ -1,6 +1,7 @@
 """Summarizes a results file in a few lines."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -24,31 +25,26 @@ def summary(path: Path) -> dict:
     with LoadedResults(path) as file:
         for name in ("contact_count", "flags", "residual", "contact_xy", "contact_current"):
             require(name in file.names, f"{path}: {name}", "none", "this dataset")
-        n, t = file.rows, file.read("t")
-        counts, by_flag = np.zeros(256, int), dict.fromkeys(Flag, 0)
-        stretches, previous, residual = [], 0, []
+        t, count = file.read("t"), file.read("contact_count")
+        by_flag, residual = dict.fromkeys(Flag, 0), []
         doubted = silent = 0
-        names, start = ("contact_count", "flags", "residual"), 0
-        for block in file.blocks(names, _ROWS):
-            count, flags, left = block.values()
-            counts += np.bincount(count, minlength=256)[:256]
+        for block in file.blocks(("contact_count", "flags", "residual"), _ROWS):
+            some, flags, left = block.values()
             for flag in Flag:
                 by_flag[flag] += int((flags & flag.value > 0).sum())
             none = flags & int(NO_ANSWER) > 0
             silent += int(none.sum())
             doubted += int(((flags & int(DOUBT) > 0) & ~none).sum())
-            residual.append(np.nanmedian(left[count > 0]) if count.any() else 0)
-            _collect(stretches, count, file, t, start, previous)
-            previous, start = int(count[-1]), start + len(count)
-        seconds = float(t[-1] - t[0])
+            residual.append(np.nanmedian(left[some > 0]) if some.any() else 0)
+        by_count = enumerate(np.bincount(count).tolist())
         return {
-            "rows": stretches,
-            "rows_in_all": n,
-            "duration_s": seconds,
+            "rows": _stretches(file, t, count),
+            "rows_in_all": file.rows,
+            "duration_s": float(t[-1] - t[0]),
             "method": str(file.attributes.get("method")),
             "lam": file.number("lam"),
             "lam_relative": file.number("lam_relative"),
-            "rows_by_contacts": {str(k): int(c) for k, c in enumerate(counts) if c},
+            "rows_by_contacts": {str(k): rows for k, rows in by_count if rows},
             "rows_doubted": doubted,
             "rows_without_answer": silent,
             "rows_by_flag": {f.name: rows for f, rows in by_flag.items() if rows},
@@ -58,38 +54,27 @@ def summary(path: Path) -> dict:
         }
 
 
-def _collect(
-    stretches: list[dict],
-    count: Integer[np.ndarray, " n"],
-    file: LoadedResults,
-    t: Float[np.ndarray, " rows"],
-    first: int,
-    previous: int,
-) -> None:
-    """Collects the first stretches with contact: times, and the median of the strongest.
-
-    `count` is of the rows from `first` on, and `previous` of the row before.
-    """
-    touched = np.concatenate([[previous > 0], count > 0])
-    starts = np.flatnonzero(touched[1:] & ~touched[:-1])
-    for start in starts[: _STRETCHES - len(stretches)]:
-        ends = np.flatnonzero(~touched[1 + start :])
-        stop = start + (ends[0] if ends.size else len(count) - start)
-        rows = slice(first + start, first + stop)
+def _stretches(
+    file: LoadedResults, t: Float[np.ndarray, " n"], count: Integer[np.ndarray, " n"]
+) -> list[dict[str, Any]]:
+    """Finds the first stretches with contact: times, and the median of the strongest."""
+    edges = np.flatnonzero(np.diff(count > 0, prepend=False, append=False))
+    found = []
+    for start, stop in edges[: 2 * _STRETCHES].reshape(-1, 2):
         xy, current = (
-            file.stretch(name, rows.start, rows.stop)[:, 0]
+            file.stretch(name, start, stop)[:, 0]
             for name in ("contact_xy", "contact_current")
         )
-        stretches.append(
-            {
-                "from_s": float(t[rows.start]),
-                "to_s": float(t[rows.stop - 1]),
-                "contacts": int(count[start:stop].max()),
-                "x_mm": 1e3 * float(np.nanmedian(xy[:, 0])),
-                "y_mm": 1e3 * float(np.nanmedian(xy[:, 1])),
-                "current_uA": 1e6 * float(np.nanmedian(current)),
-            }
-        )
+        told = {
+            "from_s": float(t[start]),
+            "to_s": float(t[stop - 1]),
+            "contacts": int(count[start:stop].max()),
+            "x_mm": 1e3 * float(np.nanmedian(xy[:, 0])),
+            "y_mm": 1e3 * float(np.nanmedian(xy[:, 1])),
+            "current_uA": 1e6 * float(np.nanmedian(current)),
+        }
+        found.append(told)
+    return found
 
 
 def text(found: dict, path: Path) -> str:

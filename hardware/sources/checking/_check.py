@@ -66,7 +66,7 @@ def check_source(
         if time.perf_counter() > trial.due:
             trial.say(f"{trial.call} has not come back: {trial.mend}")
             break
-    return list(trial.found)
+    return list(trial.found.values())
 
 
 class _Trial:
@@ -75,17 +75,13 @@ class _Trial:
     def __init__(self, source: Any, seconds: float, grounds: Any, obeys: bool):
         self.source, self.seconds, self.obeys = source, seconds, obeys
         self.grounds = grounds
-        self.found: list[str] = []
-        self._said: set[str] = set()
+        self.found: dict[str, str] = {}  # by what a sentence is about
         self.got: list[Got] = []
         self._enter("start()", _START, "it raises OSError where no rig answers")
 
     def say(self, text: str, about: str = "") -> None:
         """Adds a sentence; of several `about` the same the first."""
-        about = about or text
-        if about not in self._said:
-            self._said.add(about)
-            self.found.append(text)
+        self.found.setdefault(about or text, text)
 
     def _enter(self, call: str, seconds: float, mend: str) -> None:
         self.call, self.mend = call, mend
@@ -186,15 +182,12 @@ class _Trial:
         if not isinstance(got, Got):
             self.say(f"read() returned {type(got).__name__}, expected a Got or None")
             return False
-        for name in ("ground", "lost", "number"):
-            value = getattr(got, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool):
-                self.say(f"{name} of a Got is {value!r}, expected a whole number")
-                return False
-        for name in ("time", "arrived"):
-            value = getattr(got, name)
-            if not _is_finite(value):
-                self.say(f"{name} of a Got is {value!r}, expected seconds")
+        for name, value in got._asdict().items():
+            seconds = name in ("time", "arrived")
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not (_is_finite(value) if seconds else whole):
+                expected = "seconds" if seconds else "a whole number"
+                self.say(f"{name} of a Got is {value!r}, expected {expected}")
                 return False
         return True
 
@@ -210,10 +203,9 @@ class _Trial:
         if not self.got:
             return
         self._enter("counters", 1.0, "they are numbers")
-        for judge in (_numbers, _clock(float(self.source.rate)), self._grounds_of):
-            text = judge(self.got)
-            if text:
-                self.say(text)
+        judged = _numbers(self.got), _clock(self.got, float(self.source.rate))
+        for text in filter(None, (*judged, self._grounds_of(self.got))):
+            self.say(text)
         counted, given = self.source.counters, len(self.got)
         lost = sum(int(got.lost) for got in self.got)
         for name, seen in (("slots", given), ("lost", lost)):
@@ -266,27 +258,22 @@ def _numbers(got: list[Got]) -> str:
     return f"{text}; it counts every slot since the start, lost ones too"
 
 
-def _clock(rate: float) -> Callable[[list[Got]], str]:
+def _clock(got: list[Got], rate: float) -> str:
     """Whether times are seconds that rise by 1/`rate` a slot, from 0 on."""
-
-    def judge(got: list[Got]) -> str:
-        t = np.array([float(g.time) for g in got])
-        number = np.array([int(g.number) for g in got])
-        if len(t) > 1 and (np.diff(t) <= 0).any():
-            k = int(np.argmin(np.diff(t)))
-            return f"time goes from {t[k]:g} to {t[k + 1]:g}, expected a clock that rises"
-        passed = (number[-1] - number[0]) / rate
-        if len(t) > 1 and passed > 0:
-            factor = float(t[-1] - t[0]) / passed
-            for unit, name in _UNITS.items():
-                if abs(factor / unit - 1) < 0.5:
-                    return f"time is in {name}, expected seconds"
-            if abs(factor - 1) > _CLOCK:
-                slots = number[-1] - number[0]
-                text = f"time passes {t[-1] - t[0]:.4g} s over {slots} slots"
-                return f"{text}, expected {passed:.4g} s at a rate of {rate:g} slots/s"
-        if abs(t[0]) > _ARRIVED:
-            return f"time begins at {t[0]:g} s, expected 0 at the first slot"
-        return ""
-
-    return judge
+    t = np.array([float(g.time) for g in got])
+    slots = int(got[-1].number) - int(got[0].number)
+    if (np.diff(t) <= 0).any():
+        k = int(np.argmin(np.diff(t)))
+        return f"time goes from {t[k]:g} to {t[k + 1]:g}, expected a clock that rises"
+    if len(t) > 1 and slots > 0:
+        passed = slots / rate
+        factor = float(t[-1] - t[0]) / passed
+        for unit, name in _UNITS.items():
+            if abs(factor / unit - 1) < 0.5:
+                return f"time is in {name}, expected seconds"
+        if abs(factor - 1) > _CLOCK:
+            text = f"time passes {t[-1] - t[0]:.4g} s over {slots} slots"
+            return f"{text}, expected {passed:.4g} s at a rate of {rate:g} slots/s"
+    if abs(t[0]) > _ARRIVED:
+        return f"time begins at {t[0]:g} s, expected 0 at the first slot"
+    return ""

@@ -30,41 +30,31 @@ def demo(scene: str, listed: bool, out: Path) -> None:
         for name, told in SCENES.items():
             print(f"{name:8s} {told.words} (tomojax demo {name})")
         return
-    _demo(scene, out)
-
-
-def _demo(name: str, out: Path) -> None:
     from tomojax.cli.demo import _pictures
+    from tomojax.files import open_container
     from tomojax.recordings import open_recording
     from tomojax.results import plots, reconstruct_recording, report, Settings
 
-    scene, results = SCENES[name], out / "results.h5"
+    shown, results = SCENES[scene], out / "results.h5"
     out.mkdir(parents=True, exist_ok=True)
-    with as_file(files("tomojax") / scene.file) as path, open_recording(path) as recording:
+    with as_file(files("tomojax") / shown.file) as path, open_recording(path) as recording:
         print(
             f"{recording.scans} scans of {recording.slots} slots, {recording.electrodes} "
-            f"electrodes, {recording.scans * recording.interval:.3g} s: {scene.words}"
+            f"electrodes, {recording.scans * recording.interval:.3g} s: {shown.words}"
         )
-        touched, xy = _truth(path)
-        settings = Settings(method=scene.method, grid=32)
+        # What touched (scans, P, P), and the fingers' middles (scans, K, 2), m.
+        with open_container(path) as file:
+            touched, xy = (file.read(name) for name in ("truth_touched", "truth_xy"))
+        settings = Settings(method=shown.method, grid=32)
         reconstruct_recording(recording, results, settings, overwrite=True)
         told = _pictures.Told(recording, touched, results)
-    save_picture(_pictures.still(told, scene.words), out / "demo.png")
+    save_picture(_pictures.still(told, shown.words), out / "demo.png")
     print(report.text(report.summary(results), results))
     print(_judged(told, xy))
     with Progress("film") as progress, whole(out / "demo.gif") as part:
-        _pictures.film(told, part, scene.slow, progress)
+        _pictures.film(told, part, shown.slow, progress)
     print(f"film: {out / 'demo.gif'}")
     save_picture(plots.timeline(results), out / "contacts.png")
-
-
-def _truth(path: Path):
-    """Reads what touched (scans, P, P), and the fingers' middles (scans, K, 2), m."""
-    import h5py
-    import numpy as np
-
-    with h5py.File(path) as file:
-        return np.asarray(file["truth_touched"]), np.asarray(file["truth_xy"])
 
 
 def _judged(told, xy) -> str:

@@ -145,7 +145,7 @@ def film(told: Told, out: Path, slow: float, progress: Callable[[int, int], None
     )
     title.set_text(f"{slow:g} times slower than it was;  + a contact;  ▽ grounded")
     moving = [*panels.shown, *(a for axes in place for a in axes.lines), time]
-    canvas, background = keep(figure, moving)
+    pixels = keep(figure, moving)
     due = np.arange(told.t[0], told.t[-1], 1 / (_RATE * slow))
     rows = np.searchsorted(told.t, due + 1e-9, "right") - 1
     frames = []
@@ -153,10 +153,7 @@ def film(told: Told, out: Path, slow: float, progress: Callable[[int, int], None
         panels.show(row)
         rings.set_data(*(1e3 * told.xy[row, : told.count[row]].T))
         time.set_text(f"{told.t[row]:.3f} s")
-        canvas.restore_region(background)
-        for artist in moving:
-            artist.axes.draw_artist(artist)
-        frame = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        frame = Image.fromarray(pixels()[..., :3])
         frames.append(frame.quantize(64, dither=Image.Dither.NONE))
         progress(number + 1, len(rows))
     first, *rest = frames

@@ -8,13 +8,10 @@ from tomojax.cli.entry._amounts import (
     AMOUNT as AMOUNT,
     COUNT as COUNT,
     NUMBER as NUMBER,
+    Pair as Pair,
     whole_number as whole_number,
 )
-from tomojax.cli.entry._command import (
-    Command as Command,
-    failed_to_read as failed_to_read,
-    stopped as stopped,
-)
+from tomojax.cli.entry._command import Command as Command, stopped as stopped
 from tomojax.cli.entry._interrupts import (
     interrupts as interrupts,
     listening as listening,
@@ -22,6 +19,7 @@ from tomojax.cli.entry._interrupts import (
 )
 from tomojax.cli.entry._left import (
     json_option as json_option,
+    out_option as out_option,
     picture_option as picture_option,
     save_picture as save_picture,
     write_report as write_report,
@@ -39,6 +37,7 @@ from tomojax.cli.entry._options import (
     calibration_option as calibration_option,
     grouped as grouped,
     like_option as like_option,
+    since_option as since_option,
     stretch_options as stretch_options,
     wire_options as wire_options,
 )

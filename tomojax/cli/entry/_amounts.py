@@ -54,4 +54,33 @@ class Count(click.ParamType):
         return found
 
 
+class Pair(click.ParamType):
+    """Two numbers with a mark between, of which none is below 0; or one of some words.
+
+    `words`: each word's value.
+    """
+
+    def __init__(
+        self,
+        kind: type[int] | type[float],
+        name: str,
+        expected: str = "",
+        mark: str = ",",
+        words: dict[str, Any] | None = None,
+    ):
+        self._kind, self.name, self._mark, self._words = kind, name, mark, words or {}
+        self._expected = expected or name
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value in self._words:
+            return self._words[value]
+        try:
+            one, other = (self._kind(part) for part in value.split(self._mark))
+        except ValueError:
+            one = other = -1
+        if not (0 <= one < math.inf and 0 <= other < math.inf):
+            self.fail(f"got {value!r}, expected {self._expected}", param, ctx)
+        return one, other
+
+
 NUMBER, AMOUNT, COUNT = Number(), Number(amount=True), Count()

@@ -34,13 +34,9 @@ class Command(click.Command):
         try:
             return super().invoke(ctx)
         except EOFError as error:  # click takes it for Ctrl-C
-            raise ValueError(failed_to_read(read, error)) from None
-
-
-def failed_to_read(read: list[Path], error: BaseException) -> str:
-    """Returns one line on input that ended too early."""
-    names = ", ".join(map(str, read)) or "standard input"
-    return f"{names}: ends too early: {error or 'nothing left to read'}"
+            names = ", ".join(map(str, read)) or "standard input"
+            told = f"{names}: ends too early: {error or 'nothing left to read'}"
+            raise ValueError(told) from None
 
 
 def stopped() -> str:

@@ -27,11 +27,6 @@ def _json(path: Path) -> dict:
     return found if isinstance(found, dict) else {}
 
 
-def _is_picture(path: Path) -> bool:
-    head = _head(path)
-    return head.startswith(_SIGNATURES) or b"<svg" in head
-
-
 def _is_policy(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as file:
@@ -66,7 +61,10 @@ KINDS: dict[str, tuple[str, Callable[[Path], bool]]] = {
     "calibration": ("a calibration", _is_calibration),
     "order": ("an order of check", lambda path: b"channels = [" in _head(path)),
     "outlines": ("outlines", lambda path: _head(path).startswith(_OUTLINES)),
-    "picture": ("a picture", _is_picture),
+    "picture": (
+        "a picture",
+        lambda path: _head(path).startswith(_SIGNATURES) or b"<svg" in _head(path),
+    ),
     "policy": ("a policy", _is_policy),
     "report": ("a report of --json", lambda path: "environment" in _json(path)),
     "view": ("a view of rerun", lambda path: _head(path).startswith(b"RRF")),

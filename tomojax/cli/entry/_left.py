@@ -20,6 +20,11 @@ def json_option(what: str, makes: bool = False) -> Any:
     return click.option("--json", "json_path", type=kind, help=words)
 
 
+def out_option(kind: click.Path, words: str, **more: Any) -> Any:
+    """Returns the option `--out`; its help is `words`."""
+    return click.option("-o", "--out", type=kind, help=words, **more)
+
+
 def picture_option(what: str) -> Any:
     """Returns the option `--picture`; `what` names the things that it draws."""
     words = f"Draw {what} here (PNG); replaces a picture."

@@ -20,14 +20,16 @@ def grouped(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return wrapped
 
 
+since_option = click.option(
+    "--from",
+    "since",
+    type=NUMBER,
+    help="Read from this time on, s after the file's first row. [default: 0]",
+)
+
 # The stretch of a file that a command reads: `since` and `until`, s, or None.
 stretch_options = grouped(
-    click.option(
-        "--from",
-        "since",
-        type=NUMBER,
-        help="Read from this time on, s after the file's first row. [default: 0]",
-    ),
+    since_option,
     click.option(
         "--to",
         "until",

@@ -141,13 +141,9 @@ def check_paths(
     known = {_identity(path): f"read from {path}" for path in read}
     for one in written:
         for path in (one.path, *one.beside):
-            here = _identity(path)
-            require(
-                here not in known,
-                f"{one.option}: {path}",
-                f"a file that is {known.get(here)}",
-                "another name",
-            )
+            other = known.get(_identity(path))
+            told = f"a file that is {other}"
+            require(other is None, f"{one.option}: {path}", told, "another name")
         for path in (one.path, *one.beside):
             known[_identity(path)] = f"written by {one.option}"
         _check_place(one)
@@ -197,9 +193,5 @@ def _check_replaced(one: Written, overwrite: bool | None) -> None:
     refused = overwrite is False and one.kind == "calibration"
     if is_one is None or refused or not path.is_file() or not path.stat().st_size:
         return
-    require(
-        is_one(path),
-        f"{one.option}: {path}",
-        "a file that is there already and is something else",
-        f"a new name, or {words} to replace",
-    )
+    told, mend = "a file that is there already and is something else", f"{words} to replace"
+    require(is_one(path), f"{one.option}: {path}", told, f"a new name, or {mend}")

@@ -24,15 +24,13 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 
 @click.command(cls=entry.Command)
 @click.argument("rec", type=entry.InputFile(empty=True), nargs=-1, required=True)
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile(
+@entry.out_option(
+    entry.OutputFile(
         "results",
-        lambda given: _results_of(given["rec"]),
+        lambda given: given["rec"][0].with_suffix(".results.h5"),
         unless=lambda given: _several(given["rec"]),
     ),
-    help="Write the results to this file, or to this folder for several recordings. "
+    "Write the results to this file, or to this folder for several recordings. "
     "[default: REC.results.h5; tomojax-results]",
 )
 @click.option(
@@ -60,12 +58,7 @@ def _lam(context: click.Context, parameter: Any, value: str) -> float | None:
 @click.option(
     "--grid", type=int, help="Pixels along a side. [default: 32; 24 with --rate slot]"
 )
-@click.option(
-    "--contacts",
-    type=int,
-    default=4,
-    help="Find this many contacts per row at most.",
-)
+@click.option("--contacts", default=4, help="Find this many contacts per row at most.")
 @click.option(
     "--threshold",
     type=entry.NUMBER,
@@ -141,7 +134,3 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
 
 def _several(rec: Sequence[Path]) -> bool:
     return len(rec) > 1 or rec[0].is_dir()
-
-
-def _results_of(rec: Sequence[Path]) -> Path | None:
-    return None if _several(rec) else rec[0].with_name(rec[0].stem + ".results.h5")

@@ -34,24 +34,12 @@ def _header(context: click.Context, parameter: Any, values: tuple[str, ...]) -> 
     return found
 
 
-def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
-    if value is None:
-        return None
-    try:
-        first, last = (int(part) for part in value.split(":"))
-    except ValueError:
-        raise click.BadParameter(f"got {value!r}, expected FIRST:BEHIND") from None
-    return first, last
-
-
 @click.command(cls=entry.Command)
 @click.argument("rec", type=entry.InputFile())
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("recording"),
+@entry.out_option(
+    entry.OutputFile("recording"),
+    "Write the repaired recording here, a new file.",
     required=True,
-    help="Write the repaired recording here, a new file.",
 )
 @click.option(
     "--set",
@@ -64,8 +52,7 @@ def _scans(context: click.Context, parameter: Any, value: str | None) -> Any:
 )
 @click.option(
     "--scans",
-    callback=_scans,
-    metavar="FIRST:BEHIND",
+    type=entry.Pair(int, "FIRST:BEHIND", mark=":"),
     help="Keep the scans from FIRST to the one before BEHIND. [default: all]",
 )
 @click.option(

@@ -42,17 +42,10 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     "ends the stretch instead, s after the first row. [default: by the ending of "
     "-o; the end]",
 )
-@click.option(
-    "--from",
-    "since",
-    type=entry.NUMBER,
-    help="Write rows from this time on, s after the first row. [default: 0]",
-)
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
-    help="Write this file, or files in this folder for several RESULTS. [default: beside "
+@entry.since_option
+@entry.out_option(
+    entry.OutputFile("", unless=lambda given: True),  # checked once the kind is known
+    "Write this file, or files in this folder for several RESULTS. [default: beside "
     "RESULTS]",
 )
 @click.option(
@@ -148,13 +141,9 @@ def _check(results: Any, places: list[Path], kind: str, overwrite: bool) -> None
 
     endings = KINDS[kind].endings
     for place in places:
+        expected = f"a name with {' or '.join(endings)}"
         named = not endings or place.suffix in endings
-        require(
-            named,
-            f"--out: {place}",
-            repr(place.suffix),
-            f"a name with {' or '.join(endings)}",
-        )
+        require(named, f"--out: {place}", repr(place.suffix), expected)
     written = [
         entry.Written(path, "--out", kind, kind != "film" and len(places) > 1, ())
         for place in places

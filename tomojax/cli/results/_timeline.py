@@ -1,6 +1,7 @@
 """Sums results of files of any length over time: from few rows first, then from all."""
 
 import time
+from bisect import bisect_right
 from pathlib import Path
 from threading import Thread
 from typing import NamedTuple
@@ -8,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tomojax._require import require
+from tomojax._stretch import stretch_of
 from tomojax.results.loading import LoadedResults
 
 _PARTS = 16384  # of the whole file that are kept
@@ -27,6 +29,19 @@ class Parts(NamedTuple):
     flags: np.ndarray  # all that any of its rows has
 
 
+class _Times:
+    """The times of a file's rows, s: only those that are asked for are read."""
+
+    def __init__(self, file: LoadedResults):
+        self._file = file
+
+    def __len__(self) -> int:
+        return self._file.rows
+
+    def __getitem__(self, k: int) -> float:
+        return float(self._file.row("t", range(len(self))[k]))
+
+
 class Timeline:
     """Rows `first` to `last` of a results file; a separate thread reads all of them.
 
@@ -41,26 +56,13 @@ class Timeline:
                 require(needed in names, f"{path}: {needed}", "none", "this dataset")
             forces = "contact_force" in names
             self.name = "contact_force" if forces else "contact_conductance"
-            self._begin = float(file.stretch("t", 0, 1)[0])
-            end = float(file.stretch("t", file.rows - 1, file.rows)[0])
-            self._places = np.linspace(0, file.rows - 1, _PLACES).astype(int)
-            self._at = np.array([file.stretch("t", r, r + 1)[0] for r in self._places])
-            held = f"a stretch of the file, which holds 0 to {end - self._begin:.6g} s"
-            self.first, self.last = 0, file.rows
-            if since is not None:
-                self.first = self._edge(file, self._begin + since)
-                inside = since >= 0 and self.first < file.rows
-                require(inside, "from", f"{since:g} s", held)
-            if until is not None:
-                self.last = self._edge(file, self._begin + until)
-                require(self.last > self.first, "to", f"{until:g} s", held)
+            t = _Times(file)
+            self.first, self.last = stretch_of(t, since, until)
+            self.span = t[self.first], t[self.last - 1]
             count = min(_PARTS, self.last - self.first)
             steps = np.arange(count + 1) * (self.last - self.first) // count
             self._edges = self.first + steps
             self._thin(file)
-            ends = self.first, self.last - 1
-            begin, end = (float(file.stretch("t", r, r + 1)[0]) for r in ends)
-            self.span = begin, end
         self._left, self.failed = count, ""
         Thread(target=self._refine, daemon=True).start()
 
@@ -69,19 +71,10 @@ class Timeline:
         """Returns the share of the file that the parts cover so far, 0 to 1."""
         return 1 - self._left / max(1, len(self._parts.t))
 
-    def _edge(self, file: LoadedResults, t: float) -> int:
-        """Returns the first row that is not before `t`."""
-        k = int(np.searchsorted(self._at, t))
-        if k == 0:
-            return 0
-        low = int(self._places[k - 1])
-        high = int(self._places[k]) + 1 if k < len(self._places) else file.rows
-        return low + int(np.searchsorted(file.stretch("t", low, high), t, "left"))
-
     def row(self, file: LoadedResults, t: float) -> int:
         """Returns the last row that is not after `t`."""
-        after = self._edge(file, np.nextafter(t, np.inf)) - 1
-        return int(np.clip(after, self.first, self.last - 1))
+        after = bisect_right(_Times(file), t) - 1
+        return min(max(after, self.first), self.last - 1)
 
     def _taken(
         self, file: LoadedResults, start: int, stop: int, edges: np.ndarray

@@ -1,6 +1,5 @@
 """`tomojax track`: follows contacts over time."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -9,28 +8,14 @@ import click
 from tomojax._require import naming
 from tomojax.cli import entry
 
-
-def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
-    if value == "auto":
-        return None
-    try:
-        place, height = (float(part) for part in value.split(","))
-        if not all(0 <= part < math.inf for part in (place, height)):
-            raise ValueError
-    except ValueError:
-        raise click.BadParameter(
-            f"got {value!r}, expected auto or M,LN_G, 0 or more"
-        ) from None
-    return place, height
+_DRIFT = entry.Pair(float, "M,LN_G", "auto or M,LN_G, 0 or more", words={"auto": None})
 
 
 @click.command(cls=entry.Command)
 @click.argument("results", type=entry.InputFile())
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("results", lambda given: _track_of(given["results"])),
-    help="Write the tracks here. [default: RESULTS.track.h5]",
+@entry.out_option(
+    entry.OutputFile("results", lambda given: given["results"].with_suffix(".track.h5")),
+    "Write the tracks here. [default: RESULTS.track.h5]",
 )
 @click.option(
     "--smooth/--filter",
@@ -39,20 +24,18 @@ def _drift(context: click.Context, parameter: Any, value: str) -> tuple | None:
 )
 @click.option(
     "--hold",
-    type=int,
     default=3,
     help="Keep a contact that is missing from up to this many rows.",
 )
 @click.option(
     "--least",
-    type=int,
     default=3,
     help="Drop a contact that fewer rows than this show.",
 )
 @click.option(
     "--drift",
+    type=_DRIFT,
     default="auto",
-    callback=_drift,
     help="How much place (m) and ln g (conductance) change per row, as standard "
     "deviations M,LN_G, or auto. 0,0 stands still.",
 )
@@ -91,7 +74,3 @@ def _check_stretch(results: Path, since: float | None, until: float | None) -> N
 
     with LoadedResults(results) as file, naming(results):
         stretch_of(file.read("t"), since, until)
-
-
-def _track_of(results: Path) -> Path:
-    return results.with_name(results.stem + ".track.h5")

@@ -21,11 +21,9 @@ _FRAMES = 1000
 @click.command(cls=entry.Command)
 @click.argument("rec", type=entry.InputFile())
 @click.argument("places", type=entry.InputFile(), required=False)
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
-    help="Write the calibration here. [default: REC.calibration.json; "
+@entry.out_option(
+    entry.OutputFile("calibration", lambda given: _calibration_of(given["rec"])),
+    "Write the calibration here. [default: REC.calibration.json; "
     "REC.response.h5 of a recording of kind conductivity]",
 )
 @click.option(

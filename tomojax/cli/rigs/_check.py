@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from tomojax._require import naming
+from tomojax._require import naming, require
 from tomojax.cli import entry
 from tomojax.cli.recordings import layout_option, opened, stretch
 from tomojax.cli.rigs._session import session
@@ -19,37 +19,23 @@ _PAUSE = 2.0  # s, between the parts of a recording
 _SOURCES = ("serial:", "udp://", "ni:", "virtual")
 
 
-class _Corners(click.ParamType):
-    """Two electrodes, or none."""
-
-    name = "A,B"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if not isinstance(value, str) or value == "auto":
-            return value
-        if value == "none":
-            return None
-        parts = value.split(",")
-        if len(parts) != 2 or not all(part.strip().isdigit() for part in parts):
-            self.fail(f"got {value!r}, expected two electrodes as 0,7, or none", param, ctx)
-        return int(parts[0]), int(parts[1])
+_WORDS = {"auto": "auto", "none": None}
+_CORNERS = entry.Pair(int, "A,B", "two electrodes as 0,7, or none", words=_WORDS)
 
 
 @click.command(cls=entry.Command)
 @click.argument("source", metavar="SOURCE|REC")
 @click.option(
     "--corners",
-    type=_Corners(),
+    type=_CORNERS,
     default="auto",
     show_default=False,
     help="The two electrodes at the corners that were touched in the end, as 0,7, or "
     "none. [default: 0 and the last of row 0]",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("recording"),
-    help="Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
+@entry.out_option(
+    entry.OutputFile("recording"),
+    "Keep the recording of SOURCE here. [default: check-DATE-TIME.h5]",
 )
 @click.option(
     "--write",
@@ -108,7 +94,9 @@ def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
 
     with opened(path, **stretch(options)) as recording:
         if like is not None:
-            _same_sensor(path, recording, like)
+            count, (_, _, wanted) = recording.electrodes, entry.sheet_of(like)
+            expected = f"{wanted}, as {like} has"
+            require(count == wanted, f"{path}: v", f"{count} channels", expected)
         from tomojax import bringup  # imports JAX, without which a bad file is told
 
         with entry.Progress() as progress, naming(path):
@@ -121,19 +109,6 @@ def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
         entry.save_picture(bringup.picture(found), options["picture"])
     entry.write_report(options["json_path"], **bringup.summary(found))
     return 1 if found.faults else 0
-
-
-def _same_sensor(path: Path, recording: Any, like: Path) -> None:
-    """Checks that two recordings have as many channels.
-
-    **Raises:** `ValueError` where the numbers of channels differ.
-    """
-    from tomojax.recordings import open_recording
-
-    with open_recording(like) as other:
-        here, there = recording.electrodes, other.electrodes
-    if here != there:
-        raise ValueError(f"{path}: v: got {here} channels, expected {there}, as {like} has")
 
 
 def _record(source: str, out: Path, corners: Any, options: dict[str, Any]) -> None:

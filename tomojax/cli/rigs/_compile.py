@@ -7,14 +7,11 @@ from typing import Any
 import click
 
 from tomojax.cli import entry
+from tomojax.cli.rigs._options import check_step, step_options
 
 
 @click.command(cls=entry.Command)
-@click.option(
-    "--method",
-    default="follow",
-    help="Find contacts by this method: follow, or one that sees each slot alone.",
-)
+@step_options
 @click.option(
     "--policy",
     "policies",
@@ -22,10 +19,6 @@ from tomojax.cli import entry
     help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
     "electrodes as 0,7,14, or a table of `tomojax design --policy`. May be repeated: a "
     "program may switch between them. [default: around_contacts]",
-)
-@click.option("--cheaper", help="Method for slots that are late. [default: the same]")
-@click.option(
-    "--contacts", type=entry.COUNT, default=2, help="Find this many contacts at most."
 )
 @click.option(
     "--rate", type=entry.AMOUNT, default=10_000.0, help="Slots a second, of the rig."
@@ -38,12 +31,10 @@ from tomojax.cli import entry
     help="Compile for this processor, a name that the compiler knows. [default: this one]",
 )
 @click.option("--source", is_flag=True, help="Write the source alone: compile nothing.")
-@click.option(
-    "--out",
-    "-o",
-    type=entry.OutputFolder("tomojax_step.h", goes_on=True),
+@entry.out_option(
+    entry.OutputFolder("tomojax_step.h", goes_on=True),
+    "Folder for the library and its files.",
     default="step",
-    help="Folder for the library and its files.",
 )
 def compile_step(
     method: str,
@@ -63,13 +54,8 @@ def compile_step(
     for C and one for C++17, an example, and test vectors. Another rig of the same shape
     takes the same library and its own tables.
     """
-    for option, name in (("--method", method), ("--cheaper", cheaper)):
-        entry.check_name(option, name or method, ("follow", *entry.METHODS))
     names = policies or ("around_contacts",)
-    for name in names:
-        if not name.endswith(".npz") and entry.ground_numbers("--policy", name) is None:
-            more = ", electrodes with commas: 0,7,14, or a table, .npz"
-            entry.check_name("--policy", name, entry.POLICIES, more)
+    check_step(method, cheaper, names)
     rig, _, electrodes = entry.sheet_of(like)
     if not source:
         _try_compiler(march)

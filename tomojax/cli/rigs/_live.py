@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from tomojax.cli import entry
-from tomojax.cli.rigs._options import session_options
+from tomojax.cli.rigs._options import check_step, session_options, step_options
 from tomojax.cli.rigs._session import session
 
 # While JAX is imported and compiles, nothing else is seen.
@@ -21,28 +21,17 @@ _COMPILING = (
 
 @click.command(cls=entry.Command)
 @session_options
-@click.option(
-    "--method",
-    default="follow",
-    help="Find contacts by this method: follow, or one that sees each slot alone.",
-)
+@step_options
 @click.option(
     "--policy",
     help="Choose the next grounds by this policy: a name of tomojax.step.POLICIES, "
     "electrodes as 0,7,14, or a table of `tomojax design --policy`. [default: "
     "around_contacts; of a rig with a table of ground conditions all]",
 )
-@click.option("--cheaper", help="Method for slots that are late. [default: the same]")
 @click.option(
     "--budget",
     type=entry.AMOUNT,
     help="A slot older than this is late, s. [default: one slot]",
-)
-@click.option(
-    "--contacts",
-    type=entry.COUNT,
-    default=2,
-    help="Find this many contacts at most.",
 )
 @entry.calibration_option
 @click.option(
@@ -92,15 +81,9 @@ def live(
     """
     from tomojax.hardware.sinks import check_all
 
-    for option, name in (("--method", method), ("--cheaper", options["cheaper"])):
-        entry.check_name(option, name or method, ("follow", *entry.METHODS))
     asked = policy or "around_contacts"
     own = asked.endswith(".npz")
-    if own and not Path(asked).is_file():
-        raise ValueError(f"--policy: {asked}: no such file")
-    if not own and entry.ground_numbers("--policy", asked) is None:
-        more = ", electrodes with commas: 0,7,14, or a table, .npz"
-        entry.check_name("--policy", asked, entry.POLICIES, more)
+    check_step(method, options["cheaper"], (asked,))
     sinks = check_all(options["send"], out)
     # What is read line by line has no pictures of a terminal in between.
     lines = any((one.kind, one.path) == ("jsonl", "-") for one in sinks)

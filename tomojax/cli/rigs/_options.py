@@ -1,5 +1,6 @@
 """Options of the commands that run a session: `record` and `live`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,26 +11,22 @@ from tomojax.cli import entry
 
 def _config(context: click.Context, parameter: Any, paths: tuple[Path, ...]) -> None:
     """Takes options' defaults from TOML files; a key is an option's name."""
-    for path in paths:
-        _read_config(context, path)
-
-
-def _read_config(context: click.Context, path: Path) -> None:
     from tomojax.files import read_toml
 
-    try:
-        found = read_toml(path, "no options in TOML")
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from None
-    keys = {}
-    for key, value in found.items():
-        name = key.replace("-", "_")
-        known = {p.name for p in context.command.params} - {"config"}
-        if name not in known:
-            expected = ", ".join(sorted(n.replace("_", "-") for n in known if n))
-            raise click.BadParameter(f"{path}: got {key}, expected one of {expected}")
-        keys[name] = value
-    context.default_map = {**(context.default_map or {}), **keys}
+    known = {str(p.name) for p in context.command.params} - {"config"}
+    keys = dict(context.default_map or {})
+    for path in paths:
+        try:
+            found = read_toml(path, "no options in TOML")
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from None
+        for key, value in found.items():
+            name = key.replace("-", "_")
+            if name not in known:
+                expected = ", ".join(sorted(n.replace("_", "-") for n in known))
+                raise click.BadParameter(f"{path}: got {key}, expected one of {expected}")
+            keys[name] = value
+    context.default_map = keys
 
 
 class Numbers(click.ParamType):
@@ -43,6 +40,32 @@ class Numbers(click.ParamType):
             return [entry.whole_number(part) for part in parts]
         except (TypeError, ValueError):
             self.fail(f"got {value!r}, expected whole numbers with commas", param, ctx)
+
+
+def check_step(method: str, cheaper: str | None, policies: Sequence[str]) -> None:
+    """Checks the names that a step is made of. **Raises:** `ValueError`."""
+    for option, name in (("--method", method), ("--cheaper", cheaper)):
+        entry.check_name(option, name or method, ("follow", *entry.METHODS))
+    more = ", electrodes with commas: 0,7,14, or a table, .npz"
+    for name in policies:
+        if name.endswith(".npz"):
+            if not Path(name).is_file():
+                raise ValueError(f"--policy: {name}: no such file")
+        elif entry.ground_numbers("--policy", name) is None:
+            entry.check_name("--policy", name, entry.POLICIES, more)
+
+
+step_options = entry.grouped(
+    click.option(
+        "--method",
+        default="follow",
+        help="Find contacts by this method: follow, or one that sees each slot alone.",
+    ),
+    click.option("--cheaper", help="Method for slots that are late. [default: the same]"),
+    click.option(
+        "--contacts", type=entry.COUNT, default=2, help="Find this many contacts at most."
+    ),
+)
 
 
 session_options = entry.grouped(

@@ -14,12 +14,10 @@ from tomojax.cli.rigs._session import session
 
 @click.command(cls=entry.Command)
 @session_options
-@click.option(
-    "-o",
-    "--out",
-    type=entry.OutputFile("recording", also=(".calibration.json",)),
+@entry.out_option(
+    entry.OutputFile("recording", also=(".calibration.json",)),
+    "Write the recording to this file.",
     required=True,
-    help="Write the recording to this file.",
 )
 @click.option(
     "--pattern",

@@ -95,14 +95,16 @@ class _Session:
                     for process in [view, *self._beside]:
                         if process is not None:
                             _wait(process)
-        counted = self.ring.counted()
+        counted = self.ring.counted().items()
+        seen = ", ".join(f"{n} {name}" for name, n in counted if n)
         if not self.ring.head["rows"]:
-            seen = ", ".join(f"{n} {name}" for name, n in counted.items() if n)
             raise ValueError(
                 f"source: no slot was taken in {time.perf_counter() - began:.1f} s "
                 f"({seen or 'nothing came'}); is this the rig, and does it send?"
             )
-        self._tell(step is not None)
+        print(seen or "no slots", file=self.words)
+        if step is not None:
+            self._tell()
 
     def _close(self) -> None:
         """Closes the recorder before any other process: slots reach the disk first."""
@@ -111,12 +113,8 @@ class _Session:
             if self.ring.head["rows"]:
                 print(f"recording: {self.recorder.path}", file=self.words)
 
-    def _tell(self, worked: bool) -> None:
-        counted = {name: n for name, n in self.ring.counted().items() if n}
-        told = ", ".join(f"{n} {name}" for name, n in counted.items())
-        print(told or "no slots", file=self.words)
-        if not worked:
-            return
+    def _tell(self) -> None:
+        """Tells how soon slots were answered, and with which flags."""
         from tomojax.hardware.loop import flags_text, latency_text, load_text
 
         latency = latency_text(self.ring, 0.5, 0.99, 0.999, 0.9999)

@@ -12,6 +12,7 @@ from tomojax.recordings._described import (
     rig_of,
     scaled,
     slots_of,
+    volts_of,
     whole_numbers,
 )
 from tomojax.recordings._recording import Recording, Scans, settle
@@ -44,12 +45,8 @@ class MemoryRecording(Recording):
         require(len(values) > 0, "v", "no slots", "at least one")
         if codes is None and values.dtype.kind in "iu" and "scale" in told:
             codes = values.dtype
-        volts = values
-        if "scale" in told:
-            scale, offset = scaled(told)
-            volts = np.multiply(values, scale, dtype=np.float64)
-            volts += offset
-        volts = volts.astype(np.float32)
+        coded = "scale" in told
+        volts = volts_of(values, *scaled(told)) if coded else values.astype(np.float32)
         ground = whole_numbers(ground)
         order, self.mended = _in_order(volts, ground, t, number)
         volts, ground = volts[order], ground[order]

@@ -70,9 +70,7 @@ class LoadedResults:
         self.rows, known = shape[0], fields_of_rows()
         require(file.dtype("t").kind == "f", "t", file.dtype("t"), "float64")
         sizes: dict[str, int] = {}
-        for name in known:
-            if name not in file.names:
-                continue
+        for name in [n for n in known if n in file.names]:
             shape, field = file.shape(name), known[name]
             kind = file.dtype(name).kind
             wanted = "f" if np.dtype(field.kind).kind == "f" else "iu"
@@ -219,9 +217,11 @@ class LoadedResults:
             end = min(at + each, stop)
             yield {name: self.stretch(name, at, end) for name in names}
 
-    def thinned(self, name: str, step: int) -> np.ndarray:
-        """Reads every `step`-th row of a dataset."""
-        blocks = self.blocks([name], step * max(1, _ROWS // step))
+    def thinned(
+        self, name: str, step: int, start: int = 0, stop: int | None = None
+    ) -> np.ndarray:
+        """Reads every `step`-th row of a dataset, from row `start` on."""
+        blocks = self.blocks([name], step * max(1, _ROWS // step), start, stop)
         return np.concatenate([block[name][::step] for block in blocks])
 
     def unit(self, name: str) -> str:

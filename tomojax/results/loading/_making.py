@@ -36,9 +36,7 @@ def places(path: Path) -> dict[str, tuple[int, np.dtype, tuple[int, ...]]]:
         raise ValueError(f"{path}: not a results file: {error}") from None
     end = 0
     for place, kind, shape in sorted(found.values(), key=lambda one: one[0] or 0):
-        apart = place is not None and place >= end
-        require(
-            apart, f"{path}: datasets", "not laid out by tomojax", "one after the other"
-        )
+        apart, told = place is not None and place >= end, "not laid out by tomojax"
+        require(apart, f"{path}: datasets", told, "one after the other")
         end = (place or 0) + kind.itemsize * int(np.prod(shape))
     return {n: (p or 0, kind, shape[1:]) for n, (p, kind, shape) in found.items()}
