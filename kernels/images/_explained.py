@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -91,23 +92,32 @@ def explained_by(
     """Makes a fit of contacts as point sources: currents, the part left, and the rest.
 
     The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
-    × r), and the pixels' size.
+    × r), what these are less (None, or a product: pixels × q, q × r), and the pixels' size.
     The rest is what no currents at contacts and `reach` pixels around them explain: their
     size and shape, their place's error and nearby electrodes' errors are not in it.
     """
 
-    def whole(
-        contacts: Contacts, seen: Array, columns: Array, cell: Array
-    ) -> tuple[Array, Array, Array]:
+    def near_of(columns: Array, contacts: Contacts, cell: Array) -> Float[Array, "n _"]:
         points = _interpolated(columns, contacts, shape, cell, 0)
-        factors, left = explained(points[None], seen[None])
         around = _around(columns, contacts, shape, cell, reach)
-        near = jnp.concatenate([points, around.reshape(-1, len(seen))])
+        return jnp.concatenate([points, around.reshape(-1, columns.shape[1])])
+
+    def whole(
+        contacts: Contacts,
+        seen: Array,
+        columns: Array,
+        less: tuple[Array, Array] | None,
+        cell: Array,
+    ) -> tuple[Array, Array, Array]:
+        near = near_of(columns, contacts, cell)
+        if less is not None:
+            near -= matmul(near_of(less[0], contacts, cell), less[1])
+        factors, left = explained(near[None, : len(contacts.xy)], seen[None])
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
         return factors[0], left, seen - matmul(amount, near)
 
-    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array, Array]:
+    def lone(contacts: Contacts, *others: Any) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
         carried, left, rest = whole(first, *others)
         return jnp.pad(carried, (0, len(contacts.radius) - 1)), left, rest

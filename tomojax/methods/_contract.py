@@ -232,6 +232,11 @@ class AbstractMethod(eqx.Module):
         A slot without a good channel is not used. This is host code, in float64.
         """
 
+    def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
+        """Prepares for a slot of each ground; an array that is in all of these is shared."""
+        grounds = np.arange(len(grounded_of(self)))[:, None]
+        return [self.prepare(ground, good[None], lam) for ground in grounds]
+
     @abstractmethod
     def estimate(
         self, prepared: Any, voltages: Float[Array, "S M"], count: int

@@ -8,7 +8,7 @@ slot to the same current made the image no better than the mean.)
 """
 
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,10 +18,11 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import explained_by, read_contacts, strongest_first
-from tomojax.kernels.sheet import Slots
+from tomojax.kernels.sheet import Grounds, Slots
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, Frame
 from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
+    A,
     centring,
     factors_of,
     Shared,
@@ -54,6 +55,9 @@ _SMOOTH = 0.375
 # Slots that λ is chosen from, or that stand for all.
 _SLOTS = 64
 
+# Directions that a ground changes.
+_CHANGED = 3
+
 # λ/σ₁² where nothing ever touches.
 _RELATIVE = 1e-4
 
@@ -65,11 +69,12 @@ class PreparedSource(NamedTuple):
     columns: Float[Array, "pixels r"]  # coefficients of the mean image of a source there
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
-    scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
-    coarse: Float[Array, "r some"]  # the same at every pixel that `reach` is apart
+    sharp: Float[Array, "nx ny"]  # 1/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
+    # Where slots share `columns`: what a slot's own are less than these, (pixels, q)·(q, r).
+    less: tuple[Array, Array] | None = None
 
 
 class Source(AbstractMethod):
@@ -102,6 +107,7 @@ class Source(AbstractMethod):
     reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
+    coarse: Float[Array, "r some"]  # the basis at pixels that `reach` is apart
     slots: Slots  # the law of T^l; it and the next two in float64 on the host
     shared: Float[np.ndarray, "rows r"]  # r̃Bᵀ: T^lBᵀ are its `factors`
     drawn: Float[np.ndarray, "rows r"]  # the same of TG, in a basis of its own
@@ -131,7 +137,9 @@ class Source(AbstractMethod):
         # Rounding off the sheet, divided by its own spread, had peaks there.
         there = pixels.inside.ravel()
         basis, smoothed = (jnp.where(there, a, 0) for a in (made.basis, made.smoothed))
-        return replace(made, inside=pixels.inside, basis=basis, smoothed=smoothed)
+        coarse = jnp.where(_apart(there, shape, made.reach), made.coarse, 0)
+        made = replace(made, basis=basis, smoothed=smoothed, coarse=coarse)
+        return replace(made, inside=pixels.inside)
 
     @classmethod
     def from_shared(
@@ -171,6 +179,7 @@ class Source(AbstractMethod):
             reach=reach,
             cell=cell,
             basis=jnp.asarray(basis, dtype),
+            coarse=jnp.asarray(_apart(basis, shape, reach), dtype),
             slots=maps.slots,
             shared=shared,
             drawn=drawn_shared,
@@ -267,15 +276,12 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
-        scaled = basis * np.sqrt(count / spread)
-        (i, j), whole = self.reach, scaled.reshape(-1, *self.shape)
         made = dict(
             operators=forward * operators.reshape(slots * m, -1),
             columns=(through / count @ basis).T,
             misfits=misfits,
             imaging=forward * imaging.reshape(slots * m, -1),
-            scaled=scaled,
-            coarse=whole[:, i // 2 :: i, j // 2 :: j].reshape(len(whole), -1),
+            sharp=np.sqrt(count / spread).reshape(self.shape),
             lowest=np.asarray(lowest),
             used=good,
             lam=np.asarray(lam),
@@ -285,6 +291,29 @@ class Source(AbstractMethod):
         return PreparedSource(
             **{name: jnp.asarray(a.astype(kinds[name])) for name, a in made.items()}
         )
+
+    def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
+        each = super().prepare_each(good, lam)
+        if not isinstance(self.slots, Grounds):
+            return each
+
+        def through(rows: np.ndarray, grounded: np.ndarray) -> np.ndarray:
+            rows = centring(good, grounded) @ rows
+            return tikhonov_operator(rows, lam) @ rows
+
+        basis, dtype = np.asarray(self.basis, float).T, self.basis.dtype
+        shared = through(self.shared[:-1], np.zeros_like(good))
+        columns = jnp.asarray(basis @ shared, dtype)
+        for k, one in enumerate(each):
+            # A ground takes a row out of A and gives all columns one more part: AᵀA changes
+            # by three directions.
+            own = through(self.factors(np.array([k]))[0], self.grounded[k])
+            values, vectors = np.linalg.eigh(shared - own)
+            most = np.argsort(-np.abs(values))[:_CHANGED]
+            parts = basis @ (vectors * values)[:, most], vectors.T[most]
+            less = tuple(jnp.asarray(part, dtype) for part in parts)
+            each[k] = one._replace(columns=columns, less=less)
+        return each
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""
@@ -302,19 +331,25 @@ class Source(AbstractMethod):
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         coefficients = matmul(voltages.ravel(), prepared.operators)
-        statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
+        statistic = matmul(coefficients, self.basis).reshape(self.shape) * prepared.sharp
         contacts = read_contacts(
             statistic, None, self.cell, count, lowest=prepared.lowest, reach=self.reach
         )
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
         carried, left, rest = explained_by(self.shape, self.reach)(
-            contacts.count > 1, contacts, coefficients, prepared.columns, self.cell
+            contacts.count > 1,
+            contacts,
+            coefficients,
+            prepared.columns,
+            prepared.less,
+            self.cell,
         )
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
         # Errors are in proportion to the highest peak: another contact stands out of them.
-        hidden = matmul(rest, prepared.coarse).max()
+        sharp = _apart(prepared.sharp.ravel(), self.shape, self.reach)
+        hidden = (matmul(rest, self.coarse) * sharp).max()
         limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
         missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
 
@@ -332,3 +367,9 @@ class Source(AbstractMethod):
 def _some(grounded: Bool[np.ndarray, "L M"]) -> Int[np.ndarray, " n"]:
     """Picks slots, spread evenly, that stand for all."""
     return np.arange(0, len(grounded), -(-len(grounded) // _SLOTS))
+
+
+def _apart(values: A, shape: tuple[int, int], reach: tuple[int, int]) -> A:
+    """Picks every pixel that `reach` is apart, of values (..., pixels)."""
+    (i, j), whole = reach, values.reshape(*values.shape[:-1], *shape)
+    return whole[..., i // 2 :: i, j // 2 :: j].reshape(*values.shape[:-1], -1)
