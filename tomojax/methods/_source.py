@@ -69,11 +69,14 @@ class PreparedSource(NamedTuple):
     columns: Float[Array, "pixels r"]  # coefficients of the mean image of a source there
     misfits: Float[Array, "S M M"]  # T A − I on the good channels
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
+    scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
+    coarse: Float[Array, "r some"]  # the same at every pixel that `reach` is apart
     sharp: Float[Array, "nx ny"]  # 1/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
-    # Where slots share `columns`: what a slot's own are less than these, (pixels, q)·(q, r).
+    # Where grounds share arrays: a ground's columns are less by this product, (pixels, q)·
+    # (q, r), and its `scaled` and `coarse`, then of the basis, lack the factors `sharp`.
     less: tuple[Array, Array] | None = None
 
 
@@ -107,7 +110,6 @@ class Source(AbstractMethod):
     reach: tuple[int, int] = eqx.field(static=True)  # pixels around a peak that tell it
     cell: Float[Array, "2"]
     basis: Float[Array, "r pixels"]
-    coarse: Float[Array, "r some"]  # the basis at pixels that `reach` is apart
     slots: Slots  # the law of T^l; it and the next two in float64 on the host
     shared: Float[np.ndarray, "rows r"]  # r̃Bᵀ: T^lBᵀ are its `factors`
     drawn: Float[np.ndarray, "rows r"]  # the same of TG, in a basis of its own
@@ -137,9 +139,7 @@ class Source(AbstractMethod):
         # Rounding off the sheet, divided by its own spread, had peaks there.
         there = pixels.inside.ravel()
         basis, smoothed = (jnp.where(there, a, 0) for a in (made.basis, made.smoothed))
-        coarse = jnp.where(_apart(there, shape, made.reach), made.coarse, 0)
-        made = replace(made, basis=basis, smoothed=smoothed, coarse=coarse)
-        return replace(made, inside=pixels.inside)
+        return replace(made, inside=pixels.inside, basis=basis, smoothed=smoothed)
 
     @classmethod
     def from_shared(
@@ -179,7 +179,6 @@ class Source(AbstractMethod):
             reach=reach,
             cell=cell,
             basis=jnp.asarray(basis, dtype),
-            coarse=jnp.asarray(_apart(basis, shape, reach), dtype),
             slots=maps.slots,
             shared=shared,
             drawn=drawn_shared,
@@ -276,12 +275,16 @@ class Source(AbstractMethod):
         forward = float(self.drive_sign) / count
         spread = np.maximum(spread, 1e-30)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
+        sharp = np.sqrt(count / spread)
+        scaled = basis * sharp
         made = dict(
             operators=forward * operators.reshape(slots * m, -1),
             columns=(through / count @ basis).T,
             misfits=misfits,
             imaging=forward * imaging.reshape(slots * m, -1),
-            sharp=np.sqrt(count / spread).reshape(self.shape),
+            scaled=scaled,
+            coarse=self._apart(scaled),
+            sharp=sharp.reshape(self.shape),
             lowest=np.asarray(lowest),
             used=good,
             lam=np.asarray(lam),
@@ -301,19 +304,27 @@ class Source(AbstractMethod):
             rows = centring(good, grounded) @ rows
             return tikhonov_operator(rows, lam) @ rows
 
-        basis, dtype = np.asarray(self.basis, float).T, self.basis.dtype
-        shared = through(self.shared[:-1], np.zeros_like(good))
-        columns = jnp.asarray(basis @ shared, dtype)
+        basis, dtype = np.asarray(self.basis, float), self.basis.dtype
+        lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # as in `prepare`
+        once = through(self.shared[:-1], np.zeros_like(good))
+        arrays = (once @ basis).T, basis, self._apart(basis)
+        names = "columns", "scaled", "coarse"
+        shared = dict(zip(names, (jnp.asarray(a.astype(dtype)) for a in arrays)))
         for k, one in enumerate(each):
             # A ground takes a row out of A and gives all columns one more part: AᵀA changes
             # by three directions.
             own = through(self.factors(np.array([k]))[0], self.grounded[k])
-            values, vectors = np.linalg.eigh(shared - own)
+            values, vectors = np.linalg.eigh(once - own)
             most = np.argsort(-np.abs(values))[:_CHANGED]
-            parts = basis @ (vectors * values)[:, most], vectors.T[most]
-            less = tuple(jnp.asarray(part, dtype) for part in parts)
-            each[k] = one._replace(columns=columns, less=less)
+            less = basis.T @ (vectors * values)[:, most], vectors.T[most]
+            less = tuple(jnp.asarray(part.astype(dtype)) for part in less)
+            each[k] = one._replace(**shared, less=less)
         return each
+
+    def _apart(self, values: A) -> A:
+        """Picks every pixel that `reach` is apart, of values (..., pixels)."""
+        (i, j), whole = self.reach, values.reshape(*values.shape[:-1], *self.shape)
+        return whole[..., i // 2 :: i, j // 2 :: j].reshape(*values.shape[:-1], -1)
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""
@@ -331,7 +342,9 @@ class Source(AbstractMethod):
         self, prepared: PreparedSource, voltages: Float[Array, "S M"], count: int
     ) -> Estimate:
         coefficients = matmul(voltages.ravel(), prepared.operators)
-        statistic = matmul(coefficients, self.basis).reshape(self.shape) * prepared.sharp
+        statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
+        if prepared.less is not None:
+            statistic *= prepared.sharp
         contacts = read_contacts(
             statistic, None, self.cell, count, lowest=prepared.lowest, reach=self.reach
         )
@@ -348,10 +361,11 @@ class Source(AbstractMethod):
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
         # Errors are in proportion to the highest peak: another contact stands out of them.
-        sharp = _apart(prepared.sharp.ravel(), self.shape, self.reach)
-        hidden = (matmul(rest, self.coarse) * sharp).max()
+        hidden = matmul(rest, prepared.coarse)
+        if prepared.less is not None:
+            hidden *= self._apart(prepared.sharp.ravel())
         limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
-        missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
+        missing = ((left > _UNEXPLAINED) | (hidden.max() > limit)) & (contacts.count > 0)
 
         residual, by_electrode = slots_left(prepared.misfits, voltages, prepared.used)
         image = self.smooth_image(prepared, voltages)
@@ -367,9 +381,3 @@ class Source(AbstractMethod):
 def _some(grounded: Bool[np.ndarray, "L M"]) -> Int[np.ndarray, " n"]:
     """Picks slots, spread evenly, that stand for all."""
     return np.arange(0, len(grounded), -(-len(grounded) // _SLOTS))
-
-
-def _apart(values: A, shape: tuple[int, int], reach: tuple[int, int]) -> A:
-    """Picks every pixel that `reach` is apart, of values (..., pixels)."""
-    (i, j), whole = reach, values.reshape(*values.shape[:-1], *shape)
-    return whole[..., i // 2 :: i, j // 2 :: j].reshape(*values.shape[:-1], -1)
