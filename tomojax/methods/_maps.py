@@ -1,5 +1,6 @@
 """Makes maps from currents to a slot's voltages and back, on the host in float64."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -14,6 +15,12 @@ from tomojax.sensor import resistances
 
 A = TypeVar("A", Array, np.ndarray)
 
+# Squares of singular values hold these down to this part of the strongest's.
+_ROUNDING = 1e-8
+
+# Rows whose singular values are all computed where one is asked for.
+_FEW = 256
+
 
 class Shared(NamedTuple):
     """What all slots' maps T^l = D^l·[r; 1] share: one ampere into a pixel, host, float64.
@@ -25,7 +32,13 @@ class Shared(NamedTuple):
     rows: Float[np.ndarray, "rows pixels"]  # M of r̃, Ω, and 1; 0 off the sheet
 
     def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "rows M"]]:
-        """Computes an orthonormal basis of all maps' rows, and r̃ in it."""
+        """Computes an orthonormal basis of all maps' rows, and r̃ in it; strongest first."""
+        # Of a large mat's rows, the product takes seconds where singular values take minutes.
+        squares, turn = np.linalg.eigh(self.rows @ self.rows.T)
+        squares, turn = squares[:0:-1], turn[:, :0:-1]
+        if squares[-1] > _ROUNDING * squares[0]:
+            rows = turn * np.sqrt(squares)
+            return (turn / np.sqrt(squares)).T @ self.rows, rows
         basis = np.linalg.svd(self.rows, full_matrices=False)[2][:-1]
         return basis, self.rows @ basis.T
 
@@ -55,6 +68,23 @@ def factors_of(
     """Computes D·r̃ of some slots, with r̃ in a basis."""
     relative: Any = slots.relative(shared[:-1].T, which)  # (r, n, M)
     return relative.transpose(1, 2, 0) + slots.offset(which)[..., None] * shared[-1]
+
+
+def each_factors(
+    slots: Slots, shared: Float[np.ndarray, "rows r"], which: Int[np.ndarray, " n"]
+) -> Iterator[Float[np.ndarray, "M r"]]:
+    """Yields `factors_of` some slots one after another: many of a large mat take memory."""
+    return (factors_of(slots, shared, which[k : k + 1])[0] for k in range(len(which)))
+
+
+def strongest(rows: Float[np.ndarray, "n r"]) -> float:
+    """Computes the largest singular value."""
+    if len(rows) <= _FEW:
+        return float(np.sqrt(np.linalg.eigvalsh(rows @ rows.T)[-1]))
+    from scipy.sparse.linalg import svds  # takes half a second
+
+    start = np.random.default_rng(0).normal(size=min(rows.shape))
+    return float(svds(rows, 1, v0=start, return_singular_vectors=False)[0])
 
 
 def centring(
