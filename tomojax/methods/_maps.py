@@ -16,7 +16,7 @@ from tomojax.sensor import resistances
 A = TypeVar("A", Array, np.ndarray)
 
 # Squares of singular values hold these down to this part of the strongest's.
-_ROUNDING = 1e-8
+_ROUNDING = 1e-9
 
 # Rows whose singular values are all computed where one is asked for.
 _FEW = 256
@@ -34,11 +34,16 @@ class Shared(NamedTuple):
     def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "rows M"]]:
         """Computes an orthonormal basis of all maps' rows, and r̃ in it; strongest first."""
         # Of a large mat's rows, the product takes seconds where singular values take minutes.
-        squares, turn = np.linalg.eigh(self.rows @ self.rows.T)
-        squares, turn = squares[:0:-1], turn[:, :0:-1]
-        if squares[-1] > _ROUNDING * squares[0]:
-            rows = turn * np.sqrt(squares)
-            return (turn / np.sqrt(squares)).T @ self.rows, rows
+        # The last row, of ones, is far shorter than the others: its digits would be lost.
+        square = self.rows @ self.rows.T
+        weight = np.ones(len(square))
+        weight[-1] = np.sqrt(square[0, 0] / square[-1, -1])
+        squares, turn = np.linalg.eigh(weight * square * weight[:, None])
+        squares, turn = squares[1:], weight[:, None] * turn[:, 1:]
+        if squares[0] > _ROUNDING * squares[-1]:
+            rows = square @ turn / np.sqrt(squares)
+            strong = np.linalg.eigh(rows.T @ rows)[1][:, ::-1]
+            return (strong.T / np.sqrt(squares)) @ turn.T @ self.rows, rows @ strong
         basis = np.linalg.svd(self.rows, full_matrices=False)[2][:-1]
         return basis, self.rows @ basis.T
 

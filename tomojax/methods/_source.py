@@ -299,7 +299,10 @@ class Source(AbstractMethod):
         # JAX would compile a conversion for each shape.
         kinds = {name: bool if a is good else dtype for name, a in made.items()}
         return PreparedSource(
-            **{name: jnp.asarray(a.astype(kinds[name], copy=False)) for name, a in made.items()}
+            **{
+                name: jnp.asarray(a.astype(kinds[name], copy=False))
+                for name, a in made.items()
+            }
         )
 
     def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
