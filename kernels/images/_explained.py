@@ -91,8 +91,9 @@ def explained_by(
 ) -> Callable[..., tuple[Array, Array, Array]]:
     """Makes a fit of contacts as point sources: currents, the part left, and the rest.
 
-    The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
-    × r), what these are less (None, or a product: pixels × q, q × r), and the pixels' size.
+    The fit takes contacts, an image's coefficients, those of a source at each pixel, and
+    the pixels' size. A source's are (pixels × r), and what they are less: None, or a
+    product (pixels × q, q × r).
     The rest is what no currents at contacts and `reach` pixels around them explain: their
     size and shape, their place's error and nearby electrodes' errors are not in it.
     """
@@ -102,16 +103,10 @@ def explained_by(
         around = _around(columns, contacts, shape, cell, reach)
         return jnp.concatenate([points, around.reshape(-1, columns.shape[1])])
 
-    def whole(
-        contacts: Contacts,
-        seen: Array,
-        columns: Array,
-        less: tuple[Array, Array] | None,
-        cell: Array,
-    ) -> tuple[Array, Array, Array]:
-        near = near_of(columns, contacts, cell)
-        if less is not None:
-            near -= matmul(near_of(less[0], contacts, cell), less[1])
+    def whole(contacts: Contacts, seen: Array, columns: tuple, cell: Array) -> tuple:
+        near = near_of(columns[0], contacts, cell)
+        if columns[1] is not None:
+            near -= matmul(near_of(columns[1][0], contacts, cell), columns[1][1])
         factors, left = explained(near[None, : len(contacts.xy)], seen[None])
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]

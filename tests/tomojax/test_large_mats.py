@@ -62,11 +62,11 @@ def test_the_basis_is_orthonormal_and_strongest_first():
 
 
 def test_a_long_sheet_has_square_pixels():
-    cell = np.asarray(tx.method(tx.Sensor.grid(4, 12), "source").cell)
-    assert tx.method(tx.Sensor.grid(4, 12), "source").shape == (32, 48)
-    assert cell.max() < 1.6 * cell.min()
+    method = tx.method(tx.Sensor.grid(8, 16), "source")
+    assert method.shape == (32, 64)
+    np.testing.assert_allclose(method.cell, method.cell[0], rtol=1e-5)
 
 
 def test_what_takes_more_memory_than_there_is_says_so_before():
     with pytest.raises(ValueError, match=r"linear: got arrays of \d+ GB, expected at most"):
-        tx.method(tx.Sensor.grid(128, 128), "linear")
+        tx.method(tx.Sensor.grid(48, 48), "linear")

@@ -234,7 +234,7 @@ class AbstractMethod(eqx.Module):
         """
 
     def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
-        """Prepares for a slot of each ground; an array that is in all of these is shared."""
+        """Prepares for a slot of each ground; an array that is in all is shared."""
         grounds = np.arange(len(grounded_of(self)))[:, None]
         first = self.prepare(grounds[0], good[None], lam)
         held = len(grounds) * sum(a.nbytes for a in jax.tree.leaves(first))

@@ -32,9 +32,9 @@ class Shared(NamedTuple):
     rows: Float[np.ndarray, "rows pixels"]  # M of r̃, Ω, and 1; 0 off the sheet
 
     def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "rows M"]]:
-        """Computes an orthonormal basis of all maps' rows, and r̃ in it; strongest first."""
-        # Of a large mat's rows, the product takes seconds where singular values take minutes.
-        # The last row, of ones, is far shorter than the others: its digits would be lost.
+        """Computes an orthonormal basis of maps' rows, and r̃ in it; strongest first."""
+        # The product of a large mat's rows takes seconds, their singular values minutes.
+        # The last row, of ones, is far shorter than others: its digits would be lost.
         square = self.rows @ self.rows.T
         weight = np.ones(len(square))
         weight[-1] = np.sqrt(square[0, 0] / square[-1, -1])

@@ -317,9 +317,8 @@ class Source(AbstractMethod):
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
         lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # as in `prepare`
         once = through(self.shared[:-1], np.zeros_like(good))
-        arrays = (once @ basis).T, basis, self._apart(basis)
-        names = "columns", "scaled", "coarse"
-        shared = dict(zip(names, (jnp.asarray(a.astype(dtype)) for a in arrays)))
+        columns, coarse = jnp.asarray((once @ basis).T, dtype), self._apart(self.basis)
+        shared = dict(columns=columns, scaled=self.basis, coarse=coarse)
         for k, one in enumerate(each):
             # A ground takes a row out of A and gives all columns one more part: AᵀA changes
             # by three directions.
@@ -327,7 +326,7 @@ class Source(AbstractMethod):
             values, vectors = np.linalg.eigh(once - own)
             most = np.argsort(-np.abs(values))[:_CHANGED]
             less = basis.T @ (vectors * values)[:, most], vectors.T[most]
-            less = tuple(jnp.asarray(part.astype(dtype)) for part in less)
+            less = tuple(jnp.asarray(part, dtype) for part in less)
             each[k] = one._replace(**shared, less=less)
         return each
 
@@ -360,13 +359,9 @@ class Source(AbstractMethod):
         )
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
+        columns = prepared.columns, prepared.less
         carried, left, rest = explained_by(self.shape, self.reach)(
-            contacts.count > 1,
-            contacts,
-            coefficients,
-            prepared.columns,
-            prepared.less,
-            self.cell,
+            contacts.count > 1, contacts, coefficients, columns, self.cell
         )
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
