@@ -69,4 +69,4 @@ def test_a_long_sheet_has_square_pixels():
 
 def test_what_takes_more_memory_than_there_is_says_so_before():
     with pytest.raises(ValueError, match=r"linear: got arrays of \d+ GB, expected at most"):
-        tx.method(tx.Sensor.grid(48, 48), "linear")
+        tx.method(tx.Sensor.grid(48, 48, divisions=(192, 192)), "linear")
