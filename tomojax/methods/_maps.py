@@ -89,7 +89,8 @@ def strongest(rows: Float[np.ndarray, "n r"]) -> float:
     from scipy.sparse.linalg import svds  # takes half a second
 
     start = np.random.default_rng(0).normal(size=min(rows.shape))
-    return float(svds(rows, 1, v0=start, return_singular_vectors=False)[0])
+    largest: Any = svds(rows, 1, v0=start, return_singular_vectors=False)
+    return float(largest[0])
 
 
 def centring(

@@ -79,7 +79,8 @@ def method(
         sides = np.clip(np.ceil(_PIXELS * pitches * (1 - 1e-5)), 32, 512).astype(int)
         # A sheet with a value per element has a mesh of its own.
         even = sensor.sheet_resistance.ndim == 0
-        shape = (int(sides[0]), int(sides[1])) if even else (int(sides.max()),) * 2
+        nx, ny = sides if even else (sides.max(), sides.max())
+        shape = int(nx), int(ny)
     else:
         check_grid(grid)
         shape = (int(grid), int(grid))

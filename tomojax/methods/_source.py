@@ -297,13 +297,11 @@ class Source(AbstractMethod):
             lam=np.asarray(lam),
         )
         # JAX would compile a conversion for each shape.
-        kinds = {name: bool if a is good else dtype for name, a in made.items()}
-        return PreparedSource(
-            **{
-                name: jnp.asarray(a.astype(kinds[name], copy=False))
-                for name, a in made.items()
-            }
-        )
+        held: Any = {}
+        for name, a in made.items():
+            kind = bool if a is good else dtype
+            held[name] = jnp.asarray(a.astype(kind, copy=False))
+        return PreparedSource(**held)
 
     def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
         each = super().prepare_each(good, lam)
