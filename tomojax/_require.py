@@ -5,6 +5,7 @@ Libraries, and the names of faces, are brought here when they are needed.
 
 import ast
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -34,6 +35,21 @@ def require_whole(name: str, value: Any, low: int = 1, high: int | None = None) 
     expected = f"{low} or more" if high is None else f"from {low} to {high}"
     fine = isinstance(value, Integral) and low <= int(value) <= (high or math.inf)
     require(fine, name, repr(value), f"a whole number {expected}")
+
+
+def require_memory(needed: float, name: str) -> None:
+    """**Raises:** `ValueError` for bytes that the machine does not have."""
+    held = memory()
+    text = f"at most {held / 1e9:.0f} GB of memory"
+    require(needed < held, name, f"arrays of {needed / 1e9:.0f} GB", text)
+
+
+def memory() -> int:
+    """Returns the machine's memory, bytes."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):  # not on every system
+        return 1 << 33
 
 
 @contextmanager

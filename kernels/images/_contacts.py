@@ -109,7 +109,7 @@ def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: b
             mine = _nearest(image.shape, places, i, j, group, k)
             weight = jnp.where(mine, jnp.maximum(flat - level * height[k], 0), 0)
             own = jnp.sum(jnp.where(mine, carried, 0)) if carries else height[k]
-            return jnp.append(matmul(weight, places), own)
+            return jnp.append(matmul(places, weight), own)
 
         at = jax.vmap(lambda i, j: place(image, i, j))(i, j)
         return jnp.stack([contact(k) for k in range(count)]), at
@@ -118,7 +118,7 @@ def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: b
         image: Array, current: Array, i: Array, j: Array, height: Array, group: Array
     ) -> tuple[Array, Array]:
         weight = jnp.maximum(image.ravel() - level * height[0], 0)
-        moments = matmul(weight, powers(image.shape, image.dtype))
+        moments = matmul(powers(image.shape, image.dtype), weight)
         own = current.sum() if carries else height[0]
         row = jnp.append(moments, own)
         at = place(image, i[0], j[0])
@@ -128,15 +128,15 @@ def _reading(count: int, level: float, reach: tuple[int, int] | None, carries: b
     return where_needed(whole, lone)
 
 
-def powers(shape: tuple[int, ...], dtype) -> Float[Array, "pixels 6"]:
+def powers(shape: tuple[int, ...], dtype) -> Float[Array, "6 pixels"]:
     """Returns 1, u, v, u², v², uv of each pixel, from the middle of the image."""
     nx, ny = shape
     u, v = np.indices((nx, ny)).reshape(2, -1) - np.array([[nx - 1], [ny - 1]]) / 2
-    return jnp.asarray(np.stack([np.ones(nx * ny), u, v, u * u, v * v, u * v], 1), dtype)
+    return jnp.asarray(np.stack([np.ones(nx * ny), u, v, u * u, v * v, u * v]), dtype)
 
 
 def _nearest(
-    shape, places: Float[Array, "pixels 6"], i, j, label, k
+    shape, places: Float[Array, "6 pixels"], i, j, label, k
 ) -> Bool[Array, " pixels"]:
     """Finds the pixels nearest to a peak of label k; the lower label takes ties.
 
@@ -144,12 +144,12 @@ def _nearest(
     steps.
     """
     nx, ny = shape
-    own = below = above = jnp.full(len(places), jnp.inf, places.dtype)
+    own = below = above = jnp.full(places.shape[1], jnp.inf, places.dtype)
     for p in range(len(i)):
         u = i[p].astype(places.dtype) - (nx - 1) / 2
         v = j[p].astype(places.dtype) - (ny - 1) / 2
         # |x − p|² without the |x|² that all peaks share.
-        distance = u**2 + v**2 - 2 * (u * places[:, 1] + v * places[:, 2])
+        distance = u**2 + v**2 - 2 * (u * places[1] + v * places[2])
         present = label[p] < len(i)
         own = jnp.where(label[p] == k, jnp.minimum(own, distance), own)
         below = jnp.where(label[p] < k, jnp.minimum(below, distance), below)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -90,24 +91,28 @@ def explained_by(
 ) -> Callable[..., tuple[Array, Array, Array]]:
     """Makes a fit of contacts as point sources: currents, the part left, and the rest.
 
-    The fit takes contacts, an image's coefficients, those of a source at each pixel (pixels
-    × r), and the pixels' size.
+    The fit takes contacts, an image's coefficients, those of a source at each pixel, and
+    the pixels' size. A source's are (pixels × r), and what they are less: None, or a
+    product (pixels × q, q × r).
     The rest is what no currents at contacts and `reach` pixels around them explain: their
     size and shape, their place's error and nearby electrodes' errors are not in it.
     """
 
-    def whole(
-        contacts: Contacts, seen: Array, columns: Array, cell: Array
-    ) -> tuple[Array, Array, Array]:
+    def near_of(columns: Array, contacts: Contacts, cell: Array) -> Float[Array, "n _"]:
         points = _interpolated(columns, contacts, shape, cell, 0)
-        factors, left = explained(points[None], seen[None])
         around = _around(columns, contacts, shape, cell, reach)
-        near = jnp.concatenate([points, around.reshape(-1, len(seen))])
+        return jnp.concatenate([points, around.reshape(-1, columns.shape[1])])
+
+    def whole(contacts: Contacts, seen: Array, columns: tuple, cell: Array) -> tuple:
+        near = near_of(columns[0], contacts, cell)
+        if columns[1] is not None:
+            near -= matmul(near_of(columns[1][0], contacts, cell), columns[1][1])
+        factors, left = explained(near[None, : len(contacts.xy)], seen[None])
         gram, seen_by = matmul(near, near.T), matmul(near, seen)
         amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
         return factors[0], left, seen - matmul(amount, near)
 
-    def lone(contacts: Contacts, *others: Array) -> tuple[Array, Array, Array]:
+    def lone(contacts: Contacts, *others: Any) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)
         carried, left, rest = whole(first, *others)
         return jnp.pad(carried, (0, len(contacts.radius) - 1)), left, rest

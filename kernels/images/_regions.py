@@ -30,7 +30,7 @@ def read_regions(
     carried = jax.ops.segment_sum(current.ravel(), label, image.size + 1)[1:]
     most, which = lax.top_k(carried, count)
     mine = (label - 1 == which[:, None].astype(label.dtype)).astype(image.dtype)
-    moments = (mine * image.ravel()) @ powers(image.shape, image.dtype)
+    moments = (mine * image.ravel()) @ powers(image.shape, image.dtype).T
     rows = jnp.concatenate([moments, most[:, None]], 1)
     nx, ny = image.shape
     return strongest_first(described(rows, (nx, ny), cell), most > 0)

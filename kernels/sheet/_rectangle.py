@@ -21,6 +21,9 @@ from tomojax.kernels.sheet._slots import centred, Resistances
 # Electrodes whose potentials are computed at once: each has 48 terms a place.
 _AT_ONCE = 16
 
+# Numbers of the dipoles' field that are held at once.
+_LARGE = 1 << 27
+
 
 @partial(jax.jit, static_argnames="solid")  # also on the host one program
 def rectangle_green(
@@ -84,10 +87,35 @@ def rectangle_resistances(
     elements = centroids(shape, size)
     # The radius of the equipotential disc that stands for an element, m.
     rim = jnp.sqrt(element_area(shape, size) / np.pi) * float(np.exp(-0.25))
-    ee, ek, at_elements = rectangle_fields(places, elements, radius, size, shunt)
-    kk = rectangle_green(elements, elements, rim, size) - (at_elements**2).sum(0)
+    if shunt is None or 2 * len(places) * len(elements) < _LARGE:
+        ee, ek, at_elements = rectangle_fields(places, elements, radius, size, shunt)
+        taken = (at_elements**2).sum(0)
+    else:
+        ee, ek, taken = _row_by_row(places, elements, radius, size, shunt, shape[0])
+    kk = rectangle_green(elements, elements, rim, size) - taken
     rho = sheet_resistance
     return centred(Resistances(rho * ee, rho * ek, rho * kk))
+
+
+def _row_by_row(
+    places: Array, elements: Array, radius: Array, size: Array, shunt: Array, count: int
+) -> tuple[Float[Array, "M M"], Float[Array, "M K"], Float[Array, " K"]]:
+    """Computes `rectangle_fields` and what shunts take, for `count` parts of the elements.
+
+    The dipoles' field at all elements at once takes several GB of a large mat.
+    """
+    at_places, answer = _shunts(places, radius, size, shunt)
+    green = jax.vmap(
+        lambda place, some: rectangle_green(place, some, radius, size), (0, None)
+    )
+
+    def one(some: Array) -> tuple[Array, Array]:
+        at = answer(some)
+        return green(places, some) - matmul(at_places.T, at), (at**2).sum(0)
+
+    ek, taken = jax.lax.map(one, elements.reshape(count, -1, 2))
+    ee = green(places, places) - matmul(at_places.T, at_places)
+    return ee, jnp.moveaxis(ek, 0, 1).reshape(len(places), -1), taken.ravel()
 
 
 def rectangle_fields(
@@ -113,15 +141,19 @@ def rectangle_fields(
     ee, ep = rows(places), rows(others)
     if shunt is None:
         return ee, ep, ep[:0]
-    at_places, at_others = _shunts(places, others, radius, size, shunt)
+    at_places, answer = _shunts(places, radius, size, shunt)
+    at_others = answer(others)
     ee = ee - matmul(at_places.T, at_places)
     return ee, ep - matmul(at_places.T, at_others), at_others
 
 
 def _shunts(
-    places: Array, elements: Array, radius: Array, size: Array, shunt: Array
-) -> tuple[Array, Array]:
-    """Computes L⁻¹·(dipoles' field at electrodes, elements), LLᵀ their own resistances."""
+    places: Array, radius: Array, size: Array, shunt: Array
+) -> tuple[Array, Callable[[Array], Array]]:
+    """Computes L⁻¹·(dipoles' field at electrodes), and makes a function for other places.
+
+    LLᵀ are the dipoles' own resistances.
+    """
 
     def dipole(place: Array, other: Array) -> Array:
         return jax.grad(rectangle_green)(place, other, radius, size, True)
@@ -142,4 +174,4 @@ def _shunts(
         field = each(dipole, others).transpose(0, 2, 1).reshape(count, -1)
         return triangular_solve(chol, field, left_side=True, lower=True)
 
-    return answer(places), answer(elements)
+    return answer(places), answer

@@ -69,7 +69,7 @@ def test_the_rest_shows_what_no_contact_explains(count, rng):
 
     def of(seen):
         needed, cell = jnp.asarray(count > 1), jnp.asarray(CELL)
-        return fit(needed, contacts, jnp.asarray(seen), jnp.asarray(columns), cell)
+        return fit(needed, contacts, jnp.asarray(seen), (jnp.asarray(columns), None), cell)
 
     currents, left, rest = of(seen)
     np.testing.assert_allclose(currents, np.r_[amount, np.zeros(3 - count)], atol=1e-5)

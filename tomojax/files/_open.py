@@ -10,6 +10,7 @@ from typing import Any, Literal, NoReturn, SupportsIndex, TYPE_CHECKING
 
 import numpy as np
 
+from tomojax._require import memory
 from tomojax.files._readers import readers
 
 if TYPE_CHECKING:
@@ -260,11 +261,3 @@ def decode(told: dict[str, Any]) -> Any:
         texts = [one.encode("latin-1") for one in told["bytes"]]
         return np.array(texts, told["dtype"]).reshape(told["shape"])[()]
     return told["bytes"].encode("latin-1")
-
-
-def memory() -> int:
-    """Returns the machine's memory, bytes."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):  # not on every system
-        return 1 << 33

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, Integer
 
 from tomojax._checks import known
 from tomojax._programs import kept
+from tomojax._require import require_memory
 from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import Contacts, no_contacts
@@ -231,6 +232,14 @@ class AbstractMethod(eqx.Module):
 
         A slot without a good channel is not used. This is host code, in float64.
         """
+
+    def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
+        """Prepares for a slot of each ground; an array that is in all is shared."""
+        grounds = np.arange(len(grounded_of(self)))[:, None]
+        first = self.prepare(grounds[0], good[None], lam)
+        held = len(grounds) * sum(a.nbytes for a in jax.tree.leaves(first))
+        require_memory(held, f"a step of {len(grounds)} grounds")
+        return [first, *(self.prepare(ground, good[None], lam) for ground in grounds[1:])]
 
     @abstractmethod
     def estimate(

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from tomojax._require import require_memory
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import (
@@ -129,6 +130,9 @@ class Linear(AbstractMethod):
     @classmethod
     def of(cls, sensor: Sensor, shape: tuple[int, int]) -> "Linear":
         """Makes the method for an image of `shape` pixels."""
+        # J of all grounds, while the basis is made of it.
+        each = len(sensor.all_grounds()) * sensor.electrode_count * shape[0] * shape[1]
+        require_memory(3 * each * np.dtype(sensor.dtype).itemsize, "linear")
         # An even rectangle has no mesh error. On one cell an electrode J is highest at the
         # rim, and so are images, wherever the contact is.
         pixels = pixels_of(sensor, shape, 1 if sensor.flat else _CELLS)

@@ -3,6 +3,7 @@
 `Pixels` groups a mesh's elements into the pixels of an image.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -108,6 +109,12 @@ def pixel_sites(sensor: Sensor, shape: tuple[int, int]) -> PixelSites:
 
 A = TypeVar("A", Array, np.ndarray)
 
+# Squares of singular values hold these down to this part of the strongest's.
+_ROUNDING = 1e-9
+
+# Rows whose singular values are all computed where one is asked for.
+_FEW = 256
+
 
 class Shared(NamedTuple):
     """What all slots' maps T^l = D^l·[r; 1] share: one ampere into a pixel, host, float64.
@@ -119,7 +126,18 @@ class Shared(NamedTuple):
     rows: Float[np.ndarray, "rows pixels"]  # M of r̃, Ω, and 1; 0 off the sheet
 
     def basis(self) -> tuple[Float[np.ndarray, "M pixels"], Float[np.ndarray, "rows M"]]:
-        """Computes an orthonormal basis of all maps' rows, and r̃ in it."""
+        """Computes an orthonormal basis of maps' rows, and r̃ in it; strongest first."""
+        # The product of a large mat's rows takes seconds, their singular values minutes.
+        # The last row, of ones, is far shorter than others: its digits would be lost.
+        square = self.rows @ self.rows.T
+        weight = np.ones(len(square))
+        weight[-1] = np.sqrt(square[0, 0] / square[-1, -1])
+        squares, turn = np.linalg.eigh(weight * square * weight[:, None])
+        squares, turn = squares[1:], weight[:, None] * turn[:, 1:]
+        if squares[0] > _ROUNDING * squares[-1]:
+            rows = square @ turn / np.sqrt(squares)
+            strong = np.linalg.eigh(rows.T @ rows)[1][:, ::-1]
+            return (strong.T / np.sqrt(squares)) @ turn.T @ self.rows, rows @ strong
         basis = np.linalg.svd(self.rows, full_matrices=False)[2][:-1]
         return basis, self.rows @ basis.T
 
@@ -143,6 +161,24 @@ def factors_of(
     """Computes D·r̃ of some slots, with r̃ in a basis."""
     relative: Any = slots.relative(shared[:-1].T, which)  # (r, n, M)
     return relative.transpose(1, 2, 0) + slots.offset(which)[..., None] * shared[-1]
+
+
+def each_factors(
+    slots: Slots, shared: Float[np.ndarray, "rows r"], which: Int[np.ndarray, " n"]
+) -> Iterator[Float[np.ndarray, "M r"]]:
+    """Yields `factors_of` some slots one after another: many of a large mat take memory."""
+    return (factors_of(slots, shared, which[k : k + 1])[0] for k in range(len(which)))
+
+
+def strongest(rows: Float[np.ndarray, "n r"]) -> float:
+    """Computes the largest singular value."""
+    if len(rows) <= _FEW:
+        return float(np.sqrt(np.linalg.eigvalsh(rows @ rows.T)[-1]))
+    from scipy.sparse.linalg import svds  # takes half a second
+
+    start = np.random.default_rng(0).normal(size=min(rows.shape))
+    largest: Any = svds(rows, 1, v0=start, return_singular_vectors=False)
+    return float(largest[0])
 
 
 def centring(

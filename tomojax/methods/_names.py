@@ -46,7 +46,7 @@ def method(
 ) -> AbstractMethod:
     """Makes the method of that name on an image of `grid` × `grid` pixels.
 
-    `grid` is four pixels a pitch by default, and 32 a side at least. A `calibration` gives
+    Each side has four pixels a pitch by default, and 32 at least. A `calibration` gives
     the sheet as measured. The calibration's zeros and gains are for the reader of the
     voltages.
 
@@ -75,10 +75,15 @@ def method(
     """
     require(name in METHODS, "method", repr(name), one_of(name, METHODS))
     if grid is None:
-        pitches = float(np.max(np.asarray(sensor.size))) / sensor.mean_pitch
-        grid = min(512, max(32, int(np.ceil(_PIXELS * pitches * (1 - 1e-5)))))
-    check_grid(grid)
-    shape = (int(grid), int(grid))
+        pitches = np.asarray(sensor.size, float) / sensor.mean_pitch
+        sides = np.clip(np.ceil(_PIXELS * pitches * (1 - 1e-5)), 32, 512).astype(int)
+        # A sheet with a value per element has a mesh of its own.
+        even = sensor.sheet_resistance.ndim == 0
+        nx, ny = sides if even else (sides.max(), sides.max())
+        shape = int(nx), int(ny)
+    else:
+        check_grid(grid)
+        shape = (int(grid), int(grid))
     found = METHODS[name]
     # The package's source names what is kept; a method of the user's is made each time.
     make = _kept if found.__module__.startswith("tomojax.") else _made

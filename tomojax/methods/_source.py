@@ -7,8 +7,9 @@ fitted to all slots was off by 50 mm where a strong contact's currents differ. S
 slot to the same current made the image no better than the mean.)
 """
 
+from bisect import bisect_left
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,16 +19,19 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import explained_by, read_contacts, strongest_first
-from tomojax.kernels.sheet import Slots
+from tomojax.kernels.sheet import Grounds, Slots
 from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, Frame
 from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
+    A,
     centring,
+    each_factors,
     factors_of,
     pixels_of,
     Shared,
     shared_maps,
     slots_left,
+    strongest,
     tikhonov_operator,
 )
 from tomojax.sensor import Calibration, nominal_noise, Sensor
@@ -51,8 +55,12 @@ _HIDES = 2.0
 # Length over which an image is smooth beforehand, of the electrodes' pitch.
 _SMOOTH = 0.375
 
-# Slots that λ is chosen from, or that stand for all.
+# Slots that λ is chosen from, or that stand for all, up to so many electrodes.
 _SLOTS = 64
+_LARGE = 256
+
+# Directions that a ground changes.
+_CHANGED = 3
 
 # λ/σ₁² where nothing ever touches.
 _RELATIVE = 1e-4
@@ -67,9 +75,13 @@ class PreparedSource(NamedTuple):
     imaging: Float[Array, "SM r"]  # the same for the image that is drawn
     scaled: Float[Array, "r pixels"]  # basis/√(diagonal of the resolution matrix)
     coarse: Float[Array, "r some"]  # the same at every pixel that `reach` is apart
+    sharp: Float[Array, "nx ny"]  # 1/√(diagonal of the resolution matrix)
     lowest: Float[Array, ""]  # statistic that noise does not reach
     used: Bool[Array, "S M"]
     lam: Float[Array, ""]
+    # Where grounds share arrays: a ground's columns are less by this product, (pixels, q)·
+    # (q, r), and its `scaled` and `coarse`, then of the basis, lack the factors `sharp`.
+    less: tuple[Array, Array] | None = None
 
 
 class Source(AbstractMethod):
@@ -162,8 +174,8 @@ class Source(AbstractMethod):
         basis, shared = maps.basis()
         drawn, drawn_shared = maps._replace(rows=smooth.reshape(len(images), -1)).basis()
         some = _some(grounded)
-        both = (factors_of(maps.slots, a, some) for a in (drawn_shared, shared))
-        above, below = ((a**2).sum() for a in both)
+        both = (each_factors(maps.slots, a, some) for a in (drawn_shared, shared))
+        above, below = (sum((one**2).sum() for one in a) for a in both)
         rows = drawn.astype(dtype).astype(float).reshape(-1, *shape)
         smoothed = np.einsum("rij,xi,yj->rxy", rows, *sides, optimize=True)
         return cls(
@@ -204,10 +216,8 @@ class Source(AbstractMethod):
         return self.reading_noise
 
     def scale(self) -> float:
-        some = self.factors(_some(self.grounded))
-        # Of T·Tᵀ, as all singular values of a large mat's T take minutes.
-        largest = np.linalg.eigvalsh(some @ some.transpose(0, 2, 1))[:, -1]
-        return float(np.sqrt(largest).mean() ** 2)
+        factors = each_factors(self.slots, self.shared, _some(self.grounded))
+        return float(np.mean([strongest(a) for a in factors]) ** 2)
 
     def choose_lambda(self, frames: list[Frame]) -> float:
         """Returns the λ that leaves the residual that nominal values leave in any case."""
@@ -222,7 +232,7 @@ class Source(AbstractMethod):
         ]
         if not slots:
             return _RELATIVE * self.scale()
-        some = slots[:: max(1, len(slots) // _SLOTS)]
+        some = slots[:: max(1, len(slots) // _slots(self.electrode_count))]
         return float(np.exp(np.median([self._log_lambda(*slot) for slot in some])))
 
     def _log_lambda(
@@ -233,58 +243,95 @@ class Source(AbstractMethod):
         target = good.sum() * noise**2 + error**2 * (v[good] @ v[good])
         centre = centring(good, self.grounded[ground])
         v, rows = centre @ v, centre @ self.factors(np.array([ground]))[0]
-        left, s, _ = np.linalg.svd(rows, full_matrices=False)
-        beta = left.T @ v
-        outside = max(0.0, float(v @ v - beta @ beta))
-        lam = s[0] ** 2 * np.logspace(-9, 0, 37)
-        rest = lam[:, None] / (s**2 + lam[:, None]) * beta
-        misfit = np.maximum((rest**2).sum(1) + outside, 1e-300)
-        return float(np.interp(np.log(target), np.log(misfit), np.log(lam)))
+        lam = max(strongest(rows) ** 2, 1e-30) * np.logspace(-9, 0, 37)
+        square, unit = rows @ rows.T, np.eye(len(rows))
+
+        def misfit(k: int) -> float:
+            rest = lam[k] * np.linalg.solve(square + lam[k] * unit, v)
+            return float(max(rest @ rest, 1e-300))
+
+        # The misfit grows with λ: a few systems take less time than singular values.
+        above = bisect_left(range(len(lam)), target, key=misfit)
+        both = np.clip([above - 1, above], 0, len(lam) - 1)
+        ends = np.log([misfit(k) for k in both])
+        return float(np.interp(np.log(max(target, 1e-300)), ends, np.log(lam[both])))
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:
         basis, dtype = np.asarray(self.basis, float), self.basis.dtype
         lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # an image of 0 either way
-        factors = self.factors(grounds)
-        drawn = factors_of(self.slots, self.drawn, grounds)
-        drawn_lam = lam * self.drawn_scale
-        (slots, m), rank = good.shape, factors.shape[-1]
-        operators, misfits = np.zeros((slots, m, rank)), np.zeros((slots, m, m))
-        imaging = np.zeros((slots, m, drawn.shape[-1]))
-        through = np.zeros((rank, rank))
-        spread, noise = np.zeros(basis.shape[1]), np.zeros(basis.shape[1])
-        for k in np.flatnonzero(good.any(1)):
-            centre = centring(good[k], self.grounded[grounds[k]])
-            rows = centre @ factors[k]
-            operator = tikhonov_operator(rows, lam)
-            operators[k] = operator.T
-            imaging[k] = tikhonov_operator(centre @ drawn[k], drawn_lam).T
-            misfits[k] = rows @ operator - centre
-            through += operator @ rows
-            spread += ((operator @ rows @ basis).T * basis.T).sum(1)
-            noise += ((operator @ operator.T @ basis).T * basis.T).sum(1)
-        count = max(1, good.any(1).sum())
+        (slots, m), rank, drawn_rank = good.shape, len(basis), self.drawn.shape[1]
+        operators, imaging = (np.zeros((slots, m, n), dtype) for n in (rank, drawn_rank))
+        misfits = np.zeros((slots, m, m), dtype)
+        through, gain = np.zeros((2, rank, rank))
+        there = np.flatnonzero(good.any(1))
+        count = max(1, len(there))
         # Images are of currents in the drive's direction.
         forward = float(self.drive_sign) / count
-        spread = np.maximum(spread, 1e-30)
+        for k in there:
+            centre = centring(good[k], self.grounded[grounds[k]])
+            rows = centre @ self.factors(grounds[k : k + 1])[0]
+            operator = tikhonov_operator(rows, lam)
+            drawn = centre @ factors_of(self.slots, self.drawn, grounds[k : k + 1])[0]
+            operators[k] = forward * operator.T
+            imaging[k] = forward * tikhonov_operator(drawn, lam * self.drawn_scale).T
+            misfits[k] = rows @ operator - centre
+            through += operator @ rows
+            gain += operator @ operator.T
+        columns = (through @ basis).T
+        spread = np.maximum((columns * basis.T).sum(1), 1e-30)
+        noise = ((gain @ basis) * basis).sum(0)
         lowest = _STANDS_OUT * float(self.noise) * np.sqrt((noise / spread).max())
-        scaled = basis * np.sqrt(count / spread)
-        (i, j), whole = self.reach, scaled.reshape(-1, *self.shape)
+        columns /= count
+        sharp = np.sqrt(count / spread)
+        scaled = basis * sharp
         made = dict(
-            operators=forward * operators.reshape(slots * m, -1),
-            columns=(through / count @ basis).T,
+            operators=operators.reshape(slots * m, -1),
+            columns=columns,
             misfits=misfits,
-            imaging=forward * imaging.reshape(slots * m, -1),
+            imaging=imaging.reshape(slots * m, -1),
             scaled=scaled,
-            coarse=whole[:, i // 2 :: i, j // 2 :: j].reshape(len(whole), -1),
+            coarse=self._apart(scaled),
+            sharp=sharp.reshape(self.shape),
             lowest=np.asarray(lowest),
             used=good,
             lam=np.asarray(lam),
         )
         # JAX would compile a conversion for each shape.
-        kinds = {name: bool if a is good else dtype for name, a in made.items()}
-        return PreparedSource(
-            **{name: jnp.asarray(a.astype(kinds[name])) for name, a in made.items()}
-        )
+        held: Any = {}
+        for name, a in made.items():
+            kind = bool if a is good else dtype
+            held[name] = jnp.asarray(a.astype(kind, copy=False))
+        return PreparedSource(**held)
+
+    def prepare_each(self, good: Bool[np.ndarray, " M"], lam: float) -> list[Any]:
+        each = super().prepare_each(good, lam)
+        if not isinstance(self.slots, Grounds):
+            return each
+
+        def through(rows: np.ndarray, grounded: np.ndarray) -> np.ndarray:
+            rows = centring(good, grounded) @ rows
+            return tikhonov_operator(rows, lam) @ rows
+
+        basis, dtype = np.asarray(self.basis, float), self.basis.dtype
+        lam = min(lam, 1e-3 * float(np.finfo(dtype).max))  # as in `prepare`
+        once = through(self.shared[:-1], np.zeros_like(good))
+        columns, coarse = jnp.asarray((once @ basis).T, dtype), self._apart(self.basis)
+        shared = dict(columns=columns, scaled=self.basis, coarse=coarse)
+        for k, one in enumerate(each):
+            # A ground takes a row out of A and gives all columns one more part: AᵀA changes
+            # by three directions.
+            own = through(self.factors(np.array([k]))[0], self.grounded[k])
+            values, vectors = np.linalg.eigh(once - own)
+            most = np.argsort(-np.abs(values))[:_CHANGED]
+            less = basis.T @ (vectors * values)[:, most], vectors.T[most]
+            less = tuple(jnp.asarray(part, dtype) for part in less)
+            each[k] = one._replace(**shared, less=less)
+        return each
+
+    def _apart(self, values: A) -> A:
+        """Picks every pixel that `reach` is apart, of values (..., pixels)."""
+        (i, j), whole = self.reach, values.reshape(*values.shape[:-1], *self.shape)
+        return whole[..., i // 2 :: i, j // 2 :: j].reshape(*values.shape[:-1], -1)
 
     def image(self, prepared: PreparedSource, voltages: Float[Array, "S M"]) -> Array:
         """Computes the slots' mean current image, A per pixel (or element of T)."""
@@ -303,20 +350,25 @@ class Source(AbstractMethod):
     ) -> Estimate:
         coefficients = matmul(voltages.ravel(), prepared.operators)
         statistic = matmul(coefficients, prepared.scaled).reshape(self.shape)
+        if prepared.less is not None:
+            statistic *= prepared.sharp
         contacts = read_contacts(
             statistic, None, self.cell, count, lowest=prepared.lowest, reach=self.reach
         )
         # An image has not all of the current: a slot's offset, which tells how much it is,
         # is not used. As much as point sources there explain.
+        columns = prepared.columns, prepared.less
         carried, left, rest = explained_by(self.shape, self.reach)(
-            contacts.count > 1, contacts, coefficients, prepared.columns, self.cell
+            contacts.count > 1, contacts, coefficients, columns, self.cell
         )
         there = jnp.arange(count) < contacts.count.astype(int)
         carried = contacts._replace(current=self.drive_sign * carried)
         # Errors are in proportion to the highest peak: another contact stands out of them.
-        hidden = matmul(rest, prepared.coarse).max()
+        hidden = matmul(rest, prepared.coarse)
+        if prepared.less is not None:
+            hidden *= self._apart(prepared.sharp.ravel())
         limit = jnp.maximum(_HIDES * _MODEL_ERROR * statistic.max(), prepared.lowest)
-        missing = ((left > _UNEXPLAINED) | (hidden > limit)) & (contacts.count > 0)
+        missing = ((left > _UNEXPLAINED) | (hidden.max() > limit)) & (contacts.count > 0)
 
         residual, by_electrode = slots_left(prepared.misfits, voltages, prepared.used)
         image = self.smooth_image(prepared, voltages)
@@ -331,4 +383,10 @@ class Source(AbstractMethod):
 
 def _some(grounded: Bool[np.ndarray, "L M"]) -> Int[np.ndarray, " n"]:
     """Picks slots, spread evenly, that stand for all."""
-    return np.arange(0, len(grounded), -(-len(grounded) // _SLOTS))
+    count, m = grounded.shape
+    return np.arange(0, count, -(-count // _slots(m)))
+
+
+def _slots(m: int) -> int:
+    """Returns how many slots λ is chosen from: fewer of a large mat, as each takes long."""
+    return max(1, _SLOTS * _LARGE // max(_LARGE, m))

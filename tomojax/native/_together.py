@@ -9,8 +9,10 @@ _MOST = 7
 _LANES = 16
 
 # Rows up to this long, of a matrix that is used once, are read in blocks. A larger matrix
-# does not stay in a core's cache, which reads ahead along rows.
+# does not stay in a core's cache, which reads ahead along rows; one of this size does, if
+# each slot reads the same.
 _WIDE = 512
+_STAYS = 1 << 18  # bytes
 
 
 def join_products(body: Body) -> None:
@@ -25,7 +27,8 @@ def join_products(body: Body) -> None:
         some = waiting.pop(key)
         inputs = [some[0].inputs[1], *(op.inputs[0] for op in some)]
         outputs = [op.outputs[0] for op in some]
-        alone = len(some) == 1 and some[0].inputs[1].shape[1] > _WIDE
+        stays = inputs[0].known is not None and inputs[0].known.nbytes <= _STAYS
+        alone = len(some) == 1 and inputs[0].shape[1] > _WIDE and not stays
         one = some[0] if alone else Op("dots", {}, inputs, outputs)
         joined.append(one)
 

@@ -178,6 +178,7 @@ class EachSlot(AbstractStepMethod):
     noise: Float[Array, ""]
     method: AbstractMethod
     prepared: Any  # of each ground
+    shared: tuple[bool, ...] = eqx.field(static=True)  # whether all grounds share an array
     good: Bool[Array, " M"]
 
     @classmethod
@@ -186,11 +187,13 @@ class EachSlot(AbstractStepMethod):
     ) -> "EachSlot":
         """Prepares the method for every ground, with the channels that are `good`."""
         grounded = grounded_of(method)
-        grounds = np.arange(len(grounded))[:, None]
-        each = [method.prepare(ground, good[None], lam) for ground in grounds]
-        prepared = jax.tree.map(lambda *a: jnp.stack(a), *each)
+        each = method.prepare_each(good, lam)
+        leaves = zip(*map(jax.tree.leaves, each))
+        shared = tuple(all(one is some[0] for one in some) for some in leaves)
+        both = iter(shared)
+        prepared = jax.tree.map(lambda *a: a[0] if next(both) else jnp.stack(a), *each)
         told = grounded, method.residual_limit, method.noise
-        return cls(count, *told, method, prepared, jnp.asarray(good))
+        return cls(count, *told, method, prepared, shared, jnp.asarray(good))
 
     def first(self) -> tuple:
         return ()
@@ -210,5 +213,7 @@ class EachSlot(AbstractStepMethod):
         return masked(self.method, image)
 
     def _estimate(self, voltages: Float[Array, " M"], ground: Int[Array, ""]) -> Estimate:
-        prepared = jax.tree.map(lambda a: a[ground], self.prepared)
+        leaves, tree = jax.tree.flatten(self.prepared)
+        own = [a if shared else a[ground] for a, shared in zip(leaves, self.shared)]
+        prepared = jax.tree.unflatten(tree, own)
         return self.method.estimate(prepared, voltages[None], self.count)

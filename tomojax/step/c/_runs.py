@@ -173,7 +173,7 @@ class NativeRuns(AbstractRuns):
 _NoBytes = ctypes.c_char * 0
 
 
-def _memory(array: np.ndarray) -> Any:
+def _memory(array: Any) -> Any:
     """Returns an array's memory as an argument of C."""
     if array.flags.writeable:  # four times as quick
         return _NoBytes.from_buffer(array)
