@@ -37,7 +37,7 @@ def require_whole(name: str, value: Any, low: int = 1, high: int | None = None) 
     require(fine, name, repr(value), f"a whole number {expected}")
 
 
-def require_memory(needed: float, name: str) -> None:
+def require_memory(needed: int, name: str) -> None:
     """**Raises:** `ValueError` for bytes that the machine does not have."""
     held = memory()
     text = f"at most {held / 1e9:.0f} GB of memory"

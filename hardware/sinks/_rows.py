@@ -6,8 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from tomojax._law import pressure_of
-from tomojax.events import Event, EventFinder
+from tomojax.events import Event, EventFinder, pressure_of
 from tomojax.hardware.loop import SlotRing
 
 _EVERY = 0.002  # s between looks at the ring

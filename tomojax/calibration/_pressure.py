@@ -8,8 +8,8 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from tomojax._custom_types import Numbers
-from tomojax._law import pressure_of
 from tomojax._require import require
+from tomojax.events import pressure_of
 from tomojax.sensor import Calibration
 
 # Fewer presses than that tell nothing of a third number of a law.
@@ -95,7 +95,7 @@ def _left_out(fit: Callable, p: np.ndarray, density: np.ndarray) -> np.ndarray:
         return np.zeros(len(p))
     kept = ~np.eye(len(p), dtype=bool)
     laws = [fit(p[k], density[k]) for k in kept]
-    return np.array([_of(law, p[i]) - density[i] for i, law in enumerate(laws)])
+    return np.concatenate([_of(law, p[~k]) - density[~k] for law, k in zip(laws, kept)])
 
 
 def pressure(

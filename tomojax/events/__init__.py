@@ -1,13 +1,14 @@
-"""Finds when contacts begin and end, in files and live.
+"""Finds when contacts begin and end, in files and live, and the pressure that they mean.
 
 The folder imports no JAX: processes beside the loop use events.
 """
 
 from tomojax.events._events import (
-    Event as Event,
-    EventFinder as EventFinder,
-    events_of_tracks as events_of_tracks,
-    find_events as find_events,
+    Event,
+    EventFinder,
+    events_of_tracks,
+    find_events,
 )
+from tomojax.events._force import pressure_of
 
-__all__ = ["Event", "EventFinder", "events_of_tracks", "find_events"]
+__all__ = ["Event", "EventFinder", "events_of_tracks", "find_events", "pressure_of"]

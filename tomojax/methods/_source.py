@@ -253,7 +253,7 @@ class Source(AbstractMethod):
         # The misfit grows with λ: a few systems take less time than singular values.
         above = bisect_left(range(len(lam)), target, key=misfit)
         both = np.clip([above - 1, above], 0, len(lam) - 1)
-        ends = np.log([misfit(k) for k in both])
+        ends = np.log([misfit(int(k)) for k in both])
         return float(np.interp(np.log(max(target, 1e-300)), ends, np.log(lam[both])))
 
     def prepare(self, grounds: np.ndarray, good: np.ndarray, lam: float) -> PreparedSource:
