@@ -9,13 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from tomojax.kernels.algebra import matmul, solve_positive, where_needed
+from tomojax.kernels.algebra import matmul, where_needed
 from tomojax.kernels.contacts import regular, solve_small
 from tomojax.kernels.images._contacts import Contacts
 
 # Pixels around a contact, in units of `reach`. (Four of them left twice as many lone
 # contacts in doubt.)
 _ABOUT = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
+
+
+# A row has nothing of its own of which less than this part is left, in squares: float32 has
+# lost three digits of it then.
+_NOTHING = 1e-6
 
 
 def point_sources(
@@ -85,6 +90,24 @@ def _at(basis: Array, pixel: Float[Array, "2"], shape: tuple[int, int], axis: in
     return (1 - u) * ((1 - v) * a + v * b) + u * ((1 - v) * c + v * d)
 
 
+def _beside(rows: Float[Array, "n r"], seen: Float[Array, " r"]) -> Float[Array, " r"]:
+    """Computes what no combination of `rows` explains of `seen`.
+
+    Rows are taken off one after another (Gram and Schmidt): pixels about a contact have
+    nearly the same, and float32 would lose what differs from products of theirs.
+    """
+    least = _NOTHING * (rows**2).sum() / len(rows)
+
+    def take_off(k: Array, both: Array) -> Array:
+        row = both[k]
+        square = (row**2).sum()
+        share = matmul(both, row) / jnp.where(square > least, square, jnp.inf)
+        return both - share[:, None] * row
+
+    both = jnp.concatenate([rows, seen[None]])
+    return jax.lax.fori_loop(0, len(rows), take_off, both)[-1]
+
+
 @cache
 def explained_by(
     shape: tuple[int, int], reach: tuple[int, int]
@@ -108,9 +131,7 @@ def explained_by(
         if columns[1] is not None:
             near -= matmul(near_of(columns[1][0], contacts, cell), columns[1][1])
         factors, left = explained(near[None, : len(contacts.xy)], seen[None])
-        gram, seen_by = matmul(near, near.T), matmul(near, seen)
-        amount = solve_positive(regular(gram), seen_by[:, None])[:, 0]
-        return factors[0], left, seen - matmul(amount, near)
+        return factors[0], left, _beside(near, seen)
 
     def lone(contacts: Contacts, *others: Any) -> tuple[Array, Array, Array]:
         first = jax.tree.map(lambda a: a[:1] if a.ndim else a, contacts)

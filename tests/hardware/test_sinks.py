@@ -170,7 +170,7 @@ def test_a_slow_sink_loses_its_own_rows_and_says_so(told) -> None:
 
 def test_datagrams(ring, told, tmp_path) -> None:
     sock, port = receiver()
-    counted = sent(f"udp://127.0.0.1:{port}", ring, told, (0.02, 1.0, 1e-4))
+    counted = sent(f"udp://127.0.0.1:{port}", ring, told, ((0.02, 1.0), 1e-4))
     packets = all_of(sock)
     assert counted == (SLOTS, 0, 0)
     assert len(packets) == SLOTS + 4

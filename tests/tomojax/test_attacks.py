@@ -58,7 +58,8 @@ def test_a_fault_makes_no_far_contact_up(lone, batch, name):
     off = np.hypot(*np.moveaxis(rows.contact_xy - xy[:, None], -1, 0))
     far = np.nan_to_num(off, nan=0.0).max(1) > 0.03
     assert not (far & (rows.flags & DOUBT == 0)).any()
-    assert np.median(off[:, 0]) < 1e-3
+    # No contact, doubted, is as far off as can be.
+    assert np.median(np.nan_to_num(off[:, 0], nan=np.inf)) < 1e-3
     if name not in ("crosstalk", "short"):
         assert (rows.flags & FAULT > 0).mean() > 0.6
 
