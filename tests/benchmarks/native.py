@@ -280,8 +280,17 @@ def main() -> None:
             table.append(times(name, given.timed or given.slots))
         for row in table[-4:]:
             print(json.dumps(row), flush=True)
-    given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "native.json").write_text(json.dumps({"rows": table}, indent=1))
+        kept(given.out / "native.json", table)
+
+
+def kept(path: Path, rows: list[dict]) -> None:
+    """Writes rows; those of other cases and parts stay in the file."""
+    about = {(row["kind"], row["case"]) for row in rows}
+    old = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = [row for row in old if (row["kind"], row["case"]) not in about] + rows
+    rows.sort(key=lambda row: list(CASES).index(row["case"]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"rows": rows}, indent=1))
 
 
 if __name__ == "__main__":
