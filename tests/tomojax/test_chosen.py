@@ -42,9 +42,9 @@ def table(sensor, tmp_path_factory):
 def test_slots_and_lambda_of_each_scan(recording, table):
     chosen = Chosen(table, recording, 2, "linear")
     chunk = read_chunk(recording, 0, 14)
-    parts, lams = chosen(chunk, chunk.voltages)
+    mask, lams = chosen(chunk, chunk.voltages)
     assert lams is not None
-    used = {int(k): list(s) for part in parts for k, s in zip(part.frames, part.slots)}
+    used = [np.flatnonzero(one) for one in mask]
     for k, (grounds, lam) in enumerate([([0, 1, 2], 1e-5), ([12, 13, 14], 1e-2)]):
         for scan in range(4 * k, 4 * k + 4):
             np.testing.assert_array_equal(used[scan], grounds)

@@ -1,6 +1,7 @@
 """Large mats within memory, and what grounds of a step share."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +22,9 @@ def sensor(nx: int = 4, ny: int = 4) -> tx.Sensor:
 @pytest.mark.long
 def test_a_mat_of_384_electrodes_takes_little_memory():
     words = [sys.executable, MATS, "--here", "--mat", "12x32", "--method", "source"]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    # As a user's process: what LLVM does not optimise here needs more memory.
+    own = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env=own)
     row = json.loads(done.stdout.splitlines()[-1])
     assert row["found"] == 2 and max(row["place_mm"]) < 1  # an eighth of the pitch
     assert row["memory_GB"] < 2

@@ -44,7 +44,8 @@ class HeldCalibration(eqx.Module):
     ...     discs, corners = [tx.Disc(xy, 0.004, 0.3) for xy in places], [0, 2, 6, 8]
     ...     volts = np.stack([tx.voltages(sensor, disc, corners) for disc in discs])
     ...     grounds = np.tile(corners, (24, 1))
-    ...     found = tx.calibration.calibrated(sensor, volts, grounds, places)
+    ...     known = tx.calibration.known_frames(sensor, volts, grounds, places)
+    ...     found = tx.calibration.calibrated(sensor, known)
     ...     held = tx.calibration.HeldCalibration(sensor, found)
     >>> first = held.parts["gain"].start
     >>> by_voltages = jax.grad(lambda v: held.values(v)[first])  # call it where x64 is on
