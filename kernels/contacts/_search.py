@@ -3,8 +3,6 @@
 Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,11 +16,11 @@ from tomojax.kernels.contacts._one_slot import (
     beside_columns,
     first_covariance,
     OneSlot,
+    Plain,
     product,
     solve_small,
     weighed,
 )
-from tomojax.kernels.contacts._points import Sheet
 from tomojax.kernels.sheet import Grounds
 
 # χ² that a contact must explain at least.
@@ -128,8 +126,8 @@ def search(
 
     def look() -> Search:
         both = gains(weighed_both, beside, normal)
-        left_by = (partial(_left, slot, candidates, c) for c in (columns, columns[:0]))
-        found = _chosen(slot.sheet, candidates, known, *both, left, alone, *left_by)
+        fit = columns, rest, beside, normal
+        found = _chosen(slot, candidates, known, *fit, *both, left, alone)
         # Contacts that came at once are not found one by one.
         wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
         doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
@@ -165,45 +163,51 @@ def search(
 
 
 def _left(
-    slot: OneSlot,
-    candidates: Candidates,
-    others: Float[Array, "C M"],
-    k: Int[Array, ""],
+    plain: Plain, rest: Float[Array, " M"], column: Float[Array, " M"]
 ) -> Float[Array, ""]:
-    """Computes χ² that candidate `k` leaves beside others.
+    """Computes χ² that one more column leaves of `rest`.
 
-    By what is left of voltages: float32 has lost it from what the candidate explains.
+    By what is left of voltages: float32 has lost it from what the column explains.
     """
-    slots = slot.sheet.slots
-    column = slots.relative(candidates.potential[:, k], slot.ground)
-    columns = jnp.concatenate([others, (column + slots.offset(slot.ground))[None]])
-    rest = beside_columns(slot.plain, columns, slot.voltages)[0]
-    return matmul(rest, weighed(slot.plain, rest[None])[0])
+    beside = weighed(plain, column[None])[0]
+    amount = matmul(rest, beside) / jnp.maximum(matmul(column, beside), 1e-30)
+    rest = rest - amount * column
+    return matmul(rest, weighed(plain, rest[None])[0])
 
 
 def _chosen(
-    sheet: Sheet,
+    slot: OneSlot,
     candidates: Candidates,
     known: Followed,
+    columns: Float[Array, "C M"],
+    rest: Float[Array, " M"],
+    beside: Float[Array, "C M"],
+    normal: Float[Array, "C C"],
     gains: Float[Array, " K"],
     gains_alone: Float[Array, " K"],
     left: Float[Array, ""],
     alone: Float[Array, ""],
-    left_beside: Callable[[Array], Array],
-    left_alone: Callable[[Array], Array],
 ) -> Search:
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
-    elsewhere = left_alone(k_alone)
+
+    def column(k: Array) -> Array:
+        slots = slot.sheet.slots
+        relative = slots.relative(candidates.potential[:, k], slot.ground)
+        return relative + slots.offset(slot.ground)
+
+    elsewhere = _left(slot.plain, slot.voltages, column(k_alone))
+    share = solve_small(normal, matmul(beside, column(k))[:, None])[:, 0]
+    one_more = _left(slot.plain, rest, column(k) - matmul(share, columns))
     # One more: then all are looked for again.
     more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
     more = more & known.there.any()
     # Everything is elsewhere, unless one more leaves clearly less.
     jumped = (left > _SEEN) & (elsewhere < _ELSEWHERE * left)
-    jumped = jumped & ~(more & (left_beside(k) < _SHARE * elsewhere))
+    jumped = jumped & ~(more & (one_more < _SHARE * elsewhere))
     lone = gains_alone[k_alone] > _SEEN + _EXPLAINED * alone
     anew = (jumped | ~known.there.any()) & lone
     more = more & ~anew
-    again = ((candidates.place[k] - known.rival) ** 2).sum() < (NEAR * sheet.unit) ** 2
+    again = ((candidates.place[k] - known.rival) ** 2).sum() < (NEAR * slot.sheet.unit) ** 2
     seen = jnp.where(more, jnp.where(again, known.seen + 1, 1), 0)
     first = jnp.arange(len(known.there)) == 0
     new = first & anew
