@@ -62,7 +62,7 @@ class Plain(NamedTuple):
 
 
 class OneSlot(NamedTuple):
-    """What contacts are to explain, and how it counts."""
+    """One slot: its voltages, the sheet and ground that they belong to, and their errors."""
 
     sheet: Sheet
     ground: Int[Array, ""]

@@ -169,7 +169,7 @@ class NativeRuns(AbstractRuns):
         return Packed(*arrays)
 
 
-# As an argument of C, it is the place of its memory.
+# Made of an array, it passes C the address of the array's memory.
 _NoBytes = ctypes.c_char * 0
 
 
