@@ -62,7 +62,7 @@ class Plain(NamedTuple):
 
 
 class OneSlot(NamedTuple):
-    """One slot: its voltages, the sheet and ground that they belong to, and their errors."""
+    """One slot: its voltages, with the sheet, the ground and the errors' weights."""
 
     sheet: Sheet
     ground: Int[Array, ""]
