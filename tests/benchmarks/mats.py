@@ -12,7 +12,6 @@ one after the other. Writes mats.json.
 import argparse
 import json
 import math
-import resource
 import subprocess
 import sys
 import time
@@ -20,6 +19,8 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent)]
+
+from bench.memory import peak_mb  # noqa: E402
 
 MATS = ("12x32", "32x32", "32x64")
 PITCH, GROUNDS, NOISE = 0.008, 10, 3e-4
@@ -60,7 +61,7 @@ def measured(mat: str, method: str) -> dict:
         "mat": mat, "electrodes": nx * ny, "method": method, "found": len(found), **times,
         "first_frame_s": spent[0], "frame_s": float(np.median(spent[1:])),
         "place_mm": [round(1e3 * float(a), 3) for a in away],
-        "memory_GB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "memory_GB": peak_mb() / 1024,
     }  # fmt: skip
 
 

@@ -18,17 +18,7 @@ from bench.frontier._measure import Job, kinds_of
 from bench.frontier._peers import peer_rows
 from bench.frontier._rows import follow_rows, method_rows
 from bench.frontier._scenes import load_trials
-
-
-def peak_mb() -> float:
-    """Returns this process's own peak, MB; Linux's getrusage may give the parent's peak."""
-    status = Path("/proc/self/status")
-    if not status.exists():
-        import resource  # not on Windows
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    line = next(x for x in status.read_text().splitlines() if x.startswith("VmHWM"))
-    return int(line.split()[1]) / 1024
+from bench.memory import peak_mb
 
 
 def main() -> None:
