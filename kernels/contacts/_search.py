@@ -237,29 +237,35 @@ def _gains(
     """Computes how much each candidate explains: of what contacts leave, and of all.
 
     A candidate's column is m + x, x without a weighed mean: float32 would lose the little
-    that x is beside m. With one electrode grounded the column is R_i − R_l + f_i, so
-    every product with x is one with R.
+    that x is beside m. The column is R − UR_E + f, with R − R_l where one electrode is
+    grounded, so every product with x is one with R and with the few rows of R_E.
     """
     slots, ground, plain = slot.sheet.slots, slot.ground, slot.plain
+    table = candidates.potential
     w, whole, offset = plain.each, plain.whole, slots.offset(ground)
     vectors = jnp.concatenate([weighed_both, beside])
     sums = vectors.sum(1)
+    middle = matmul(w, offset) / whole
+    offset = offset - middle
+    centred = vectors - (sums / whole)[:, None] * w
+    rows = jnp.concatenate([centred, jnp.stack([w / whole, w * offset])])
+    products = product(rows, table)  # (C + 4, K)
+    level, cross = products[-2], products[-1]
+    along = products[:-2] + matmul(vectors, offset)[:, None]
+    own = matmul(w, candidates.square) - whole * level**2
+    own = own + 2 * cross + matmul(w, offset**2)
     if isinstance(slots, Grounds):
-        middle = matmul(w, offset) / whole
-        offset = offset - middle
-        centred = vectors - (sums / whole)[:, None] * w
-        rows = jnp.concatenate([centred, jnp.stack([w / whole, w * offset])])
-        products = product(rows, candidates.potential)  # (C + 4, K)
-        level, cross = products[-2], products[-1]
-        mean = level - jnp.take(candidates.potential, ground, 0) + middle
-        along = products[:-2] + matmul(vectors, offset)[:, None]
-        own = matmul(w, candidates.square) - whole * level**2
-        own = own + 2 * cross + matmul(w, offset**2)
+        mean = level - jnp.take(table, ground, 0) + middle
     else:
-        columns = (slots.relative(candidates.potential.T, ground) + offset).T
-        mean = matmul(w, columns) / whole
-        along = product(vectors, columns - mean)
-        own = matmul(w, (columns - mean) ** 2)
+        entered, taken = jnp.take(table, slots.at[ground], 0), slots.taken[ground]
+        part = matmul(w, taken) / whole
+        mean = level - matmul(part, entered) + middle
+        taken = taken - part
+        heavy = w[:, None] * taken  # (M, g)
+        along = along - product(matmul(vectors, taken), entered)
+        squares = product(matmul(taken.T, heavy), entered)
+        twice = product(heavy.T, table) + matmul(offset, heavy)[:, None]
+        own = own + (entered * (squares - 2 * twice)).sum(0)
     along = along + sums[:, None] * mean
     own = own + plain.part * whole * mean**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())

@@ -11,6 +11,7 @@ All follows by arithmetic from the table of transfer resistances.
 
 from typing import Any, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -117,13 +118,15 @@ class Grounds(NamedTuple):
 class Conditions(NamedTuple):
     """Conductances γ_e to ground at any electrodes: (D, S) of each of L conditions.
 
-    With Γ = diag γ and x = (I + RΓ)⁻¹1: D = [(I − xγᵀ/γᵀx)(I + RΓ)⁻¹ | x/γᵀx]. The sheet's
+    With Γ = diag γ and x = (I + RΓ)⁻¹1: D = [(I − xγᵀ/γᵀx)(I + RΓ)⁻¹ | x/γᵀx]. The first
+    block is I − UE, E the rows of I of the g electrodes with a path to ground. The sheet's
     level per ampere is 1/γᵀx − (Γx)ᵀr/γᵀx, and γ_e V_e leaves at electrode e. `which` of
     the members is a condition's number.
     """
 
-    blocks: Any  # D's first block (L, M, M)
-    offsets: Any  # its last column (L, M), Ω
+    at: Any  # the electrodes of E (L, g)
+    taken: Any  # U (L, M, g)
+    offsets: Any  # D's last column (L, M), Ω
     to_ground: Any  # γ (L, M), S
     levels: Any  # Γx/γᵀx (L, M)
     paths: Any  # 1/γᵀx (L,), Ω
@@ -134,13 +137,25 @@ class Conditions(NamedTuple):
     def offset(self, which: Int[A, "*L"]) -> Float[A, "*L M"]:
         return self.offsets[which]
 
+    def block(self, which: Int[A, "*L"]) -> Float[A, "*L M M"]:
+        """Returns D's first block."""
+        m, at = self.taken.shape[1], self.at[which]
+        row = (at[..., None] == np.arange(m, dtype=at.dtype)).astype(self.taken.dtype)
+        return np.eye(m, dtype=row.dtype) - _product(
+            "...mg,...gn->...mn", self.taken[which], row
+        )
+
     def relative(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "... M"]:
-        blocks = self.blocks[which].reshape(-1, *self.blocks.shape[1:])
-        flat = _product("nm,lim->nli", rows.reshape(-1, rows.shape[-1]), blocks)
-        return flat.reshape(*rows.shape[:-1], *which.shape, rows.shape[-1])
+        m, g = self.taken.shape[1:]
+        flat, at = rows.reshape(-1, m), self.at[which].reshape(-1, g)
+        taken = self.taken[which].reshape(-1, m, g)
+        flat = flat[:, None] - _product("nlg,lmg->nlm", flat[:, at], taken)
+        return flat.reshape(*rows.shape[:-1], *which.shape, m)
 
     def apart(self, rows: Float[A, "L *n M"], which: Int[A, " L"]) -> Float[A, "L *n M"]:
-        return _product("l...m,lim->l...i", rows, self.blocks[which])
+        flat = rows.reshape(len(rows), -1, rows.shape[-1])
+        at = jnp.take_along_axis(flat, self.at[which][:, None], -1)
+        return (flat - _product("lng,lmg->lnm", at, self.taken[which])).reshape(rows.shape)
 
     def level(self, rows: Float[A, "*n M"], which: Int[A, "*L"]) -> Float[A, "..."]:
         return _along(rows, self.levels[which])
@@ -153,8 +168,8 @@ class Conditions(NamedTuple):
         return _along(rows, leaves / jnp.where(total == 0, 1, total))
 
     def maps(self, elements: Float[A, "M K"], which: Int[A, " L"]) -> Float[A, "L M K"]:
-        there = _product("lim,mk->lik", self.blocks[which], elements)
-        return there + self.offsets[which][:, :, None]
+        there = _product("lmg,lgk->lmk", self.taken[which], elements[self.at[which]])
+        return elements - there + self.offsets[which][:, :, None]
 
     def loops(
         self, table: Resistances, which: Int[A, " L"], maps: Float[A, "L M K"]
@@ -165,17 +180,20 @@ class Conditions(NamedTuple):
         return table.own - back + level
 
     def grounded(self, which: Int[A, "*L"]) -> Bool[A, "*L M"]:
-        left = jnp.abs(self.blocks[which]).max(-1)
+        left = jnp.abs(self.block(which)).max(-1)
         return (self.to_ground[which] > 0) & (left < _SHORT)
 
 
 Slots = Grounds | Conditions
 
 
-def conditions_of(electrodes: Float[A, "M M"], to_ground: Float[A, "L M"]) -> Conditions:
+def conditions_of(
+    electrodes: Float[A, "M M"], to_ground: Float[A, "L M"], at: Int[A, "L g"] | None = None
+) -> Conditions:
     """Computes (D, S) of conductances to ground (S), from R_ee' (Ω).
 
-    At least one γ of a condition must be positive; otherwise the result is infinite.
+    At least one γ of a condition must be positive; otherwise the result is infinite. `at`
+    has the electrodes that may have a path to ground; found where γ is known.
     """
     xp: Any = np if isinstance(electrodes, np.ndarray) else jnp
     unit = xp.eye(len(electrodes), dtype=electrodes.dtype)
@@ -185,20 +203,28 @@ def conditions_of(electrodes: Float[A, "M M"], to_ground: Float[A, "L M"]) -> Co
     leaves = to_ground * x
     total = leaves.sum(-1, keepdims=True)
     lost = _product("lm,lmn->ln", to_ground, inverse) / total
-    return Conditions(
-        inverse - x[:, :, None] * lost[:, None, :],
-        x / total,
-        to_ground,
-        leaves / total,
-        1 / total[:, 0],
-    )
+    at = xp.asarray(_grounded(to_ground)) if at is None else at
+    taken = unit - inverse + x[:, :, None] * lost[:, None, :]
+    taken = xp.take_along_axis(taken, at[:, None], -1)
+    return Conditions(at, taken, x / total, to_ground, leaves / total, 1 / total[:, 0])
+
+
+def _grounded(to_ground: Float[A, "L M"]) -> np.ndarray:
+    """Returns each condition's electrodes with a path to ground, as many of each."""
+    if isinstance(to_ground, jax.core.Tracer):
+        shape = to_ground.shape
+        return np.broadcast_to(np.arange(shape[1], dtype=np.int32), shape)
+    there = np.asarray(to_ground) > 0
+    most = max(1, there.sum(1).max())
+    return np.argsort(~there, 1, kind="stable")[:, :most].astype(np.int32)
 
 
 def lengthened(slots: Slots, electrodes: Any, more: Any) -> Slots:
     """Adds resistances (Ω) to the electrodes' paths to ground."""
     if isinstance(slots, Grounds):
         return slots._replace(resistance=slots.resistance + more)
-    return conditions_of(electrodes, slots.to_ground / (1 + slots.to_ground * more))
+    to_ground = slots.to_ground / (1 + slots.to_ground * more)
+    return conditions_of(electrodes, to_ground, slots.at)
 
 
 def volts_per_ampere(

@@ -90,7 +90,7 @@ def look_of(scene: Fitting, some: Int[Array, " s"] | None = None) -> Look:
     which, slots = scene.frame.grounds[some], sheet.slots
     part = jax.tree.map(lambda a: a[some], scene.frame)
     if not isinstance(slots, Grounds):
-        offset, blocks = slots.offset(which), slots.blocks[which]
+        offset, blocks = slots.offset(which), slots.block(which)
         return look(scene.method.potentials, offset, part, blocks)
     # As free as it is, z does not count.
     offset = slots._replace(resistance=0.0).offset(which)
