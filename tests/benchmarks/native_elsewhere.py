@@ -1,6 +1,6 @@
 """Runs a step's test vectors elsewhere: Arm, a board, an empty root, sanitizers.
 
-    python tests/benchmarks/native_elsewhere.py [--out FOLDER]
+    python tests/benchmarks/native_elsewhere.py [--shape SHAPE] [--out FOLDER]
 
 Needs gcc, and where they are there: aarch64-linux-gnu-gcc and arm-linux-gnueabihf-gcc with
 qemu-user, arm-none-eabi-gcc with newlib and qemu-system-arm, valgrind, chroot (as root).
@@ -24,7 +24,7 @@ sys.path[:0] = [str(HERE.parents[1])]
 
 from tomojax.native import FLAGS  # noqa: E402
 
-SHAPES = {"64 electrodes": (), "4 x 4": (4, 4)}
+SHAPES = ("64 electrodes", "4 x 4", "two grounds at once")
 ARM = {
     "Arm 64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-march=armv8-a"),
     "Arm 32": ("arm-linux-gnueabihf-gcc", "qemu-arm", "-mfpu=neon-vfpv4"),
@@ -34,15 +34,20 @@ M7 = "-mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16".split()
 QEMU = "qemu-system-arm -M mps2-an500 -nographic -semihosting -icount shift=0".split()
 
 
-def compiled(shape: tuple, folder: Path) -> float:
+def compiled(shape: str, folder: Path) -> float:
     """Writes and compiles a step; returns the seconds it took."""
     import numpy as np
 
     import tomojax as tx
 
     begun = time.perf_counter()
-    more = {"divisions": (20, 20)} if shape else {}
-    sensor = tx.Sensor.grid(*shape, dtype=np.float32, **more)
+    given = {
+        "64 electrodes": {},
+        "4 x 4": {"rows": 4, "columns": 4, "divisions": (20, 20)},
+        # Each with the one opposite, through 4 Ω each.
+        "two grounds at once": {"conditions": (np.eye(64) + np.eye(64)[::-1])[:32] / 4},
+    }
+    sensor = tx.Sensor.grid(**given[shape], dtype=np.float32)
     step = tx.make_step(sensor, "follow", ["around_contacts"], contacts=2, native=False)
     tx.step.compile(step, folder)
     return time.perf_counter() - begun
@@ -133,11 +138,12 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=HERE.parents[1] / "notebooks" / "results"
     )
+    parser.add_argument("--shape", choices=SHAPES, action="append")
     given, rows = parser.parse_args(), []
-    for name, shape in SHAPES.items():
+    for name in given.shape or SHAPES:
         with tempfile.TemporaryDirectory() as place:
             to, folder = Path(place), Path(place) / "step"
-            seconds = compiled(shape, folder)
+            seconds = compiled(name, folder)
             made = checker("gcc", folder, to / "here", "-march=native", "-fstack-usage")
             stack = [
                 x.split("\t") for p in to.glob("*.su") for x in p.read_text().splitlines()
@@ -171,12 +177,16 @@ def main() -> None:
                     rows.append(
                         {"shape": name, "where": where, **told([emulator, made, *files])}
                     )
-            if shape and all(map(shutil.which, ("arm-none-eabi-gcc", QEMU[0]))):
+            if name == "4 x 4" and all(map(shutil.which, ("arm-none-eabi-gcc", QEMU[0]))):
                 rows.append({"shape": name, "where": "Cortex-M7", **board(folder, to)})
         for row in rows[-8:]:
             print(json.dumps(row), flush=True)
     given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "native_elsewhere.json").write_text(json.dumps({"rows": rows}, indent=1))
+    path = given.out / "native_elsewhere.json"
+    old = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = [row for row in old if row["shape"] not in {r["shape"] for r in rows}] + rows
+    rows.sort(key=lambda row: SHAPES.index(row["shape"]))
+    path.write_text(json.dumps({"rows": rows}, indent=1))
 
 
 if __name__ == "__main__":
