@@ -14,13 +14,13 @@ from jaxtyping import Array, Bool, Float, Int
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.contacts._one_slot import (
     all_tangents,
+    Beside,
     beside_columns,
     first_covariance,
     fitted,
     in_slot,
     OneSlot,
     update,
-    weighed,
     whitened,
 )
 
@@ -58,6 +58,11 @@ class Candidates(NamedTuple):
     square: Float[Array, "M K"]
     tangent: Float[Array, "K 4 M"]  # see `tangents`
 
+    def column(self, slot: OneSlot, k: Int[Array, ""]) -> Float[Array, " M"]:
+        """Computes volts per ampere of one of the contacts."""
+        slots, ground = slot.sheet.slots, slot.ground
+        return slots.relative(self.potential[:, k], ground) + slots.offset(ground)
+
 
 class Set(NamedTuple):
     """Contacts that explain a slot, of C at most."""
@@ -68,7 +73,7 @@ class Set(NamedTuple):
     left: Float[Array, ""]  # χ²
 
 
-Gains = Callable[[Array, Array, Array], tuple[Array, Array]]
+Gains = Callable[[Beside], tuple[Array, Array]]
 
 
 def all_anew(
@@ -148,14 +153,8 @@ def _greedy(
     slot: OneSlot, candidates: Candidates, gains: Gains, count: int
 ) -> Int[Array, "C C"]:
     """Looks for one contact, two, …: one more, then each in turn beside the others."""
-    sheet, ground, voltages, places = (
-        slot.sheet,
-        slot.ground,
-        slot.voltages,
-        candidates.place,
-    )
-    slots, near_by = sheet.slots, (NEAR * sheet.unit) ** 2
-    offset = slots.offset(ground)
+    voltages, places = slot.voltages, candidates.place
+    near_by = (NEAR * slot.sheet.unit) ** 2
     each = jnp.arange(count, dtype=jnp.int32)
     # How many there are, and whose turn it is: the last one's, then each one's.
     more = [(n, c) for n in range(1, count) for c in (n, *list(range(n + 1)) * _TURNS)]
@@ -166,14 +165,13 @@ def _greedy(
         columns, chosen, sets = state
         n, c = which[i], whose[i]
         others = jnp.where((each == c)[:, None], 0, columns)
-        rest, beside, normal = beside_columns(slot.plain, others, voltages)
-        both = weighed(slot.plain, jnp.stack([rest, voltages]))
+        beside = beside_columns(slot.plain, others, voltages)
         # Two candidates about one place would be one contact between them.
         away = places[:, None] - places[chosen]
         near = ((away**2).sum(-1) < near_by) & (others != 0).any(1)
-        k = jnp.argmax(jnp.where(near.any(1), -1, gains(both, beside, normal)[0]))
-        column = slots.relative(candidates.potential[:, k], ground) + offset
-        columns, chosen = others.at[c].set(column), chosen.at[c].set(k.astype(jnp.int32))
+        k = jnp.argmax(jnp.where(near.any(1), -1, gains(beside)[0]))
+        columns = others.at[c].set(candidates.column(slot, k))
+        chosen = chosen.at[c].set(k.astype(jnp.int32))
         return columns, chosen, sets.at[n].set(chosen)
 
     columns = jnp.zeros((count, len(voltages)), voltages.dtype)

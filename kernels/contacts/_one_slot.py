@@ -147,14 +147,23 @@ def weighed(plain: Plain, x: Float[Array, "n M"]) -> Float[Array, "n M"]:
     return (x - (1 - plain.part) * mean[:, None]) * plain.each
 
 
+class Beside(NamedTuple):
+    """Contacts' columns, and what they leave of a slot's voltages."""
+
+    columns: Float[Array, "C M"]  # V/A
+    rest: Float[Array, " M"]  # V
+    weighed: Float[Array, "C M"]
+    normal: Float[Array, "C C"]  # columns along weighed ones
+
+
 def beside_columns(
     plain: Plain, columns: Float[Array, "C M"], voltages: Float[Array, " M"]
-) -> tuple[Float[Array, " M"], Float[Array, "C M"], Float[Array, "C C"]]:
-    """Returns what columns leave of voltages, the weighed columns and their products."""
+) -> Beside:
+    """Fits columns to voltages by the plain errors."""
     beside = weighed(plain, columns)
     normal = regular(product(columns, beside.T))
     fit = solve_small(normal, matmul(beside, voltages)[:, None])[:, 0]
-    return voltages - matmul(fit, columns), beside, normal
+    return Beside(columns, voltages - matmul(fit, columns), beside, normal)
 
 
 def all_tangents(

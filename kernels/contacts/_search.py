@@ -3,6 +3,7 @@
 Sizes are fixed and operations are few: each costs about a microsecond, whatever its size.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from tomojax.kernels.algebra import matmul, tree_where
 from tomojax.kernels.contacts._anew import all_anew, Candidates, NEAR, Set, WAYS
 from tomojax.kernels.contacts._one_slot import (
     all_tangents,
+    Beside,
     beside_columns,
     first_covariance,
     OneSlot,
@@ -103,9 +105,8 @@ def search(
 ) -> Search:
     """Tells whether one contact alone explains the slot better, or one more is needed."""
     plain, voltages = slot.plain, slot.voltages  # a common offset will do to look
-    rest, beside, normal = beside_columns(plain, columns, voltages)
-    weighed_both = weighed(plain, jnp.stack([rest, voltages]))
-    left, alone = matmul(rest, weighed_both[0]), matmul(voltages, weighed_both[1])
+    beside = beside_columns(plain, columns, voltages)
+    left, alone = _square(plain, beside.rest), _square(plain, voltages)
     channels = (slot.weights.each > 0).astype(left.dtype).sum()
     none = jnp.zeros_like(known.seen)
     calm = jnp.where(known.there.any(), jnp.maximum(known.doubted - 1, 0), 0)
@@ -121,13 +122,10 @@ def search(
         doubted=calm,
     )
 
-    def gains(weighed_both: Array, beside: Array, normal: Array) -> tuple[Array, Array]:
-        return _gains(slot, candidates, weighed_both, beside, normal)
+    gains = partial(_gains, slot, candidates)
 
     def look() -> Search:
-        both = gains(weighed_both, beside, normal)
-        fit = columns, rest, beside, normal
-        found = _chosen(slot, candidates, known, *fit, *both, left, alone)
+        found = _chosen(slot, candidates, known, beside, gains(beside), (left, alone))
         # Contacts that came at once are not found one by one.
         wrong = (left > _EXPLAINED * alone) | (known.left > _UNUSUAL) | (found.seen > 0)
         doubted = jnp.where(wrong & known.there.any(), known.doubted + _DECAY, calm)
@@ -162,6 +160,11 @@ def search(
     return found._replace(dark=alone - left < _SEEN)
 
 
+def _square(plain: Plain, x: Float[Array, " M"]) -> Float[Array, ""]:
+    """Computes χ² of a slot by the plain errors."""
+    return matmul(x, weighed(plain, x[None])[0])
+
+
 def _left(
     plain: Plain, rest: Float[Array, " M"], column: Float[Array, " M"]
 ) -> Float[Array, ""]:
@@ -171,33 +174,24 @@ def _left(
     """
     beside = weighed(plain, column[None])[0]
     amount = matmul(rest, beside) / jnp.maximum(matmul(column, beside), 1e-30)
-    rest = rest - amount * column
-    return matmul(rest, weighed(plain, rest[None])[0])
+    return _square(plain, rest - amount * column)
 
 
 def _chosen(
     slot: OneSlot,
     candidates: Candidates,
     known: Followed,
-    columns: Float[Array, "C M"],
-    rest: Float[Array, " M"],
-    beside: Float[Array, "C M"],
-    normal: Float[Array, "C C"],
-    gains: Float[Array, " K"],
-    gains_alone: Float[Array, " K"],
-    left: Float[Array, ""],
-    alone: Float[Array, ""],
+    beside: Beside,
+    both_gains: tuple[Float[Array, " K"], Float[Array, " K"]],
+    both_left: tuple[Float[Array, ""], Float[Array, ""]],
 ) -> Search:
+    """Chooses from what each candidate explains: of what contacts leave, and of all."""
+    (gains, gains_alone), (left, alone) = both_gains, both_left
     k, k_alone = jnp.argmax(gains), jnp.argmax(gains_alone)
-
-    def column(k: Array) -> Array:
-        slots = slot.sheet.slots
-        relative = slots.relative(candidates.potential[:, k], slot.ground)
-        return relative + slots.offset(slot.ground)
-
-    elsewhere = _left(slot.plain, slot.voltages, column(k_alone))
-    share = solve_small(normal, matmul(beside, column(k))[:, None])[:, 0]
-    one_more = _left(slot.plain, rest, column(k) - matmul(share, columns))
+    elsewhere = _left(slot.plain, slot.voltages, candidates.column(slot, k_alone))
+    column = candidates.column(slot, k)
+    share = solve_small(beside.normal, matmul(beside.weighed, column)[:, None])[:, 0]
+    one_more = _left(slot.plain, beside.rest, column - matmul(share, beside.columns))
     # One more: then all are looked for again.
     more = (gains[k] > _SEEN) & (gains[k] > _SHARE * left) & ~known.there.all()
     more = more & known.there.any()
@@ -228,11 +222,7 @@ def _chosen(
 
 
 def _gains(
-    slot: OneSlot,
-    candidates: Candidates,
-    weighed_both: Float[Array, "2 M"],
-    beside: Float[Array, "C M"],
-    normal: Float[Array, "C C"],
+    slot: OneSlot, candidates: Candidates, beside: Beside
 ) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
     """Computes how much each candidate explains: of what contacts leave, and of all.
 
@@ -243,7 +233,8 @@ def _gains(
     slots, ground, plain = slot.sheet.slots, slot.ground, slot.plain
     table = candidates.potential
     w, whole, offset = plain.each, plain.whole, slots.offset(ground)
-    vectors = jnp.concatenate([weighed_both, beside])
+    both = weighed(plain, jnp.stack([beside.rest, slot.voltages]))
+    vectors = jnp.concatenate([both, beside.weighed])
     sums = vectors.sum(1)
     middle = matmul(w, offset) / whole
     offset = offset - middle
@@ -270,7 +261,7 @@ def _gains(
     own = own + plain.part * whole * mean**2
     own = jnp.maximum(own, 1e-6 * jnp.abs(own).max())
     by_rest, by_all, shares = along[0], along[1], along[2:]
-    inverse = solve_small(normal, jnp.eye(len(beside), dtype=w.dtype))
+    inverse = solve_small(beside.normal, jnp.eye(len(beside.normal), dtype=w.dtype))
     left = own - (product(inverse, shares) * shares).sum(0)
     near = left < 1e-3 * own
     gains = jnp.maximum(by_rest, 0) ** 2 / jnp.where(near, 1, left)
