@@ -8,7 +8,8 @@ own), and with every fault that a slot can have. Where flags, counts or the next
 differ, and how far places are apart, are counted. Own: each goes on from its own state, as
 does the same in float64, and all are compared with where the contacts are. Time: both in
 turn in one process with the settings for real time, from NumPy's voltages to NumPy's
-contacts; and C from C, by `replay`. Writes native.json.
+contacts; C from C, by `replay`; and work that is always the same and takes as long as a
+slot in C, which shows what the machine adds. Writes native.json.
 """
 
 import argparse
@@ -245,6 +246,7 @@ def timed(name: str, count: int) -> dict:
     row = {"kind": "time", "case": name, "slots": len(spent["C"])}
     for as_, values in spent.items():
         row[as_] = {n: float(np.quantile(values, q)) / 1e3 for n, q in QUANTILES.items()}
+    row["fixed work"] = fixed_work(row["C"]["p50_us"], count)
     volts = np.stack([v for v, _, _ in recorded])
     grounds = np.array([g for _, g, _ in recorded])
     each = []
@@ -254,6 +256,22 @@ def timed(name: str, count: int) -> dict:
         each.append((time.perf_counter_ns() - begin) / 1e3 / len(volts))
     row["C from C"] = {"mean_us": float(np.median(each))}
     return row
+
+
+def fixed_work(us: float, count: int) -> dict:
+    """Times work that is always the same and takes so long: the rest is the machine's."""
+    memory = np.zeros(1 << 12)
+
+    def spent(turns: int) -> int:
+        begin = time.perf_counter_ns()
+        for _ in range(turns):
+            memory.fill(0)
+        return time.perf_counter_ns() - begin
+
+    one = float(np.median([spent(100) for _ in range(100)])) / 1e5
+    turns = max(1, round(us / one))
+    each = [spent(turns) for _ in range(count)]
+    return {n: float(np.quantile(each, q)) / 1e3 for n, q in QUANTILES.items()}
 
 
 def main() -> None:
