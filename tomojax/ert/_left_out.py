@@ -30,7 +30,9 @@ class LeftOut(NamedTuple):
         """Takes a recording's presses of a known place whose frame is whole."""
         use = response.used
         flat = recording.voltages.reshape(len(recording.voltages), -1)
-        require(flat.shape[1] == len(use), "presses", f"{flat.shape[1]} a frame", len(use))
+        require(
+            flat.shape[1] == len(use), "presses", f"{flat.shape[1]}", f"{len(use)} a frame"
+        )
         rows = np.flatnonzero(recording.known & np.isfinite(flat[:, use]).all(1))
         told = f"{len(rows)} known places"
         require(len(rows) >= LEAST_KNOWN, "presses", told, f"at least {LEAST_KNOWN}")
