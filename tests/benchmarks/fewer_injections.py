@@ -5,11 +5,12 @@
 FOLDER has skin_*.h5: recordings of kind conductivity with places. A response is learned
 with 600 presses drawn from the first two thirds, all at known places and by all injections;
 each seed draws anew. The last third is placed by some of the injections, with a response
-learned anew by these: by `design` ("chosen"), by its relaxed problem's heaviest weights
-("gradient"), evenly spaced, and drawn ones (three sets a seed). Without learning anew, by
-the map of all injections, stand the chosen ones ("restricted"), and two chosen ones with
-others chosen for the place that these two found ("adaptive"). Writes fewer_injections.json
-and .png to notebooks/results.
+learned anew by these: by `design` ("chosen"), one after another by how far left-out
+presses are placed ("presses"), by the relaxed problem's heaviest weights ("gradient"),
+evenly spaced, and drawn ones (three sets a seed). Without learning anew, by the map of all
+injections, stand the chosen ones ("restricted"), and two chosen ones with others chosen
+for the place that these two found ("adaptive"). Writes fewer_injections.json and .png to
+notebooks/results.
 """
 
 import argparse
@@ -76,10 +77,12 @@ def measure(path: Path, seeds: int) -> list[dict]:
         found = response.locate(test.voltages)
         add(c, "all", seed, found.xy, found)
         told = ert.press_information(response, pairs)
+        order = ert.choose(response, pairs, max(COUNTS), presses=train)
         for count in COUNTS:
             best = design.design(told, count)
             ways = {
                 "chosen": [best.grounds],
+                "presses": [order[:count]],
                 "gradient": [np.argsort(-best.weights)[:count]],
                 "even": [[k * c // count for k in range(count)]],
                 "random": [random.choice(c, count, replace=False) for _ in range(DRAWN)],
@@ -116,6 +119,7 @@ def draw(rows: list[dict], path: Path) -> None:
             ("restricted", "+:"),
             ("adaptive", "^:"),
             ("chosen", "o-"),
+            ("presses", "D-"),
         ):
             counts = sorted({r["injections"] for r in mine if r["way"] == way})
             each = [

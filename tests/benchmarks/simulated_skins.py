@@ -7,7 +7,7 @@ model. Skins: 16 electrodes on the rim of a disc of 100 mm; these and 8 inside; 
 square of 160 mm. A press halves the conductance in a disc of 4 mm radius, more or less.
 Noise is 0.1 % of the root mean square of all readings' changes, drawn anew by each seed.
 Voltages take a quarter of an hour; `--voltages` keeps them. Writes simulated_skins.json and
-.png to notebooks/results.
+.png to notebooks/results; rows of skins that `--only` leaves out stay.
 """
 
 import argparse
@@ -288,6 +288,9 @@ def pyeit_body(name: str, xy: np.ndarray):
         line = np.linspace(0, SKINS[name]["across"], 33)
         made = skfem.MeshTri.init_tensor(line, line)
         nodes, elements = made.p.T, made.t.T
+        one, other = (np.diff(nodes[elements[:, [0, k]]], axis=1)[:, 0] for k in (1, 2))
+        back = one[:, 0] * other[:, 1] < one[:, 1] * other[:, 0]
+        elements = np.where(back[:, None], elements[:, ::-1], elements)  # anticlockwise
     else:
         made = mesh.create(len(xy), h0=0.06, p_fix=xy / 0.05)
         nodes, elements = 0.05 * made.node[:, :2], made.element
@@ -479,7 +482,9 @@ def main() -> None:
     warnings.simplefilter("ignore")
     summary = {"jacobian": jacobians(told.rounds), "noise_part": NOISE, "seeds": told.seeds}
     print(summary, flush=True)
-    rows = []
+    out = told.output / "simulated_skins.json"
+    before = json.loads(out.read_text())["rows"] if out.is_file() else []
+    rows = [row for row in before if row["skin"] not in told.only]
     for name in told.only:
         scenes = made(name, told.voltages)
         volts = np.tile(scenes["volts"], (told.seeds, 1, 1))
@@ -495,7 +500,6 @@ def main() -> None:
             print("  ".join(f"{k} {v}" for k, v in row.items()), flush=True)
         rows += fresh
         written = {"rows": rows, "summary": summary, "environment": environment()}
-        out = told.output / "simulated_skins.json"
         out.write_text(json.dumps(written, indent=1) + "\n")
     draw(rows, told.output / "simulated_skins.png")
 

@@ -131,6 +131,30 @@ def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:
         tx.ert.choose(tx.ert.nominal(skin), skin.pairs, 1)
 
 
+def test_presses_choose_a_condition_that_tells_how_far_others_are_off(skin) -> None:
+    # A hidden number turns presses about the middle; the last condition reads it alone.
+    rng = np.random.default_rng(3)
+    hidden = rng.uniform(-1, 1, len(skin.places))
+    cos, sin = np.cos(0.4 * hidden), np.sin(0.4 * hidden)
+    turned = np.stack([[cos, -sin], [sin, cos]])
+    at = np.einsum("ijn,nj->ni", turned, skin.places) + RADIUS
+    volts = -np.asarray(tx.ert.sensitivities(skin.sensor(), skin.pairs, at))
+    size = np.sqrt(np.mean(volts**2))
+    volts[:, 7] = size * hidden[:, None]
+    volts = volts + 0.02 * size * rng.normal(size=volts.shape)
+    known = replace(skin, voltages=volts)
+    by = tx.ert.learn(some(known, slice(120)))
+    first = [1, 6]
+    assert tx.ert.choose(by, skin.pairs, 1, after=first) != [7]
+    assert tx.ert.choose(by, skin.pairs, 1, after=first, presses=known) == [7]
+    with pytest.raises(ValueError, match="presses: got 39 known places, expected at least"):
+        tx.ert.choose(by, skin.pairs, 1, presses=known.knowing(39))
+    with pytest.raises(ValueError, match="near: .* expected None beside presses"):
+        tx.ert.choose(by, skin.pairs, 1, presses=known, near=(0.0, 0.0))
+    with pytest.raises(ValueError, match="count: got 9"):
+        tx.ert.choose(by, skin.pairs, 9, presses=known)
+
+
 def test_a_set_of_conditions_has_its_own_information(skin, response) -> None:
     told = tx.ert.press_information(response, skin.pairs)
     some_of = np.isin(told.of, [1, 6])

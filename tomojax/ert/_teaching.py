@@ -16,7 +16,7 @@ from tomojax.ert._response import compressed, LEAST_KNOWN, QUIET, Response
 from tomojax.ert._sheet_change import background, sensitivities
 
 _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
-_LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
+LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
 _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a second
 _LABELLED = 1000  # likewise of places that stay where they are, in a dozen maps
 _CLEARLY = 1.5  # more of the frames' squares
@@ -117,7 +117,7 @@ def learn(
         width=width,
     )
     placed = presses.placed(progress)
-    by, length = placed.mapped([share * width for share in _LENGTHS])
+    by, length = placed.mapped([share * width for share in LENGTHS])
     by = replace(placed.corrected(by, length), **placed.limits(length, random))
     enough = told.sum() >= LEAST_KNOWN
     return replace(by, **presses.deviations(length, progress)) if enough else by
