@@ -19,7 +19,7 @@ INSIDE = {
 # Rooms that have rooms.
 HALLS = ("tomojax.kernels", "tomojax.hardware")
 # The rooms of `bench`, from the top floor down: each imports those below it.
-FLOORS = ("cli", "stability", "frontier", "skins attacked", "rigs", "network plots")
+FLOORS = ("cli", "stability", "frontier", "skins attacked", "rigs", "network plots memory")
 
 
 def room_of(module: str) -> str:
