@@ -344,7 +344,8 @@ def test_derivatives_by_voltages_are_those_of_the_held_problem():
         volts = exact * (1 + 5e-4 * rng.normal(size=9)) + 3e-4 * rng.normal(
             size=exact.shape
         )
-        known = tx.calibration.known_frames(sensor, volts, grounds)
+        # As rough places as `points` finds: its programs are compiled in the tests above.
+        known = tx.calibration.known_frames(sensor, volts, grounds, places, spread=0.01)
         found = tx.calibration.calibrated(sensor, known)
         held = tx.calibration.HeldCalibration(sensor, found)
         deviation = np.sqrt(np.diag(found.covariance))
