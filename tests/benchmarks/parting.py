@@ -1,6 +1,6 @@
 """Films two fingers that part: when they are told as two, beside the bound.
 
-    python tests/benchmarks/parting.py [--rigs 1] [--each 4] [--seed N]
+    python tests/benchmarks/parting.py [--rigs 2] [--each 4] [--seed N]
 
 Two discs move from 5 to 40 mm apart at 100 mm/s; every 10 ms has a scan of ten slots. Rigs
 are drawn by default, as resistor networks (`bench.rigs`). A control film has one ellipse of
@@ -247,7 +247,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rigs", type=int, default=1)
+    parser.add_argument("--rigs", type=int, default=2)
     parser.add_argument("--each", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1000151)
     parser.add_argument("--out", type=Path, default=RESULTS)
