@@ -25,6 +25,8 @@ def known(*values: Any) -> bool:
 
 def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
     """Returns `value` as an array of `dtype`; by default the value's own or JAX's float."""
+    fine = dtype is None or _floating(dtype)
+    require(fine, "dtype", repr(dtype), "a type of floating-point numbers")
     if not known(*jax.tree.leaves(value)):
         return jnp.asarray(value, dtype)
     try:
@@ -33,10 +35,19 @@ def float_array(name: str, value: Numbers, dtype: Any = None) -> jax.Array:
             floating = np.issubdtype(array.dtype, np.floating) and hasattr(value, "dtype")
             # A NumPy float64 is JAX's float where x64 is off: no warning for that.
             dtype = jax.dtypes.canonicalize_dtype(array.dtype if floating else float)
+        if array.dtype.kind in "USc":  # text that NumPy would read; complex numbers
+            raise TypeError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: got {value!r}, expected numbers") from None
     return jnp.asarray(array.astype(dtype), dtype)  # JAX would compile a conversion
+
+
+def _floating(dtype: Any) -> bool:
+    try:
+        return bool(jnp.issubdtype(jnp.dtype(dtype), jnp.floating))
+    except TypeError:
+        return False
 
 
 def require_array(name: str, value: jax.Array, rule: Rule, *shapes: Shape) -> None:

@@ -37,6 +37,12 @@ def require_whole(name: str, value: Any, low: int = 1, high: int | None = None) 
     require(fine, name, repr(value), f"a whole number {expected}")
 
 
+def require_kind(name: str, value: Any, kind: type) -> None:
+    """Requires an object of a class of the library's."""
+    expected = f"a tomojax {kind.__name__.removeprefix('Abstract')}"
+    require(isinstance(value, kind), name, repr(value), expected)
+
+
 def require_memory(needed: int, name: str) -> None:
     """**Raises:** `ValueError` for bytes that the machine does not have."""
     held = memory()

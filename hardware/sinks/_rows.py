@@ -91,7 +91,7 @@ def follow(
 
     **Raises:** `OSError` where the sink cannot go on; the error tells how many rows were
     sent.
-    **Arguments:** `told`: attributes of the rig, as a recording has them; `rate`: rows a
+    **Arguments:** `told`: `tomojax.recordings.attributes(rig, 1, 0)`; `rate`: rows a
     second at most (all events are sent); `force`: gives N of a conductance, S.
     """
     size, m = np.asarray(told["size"], float), len(told["electrode_xy"])

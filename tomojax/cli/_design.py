@@ -120,6 +120,7 @@ def _check_region(region: tuple, size: Any) -> None:
     x0, y0, x1, y1 = region
     text = ", ".join(f"{v:g}" for v in region)
     require(x0 < x1 and y0 < y1, "--region", text, "x0 < x1 and y0 < y1, mm")
+    require(min(x1 - x0, y1 - y0) >= 1, "--region", text, "sides of 1 mm or more, in mm")
     width, height = (1e3 * float(side) for side in size)
     inside = min(x0, y0) >= 0 and x1 <= width * (1 + 1e-6) and y1 <= height * (1 + 1e-6)
     require(inside, "--region", text, f"on the sheet, 0 to {width:g}, {height:g} mm")

@@ -9,7 +9,7 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
-from tomojax._require import require
+from tomojax._require import require, require_whole
 from tomojax.design.objectives._information import AbstractObjective
 from tomojax.kernels.algebra import adam, draw_subset, drawn_weights, heaviest
 
@@ -142,6 +142,9 @@ def descend_sets(
     >>> int(found.weights.sum()), found.weights.shape
     (2, (16,))
     """
+    require_whole("n", n, 1, objective.slots)
+    require_whole("steps", steps)
+    require_whole("draws", draws)
     keys = jax.random.split(jax.random.key(seed), steps)
     logits, now = _descended(_startable(objective), keys, n, draws, rate)
     keys = jax.random.split(jax.random.key(seed), _LAST)

@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Integer
 
-from tomojax._require import require_whole
+from tomojax._require import require_kind, require_whole
 from tomojax._shown import html_table, named, shown
 from tomojax.design._search import exchange, greedy, relax, Relaxed
 from tomojax.design.objectives._information import AbstractObjective
@@ -74,6 +74,7 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     >>> found.grounds.shape, found.bound <= found.value
     ((2,), True)
     """
+    require_kind("objective", objective, AbstractObjective)
     require_whole("slots", slots, 1, objective.slots)
     n = int(slots)
     best, values, relaxed = _search(objective, n)

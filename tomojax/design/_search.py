@@ -9,9 +9,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from tomojax._checks import known, require
+from tomojax._require import require_whole
 from tomojax.kernels.algebra import least_weights, project_weights
 
 # How sharply a largest figure stands for the maximum, from rough to fine.
@@ -161,10 +164,16 @@ def exchange(
 ) -> Float[Array, " L"]:
     """Swaps one slot for another, each time the best swap, while swaps help.
 
+    `value` gives the figure of weights (L,), such as an objective's `value`; `chosen` has 1
+    for each of the `n` slots of the set to begin with, and 0 for the others.
     `tried` limits the swaps looked at each time to those that the slope promises most of.
     (A convex objective's slope tells how much a swap can help at most.)
     """
     slots = len(chosen)
+    require_whole("n", n, 1, slots)
+    if known(chosen):
+        held = int((np.asarray(chosen) > 0).sum())
+        require(held == n, "chosen", f"{held} slots above 0", f"n of them, {n}")
     if n == slots:
         return chosen
     pairs = jnp.stack(

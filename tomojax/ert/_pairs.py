@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from tomojax._require import require
+from tomojax._require import require, require_whole
 
 # No rig has as many electrodes.
 _MOST = 1 << 12
@@ -77,8 +77,10 @@ class Pairs:
         >>> pairs.inject[:2].tolist(), pairs.read[0].tolist()
         ([[0, 2], [1, 3]], [[4, 3], [5, 4], [6, 5], [7, 6]])
         """
-        fits = 0 <= skipped <= electrodes - 2 and electrodes >= 4
-        require(fits, "skipped", f"{skipped} of {electrodes}", "two apart, of 4 or more")
+        require_whole("electrodes", electrodes, 4, _MOST)
+        require_whole("skipped", skipped, 0)
+        fits = skipped <= electrodes - 2
+        require(fits, "skipped", f"{skipped} of {electrodes}", "two apart")
         each = np.arange(electrodes)
         inject = np.stack([each, (each + skipped + 1) % electrodes], 1)
         read = np.stack([(each + 1) % electrodes, each], 1)
@@ -108,6 +110,7 @@ class Pairs:
         >>> pairs.inject[1].tolist(), pairs.read.shape
         ([1, 9], (16, 12, 2))
         """
+        require_whole("electrodes", electrodes, 4, _MOST)
         return cls.skip(electrodes, electrodes // 2 - 1)
 
     def exchanged(self) -> Int[np.ndarray, "k 5"]:

@@ -8,7 +8,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from tomojax._require import require
+from tomojax._require import require, require_kind
 from tomojax._shown import named
 from tomojax._whole import whole
 from tomojax.ert._pairs import Pairs
@@ -72,6 +72,9 @@ class PairRecording:
     path: Path = Path("arrays")
 
     def __post_init__(self):
+        require_kind("pairs", self.pairs, Pairs)
+        require_kind("outline", self.outline, Outline)
+        require(isinstance(self.units, str), "units", repr(self.units), "a text")
         volts, xy = np.array(self.voltages, float), np.asarray(self.electrode_xy, float)
         volts[~np.isfinite(volts)] = np.nan
         shape = self.pairs.read.shape[:2]

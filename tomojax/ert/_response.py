@@ -127,7 +127,12 @@ class Response:
 
         **Raises:** `ValueError` for a file that is no response.
         """
-        with open_container(path) as file:
+        try:
+            opened = open_container(path)
+        except OSError as error:
+            told = f"{path}: file: got no HDF5 file ({error}), expected a response"
+            raise ValueError(f"{told} of tomojax calibrate") from None
+        with opened as file:
             schema = file.attributes.get("schema")
             require(schema == SCHEMA, f"{path}: schema", repr(schema), repr(SCHEMA))
             names = {field.name for field in fields(cls)} & set(file.names)

@@ -11,7 +11,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Integer
 
-from tomojax._require import require, require_whole
+from tomojax._require import require, require_kind, require_whole
 from tomojax._stopping import stop_if_asked
 from tomojax.kernels.flags import Flag
 from tomojax.methods._contract import (
@@ -72,6 +72,7 @@ class Batch:
         devices: list[Any] | None = None,
         film: int = 1,
     ):
+        require_kind("method", method, AbstractMethod)
         lam = method.choose_lambda([]) if lam is None else lam
         threshold = float(method.threshold) if threshold is None else threshold
         check_limits(lam, contacts, threshold)
@@ -110,8 +111,11 @@ class Batch:
         **Raises:** `ValueError` for shapes that do not fit, and for NaN or a ground that is
         no electrode where `good` says to use them.
         """
-        if good is None:
-            good = np.isfinite(voltages)
+        voltages, grounds = (np.asarray(a) for a in (voltages, grounds))
+        of_type("voltages", voltages, "f", "volts: numbers with a point")
+        of_type("grounds", grounds, "iu", "whole numbers")
+        good = np.isfinite(voltages) if good is None else np.asarray(good)
+        of_type("good", good, "b", "True or False")
         self._check(voltages, grounds, good)
         if lams is not None:
             fits = lams.shape == voltages.shape[:1] and bool((lams > 0).all())
@@ -263,9 +267,18 @@ class Batch:
 def check_limits(lam: float, contacts: int, threshold: float) -> None:
     """Checks a `Batch`'s numbers. **Raises:** `ValueError` for numbers out of range."""
     require_whole("contacts", contacts, 1, 16)
-    require(np.isfinite(lam) and lam > 0, "lam", lam, "a number above 0")
-    fine = np.isfinite(threshold) and threshold >= 0
+    require(0 < _number(lam) < np.inf, "lam", lam, "a number above 0")
+    fine = 0 <= _number(threshold) < np.inf
     require(fine, "threshold", threshold, "volts, 0 or more")
+
+
+def _number(value: Any) -> float:
+    return np.nan if isinstance(value, str) or np.ndim(value) else float(value)
+
+
+def of_type(name: str, array: np.ndarray, kinds: str, expected: str) -> None:
+    """Requires an array of one of NumPy's `kinds` of numbers. **Raises:** `ValueError`."""
+    require(array.dtype.kind in kinds, name, f"{array.dtype} numbers", expected)
 
 
 def _groups(grounds, good, usable) -> Iterator[np.ndarray]:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tomojax._programs import remembered
-from tomojax._require import one_of, require, require_whole
+from tomojax._require import one_of, require, require_kind, require_whole
 from tomojax.methods._contract import AbstractMethod
 from tomojax.methods._maps import pixel_divisions
 from tomojax.sensor import Calibration, Sensor
@@ -73,6 +73,9 @@ def method(
         ...
     ValueError: method: got 'conductance', expected 'shape', which took its place
     """
+    require_kind("sensor", sensor, Sensor)
+    if calibration is not None:
+        require_kind("calibration", calibration, Calibration)
     require(name in METHODS, "method", repr(name), one_of(name, METHODS))
     if grid is None:
         pitches = np.asarray(sensor.size, float) / sensor.mean_pitch

@@ -69,9 +69,11 @@ def rig_of(
     if "f_switch" not in told and f_switch is not None:
         told["f_switch"] = f_switch
     paper = electrodes == 64
+    missing = [name for name in PAPER if name not in told]
+    wanted = f"{'it' if len(missing) == 1 else 'them'}: in a file .toml beside, or --layout"
+    require(paper or not missing, ", ".join(missing), "none", wanted)
     for name, value in PAPER.items():
-        if name not in told:
-            require(paper, name, "none", "it: in a file .toml beside, or --layout")
+        if name in missing:
             told[name] = value
             said.append(f"{name} {value:g}")
     size, xy = _places(told, electrodes, said)

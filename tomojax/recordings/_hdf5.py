@@ -227,10 +227,11 @@ def _open(path: Path) -> OpenContainer:
     with path.open("rb") as raw:
         start = raw.read(10)
         older = start == b"MATLAB 5.0"
-        expected = "HDF5: in MATLAB, save(name, ..., '-v7.3')"
+        expected = "HDF5: in MATLAB, save(name, ..., '-v7.3'); elsewhere .npz, by "
+        expected += "numpy.savez of what scipy.io.loadmat reads"
         require(not older, "file", "MATLAB's format before 7.3", expected)
         raw.seek(0)
-        require(is_hdf5(raw), "file", "no HDF5 file", "a recording in HDF5 or .tdms")
+        require(is_hdf5(raw), "file", "no HDF5 file", "a recording: HDF5, .csv, .npz …")
     try:
         return open_container(path)
     except OSError as error:

@@ -51,6 +51,8 @@ class Converter(eqx.Module):
         silent = known(self.noise) and self.noise == 0
         require(silent or key is not None, "key", None, "a jax.random key for the noise")
         if not silent:
+            drawn = known(key) and not hasattr(key, "dtype")
+            require(not drawn, "key", repr(key), "a jax.random key, as jax.random.key(0)")
             assert key is not None
             noise = self.noise.astype(volts.dtype)
             volts = volts + noise * jax.random.normal(key, volts.shape, volts.dtype)

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from tomojax._checks import checked, float_array, known, require, require_indices
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
+from tomojax._require import require_kind
 from tomojax.kernels.sheet import (
     conditions_of,
     element_area,
@@ -146,6 +147,7 @@ def ground_set(
         ...
     ValueError: grounds: got 16 to 16, expected 0 to 15
     """
+    require_kind("sensor", sensor, Sensor)
     if grounds is None:
         return jnp.asarray(sensor.all_grounds())
     array = grounds if not known(grounds) else np.asarray(grounds)
@@ -230,7 +232,7 @@ def contact_conductance(sensor: Sensor, scene: AbstractShape) -> Float[Array, " 
     >>> print(f"{1e6 * float(siemens.sum()):.0f} µS")  # 0.5 S/m² on π·(6 mm)²
     57 µS
     """
-    require_on_sheet(sensor.size, scene)
+    require_on_sheet(sensor.size, scene, sensor.outline)
     return _contact_conductance(sensor, scene)
 
 
@@ -303,7 +305,10 @@ def voltages(
         shape = (sensor.element_count,)
         g = checked("scene", scene, "not negative", shape, dtype=dtype)
         exact = exact_voltages(sensor, g, slots)
-    return exact if converter is None else converter(exact, key)
+    if converter is None:
+        return exact
+    require_kind("converter", converter, Converter)
+    return converter(exact, key)
 
 
 @eqx.filter_jit

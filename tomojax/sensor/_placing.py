@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._checks import float_array, known
+from tomojax._checks import checked, known
 from tomojax._custom_types import Numbers
-from tomojax._require import check_apart, require
+from tomojax._require import check_apart, require, require_whole
 from tomojax.sensor._edges import AbstractEdge
 from tomojax.sensor._outline import AbstractShape, Scene
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
@@ -20,6 +20,24 @@ Electrodes = Numbers | dict[str, Any]
 
 # Points of a box along each side that a rim is found among.
 _RIM = 600
+
+# A shape that reaches further than so many sides of the sheet has no metres.
+_LARGEST = 10
+
+
+# What `place_electrodes` takes by name.
+_NAMES = ("rim", "inset", "grid", "points")
+
+
+def places_named(
+    outline: AbstractEdge, size: Numbers, diameter: Numbers, named: dict[str, Any]
+) -> Float[np.ndarray, "M 2"]:
+    """`place_electrodes` by names that users give. **Raises:** `ValueError` for others."""
+    unknown = [name for name in named if name not in _NAMES]
+    require(not unknown, "electrodes", unknown, f"some of {', '.join(_NAMES)}")
+    for name in {"inset", "grid"} & named.keys():
+        checked(name, named[name], "not negative", ())
+    return place_electrodes(outline, size, diameter, **named)
 
 
 def place_electrodes(
@@ -38,6 +56,7 @@ def place_electrodes(
     the sheet and apart from the rim's.
     **Raises:** `ValueError` where nothing is placed.
     """
+    require_whole("rim", rim, 0)
     box, across = np.asarray(size, float), float(np.asarray(diameter))
     found = [np.empty((0, 2))]
     if rim:
@@ -57,7 +76,7 @@ def place_electrodes(
             best = max(best, places, key=len)
         found.append(best)
     if points is not None:
-        found.append(np.asarray(float_array("points", points), float).reshape(-1, 2))
+        found.append(np.asarray(checked("points", points, "finite", (None, 2)), float))
     places = np.concatenate(found)
     require(len(places) >= 2, "electrodes", f"{len(places)} on the sheet", "two or more")
     return places
@@ -140,28 +159,38 @@ def check_skin(sensor: Any) -> None:
     )
 
 
-def require_on_sheet(size: Array, scene: AbstractShape) -> None:
+def require_on_sheet(
+    size: Array, scene: AbstractShape, outline: AbstractEdge | None = None
+) -> None:
     """**Raises:** `ValueError` for a shape of which no part lies on the sheet.
 
-    Values under a trace pass, and shapes that users write.
+    And for one that is far larger than the sheet: its lengths are no metres. Values under a
+    trace pass, and shapes that users write.
     """
     for shape in scene.shapes if isinstance(scene, Scene) else (scene,):
         if isinstance(shape, Scene):
-            require_on_sheet(size, shape)
-        elif known(size, *jax.tree.leaves(shape)):
-            _require_on_sheet(np.asarray(size, float), shape)
+            require_on_sheet(size, shape, outline)
+        elif known(size, *jax.tree.leaves((shape, outline))):
+            _require_on_sheet(np.asarray(size, float), shape, outline)
 
 
-def _require_on_sheet(size: np.ndarray, shape: AbstractShape) -> None:
+def _require_on_sheet(
+    size: np.ndarray, shape: AbstractShape, outline: AbstractEdge | None
+) -> None:
+    off = False
     if isinstance(shape, Polygon):
         vertices = np.asarray(shape.vertices, float)
         name, low, high = "vertices", vertices.min(0), vertices.max(0)
     elif isinstance(shape, Disc | Ellipse | Bar | Ring):
         center, reach = np.asarray(shape.center, float), _reach(shape)
         name, low, high = "center", center - reach, center + reach
+        told = f"{type(shape).__name__.lower()}: reaches {reach:g} m from its center"
+        if reach > _LARGEST * size.max():
+            raise ValueError(f"{told}, expected a part of that; lengths are in metres")
+        off = outline is not None and float(outline.distance(jnp.asarray(center))) > reach
     else:
         return
-    if (low < size).all() and (high > 0).all():
+    if (low < size).all() and (high > 0).all() and not off:
         return
     kind, (x, y) = type(shape).__name__.lower(), (low + high) / 2
     raise ValueError(

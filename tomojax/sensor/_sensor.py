@@ -21,7 +21,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax._require import check_electrodes, require_whole
+from tomojax._require import check_electrodes, require_kind, require_whole
 from tomojax._shown import named, shown
 from tomojax.kernels.sheet import (
     conditions_of,
@@ -36,7 +36,7 @@ from tomojax.kernels.sheet import (
 from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
-from tomojax.sensor._placing import check_skin, Electrodes, place_electrodes
+from tomojax.sensor._placing import check_skin, Electrodes, places_named
 from tomojax.sensor.meshes._mesh_file import read_triangles
 from tomojax.sensor.meshes._told import ToldSheet
 from tomojax.sensor.meshes._triangles import chart_places, unroll
@@ -124,7 +124,7 @@ class Sensor(eqx.Module):
     ):
         xy = self.electrode_xy = float_array("electrode_xy", electrode_xy, dtype)
         # One dtype throughout: the electrodes' places decide.
-        for name, value in {
+        given: dict[str, Any] = {
             "size": size,
             "electrode_diameter": electrode_diameter,
             "sheet_resistance": sheet_resistance,
@@ -133,10 +133,17 @@ class Sensor(eqx.Module):
             "electrode_shunt": electrode_shunt,
             "resolution": resolution,
             "conditions": conditions,
-        }.items():
-            setattr(
-                self, name, None if value is None else float_array(name, value, xy.dtype)
-            )
+        }
+        for name, value in given.items():
+            bare = value is None and name in ("electrode_shunt", "conditions")
+            array = value if bare else float_array(name, value, xy.dtype)  # pyright: ignore
+            setattr(self, name, array)
+        for name, value, kind in (
+            ("outline", outline, AbstractEdge),
+            ("told", told, ToldSheet),
+        ):
+            if value is not None:
+                require_kind(name, value, kind)
         self.outline, self.surface, self.told = (
             jax.tree.map(lambda a: a.astype(xy.dtype) if eqx.is_inexact_array(a) else a, f)
             for f in (outline, surface, told)
@@ -204,7 +211,9 @@ class Sensor(eqx.Module):
     def disc(cls, diameter: Numbers, electrodes: Electrodes, **others: Any) -> "Sensor":
         """Makes a round sensor of a `diameter`, m.
 
-        `electrodes`: places (M, 2), or what `place_electrodes` takes, by name.
+        `electrodes`: places (M, 2), m, or a dict. Its `rim` puts so many along the outer
+        edge, `inset` m inside it; `grid` lays a square grid of that pitch, m; `points` adds
+        places. Electrodes are numbered in this order.
 
         **Example:**
 
@@ -249,7 +258,7 @@ class Sensor(eqx.Module):
         """Makes a sensor of any `outline` in a box of `size`; a mesh that suits both."""
         diameter = others.get("electrode_diameter", 0.005)
         if isinstance(electrodes, dict):
-            electrodes = place_electrodes(outline, size, diameter, **electrodes)
+            electrodes = places_named(outline, size, diameter, electrodes)
         if "divisions" not in others:
             least = float(np.asarray(diameter))
             if isinstance(outline, PolygonEdge) and known(outline.start):

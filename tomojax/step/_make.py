@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool
 
-from tomojax._require import one_of, require, require_whole
+from tomojax._require import one_of, require, require_kind, require_whole
 from tomojax.methods import method as make_method, METHODS, Points
 from tomojax.sensor import Calibration, Sensor
 from tomojax.step._methods import AbstractStepMethod, EachSlot, Follow
@@ -81,6 +81,8 @@ def make_step(
     require(rate, "f_switch", f_switch, "slots/s, above 0")
     names = policy_names(policy)
     require(names, "policy", names, "at least one")
+    if calibration is not None:
+        require_kind("calibration", calibration, Calibration)
     for name in [method] + ([] if cheaper is None else [cheaper]):
         known = "follow", *METHODS  # some may be a user's own
         require(name in known, "method", repr(name), one_of(name, known))

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tomojax._require import naming, require_library
+from tomojax._require import naming, require, require_library
 from tomojax.cli import entry
 from tomojax.cli.compiled import Compiling, compiling, keep_compiled
 from tomojax.cli.recordings._opened import opened, stretch
@@ -50,7 +50,9 @@ def cluster(address: str | None) -> Iterator[Any]:
     import distributed
 
     with naming("--cluster"):
-        name = "scheduler_file" if Path(address).is_file() else "address"
+        there = Path(address).is_file()
+        require(there or ":" in address, "--cluster", address, "HOST:PORT, or a file")
+        name = "scheduler_file" if there else "address"
         given: dict[str, Any] = {name: address, "set_as_default": False}
         client = distributed.Client(**given)
     with client:

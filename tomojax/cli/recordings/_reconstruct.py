@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import require
 from tomojax.cli import entry
 from tomojax.cli.recordings._many import reconstruct_all
 from tomojax.cli.recordings._one import reconstruct_one
@@ -120,6 +121,8 @@ def reconstruct(rec: Sequence[Path], out: Path | None, **options: Any) -> None:
     response that `tomojax calibrate` learned, or by the nominal sheet. --contacts 2 finds
     up to two presses of such a frame by the nominal sheet.
     """
+    both = options["resume"] and options["overwrite"]
+    require(not both, "--resume", "--overwrite too", "one of them")
     if not _several(rec) and is_pairs(rec[0]):
         assert out is not None
         return reconstruct_pairs(rec[0], out, options)

@@ -59,7 +59,7 @@ def _to(context: click.Context, parameter: Any, values: tuple[str, ...]) -> dict
     help="Say in words what lerobot's episodes show.",
 )
 @click.option(
-    "--slow", type=entry.NUMBER, help="Slow a film down this many times. [default: 1]"
+    "--slow", type=entry.AMOUNT, help="Slow a film down this many times. [default: 1]"
 )
 @click.option(
     "--film",

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tomojax._require import require
 from tomojax.cli import entry
 from tomojax.cli.rigs._options import check_step, step_options
 
@@ -56,6 +57,9 @@ def compile_step(
     """
     names = policies or ("around_contacts",)
     check_step(method, cheaper, names)
+    for option, name in (("--method", method), ("--cheaper", cheaper or method)):
+        told = "follow, points, source or linear: this one has no C"
+        require(name not in ("auto", "shape"), option, repr(name), told)
     rig, _, electrodes = entry.sheet_of(like)
     if not source:
         _try_compiler(march)
@@ -84,7 +88,10 @@ def compile_step(
     code = compile_(made, out, march=march, libraries=not source)
     size = (out / "step.tables").stat().st_size / 1e6
     print(f"{out}: a step of {method}, code {code}, tables of {size:.1f} MB")
-    print(f"cc {out}/check.c -I{out} -L{out} -ltomojax_step -lm   tries its test vectors")
+    code = "step.c" if source else "libtomojax_step.a"
+    print("these try its test vectors:")
+    print(f"cc {out}/check.c {out}/{code} -I{out} -lm -o check")
+    print(f"./check {out}/step.tables {out}/vectors.bin")
 
 
 def _try_compiler(march: str) -> None:

@@ -160,7 +160,10 @@ def simulate_scenes(
 def _alone(sheet: Sheet) -> Grounds:
     """**Raises:** `ValueError` for a sensor with a table of conditions."""
     if not isinstance(sheet.slots, Grounds):
-        raise ValueError("sensor: simulated rigs ground one electrode at a time")
+        raise ValueError(
+            "sensor: got a table of conditions, expected grounds of one electrode each; "
+            "tomojax.voltages simulates scenes of such a table"
+        )
     return sheet.slots
 
 

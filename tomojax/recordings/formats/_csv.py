@@ -44,11 +44,13 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
         raise ValueError("file: got bytes that are no text, expected CSV") from None
     file = StringIO(text)
     names, separator = _head(file)
-    names, values = _named(names, _table(file, separator, len(names)))
+    values, cut = _table(file, separator, len(names))
+    names, values = _named(names, values)
     known = [_OTHERS.get(name.lower(), "") for name in names]
     twice = [name for name in set(known) - {""} if known.count(name) > 1]
     require(not twice, "columns", f"{twice} twice", "each once")
-    require("ground" in known, "columns", names[:8], "one named ground")
+    pairs = "one named ground (a skin read between pairs: tomojax.ert.PairRecording)"
+    require("ground" in known, "columns", names[:8], pairs)
     electrodes = [k for k, name in enumerate(known) if not name]
     require(electrodes, "columns", names[:8], "a column of voltages each electrode")
     column = {name: values[:, known.index(name)] for name in set(known) - {""}}
@@ -66,9 +68,11 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
         whole = np.isfinite(number).all() and (abs(number) < 2**53).all()
         require(whole, "number", "what is no whole number", "numbers of slots")
         number = number.astype(np.int64)
-    return MemoryRecording(
+    recording = MemoryRecording(
         path, told, v, column["ground"], column.get("t"), number, None, codes
     )
+    recording.mended += ("the last line is cut off: left out",) * cut
+    return recording
 
 
 def _head(file: TextIO) -> tuple[list[str], str]:
@@ -97,11 +101,15 @@ def _named(names: list[str], values: np.ndarray) -> tuple[list[str], np.ndarray]
     return [n for n, out in zip(names, bare) if not out], values[:, ~bare]
 
 
-def _table(file: TextIO, separator: str, columns: int) -> np.ndarray:
+def _table(file: TextIO, separator: str, columns: int) -> tuple[np.ndarray, bool]:
+    """Reads the lines; tells whether the last was cut off, and left out."""
     text = file.read()
     if separator != "," and "," in text:
         text = text.replace(",", ".")
     lines = [line for line in text.splitlines() if line.strip()]
+    ended = text.endswith("\n") or len(lines) < 2
+    cut = not ended and lines[-1].count(separator) + 1 < columns
+    lines = lines[:-1] if cut else lines
     require(lines, "file", "no slots", "a line for each")
     options: dict[str, Any] = {"delimiter": separator, "comments": "#", "ndmin": 2}
     try:
@@ -112,8 +120,9 @@ def _table(file: TextIO, separator: str, columns: int) -> np.ndarray:
                 warnings.simplefilter("ignore")
                 values = np.genfromtxt(lines, **options)
         except ValueError as error:
-            told = " ".join(str(error).split())[:150]
-            raise ValueError(f"file: got {told}, expected {columns} columns") from None
+            odd = re.search(r"#(\d+) \(got (\d+)", str(error))
+            told = f"{odd[2]} columns in line {odd[1]} below the names" if odd else error
+            raise ValueError(f"file: got {told}, expected {columns}") from None
     wide = values.shape[1]
     require(wide == columns, "file", f"{wide} columns", f"{columns}, as it names")
-    return np.asarray(values, float)
+    return np.asarray(values, float), cut

@@ -160,9 +160,17 @@ def _slots(
     if "slots" in told:
         return slots_of(told["slots"]), ()
     n = len(ground)
-    if number is None or number[-1] - number[0] == n - 1:
-        for period in range(1, min(_LONGEST, n // 2) + 1):
-            if ground[period] == ground[0] and (ground[period:] == ground[:-period]).all():
+    own = np.arange(n) if number is None else number - number[0]  # lost slots count
+    for period in range(1, min(_LONGEST, n // 2) + 1):
+        if _repeats(ground[:_LONGEST], own[:_LONGEST] % period):
+            if _repeats(ground, own % period):
                 return period, (f"a scan is {period} slots, the period of the grounds",)
-    expected = "the slots of a scan: their grounds have no period"
-    raise ValueError(f"slots: got none, expected {expected}")
+    expected = "the slots of a scan, such as slots=10 in a file .toml beside or --layout"
+    raise ValueError(f"slots: got none, expected {expected}; grounds have no period")
+
+
+def _repeats(ground: np.ndarray, place: np.ndarray) -> bool:
+    """Tells whether each place of a scan has one ground alone, and some place has two."""
+    each = np.zeros(place.max() + 1, ground.dtype)
+    each[place] = ground
+    return len(place) > len(each) and bool((each[place] == ground).all())
