@@ -171,28 +171,28 @@ def require_on_sheet(
         if isinstance(shape, Scene):
             require_on_sheet(size, shape, outline)
         elif known(size, *jax.tree.leaves((shape, outline))):
-            _require_on_sheet(np.asarray(size, float), shape, outline)
+            _require_on_sheet(np.asarray(size, float), shape, outline, size.dtype)
 
 
 def _require_on_sheet(
-    size: np.ndarray, shape: AbstractShape, outline: AbstractEdge | None
+    size: np.ndarray, shape: AbstractShape, outline: AbstractEdge | None, dtype: Any
 ) -> None:
-    off = False
+    reach, off = 0.0, False
     if isinstance(shape, Polygon):
         vertices = np.asarray(shape.vertices, float)
         name, low, high = "vertices", vertices.min(0), vertices.max(0)
     elif isinstance(shape, Disc | Ellipse | Bar | Ring):
         center, reach = np.asarray(shape.center, float), _reach(shape)
         name, low, high = "center", center - reach, center + reach
-        told = f"{type(shape).__name__.lower()}: reaches {reach:g} m from its center"
-        if reach > _LARGEST * size.max():
-            raise ValueError(f"{told}, expected a part of that; lengths are in metres")
-        off = outline is not None and float(outline.distance(jnp.asarray(center))) > reach
+        if outline is not None:
+            off = float(outline.distance(jnp.asarray(center, dtype))) > reach
     else:
         return
-    if (low < size).all() and (high > 0).all() and not off:
-        return
     kind, (x, y) = type(shape).__name__.lower(), (low + high) / 2
+    if (low < size).all() and (high > 0).all() and not off:
+        told, expected = f"{reach:g} m", "a part of that; lengths are in metres"
+        require(reach <= _LARGEST * size.max(), f"reach of the {kind}", told, expected)
+        return
     raise ValueError(
         f"{name}: the {kind} lies off the sheet of {size[0]:g} m × {size[1]:g} m at "
         f"[{x:g}, {y:g}] m; lengths are in metres"
