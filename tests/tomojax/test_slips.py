@@ -38,7 +38,7 @@ def volts(*scene, **options):
         (lambda: disc({"rim": 8}, dtype=int), "dtype"),
         (lambda: tx.Sensor([0.1, 0.1], [[0.02, 0.02]] * 2, outline="disc"), "outline: got"),
         (lambda: tx.Disc([0.03, 0.05], "6", 1.0), "radius: got '6'"),
-        (lambda: volts(tx.Disc([0.03, 0.05], 6, 1.0), [0]), "6 m .* lengths are in metres"),
+        (lambda: volts(tx.Disc([0.03, 0.05], 6, 1.0), [0]), "6 m.*lengths are in metres"),
         (lambda: volts(converter="16 bits"), "converter: got '16 bits'"),
         (lambda: volts(converter=tx.Converter(), key=0), "key: got 0, expected a jax"),
         (lambda: tx.voltages(None, TOUCH, [0]), "sensor: got None"),
