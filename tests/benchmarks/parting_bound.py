@@ -12,7 +12,7 @@ SLOTS, SURE = (10, 64), 4.0  # σ: the best test then errs in 2.3 % either way
 
 
 class Bound:
-    """How far two discs' voltages are from any ellipse's, in σ of a rig's errors."""
+    """Computes how well a test could tell two discs from an ellipse on a rig."""
 
     def __init__(self) -> None:
         import jax

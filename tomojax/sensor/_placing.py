@@ -21,9 +21,9 @@ Electrodes = Numbers | dict[str, Any]
 # Points of a box along each side that a rim is found among.
 _RIM = 600
 
-# A shape that reaches further than so many sides of the sheet has no metres.
+# A shape that reaches further than so many sides of the sheet was not given in metres: of
+# a millimetre taken for a metre it would be a thousand. It is no figure of a sensor.
 _LARGEST = 10
-
 
 # What `place_electrodes` takes by name.
 _NAMES = ("rim", "inset", "grid", "points")

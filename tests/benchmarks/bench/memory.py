@@ -1,4 +1,4 @@
-"""What a process took."""
+"""Tells how much memory a process has taken."""
 
 from pathlib import Path
 
