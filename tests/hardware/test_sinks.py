@@ -53,7 +53,7 @@ class Got:
         self.number, self.lost, self.time, self.ground = number, 0, 1e-4 * number, 0
 
 
-def fill(ring: SlotRing, slots: int = SLOTS, pause: float = 0.0) -> None:
+def fill(ring: SlotRing, slots: int = SLOTS, pause: float = 0.0, done: bool = True) -> None:
     """A contact that drifts, and from the 20th slot to the 39th a second one."""
     codes = np.zeros(16, np.int16)
     for k in range(slots):
@@ -64,7 +64,7 @@ def fill(ring: SlotRing, slots: int = SLOTS, pause: float = 0.0) -> None:
         ring.put(Got(k), codes, said)
         if pause and k % 10 == 0:
             time.sleep(pause)
-    ring.head["done"][...] = 1
+    ring.head["done"][...] = done
 
 
 def sent(name: str, ring: SlotRing, told: dict, law: tuple | None = None) -> Counted:
@@ -293,7 +293,10 @@ def test_foxglove(ring, told) -> None:
     where = parse(f"foxglove:{port}?rate=10000")
     sink = open_sink(where, ring)
     with client.connect(
-        f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], open_timeout=20
+        f"ws://127.0.0.1:{port}",
+        subprotocols=["foxglove.sdk.v1"],
+        open_timeout=20,
+        close_timeout=1,
     ) as page:
         topics: dict[str, int] = {}
         while len(topics) < 4:
@@ -303,13 +306,18 @@ def test_foxglove(ring, told) -> None:
                 topics |= {c["topic"]: c["id"] for c in told_json["channels"]}
         wanted = {"id": 1, "channelId": topics["/tomojax/state"]}
         page.send(json.dumps({"op": "subscribe", "subscriptions": [wanted]}))
-        time.sleep(0.5)  # nothing says when the server has heard of it
-        fill(ring)
-        follow(ring, sink, told, where.rate)
-        state = b""
-        while not state:
-            message = page.recv(timeout=20)
-            state = message if isinstance(message, bytes) and message[0] == 1 else b""
+        follower = threading.Thread(target=follow, args=(ring, sink, told, where.rate))
+        follower.start()
+        state, until = b"", time.monotonic() + 60
+        # Nothing says when the server has heard of it: rows go on until one arrives.
+        while not state and time.monotonic() < until:
+            fill(ring, done=False)
+            with suppress(TimeoutError):
+                message = page.recv(timeout=0.1)
+                data = isinstance(message, bytes) and message[0] == 1
+                state = message if data else b""
+        ring.head["done"][...] = 1
+        follower.join(20)
         row = json.loads(state[13:])
         assert row["contacts"][0]["y_m"] == pytest.approx(0.05)
     assert "/tomojax/contacts" in topics and "/tomojax/image" in topics
