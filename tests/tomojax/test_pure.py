@@ -1,5 +1,8 @@
 """Methods as pure functions: of a frame's voltages, and of the sensor."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import jax
@@ -132,6 +135,52 @@ def test_slopes_of_a_place_by_the_sensor(place, which, close) -> None:
     wanted = (place(*h * along) - place(*-h * along)) / (2 * h)
     assert abs(wanted).max() > 0.01
     np.testing.assert_allclose(slope, wanted, rtol=0, atol=close * float(abs(wanted).max()))
+
+
+@pytest.mark.parametrize("name", ["source", "linear"])
+def test_slopes_by_lambda(sensor, frames, name) -> None:
+    """Of an image's brightest pixel, in reverse and along a tangent."""
+    method, volts = tx.method(sensor, name, 8), jnp.asarray(frames[0][0])
+    lam = method.choose_lambda([])
+
+    def brightest(by):
+        given = volts, KINDS[0], name
+        return tx.methods.estimate(sensor, *given, grid=8, lam=lam * jnp.exp(by)).image.max()
+
+    wanted = float(brightest(1e-3) - brightest(-1e-3)) / 2e-3
+    _, along = jax.jvp(brightest, (0.0,), (1.0,))
+    np.testing.assert_allclose([along, jax.grad(brightest)(0.0)], wanted, rtol=1e-5)
+
+
+def test_a_lambda_below_zero_is_named(sensor, frames) -> None:
+    with pytest.raises(ValueError, match="lam"):
+        tx.methods.estimate(sensor, jnp.asarray(frames[0][0]), KINDS[0], lam=-1.0)
+
+
+SHARDED = """
+import jax, numpy as np, tomojax as tx
+from jax.sharding import AxisType, PartitionSpec
+sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+volts = tx.voltages(sensor, tx.Disc([0.03, 0.05], 0.006, 1.0), [0, 15])
+frames = np.stack([k % 2 * np.asarray(volts) for k in range(16)])
+mesh = jax.make_mesh((8,), ("device",), axis_types=(AxisType.Auto,))
+apart = dict(in_specs=PartitionSpec("device"), out_specs=PartitionSpec("device"))
+for name in ("source", "points"):
+    ready = tx.methods.Ready(tx.method(sensor, name, 16), [0, 15], contacts=1)
+    find = lambda some: jax.lax.map(ready, some)
+    rows = jax.jit(jax.shard_map(find, mesh=mesh, **apart, check_vma=False))(frames)
+    assert len(rows.contact_xy.sharding.device_set) == 8
+    np.testing.assert_array_equal(rows.contact_count, 8 * [0, 1])
+    away = np.hypot(*(np.asarray(rows.contact_xy)[1::2, 0] - [0.03, 0.05]).T)
+    assert away.max() < (1e-4 if name == "points" else 2e-3)
+"""
+
+
+@pytest.mark.long
+def test_eight_devices_say_what_one_says() -> None:
+    flags = os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=8"
+    command = [sys.executable, "-c", SHARDED]
+    subprocess.run(command, check=True, env={**os.environ, "XLA_FLAGS": flags})
 
 
 @pytest.mark.long

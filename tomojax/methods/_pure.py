@@ -152,17 +152,19 @@ def estimate(
     *,
     contacts: int = 1,
     grid: int | None = None,
+    lam: float | Float[Array, ""] | None = None,
 ) -> Estimate:
-    """Estimates the contacts of one frame; differentiable in the sensor and the voltages.
+    """Estimates the contacts of one frame; differentiable in sensor, voltages and λ.
 
     The fit follows its optimum's own rule. A method's tables are made on the host: their
-    slopes by the sensor are differences of two tables, along the tangent (`jax.jvp`), or
-    along each number that is differentiated (`jax.grad`, two tables each). The sensor must
-    be known: `jax.jit` around it raises JAX's error for that.
+    slopes by the sensor and by λ are differences of two tables, along the tangent
+    (`jax.jvp`), or along each number that is differentiated (`jax.grad`, two tables each).
+    Sensor and λ must be known: `jax.jit` around them raises JAX's error for that.
 
-    **Arguments:** `voltages` (S, M), V; `grounds` (S,); `name` and `grid` as in `method`.
-    **Raises:** `ValueError` as `method`, and where a method's tables change their sizes
-    within the step of a difference.
+    **Arguments:** `voltages` (S, M), V; `grounds` (S,); `name` and `grid` as in `method`;
+    `lam`, the method's own λ by default.
+    **Raises:** `ValueError` as `method` and `Ready`, and where a method's tables change
+    their sizes within the step of a difference.
 
     **Example:**
 
@@ -175,7 +177,8 @@ def estimate(
     >>> print((1e3 * found.contacts.xy[0]).round())
     [30. 50.]
     """
-    model, prepared = _ready(sensor, np.asarray(grounds), voltages.shape, name, grid)
+    given = sensor, lam if lam is None else jnp.asarray(lam, sensor.dtype)
+    model, prepared = _ready(given, np.asarray(grounds), voltages.shape, name, grid)
     return _estimated(model, prepared, voltages, contacts)
 
 
@@ -183,24 +186,27 @@ _estimated = eqx.filter_jit(lambda model, *given: model.estimate(*given))
 
 
 @eqx.filter_custom_jvp
-def _ready(sensor: Sensor, grounds: Any, shape: tuple, name: str, grid: int | None) -> Any:
-    """Makes the method and its preparation for slots, all arrays of JAX."""
+def _ready(given: Any, grounds: Any, shape: tuple, name: str, grid: int | None) -> Any:
+    """Makes the method and its preparation for slots, of (sensor, λ), all arrays of JAX."""
+    sensor, lam = given
     model = method(sensor, name, grid)
+    lam = model.choose_lambda([]) if lam is None else float(lam)
+    check_limits(lam, 1, 0.0)
     if isinstance(model, Points):
         model = replace(model, exact=True)
     good = np.ones(shape, bool)
-    prepared = model.prepare(np.asarray(grounds), good, model.choose_lambda([]))
+    prepared = model.prepare(np.asarray(grounds), good, lam)
     return jax.tree.map(jnp.asarray, (model, prepared))
 
 
 @_ready.def_jvp
 def _(primals: tuple, tangents: tuple) -> tuple[Any, Any]:
-    sensor, *given = primals
-    made = _ready(sensor, *given)
+    known, *given = primals
+    made = _ready(known, *given)
     leaves, tree = jax.tree.flatten(tangents[0])
-    values = jax.tree.leaves(_beside(sensor, tangents[0]))
+    values = jax.tree.leaves(_beside(known, tangents[0]))
     if not any(isinstance(leaf, Tracer) for leaf in leaves):
-        return made, _difference(made, sensor, tangents[0], given)
+        return made, _difference(made, known, tangents[0], given)
     total: Any = None
     for which, value in enumerate(values):
         for number in range(value.size):
@@ -209,28 +215,28 @@ def _(primals: tuple, tangents: tuple) -> tuple[Any, Any]:
             along = [jnp.zeros_like(v) for v in values]
             along[which] = jnp.asarray(unit.reshape(value.shape), value.dtype)
             part = leaves[which].reshape(-1)[number]
-            slope = _difference(made, sensor, jax.tree.unflatten(tree, along), given)
-            slope = jax.tree.map(lambda s, part=part: s * part, slope)
+            slope = _difference(made, known, jax.tree.unflatten(tree, along), given)
+            slope = jax.tree.map(lambda s, part=part: s * part.astype(s.dtype), slope)
             total = slope if total is None else jax.tree.map(jnp.add, total, slope)
     return made, total
 
 
-def _beside(sensor: Sensor, tangent: Any) -> Any:
-    """Returns the sensor's arrays that have a tangent."""
+def _beside(known: Any, tangent: Any) -> Any:
+    """Returns the sensor's arrays, and λ, that have a tangent."""
     found = lambda t, a: None if t is None else a  # noqa: E731
-    return jax.tree.map(found, tangent, sensor, is_leaf=lambda t: t is None)
+    return jax.tree.map(found, tangent, known, is_leaf=lambda t: t is None)
 
 
-def _difference(made: Any, sensor: Sensor, tangent: Any, given: list) -> Any:
+def _difference(made: Any, known: Any, tangent: Any, given: list) -> Any:
     """Computes the tables' slopes along a tangent, by central differences."""
-    values, ways = (jax.tree.leaves(t) for t in (_beside(sensor, tangent), tangent))
+    values, ways = (jax.tree.leaves(t) for t in (_beside(known, tangent), tangent))
     parts = [float(abs(w).max() / max(abs(v).max(), 1e-30)) for v, w in zip(values, ways)]
     # The cube root balances a difference's rounding and its own error.
     step = float(jnp.finfo(values[0].dtype).eps) ** (1 / 3) / (max(parts) or 1.0)
 
     def at(side: float) -> Any:
         add = lambda t, a: a if t is None else a + side * step * t  # noqa: E731
-        moved = jax.tree.map(add, tangent, sensor, is_leaf=lambda t: t is None)
+        moved = jax.tree.map(add, tangent, known, is_leaf=lambda t: t is None)
         return _ready(moved, *given)
 
     one, other = at(1.0), at(-1.0)
