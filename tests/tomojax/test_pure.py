@@ -145,7 +145,9 @@ def test_slopes_by_lambda(sensor, frames, name) -> None:
 
     def brightest(by):
         given = volts, KINDS[0], name
-        return tx.methods.estimate(sensor, *given, grid=8, lam=lam * jnp.exp(by)).image.max()
+        return tx.methods.estimate(
+            sensor, *given, grid=8, lam=lam * jnp.exp(by)
+        ).image.max()
 
     wanted = float(brightest(1e-3) - brightest(-1e-3)) / 2e-3
     _, along = jax.jvp(brightest, (0.0,), (1.0,))

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -371,6 +372,25 @@ def test_wrong_arguments_of_the_command(given, expected, tmp_path, capsys, monke
     lines = capsys.readouterr().err.splitlines()
     assert ended.value.code == 2 and expected in lines[-1], lines
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize("given, halved", [([], True), (["--full-tables"], False)])
+def test_full_tables_are_asked_for(given, halved, tmp_path, monkeypatch, capsys):
+    asked = {}
+
+    def written(step, out, **more):
+        asked.update(more)
+        out.mkdir()
+        (out / "step.tables").write_bytes(b"")
+        return "code"
+
+    monkeypatch.setattr(tx.step, "make_step", lambda *_, **__: None)
+    monkeypatch.setattr(tx.step, "compile", written)
+    words = ["tomojax", "compile-step", "--source", *given, "--out", str(tmp_path / "made")]
+    monkeypatch.setattr(sys, "argv", words)
+    with suppress(SystemExit):
+        cli.main()
+    assert asked["halved"] is halved and "step.tables" in capsys.readouterr().out
 
 
 @pytest.mark.long

@@ -163,7 +163,8 @@ def compile(  # noqa: A001
     `example.c`, which reads slots from standard input; `tomojax_step.hpp` for C++17;
     `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX
     says of each, which `check.c` runs. Without `libraries` no compiler is needed. `halved`
-    tables have 16 bits a number where they are largest: places move by half a micrometre.
+    tables have 16 bits a number where they are largest: places move by half a micrometre,
+    and where several electrodes are grounded at once, by 7 µm in one slot of a hundred.
 
     Returns the name of the code, which its tables have to have.
 

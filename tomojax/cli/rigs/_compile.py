@@ -32,6 +32,9 @@ from tomojax.cli.rigs._options import check_step, step_options
     help="Compile for this processor, a name that the compiler knows. [default: this one]",
 )
 @click.option("--source", is_flag=True, help="Write the source alone: compile nothing.")
+@click.option(
+    "--full-tables", is_flag=True, help="Keep 32 bits of each number: twice the tables."
+)
 @entry.out_option(
     entry.OutputFolder("tomojax_step.h", goes_on=True),
     "Folder for the library and its files.",
@@ -47,6 +50,7 @@ def compile_step(
     calibration: Path | None,
     march: str,
     source: bool,
+    full_tables: bool,
     out: Path,
 ) -> None:
     """Write a step as C: for programs, threads and boards that have no Python.
@@ -85,7 +89,7 @@ def compile_step(
         tables=tables,
         native=False,
     )
-    code = compile_(made, out, march=march, libraries=not source)
+    code = compile_(made, out, march=march, libraries=not source, halved=not full_tables)
     size = (out / "step.tables").stat().st_size / 1e6
     print(f"{out}: a step of {method}, code {code}, tables of {size:.1f} MB")
     code = "step.c" if source else "libtomojax_step.a"
