@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -263,6 +264,24 @@ class Small(Own):
 
 class Fixed(Own):
     log_lam: None = None
+
+
+class Broken(Own):
+    """No number for weights that are no set, or for all."""
+
+    sets: bool = eqx.field(static=True, default=True)
+
+    def __call__(self, weights):
+        whole = self.sets & ((weights == 0) | (weights == 1)).all()
+        return jnp.where(whole, super().__call__(weights), jnp.nan)
+
+
+def test_figures_that_are_no_numbers():
+    goal = jnp.zeros(6).at[jnp.array([1, 4])].set(1.0)
+    found = tx.design.design(Broken(goal, jnp.array(2.0)), 2)
+    assert sorted(found.grounds) == [1, 4] and found.value == 0
+    with pytest.raises(ValueError, match="objective: got nan"):
+        tx.design.design(Broken(goal, jnp.array(2.0), sets=False), 2)
 
 
 def test_objectives_of_ones_own_are_tuned_and_descended():

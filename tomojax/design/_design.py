@@ -9,7 +9,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Integer
 
-from tomojax._require import require_kind, require_whole
+from tomojax._require import require, require_kind, require_whole
 from tomojax._shown import html_table, named, shown
 from tomojax.design._search import exchange, greedy, relax, Relaxed
 from tomojax.design.objectives._information import AbstractObjective
@@ -62,7 +62,8 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     Exchanges improve the relaxed problem's heaviest slots, a greedy search's set, and sets
     drawn by the relaxed weights. The best set is the result. `bound` tells how far from the
     best possible the result can be at most; NaN where the objective is not convex.
-    **Raises:** `ValueError` for a number of slots outside 1 to the objective's.
+    **Raises:** `ValueError` for a number of slots outside 1 to the objective's, and for an
+    objective without a finite value.
 
     **Example:**
 
@@ -78,9 +79,11 @@ def design(objective: AbstractObjective, slots: int = 8) -> Design:
     require_whole("slots", slots, 1, objective.slots)
     n = int(slots)
     best, values, relaxed = _search(objective, n)
+    least = float(values["best"])
+    require(np.isfinite(least), "objective", f"{least} for the best set", "a finite value")
     return Design(
         grounds=_ordered(objective, np.flatnonzero(np.asarray(best) > 0.5)),
-        value=float(values["best"]),
+        value=least,
         bound=float(relaxed.bound) if objective.convex else float("nan"),
         weights=np.asarray(relaxed.weights),
         relaxed=float(relaxed.value),
@@ -108,7 +111,9 @@ def _search(
     drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
     starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
     ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
-    sets["best"] = ends[jnp.argmin(lax.map(value, ends))]
+    # Weights that are no numbers draw sets that are none.
+    whole = (ends > 0.5).sum(1) == n
+    sets["best"] = ends[jnp.nanargmin(jnp.where(whole, lax.map(value, ends), jnp.inf))]
     values = lax.map(value, jnp.stack(list(sets.values())))
     return sets["best"], dict(zip(sets, values)), relaxed
 
