@@ -179,13 +179,17 @@ def main() -> None:
                     )
             if name == "4 x 4" and all(map(shutil.which, ("arm-none-eabi-gcc", QEMU[0]))):
                 rows.append({"shape": name, "where": "Cortex-M7", **board(folder, to)})
-        for row in rows[-8:]:
+        kept(given.out / "native_elsewhere.json", rows)
+        for row in (row for row in rows if row["shape"] == name):
             print(json.dumps(row), flush=True)
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "native_elsewhere.json"
+
+
+def kept(path: Path, rows: list[dict]) -> None:
+    """Writes rows; those of other shapes stay in the file."""
     old = json.loads(path.read_text())["rows"] if path.exists() else []
     rows = [row for row in old if row["shape"] not in {r["shape"] for r in rows}] + rows
     rows.sort(key=lambda row: SHAPES.index(row["shape"]))
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"rows": rows}, indent=1))
 
 
