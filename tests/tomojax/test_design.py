@@ -273,13 +273,15 @@ class Broken(Own):
 
     def __call__(self, weights):
         whole = self.sets & ((weights == 0) | (weights == 1)).all()
-        return jnp.where(whole, super().__call__(weights), jnp.nan)
+        return jnp.where(whole, super().__call__(weights), jnp.nan * weights.sum())
 
 
 def test_figures_that_are_no_numbers():
     goal = jnp.zeros(6).at[jnp.array([1, 4])].set(1.0)
     found = tx.design.design(Broken(goal, jnp.array(2.0)), 2)
     assert sorted(found.grounds) == [1, 4] and found.value == 0
+    # No slot at all would be less.
+    assert len(tx.design.design(Broken(0 * goal, jnp.array(2.0)), 2).grounds) == 2
     with pytest.raises(ValueError, match="objective: got nan"):
         tx.design.design(Broken(goal, jnp.array(2.0), sets=False), 2)
 

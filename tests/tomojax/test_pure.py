@@ -139,7 +139,7 @@ def test_slopes_of_a_place_by_the_sensor(place, which, close) -> None:
 
 @pytest.mark.parametrize("name", ["source", "linear"])
 def test_slopes_by_lambda(sensor, frames, name) -> None:
-    """Of an image's brightest pixel, in reverse and along a tangent."""
+    """The brightest pixel's slope, by `jvp` and by `grad`, is that of differences."""
     method, volts = tx.method(sensor, name, 8), jnp.asarray(frames[0][0])
     lam = method.choose_lambda([])
 

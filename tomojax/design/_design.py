@@ -104,16 +104,15 @@ def _search(
         "rounded": heaviest(relaxed.weights, n),
         "greedy": greedy(value, count, n, dtype),
     }
-    # Sets drawn by those weights: exchanges end in the best nearby.
-    inside = jnp.clip(relaxed.weights, 0.01, 0.99)
+    # Sets drawn by those weights, which count alike where they are no numbers: exchanges
+    # end in the best nearby.
+    inside = jnp.clip(jnp.nan_to_num(relaxed.weights, nan=n / count), 0.01, 0.99)
     logits = jnp.log(inside / (1 - inside))
     keys = jax.random.split(jax.random.key(0), _DRAWN)
     drawn = jax.vmap(lambda key: draw_subset(key, logits, n))(keys)
     starts = jnp.concatenate([jnp.stack(list(sets.values())), drawn])
     ends = lax.map(lambda chosen: exchange(value, chosen, n, objective.swaps), starts)
-    # Weights that are no numbers draw sets that are none.
-    whole = (ends > 0.5).sum(1) == n
-    sets["best"] = ends[jnp.nanargmin(jnp.where(whole, lax.map(value, ends), jnp.inf))]
+    sets["best"] = ends[jnp.nanargmin(lax.map(value, ends))]
     values = lax.map(value, jnp.stack(list(sets.values())))
     return sets["best"], dict(zip(sets, values)), relaxed
 

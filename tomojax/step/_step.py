@@ -164,7 +164,7 @@ def compile(  # noqa: A001
     `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX
     says of each, which `check.c` runs. Without `libraries` no compiler is needed. `halved`
     tables have 16 bits a number where they are largest: places move by half a micrometre,
-    and where several electrodes are grounded at once, by 7 µm in one slot of a hundred.
+    and by over a hundredth of a radius in 1 % of the slots of two grounds at once.
 
     Returns the name of the code, which its tables have to have.
 
