@@ -248,9 +248,6 @@ def timed(name: str, count: int) -> dict:
     row = {"kind": "time", "case": name, "slots": len(spent["C"])}
     for as_, values in spent.items():
         row[as_] = {n: float(np.quantile(values, q)) / 1e3 for n, q in QUANTILES.items()}
-        # Of each slot over its turns: what is longer is not the slot's own work.
-        each = np.median(np.reshape(values, (-1, len(recorded))), 0)
-        row[as_]["slowest_slot_us"] = float(each.max()) / 1e3
     row["fixed work"] = fixed_work(row["C"]["p50_us"], count)
     volts = np.stack([v for v, _, _ in recorded])
     grounds = np.array([g for _, g, _ in recorded])
