@@ -165,8 +165,11 @@ def series_resistances(
     """
     radius, width, skin = feeds.radius, feeds.width, feeds.skin
     near = feeds.near(centroids(feeds.shape, feeds.size))
-    under = jnp.matmul(sheet, near, precision="highest") / near.sum(0)
     sides = local_cells(skin, feeds.places, feeds.cell)
+    whole = near.sum(0)
+    if skin is not None:  # what lies beyond the box conducts nothing
+        whole = jnp.maximum(whole, 4 * np.pi * width**2 / sides.prod(0))
+    under = jnp.matmul(sheet, near, precision="highest") / whole
     excess = jnp.maximum(_own_excess(width, radius, sides), 0)
     series = excess / (2 * np.pi * under)
     if shunt is None:
@@ -193,10 +196,13 @@ def _from_edge(feeds: Feeds, skin: Skin) -> tuple[Float[Array, " M"], Float[Arra
     near = near / near.sum(0)
     mean = jnp.matmul(level, near, precision="highest")
     apart = near * (level[:, None] - mean)
-    way = jnp.einsum("nm,nmd->md", apart, at[:, None] - places, precision="highest")
+    offsets = at[:, None] - places
+    way = jnp.einsum("nm,nmd->md", apart, offsets, precision="highest")
     length = jnp.sqrt((way**2).sum(1, keepdims=True))
     flat = length < 1e-6 * width * width / jnp.max(size)
     unit = jnp.where(
         flat, jnp.array([1.0, 0.0], way.dtype), way / jnp.where(flat, 1, length)
     )
-    return -mean, unit
+    # Where the box ends at the edge, no node is beyond it: the mean is of another place.
+    off_centre = jnp.einsum("nm,nmd->md", near, offsets, precision="highest")
+    return (unit * off_centre).sum(1) - mean, unit

@@ -122,3 +122,13 @@ def test_gradient_by_an_outline_and_by_places() -> None:
     for k, step in enumerate(np.diag([1e-6, 1e-7, 1e-7])):
         want = (f(p + step)[0] - f(p - step)[0]) / (2 * step[k])
         np.testing.assert_allclose(slope[k], want, rtol=1e-5)
+
+
+def test_electrodes_on_a_rim_answer_alike() -> None:
+    """Where the box ends at the rim, too: no node is beyond it there."""
+    metal = {"electrode_shunt": 1.0, "divisions": (60, 60)}
+    sensor = tx.Sensor.disc(2 * RADIUS, {"rim": 8}, **metal)
+    series = np.asarray(tx.sensor.sheet_on_mesh(sensor).dipole_series)
+    towards_the_edge, along = series.reshape(2, 8)
+    np.testing.assert_allclose(along, along.mean(), rtol=0.02)
+    assert towards_the_edge.min() > 100 * along.max()

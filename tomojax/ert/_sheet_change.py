@@ -55,12 +55,16 @@ def background(sensor: Sensor, pairs: Pairs) -> Float[Array, "C R"]:
     >>> volts.shape, float(volts[0, 0]) < 0  # nearer to where the current enters: minus
     ((8, 4), True)
     """
-    return _background(sensor, _Slots.of(sensor, pairs))
+    return _told(_Slots.of(sensor, pairs), _fields(sensor)[0])
 
 
+_told = jax.jit(_Slots.voltages)
+
+
+# The mesh's factor: a program by itself, which does not know of pairs and places.
 @kept
-def _background(sensor: Sensor, slots: _Slots) -> Float[Array, "C R"]:
-    return slots.voltages(fem_fields(sheet_on_mesh(sensor), sensor.divisions)[0])
+def _fields(sensor: Sensor) -> tuple[Float[Array, "M M"], Float[Array, "M nodes"]]:
+    return fem_fields(sheet_on_mesh(sensor), sensor.divisions)
 
 
 def sensitivities(sensor: Sensor, pairs: Pairs, places: Numbers) -> Float[Array, "n C R"]:
@@ -86,16 +90,18 @@ def sensitivities(sensor: Sensor, pairs: Pairs, places: Numbers) -> Float[Array,
     inside = np.asarray((at >= 0) & (at <= sensor.size)).all()
     size = np.asarray(sensor.size).tolist()
     require(inside, "places", "some off the box", f"0 to {size} m, as the sensor has them")
-    return _sensitivities(sensor, _Slots.of(sensor, pairs), at)
+    return _sensitivities(sensor, _fields(sensor)[1], _Slots.of(sensor, pairs), at)
 
 
 @kept
 def _sensitivities(
-    sensor: Sensor, slots: _Slots, places: Float[Array, "n 2"]
+    sensor: Sensor,
+    rows: Float[Array, "M nodes"],
+    slots: _Slots,
+    places: Float[Array, "n 2"],
 ) -> Float[Array, "n C R"]:
     shape = sensor.divisions
     numbers = node_image(np.arange((shape[0] + 1) * (shape[1] + 1)), shape)
-    rows = fem_fields(sheet_on_mesh(sensor), shape)[1]
     table = jnp.moveaxis(rows[:, numbers], 0, -1)
 
     def at_place(place: Float[Array, "2"]) -> Float[Array, "C R"]:
