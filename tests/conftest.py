@@ -10,14 +10,16 @@ from pathlib import Path
 
 # Before JAX starts its CPU backend. xdist's workers share the cores, and threads that wait
 # for each other in OpenBLAS spin on them. LLVM optimises nothing: of a test's time, most is
-# compiling, and programs that run once gain nothing from it. Nor does XLA move anything out
-# of loops: that takes a third of its time for a program of many loops. Notebooks and the
+# compiling, and programs that run once gain nothing from it. Nor is a module split among
+# threads that have one core, nor are loops looked into by XLA: these take a tenth of
+# the time of any program, and a third of that of one with many loops. Notebooks and the
 # demo run in .ci/run as a user's do.
 _QUICK = (
     "--xla_cpu_multi_thread_eigen=false",
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_backend_optimization_level=0",
-    "--xla_disable_hlo_passes=while-loop-invariant-code-motion",
+    "--xla_cpu_parallel_codegen_split_count=1",
+    "--xla_disable_hlo_passes=while-loop-invariant-code-motion,simplify-while-loops",
 )
 os.environ.setdefault("XLA_FLAGS", " ".join(_QUICK))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -10,10 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from tomojax.bringup.sheet._plane import Plane
-
-# Electrodes this near to a contact lie under it, perhaps; pitches.
-UNDER = 0.65
+from tomojax.bringup.sheet._plane import Plane, UNDER
 
 # Residuals beyond this many of their deviations (median) are not counted.
 _WILD = 5.0
@@ -108,9 +105,7 @@ def _drop_sink(weight: np.ndarray, sink: np.ndarray, always: int | None) -> np.n
 def _searched(plane, volts, weight, sink, always) -> tuple[np.ndarray, np.ndarray]:
     """Searches all places for the least cost: closed form in I and C at each."""
     w = _drop_sink(weight, sink, always)
-    far = (plane.distance(plane.places) > UNDER).astype(float).T  # (M, K)
-    field, away = plane.fields.T, -plane.between[sink]
-    fared, squared = far * field, far * field**2
+    (far, fared, squared), away = plane.searched, -plane.between[sink]
     s0 = w @ far
     sv, svv = (w * volts) @ far, (w * volts**2) @ far
     sd = w @ fared + (w * away) @ far
@@ -139,8 +134,8 @@ def _searched(plane, volts, weight, sink, always) -> tuple[np.ndarray, np.ndarra
     return cost[np.arange(len(cost)), at], at
 
 
-def _columns(plane, xy, sink, always) -> list[np.ndarray]:
-    first = plane.from_electrodes(xy) - plane.between[sink]
+def _columns(plane, potential, sink, always) -> list[np.ndarray]:
+    first = potential - plane.between[sink]
     if always is None:
         return [first, np.ones_like(first)]
     return [first, np.ones_like(first), plane.between[sink] - plane.between[always]]
@@ -165,10 +160,10 @@ def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
     least, most = 0.05 * plane.pitch, plane.size - 0.05 * plane.pitch
     for _ in range(_STEPS):
         w = w0 * (plane.distance(xy) > UNDER)
-        columns = _columns(plane, xy, sink, always)
+        potential, *slopes = plane.with_slopes(xy)
+        columns = _columns(plane, potential, sink, always)
         x = _solved(columns, volts, w)
-        slopes = x[:, :1] * plane.place_slopes(xy)
-        x = _solved([*columns, *slopes], volts, w)
+        x = _solved([*columns, *(x[:, :1] * slope for slope in slopes)], volts, w)
         move = np.clip(x[:, -2:], -step, step)
         xy = np.clip(xy + np.nan_to_num(move), least, most)
     return xy
@@ -177,13 +172,22 @@ def _nearer(plane, volts, weight, xy, sink, always) -> np.ndarray:
 def _told(plane, volts, counted, xy, sink, always, weight=None) -> Fits:
     weight = counted if weight is None else weight
     far = _drop_sink((plane.distance(xy) > UNDER).astype(float), sink, always)
-    columns = _columns(plane, xy, sink, always)
+    columns = _columns(plane, plane.from_electrodes(xy), sink, always)
     x = _solved(columns, volts, counted * far)
     modelled = np.einsum("nmi,ni->nm", np.stack(columns, -1), x)
     masked = np.where(weight * far > 0, np.abs(volts - modelled), np.nan)
     seen = np.where(weight > 0, volts, np.nan)
     masked[np.isnan(masked).all(1), 0] = np.inf
-    left = np.nanmedian(masked, 1)
-    span = np.subtract(*np.nanquantile(seen, [0.95, 0.05], 1))
+    left = _quantile(masked, 0.5)
+    span = _quantile(seen, 0.95) - _quantile(seen, 0.05)
     second = x[:, 2] if always is not None else np.zeros(len(xy))
     return Fits(xy, sink, x[:, 0], x[:, 1], modelled, far, left, span, second)
+
+
+def _quantile(values: Float[np.ndarray, "n M"], part: float) -> Float[np.ndarray, " n"]:
+    """As `np.nanquantile` of each row, which takes one row after the other."""
+    ranked = np.sort(values, 1)  # NaN last
+    at = part * np.maximum((~np.isnan(values)).sum(1) - 1, 0)
+    low, each = np.floor(at).astype(int), np.arange(len(values))
+    one, other = ranked[each, low], ranked[each, np.ceil(at).astype(int)]
+    return np.where(low == at, one, one + (at - low) * (other - one))

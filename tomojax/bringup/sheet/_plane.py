@@ -18,6 +18,9 @@ from jaxtyping import Float, Integer
 from tomojax.kernels.rectangle import Series, turned
 from tomojax.recordings import Rig
 
+# Electrodes this near to a contact lie under it, perhaps; pitches.
+UNDER = 0.65
+
 # Terms of the series: each brings a factor of exp(−2π·long/short) at least.
 _TERMS = 3
 
@@ -69,9 +72,12 @@ class Plane:
         sides = float(box.min()), float(box.max())
         return Series(first, second, sides, np, terms=_TERMS)
 
-    def green(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def green(
+        self, one: np.ndarray, other: np.ndarray, series: Series | None = None
+    ) -> np.ndarray:
         """Computes G of two places (…, 2), at 1 Ω per square."""
-        return self._series(one, other).potential(self._least) + self._more(one, other)
+        series = series or self._series(one, other)
+        return series.potential(self._least) + self._more(one, other)
 
     def _more(self, one: np.ndarray, other: np.ndarray) -> np.ndarray | float:
         """Computes what the sheet's edge adds to the potential, at 1 Ω per square."""
@@ -84,9 +90,11 @@ class Plane:
         index = np.moveaxis(at * np.tile(cells, 2), -1, 0)
         return map_coordinates(self._among, index, prefilter=False, mode="nearest")
 
-    def slope(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def slope(
+        self, one: np.ndarray, other: np.ndarray, series: Series | None = None
+    ) -> np.ndarray:
         """Computes ∂G/∂x of `green` as the first place moves, (2, …), 1/m."""
-        by = self._series(one, other).slope(self._least)
+        by = (series or self._series(one, other)).slope(self._least)
         box = self.size + 2 * self._margin
         slopes = np.stack(by[::-1] if box[0] > box[1] else by)
         if self._among is None:
@@ -118,6 +126,13 @@ class Plane:
         return self.from_electrodes(self.places)
 
     @cached_property
+    def searched(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Computes what a search needs, (M, K): electrodes off a place, G, its square."""
+        far = (self.distance(self.places) > UNDER).astype(float).T
+        fared = far * self.fields.T
+        return far, fared, fared * self.fields.T
+
+    @cached_property
     def between(self) -> Float[np.ndarray, "M M"]:
         """Computes potentials of electrodes at electrodes; a disc's own at its rim."""
         rim = np.array([self.diameter / 2, 0.0])
@@ -134,9 +149,14 @@ class Plane:
         """Computes distances from places to the electrodes, in pitches."""
         return np.hypot(*(places[:, None] - self.xy).transpose(2, 0, 1)) / self.pitch
 
-    def place_slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
-        """Computes ∂G/∂x of `from_electrodes` as a place moves, 1/m."""
-        return _in_parts(lambda some: self.slope(some, self.xy), places)
+    def with_slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3 n M"]:
+        """Computes `from_electrodes`, and ∂G/∂x of it as a place moves, 1/m."""
+
+        def both(some: np.ndarray) -> np.ndarray:
+            given = some, self.xy, self._series(some, self.xy)
+            return np.concatenate([self.green(*given)[None], self.slope(*given)])
+
+        return _in_parts(both, places)
 
     def slopes(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n M"]:
         """Computes ∂G/∂x of `from_electrodes` as an electrode moves, 1/m."""
