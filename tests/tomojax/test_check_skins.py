@@ -8,7 +8,7 @@ import pytest
 import tomojax as tx
 from tomojax.bringup.sheet import Plane
 
-RADIUS, NOISE = 0.05, 3e-4
+RADIUS, NOISE = 0.05, 2e-4
 
 
 @pytest.fixture(scope="module")

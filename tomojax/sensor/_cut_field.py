@@ -4,7 +4,6 @@ Near an electrode a mesh is off by the same on a rectangle, whose closed form is
 it lacks there is put back, so that tables are nearly as good as the rectangle's.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,13 +13,12 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
+from tomojax._programs import options
 from tomojax.kernels.contacts import Among
 from tomojax.kernels.sheet import (
     centroids,
     cosine_waves,
     feed_parts,
-    fem_fields,
-    fem_shared_resistances,
     fem_sheet,
     FemSheet,
     heights,
@@ -30,6 +28,7 @@ from tomojax.kernels.sheet import (
     stretch,
 )
 from tomojax.sensor._edges import AbstractEdge
+from tomojax.sensor._mesh_solve import centred, MeshSolve
 from tomojax.sensor._sensor import Sensor
 
 # Cells of the mesh, of a diameter; at most so many along a side.
@@ -99,7 +98,7 @@ def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1) -> Cut:
     shape, whole = ((int(m[0]), int(m[1])) for m in (mesh, wider))
     skin = sensor.on_mesh(shape, rho).skin
     assert skin is not None
-    made = jax.jit(fem_sheet, static_argnums=3)
+    made = jax.jit(fem_sheet, static_argnums=3, compiler_options=options())
     given = sensor.electrode_diameter / 2, sensor.electrode_shunt
     resistance = jnp.asarray(rho, sensor.dtype)
     sheet = made(1 / resistance, xy, given[0], shape, sensor.size, given[1], skin)
@@ -135,7 +134,7 @@ def cut_fields(
     )
     rows[:, away] = beside
     rho = float(even.sheet_resistance)
-    ee, rows = _centred(rho * ee, rho * rows)
+    ee, rows = centred(rho * ee, rho * rows)
 
     def corrected(cut: Cut) -> tuple[np.ndarray, np.ndarray]:
         around = _solved(cut.around, cut.wider, home + cut.margin, size + 2 * cut.margin)
@@ -159,9 +158,9 @@ def _solved(
     fem: FemSheet, mesh: tuple[int, int], at: Float[np.ndarray, "*n 2"], size: np.ndarray
 ) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M ..."]]:
     """Computes R_ee' and R_e at places, Ω, by finite elements."""
-    ee, nodes = _fields(fem, mesh)
-    found = _weights(at.reshape(-1, 2), size, mesh) @ np.asarray(nodes, float).T
-    return np.asarray(ee, float), found.T.reshape(-1, *at.shape[:-1])
+    ee, nodes = MeshSolve(fem, mesh).fields()
+    found = _weights(at.reshape(-1, 2), size, mesh) @ nodes.T
+    return ee, found.T.reshape(-1, *at.shape[:-1])
 
 
 def wave_fields(
@@ -197,9 +196,7 @@ def among_sites(sensor: Sensor, cut: Cut) -> Among:
     home = homes(sensor, x, y).reshape(-1, 2)
 
     def shared(fem: FemSheet, mesh: tuple[int, int], at: np.ndarray, box: np.ndarray):
-        none = np.zeros((len(sensor.electrode_xy), len(at)))
-        loads = np.concatenate([_weights(at, box, mesh).toarray().T, none])
-        return np.asarray(_shared(fem, jnp.asarray(loads, sensor.dtype), mesh)[1], float)
+        return MeshSolve(fem, mesh).between(_weights(at, box, mesh).toarray().T)
 
     found = shared(cut.sheet, cut.mesh, home, size)
     wide = size + 2 * cut.margin
@@ -241,15 +238,6 @@ def homes(
     return found.reshape(points.shape)
 
 
-def _centred(
-    ee: Float[np.ndarray, "M M"], rows: _Image
-) -> tuple[Float[np.ndarray, "M M"], _Image]:
-    """Shifts both so that the mean potential of the electrodes is zero."""
-    mean, each = ee.mean(), ee.mean(1)
-    rows = rows - each[:, None, None] - rows.mean(0) + mean
-    return ee - each[:, None] - each + mean, rows
-
-
 def _weights(
     at: Float[np.ndarray, "n 2"], size: np.ndarray, mesh: tuple[int, int]
 ) -> "scipy.sparse.csr_array":
@@ -274,7 +262,3 @@ def _levels(outline: AbstractEdge, at: Float[Array, "n 2"]) -> Float[Array, "n 3
     """Computes distances to the edge, m, and their slopes."""
     level, slope = jax.vmap(jax.value_and_grad(outline.distance))(at)
     return jnp.concatenate([level[:, None], slope], 1)
-
-
-_fields = partial(jax.jit, static_argnums=1)(fem_fields)
-_shared = partial(jax.jit, static_argnums=2)(fem_shared_resistances)

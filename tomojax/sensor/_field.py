@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
+from tomojax._programs import options
 from tomojax._require import require
 from tomojax.kernels.contacts import Among, Field, field_at
 from tomojax.kernels.sheet import (
@@ -22,9 +23,11 @@ from tomojax.kernels.sheet import (
     rectangle_slope,
     rectangle_wave_fields,
     smooth_orders,
+    triangles,
 )
 from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes, wave_fields
-from tomojax.sensor._forward import resistances
+from tomojax.sensor._forward import sheet_on_mesh
+from tomojax.sensor._mesh_solve import MeshSolve
 from tomojax.sensor._sensor import Sensor
 from tomojax.sensor.meshes._told import ToldSheet
 
@@ -157,14 +160,16 @@ def _variation(
     finer = np.ceil(_MESH * size / diameter / divisions).astype(int)
     values = np.asarray(sensor.sheet_resistance).reshape(*divisions, 2)
     values = values.repeat(finer[0], 0).repeat(finer[1], 1).ravel()
-    mesh = tuple(int(n) for n in divisions * finer)
-    one = resistances(replace(sensor, sheet_resistance=values, divisions=mesh))
-    same = np.full_like(values, even.sheet_resistance)
-    other = resistances(replace(sensor, sheet_resistance=same, divisions=mesh))
-    ee, ek = (
-        np.asarray(a, float) - np.asarray(b, float)
-        for a, b in zip((one.electrodes, one.elements), (other.electrodes, other.elements))
-    )
+    mesh = int(divisions[0] * finer[0]), int(divisions[1] * finer[1])
+    on_mesh = jax.jit(sheet_on_mesh, compiler_options=options())
+
+    def solved(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        fem = on_mesh(replace(sensor, sheet_resistance=rho, divisions=mesh))
+        ee, nodes = MeshSolve(fem, mesh).fields()
+        return ee, nodes[:, triangles(mesh)].mean(-1)
+
+    one, other = solved(values), solved(np.full_like(values, even.sheet_resistance))
+    ee, ek = (a - b for a, b in zip(one, other))
     # From the cells' middles to the table's points, which mirror at the same edges.
     middles = ek.reshape(-1, *mesh, 2).mean(-1)
     waves = np.asarray(scipy.fft.dctn(middles, 2, axes=(1, 2), norm="forward"))
