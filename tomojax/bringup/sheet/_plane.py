@@ -86,9 +86,26 @@ class Plane:
         from scipy.ndimage import map_coordinates
 
         cells = np.array(self._among.shape[:2]) - 1
+        given = {"prefilter": False, "mode": "nearest"}
+        if other is self.xy:  # two axes fewer
+            index = np.moveaxis((one / self.size * cells)[..., 0, :], -1, 0)
+            each = [map_coordinates(table, index, **given) for table in self._at_electrodes]
+            return np.stack(each, -1)
         at = np.concatenate(np.broadcast_arrays(one, other), -1) / np.tile(self.size, 2)
         index = np.moveaxis(at * np.tile(cells, 2), -1, 0)
-        return map_coordinates(self._among, index, prefilter=False, mode="nearest")
+        return map_coordinates(self._among, index, **given)
+
+    @cached_property
+    def _at_electrodes(self) -> list[np.ndarray]:
+        """Computes the splines of what the edge adds at each electrode."""
+        from scipy.ndimage import spline_filter
+
+        assert self._among is not None
+        axes = [np.linspace(0, s, n) for s, n in zip(self.size, self._among.shape)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+        return [
+            spline_filter(self._more(grid, at.copy()), mode="nearest") for at in self.xy
+        ]
 
     def slope(
         self, one: np.ndarray, other: np.ndarray, series: Series | None = None
