@@ -15,6 +15,7 @@ from tomojax.kernels.sheet._fem import (
     site_conductance as site_conductance,
 )
 from tomojax.kernels.sheet._mesh import (
+    block_shape as block_shape,
     cell_centres as cell_centres,
     cell_sides as cell_sides,
     centroids as centroids,

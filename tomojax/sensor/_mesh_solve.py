@@ -1,4 +1,4 @@
-"""Solves a sheet on its mesh on the host: one sparse factor, and nothing to compile.
+"""Solves a sheet on its mesh on the host, block by block: nothing to compile.
 
 The tables of `make_field` are host code. `tomojax.kernels.sheet.fem_fields` computes the
 same where a program is compiled or differentiated.
@@ -7,38 +7,42 @@ same where a program is compiled or differentiated.
 import numpy as np
 from jaxtyping import Float
 
-from tomojax.kernels.sheet import FemSheet, triangles
+from tomojax.kernels.sheet import block_shape, FemSheet, triangles
 
 
 class MeshSolve:
-    """The factor of a sheet, and the potentials of its electrodes, dipoles answered."""
+    """The factor of a sheet, and the potentials of its electrodes, dipoles answered.
+
+    A block is a line of the mesh, which neighbours two others. With A = LLᵀ the blocks of
+    L are L_i L_iᵀ = D_i − C_{i−1}C_{i−1}ᵀ and C_i = E_i L_i⁻ᵀ.
+    """
 
     def __init__(self, fem: FemSheet, mesh: tuple[int, int]):
-        from scipy.linalg import solve_triangular
-        from scipy.sparse import coo_array
-        from scipy.sparse.linalg import splu
-
-        feeds, dipoles = np.asarray(fem.feeds, float), np.asarray(fem.dipoles, float)
-        vertices, n = triangles(mesh), len(feeds)
-        entries = vertices.repeat(3, 1).ravel(), np.tile(vertices, 3).ravel()
+        self._pinned, (count, b) = int(fem.pinned), block_shape(mesh)
+        vertices = triangles(mesh)
+        row, column = vertices.repeat(3, 1).ravel(), np.tile(vertices, 3).ravel()
         # No current at an even potential: float32 has rounded each entry by itself.
         local = np.asarray(fem.local, float)
-        local = local - local.sum(2, keepdims=True) * np.eye(3)
-        stiffness = coo_array((local.ravel(), entries), shape=(n, n)).tocsc()
-        self._free = np.delete(np.arange(n), int(fem.pinned))
-        self._factor = splu(
-            stiffness[self._free][:, self._free],
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        local = (local - local.sum(2, keepdims=True) * np.eye(3)).ravel()
+        free = (row != self._pinned) & (column != self._pinned)
+        own, below = np.zeros((count, b, b)), np.zeros((count, b, b))
+        for blocks, apart in ((own, 0), (below, 1)):
+            some = free & (row // b == column // b + apart)
+            at = column[some] // b, row[some] % b, column[some] % b
+            np.add.at(blocks, at, local[some])
+        own[self._pinned // b, self._pinned % b, self._pinned % b] = own.max()
+        self._inverses, self._links = np.zeros_like(own), below
+        left = np.zeros((b, b))
+        for i in range(count):
+            self._inverses[i] = np.linalg.inv(np.linalg.cholesky(own[i] - left))
+            self._links[i] = below[i] @ self._inverses[i].T
+            left = self._links[i] @ self._links[i].T
+        feeds, dipoles = np.asarray(fem.feeds, float), np.asarray(fem.dipoles, float)
         of_feeds, of_dipoles = self.potentials(feeds), self.potentials(dipoles)
         own = dipoles.T @ of_dipoles + np.diag(np.asarray(fem.dipole_series, float))
-        root = np.linalg.cholesky((own + own.T) / 2)
-        self._dipoles = solve_triangular(root, dipoles.T, lower=True)
-        shunt = self._dipoles @ of_feeds
-        answers = solve_triangular(root, of_dipoles.T, lower=True)
-        self._at_nodes = of_feeds.T - shunt.T @ answers
+        answer = np.linalg.inv(np.linalg.cholesky((own + own.T) / 2))
+        self._dipoles = answer @ dipoles.T
+        self._at_nodes = of_feeds.T - (self._dipoles @ of_feeds).T @ answer @ of_dipoles.T
         table = self._at_nodes @ feeds
         self._table = (table + table.T) / 2 + np.diag(np.asarray(fem.series, float))
 
@@ -46,8 +50,15 @@ class MeshSolve:
         self, loads: Float[np.ndarray, "nodes c"]
     ) -> Float[np.ndarray, "nodes c"]:
         """Computes potentials of currents into nodes, V; the pinned node has 0."""
-        found = np.zeros(loads.shape)
-        found[self._free] = self._factor.solve(np.ascontiguousarray(loads[self._free]))
+        found = loads.copy()
+        found[self._pinned] = 0
+        lines, last = found.reshape(*self._inverses.shape[:2], -1), len(self._inverses) - 1
+        for i in range(last + 1):
+            before = self._links[i - 1] @ lines[i - 1] if i else 0
+            lines[i] = self._inverses[i] @ (lines[i] - before)
+        for i in range(last, -1, -1):
+            after = self._links[i].T @ lines[i + 1] if i < last else 0
+            lines[i] = self._inverses[i].T @ (lines[i] - after)
         return found
 
     def fields(self) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M nodes"]]:
