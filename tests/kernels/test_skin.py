@@ -70,6 +70,16 @@ def test_potentials_on_a_disc(disc) -> None:
     assert np.abs(off).max() < 1e-3 * np.ptp(want[clear])
 
 
+def test_tables_in_float32_have_its_digits() -> None:
+    """The sheet is solved in float64, whatever the sensor's type."""
+    places = {"rim": 6, "points": [[0.025, 0.025]]}
+    one, other = (
+        np.asarray(tx.sensor.make_field(tx.Sensor.disc(0.05, places, dtype=d)).values)
+        for d in (np.float32, np.float64)
+    )
+    np.testing.assert_allclose(one, other, rtol=0, atol=2e-6 * np.ptp(other))
+
+
 def test_a_rectangle_as_an_outline_is_one() -> None:
     """The same sheet told by its corners has the rectangle's voltages."""
     corners = [[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]]
