@@ -12,8 +12,8 @@ from pathlib import Path
 # for each other in OpenBLAS spin on them. LLVM optimises nothing: of a test's time, most is
 # compiling, and programs that run once gain nothing from it. Nor is a module split among
 # threads that have one core, nor are loops looked into by XLA: these take a tenth of
-# the time of any program, and a third of that of one with many loops. Notebooks and the
-# demo run in .ci/run as a user's do.
+# the time of `points`' program, and a third of that of one with many loops. Notebooks and
+# the demo run in .ci/run as a user's do.
 _QUICK = (
     "--xla_cpu_multi_thread_eigen=false",
     "--xla_cpu_use_fusion_emitters=false",

@@ -135,7 +135,7 @@ def test_gradient_by_an_outline_and_by_places() -> None:
 
 
 def test_electrodes_on_a_rim_answer_alike() -> None:
-    """Where the box ends at the rim, too: no node is beyond it there."""
+    """Four of the eight lie where the box ends: the mesh has no node beyond them."""
     metal = {"electrode_shunt": 1.0, "divisions": (60, 60)}
     sensor = tx.Sensor.disc(2 * RADIUS, {"rim": 8}, **metal)
     series = np.asarray(tx.sensor.sheet_on_mesh(sensor).dipole_series)

@@ -55,10 +55,10 @@ def background(sensor: Sensor, pairs: Pairs) -> Float[Array, "C R"]:
     >>> volts.shape, float(volts[0, 0]) < 0  # nearer to where the current enters: minus
     ((8, 4), True)
     """
-    return _told(_Slots.of(sensor, pairs), _fields(sensor)[0])
+    return _voltages(_Slots.of(sensor, pairs), _fields(sensor)[0])
 
 
-_told = jax.jit(_Slots.voltages)
+_voltages = jax.jit(_Slots.voltages)
 
 
 # The mesh's factor: a program by itself, which does not know of pairs and places.

@@ -103,9 +103,7 @@ class Plane:
         assert self._among is not None
         axes = [np.linspace(0, s, n) for s, n in zip(self.size, self._among.shape)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-        return [
-            spline_filter(self._more(grid, at.copy()), mode="nearest") for at in self.xy
-        ]
+        return [spline_filter(self._more(grid, at), mode="nearest") for at in self.xy]
 
     def slope(
         self, one: np.ndarray, other: np.ndarray, series: Series | None = None
