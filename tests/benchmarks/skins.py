@@ -173,7 +173,18 @@ def measured(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
                     row = {"skin": name, "method": method, "slots": slots, "scene": kind}
                     rows.append(row | judged(found, part, kind))
                     print(json.dumps(rows[-1]), flush=True)
+        drop_programs()  # of all skins they are more than a process may map
     return rows
+
+
+def drop_programs() -> None:
+    """Drops what this process has compiled."""
+    import jax
+
+    from tomojax._programs import forget
+
+    forget()
+    jax.clear_caches()
 
 
 def plot(rows: list[dict[str, Any]], path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import tomojax as tx
 from tomojax.cli.app import app
-from tomojax.files import read_table
+from tomojax.files import read_csv
 from tomojax.hardware import sources
 
 
@@ -96,7 +96,7 @@ def test_what_a_file_is_is_told_of_any_bytes(tmp_path):
 @pytest.mark.parametrize("text, shape", [("1,2\n", (1, 2)), ("0.1", (1, 1))])
 def test_a_text_of_one_line_is_a_table(tmp_path, text, shape):
     (tmp_path / "xy.csv").write_text(text)
-    assert read_table(tmp_path / "xy.csv", "places").shape == shape
+    assert read_csv(tmp_path / "xy.csv", "places").values.shape == shape
 
 
 @pytest.mark.parametrize(

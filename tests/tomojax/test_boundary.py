@@ -14,7 +14,7 @@ import recordings
 
 import tomojax as tx
 from tomojax.cli.app import run
-from tomojax.files import open_container, read_json, read_npz, read_table
+from tomojax.files import open_container, read_csv, read_json, read_npz
 
 ROOT = Path(__file__).parents[2]
 SCANS = 40
@@ -310,7 +310,7 @@ def test_tables(tmp_path):
     for content in (b"\xff\xfe\x00", b"1,2\n3\n"):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=f"^{path}: places: ") as caught:
-            read_table(path, "places")
+            read_csv(path, "places")
         assert "\n" not in str(caught.value)
 
 

@@ -205,10 +205,10 @@ def _small(text: str):
     [
         (_small("1,2,3\n"), "a first line that names them"),
         (_small("t,v0,v1\n0,1,2\n"), "one named ground"),
-        (_small("ground,v0,v1\n"), "no slots"),
+        (_small("ground,v0,v1\n"), "lines: got none of numbers"),
         (_small("ground,v0,v1\n0,1,2\n1,2\n"), "columns"),
         (_small("ground,v0,v1\n0,1,2\n1,2,3\n"), "slots"),
-        (_small("# nothing\n"), "no line of names"),
+        (_small("# nothing\n"), "lines: got none, expected a line of"),
         (_small("ground,,v0\n0,3,1\n1,3,2\n0,4,1\n"), "no name for column"),
         (_small("number,ground,v0\n0,0,1\n1,1,2\n1,1,3\n"), "one number of slots"),
     ],

@@ -154,8 +154,9 @@ def calibrated(
                 usual, weighed = np.median(new.each), True
                 less = usual / np.maximum(new.each, usual)
                 known = known._replace(weight=known.weight * less)
-                unknowns = widened(unknowns, trial)
                 new = sums_of(points, slopes, volts, known)
+            if weighed:
+                unknowns = widened(unknowns, trial)
                 cost = _cost(unknowns, new, trial)
             state, now, sums, lowest = trial, told, new, cost
             step, covariance, prior = _step(unknowns, sums, state, sensor.dtype)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
 from tomojax.calibration._calibrate import Calibrated, calibrated, known_frames
-from tomojax.files import read_npz, read_table
+from tomojax.files import read_csv, read_npz
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
 
@@ -288,8 +288,7 @@ def read_places(path: Path) -> Float[np.ndarray, "n 2"]:
         if path.suffix == ".npz":
             places = read_npz(path, "places", ["xy"])["xy"]
         else:
-            places = read_table(path, "places")
-            places = places[1:] if np.isnan(places[:1]).all() else places
+            places = read_csv(path, "places").values
     except ValueError as error:
         raise ValueError(f"{error}; give x and y in metres") from None
     fits = places.ndim == 2 and places.shape[1] == 2

@@ -1,13 +1,12 @@
 # What the room offers, imported when it is first used.
 from ._changes import Changes as Changes, changes as changes
+from ._check import check as check, PairFault as PairFault
 from ._choice import (
     choose as choose,
     press_information as press_information,
     PressInformation as PressInformation,
     restrict as restrict,
 )
-from ._pairs import Pairs as Pairs
-from ._recording import load as load, PairRecording as PairRecording
 from ._response import Located as Located, Response as Response
 from ._results import (
     located_text as located_text,
@@ -20,7 +19,6 @@ from ._sheet_change import (
     sensitivities as sensitivities,
 )
 from ._teaching import learn as learn, nominal as nominal
-from ._told import info_text as info_text, summary as summary
 from .bodies._electrode_model import (
     disc_model as disc_model,
     ElectrodeModel as ElectrodeModel,
@@ -28,12 +26,16 @@ from .bodies._electrode_model import (
     Transfer as Transfer,
 )
 from .bodies._levels import Levels as Levels, LevelsFound as LevelsFound
+from .recorded._pairs import Pairs as Pairs
+from .recorded._recording import load as load, PairRecording as PairRecording
+from .recorded._told import info_text as info_text, summary as summary
 
 # The rest serves other rooms.
 __all__ = [
     "background",
     "Changes",
     "changes",
+    "check",
     "choose",
     "disc_model",
     "ElectrodeModel",
@@ -45,6 +47,7 @@ __all__ = [
     "Located",
     "nominal",
     "PairRecording",
+    "PairFault",
     "Pairs",
     "press_information",
     "PressInformation",

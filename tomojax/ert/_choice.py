@@ -14,9 +14,9 @@ from jaxtyping import Array, Float, Int
 from tomojax._require import require
 from tomojax.design import AbstractObjective, design
 from tomojax.ert._left_out import LeftOut
-from tomojax.ert._pairs import Pairs
-from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import Response
+from tomojax.ert.recorded._pairs import Pairs
+from tomojax.ert.recorded._recording import PairRecording
 
 _PLACES = 200  # that figures are computed for: a mean over more does not differ
 # The least weight of a condition: the slope of a weight's root is infinite at 0.

@@ -8,9 +8,9 @@ import numpy as np
 
 from tomojax._environment import environment
 from tomojax.ert._changes import Changes
-from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import Located
-from tomojax.ert._told import quantile
+from tomojax.ert.recorded._recording import PairRecording
+from tomojax.ert.recorded._told import quantile
 from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER
 from tomojax.methods import empty_rows, fields_of_rows
 from tomojax.results import Dataset, report, write_rows

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from tomojax._checks import checked, require
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
-from tomojax.ert._pairs import Pairs
+from tomojax.ert.recorded._pairs import Pairs
 from tomojax.kernels.contacts import thin_rows_at
 from tomojax.kernels.sheet import fem_fields, FemSheet, node_image, triangles
 from tomojax.sensor import Sensor, sheet_on_mesh

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 from tomojax._require import require
 from tomojax.ert._learning import place_by_physics, Posterior
 from tomojax.ert._presses import Presses
-from tomojax.ert._recording import PairRecording
 from tomojax.ert._response import compressed, LEAST_KNOWN, QUIET, Response
 from tomojax.ert._sheet_change import background, sensitivities
+from tomojax.ert.recorded._recording import PairRecording
 
 _CANDIDATES = 48  # along the sheet's longer side: places lie closer than presses are wide
 LENGTHS = (0.14, 0.2, 0.28, 0.4)  # of the last map, in widths of the sheet
@@ -190,17 +190,23 @@ def _sign(flat: Float[np.ndarray, "n K"], columns: Float[np.ndarray, "G K"]) -> 
 
 def _physics(recording: PairRecording) -> tuple[np.ndarray, np.ndarray]:
     """Returns candidate places, and how readings change by a local change at each."""
-    sensor = recording.sensor()
-    steps = max(recording.box) / _CANDIDATES
-    sides = [np.arange(steps / 2, side, steps) for side in recording.box]
-    at = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
-    # Within two diameters of an edge, a press changes its electrodes more than the sheet.
-    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    ring = 2 * recording.electrode_diameter * np.stack([np.cos(turn), np.sin(turn)], 1)
-    inside = np.asarray([sensor.on_sheet(jnp.asarray(at + one)) for one in ring]).all(0)
-    require(inside.any(), "outline", "a sheet narrower than its electrodes", "a wider one")
-    at = at[inside].astype(np.float32)
+    sensor, at = recording.sensor(), candidates(recording, _CANDIDATES)
     columns = np.asarray(sensitivities(sensor, recording.pairs, at))
     if recording.magnitude:
         columns = columns * np.sign(np.asarray(background(sensor, recording.pairs)))
     return (at + recording.origin).astype(np.float32), columns.reshape(len(at), -1)
+
+
+def candidates(recording: PairRecording, count: int) -> Float[np.ndarray, "G 2"]:
+    """Returns places all over the sheet, `count` along its longer side, from its box's 0.
+
+    Within two diameters of an edge, a press changes its electrodes more than the sheet.
+    """
+    sensor, step = recording.sensor(), max(recording.box) / count
+    sides = [np.arange(step / 2, side, step) for side in recording.box]
+    at = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 2)
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = 2 * recording.electrode_diameter * np.stack([np.cos(turn), np.sin(turn)], 1)
+    inside = np.asarray([sensor.on_sheet(jnp.asarray(at + one)) for one in ring]).all(0)
+    require(inside.any(), "outline", "a sheet narrower than its electrodes", "a wider one")
+    return at[inside].astype(np.float32)

@@ -6,7 +6,7 @@ import os
 import threading
 from operator import index
 from pathlib import Path
-from typing import Any, Literal, NoReturn, SupportsIndex, TYPE_CHECKING
+from typing import Any, BinaryIO, Literal, NoReturn, SupportsIndex, TYPE_CHECKING
 
 import numpy as np
 
@@ -227,6 +227,8 @@ def open_container(
 ) -> OpenContainer:
     """Opens a file of datasets in a process of its own, with limits.
 
+    In place of HDF5 the file may be MATLAB's of before version 7.3.
+
     **Raises:** `OSError` with the library's words for a file that the library cannot open;
     `ValueError` for a file that is damaged otherwise; `ModuleNotFoundError` without the
     library.
@@ -242,7 +244,18 @@ def open_container(
     ...     opened.read("v"), opened.refused("other")
     (array([1, 2, 3]), 'a link that leads elsewhere')
     """
-    return OpenContainer(Path(path), kind)
+    path, told = Path(path), str(kind)
+    if kind == "hdf5":
+        with path.open("rb") as raw:
+            told = "mat" if is_mat(raw) else kind
+    return OpenContainer(path, told)
+
+
+def is_mat(raw: BinaryIO) -> bool:
+    """Tells a file of MATLAB before version 7.3 by its first bytes."""
+    start = raw.read(10)
+    raw.seek(0)
+    return start == b"MATLAB 5.0"
 
 
 def _readable(attributes: dict[str, dict[str, Any]]) -> dict[str, Any]:

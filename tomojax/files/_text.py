@@ -1,17 +1,12 @@
-"""Reads small files of text: JSON, TOML, and tables of numbers."""
+"""Reads small files of text: JSON and TOML."""
 
 import json
 import tomllib
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 _SMALL = 1 << 24  # bytes; no calibration or order of wires comes near it
-_TABLE = 1 << 30  # bytes; a table of places has 40 a slot
 
 
 def read_json(path: Path | str, what: str) -> Any:
@@ -49,32 +44,6 @@ def read_toml(path: Path | str, what: str) -> dict[str, Any]:
     {'channels': [1, 0]}
     """
     return _parsed(path, what, tomllib.loads)
-
-
-def read_table(path: Path | str, what: str) -> Float[np.ndarray, "n columns"]:
-    """Reads numbers with commas between; a field that is no number is NaN.
-
-    **Raises:** `ValueError`, one line: the file, the text `what`, and why.
-
-    **Example:**
-
-    >>> from pathlib import Path
-    >>> from tomojax.files import read_table
-    >>> _ = Path("places.csv").write_text("x,y\\n0.03,0.05\\n")
-    >>> print(read_table("places.csv", "places"))
-    [[ nan  nan]
-     [0.03 0.05]]
-    """
-    path = Path(path)
-    _require_file(path, what, _TABLE)
-    try:
-        # An open file: of a path NumPy would unpack .gz by itself, of any size.
-        with path.open(encoding="utf-8") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an empty file
-            found = np.genfromtxt(file, delimiter=",", comments="#", ndmin=2)
-    except Exception as error:  # whatever NumPy makes of it
-        raise ValueError(f"{path}: {what}: {_line(error)}") from None
-    return np.asarray(found, float)
 
 
 def _parsed(path: Path | str, what: str, parse: Callable[[str], Any]) -> Any:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.files import _served, _served_mcap, _served_tdms
+from tomojax.files import _served, _served_mat, _served_mcap, _served_tdms
 
 _MEMORY = 1 << 30  # bytes of a fork
 
@@ -27,7 +27,12 @@ _WAIT = 30.0  # beside the work
 _EACH = 1 << 24
 _LONGEST = 10  # times the usual
 
-KINDS = {"hdf5": _served.Hdf5, "mcap": _served_mcap.Mcap, "tdms": _served_tdms.Tdms}
+KINDS = {
+    "hdf5": _served.Hdf5,
+    "mat": _served_mat.Mat,
+    "mcap": _served_mcap.Mcap,
+    "tdms": _served_tdms.Tdms,
+}
 
 
 def main() -> None:

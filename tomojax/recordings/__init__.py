@@ -11,8 +11,13 @@ from tomojax.recordings._chunks import (
     Rate as Rate,
     read_chunk as read_chunk,
 )
-from tomojax.recordings._described import number as number, size_of as size_of
+from tomojax.recordings._described import (
+    number as number,
+    sidecar as sidecar,
+    size_of as size_of,
+)
 from tomojax.recordings._faults import Faults as Faults, find_faults as find_faults
+from tomojax.recordings._hdf5 import variable as variable
 from tomojax.recordings._head import (
     attributes as attributes,
     rig_of as rig_of,

@@ -14,7 +14,7 @@ from tomojax.recordings._recording import check_numbers, PAPER, Rig
 # Attributes of a recording that its reader uses.
 FIELDS = {
     *PAPER, "scale", "offset", "size", "notes", "units", "schema", "schema_version",
-    "outline", "diameter",
+    "outline", "diameter", "kind",
 }  # fmt: skip
 
 # Keys of a sidecar, of options, or of arrays beside the voltages.

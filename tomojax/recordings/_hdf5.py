@@ -1,4 +1,4 @@
-"""Reads recordings, version 1 or 2, from HDF5, or from variables of a MATLAB v7.3 file."""
+"""Reads recordings, version 1 or 2, from HDF5, or from variables of a MATLAB file."""
 
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -6,7 +6,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from tomojax._require import require
-from tomojax.files import open_container, OpenContainer
+from tomojax.files import is_mat, open_container, OpenContainer
 from tomojax.recordings._described import (
     FIELDS,
     MOST_SLOTS,
@@ -225,13 +225,8 @@ def _printable(text: str) -> str:
 
 def _open(path: Path) -> OpenContainer:
     with path.open("rb") as raw:
-        start = raw.read(10)
-        older = start == b"MATLAB 5.0"
-        expected = "HDF5: in MATLAB, save(name, ..., '-v7.3'); elsewhere .npz, by "
-        expected += "numpy.savez of what scipy.io.loadmat reads"
-        require(not older, "file", "MATLAB's format before 7.3", expected)
-        raw.seek(0)
-        require(is_hdf5(raw), "file", "no HDF5 file", "a recording: HDF5, .csv, .npz …")
+        told = is_mat(raw) or is_hdf5(raw)
+        require(told, "file", "no HDF5 file", "a recording: HDF5, .csv, .npz …")
     try:
         return open_container(path)
     except OSError as error:
@@ -263,7 +258,7 @@ class _Fields(dict[str, Any]):
         own = file.attributes
         if matlab:
             names = (FIELDS & {*file.names}) - header.keys()
-            own = {name: _variable(file, name) for name in sorted(names)}
+            own = {name: variable(file, name) for name in sorted(names)}
         super().__init__(own | header)
         self._none = "no such variable" if matlab else "no such attribute"
         self._refused = file.refused
@@ -273,7 +268,7 @@ class _Fields(dict[str, Any]):
         raise ValueError(f"{name}: got {why}, expected it, as in recording version 1")
 
 
-def _variable(file: OpenContainer, name: str) -> Any:
+def variable(file: OpenContainer, name: str) -> Any:
     """Reads a variable of MATLAB that stands for an attribute."""
     shape = file.shape(name)
     require(np.prod(shape) <= _LONGEST, name, f"shape {shape}", "a number or a text")

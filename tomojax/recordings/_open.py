@@ -5,14 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from tomojax._require import not_installed, require
-from tomojax.files import open_container
+from tomojax.files import is_mat, open_container
 from tomojax.recordings import formats
-from tomojax.recordings._hdf5 import Hdf5Recording, is_hdf5
+from tomojax.recordings._described import sidecar
+from tomojax.recordings._hdf5 import Hdf5Recording, is_hdf5, variable
 from tomojax.recordings._recording import Recording
 
 
 def open_recording(path: Path | str, **options: Any) -> Recording:
-    """Opens a recording: version 1 (HDF5), MATLAB v7.3, TDMS, CSV, .npz or MCAP.
+    """Opens a recording: version 1 (HDF5), MATLAB, TDMS, CSV, .npz or MCAP.
 
     A file of the same name that ends in .toml describes CSV, .npz and MCAP. The description
     has the names of recording version 1's attributes, and `rows`, `columns`, `pitch`,
@@ -49,7 +50,7 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
         reason = error.strerror or str(error)
         raise ValueError(f"{path}: {reason}") from None
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     recording.opener = partial(open_recording, path.absolute(), **options)
     return recording
 
@@ -57,7 +58,8 @@ def open_recording(path: Path | str, **options: Any) -> Recording:
 def kind_of(path: Path) -> str:
     """Tells a recording's kind: "contact", or "conductivity" (`tomojax.ert`).
 
-    A file that cannot be read counts as "contact"; its reader says what is wrong.
+    PATH.toml tells the kind of a table, or the file itself. A file that cannot be read
+    counts as "contact"; its reader says what is wrong.
 
     **Example:**
 
@@ -67,11 +69,16 @@ def kind_of(path: Path) -> str:
     'contact'
     """
     try:
+        if told := sidecar(path).get("kind"):
+            return str(told)
         with path.open("rb") as raw:
-            if not is_hdf5(raw):
+            if not (is_mat(raw) or is_hdf5(raw)):
                 return "contact"
         with open_container(path) as file:
-            return str(file.attributes.get("kind", "contact"))
+            found = file.attributes.get("kind")
+            if found is None and "kind" in file.names:
+                found = variable(file, "kind")
+            return str(found or "contact")
     except (OSError, ValueError, ModuleNotFoundError):
         return "contact"
 

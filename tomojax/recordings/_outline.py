@@ -68,7 +68,7 @@ class Outline:
         if kind == "rectangle":
             return None if surface is None else cls(kind, surface=surface)
         if kind == "disc":
-            across = np.asarray(told.get("diameter", np.nan), float)
+            across = np.squeeze(np.asarray(told.get("diameter", np.nan), float))
             fine = across.shape == () and bool(0 < across < np.inf)
             require(fine, "diameter", told.get("diameter"), "m, above 0")
             return cls("disc", float(across), surface=surface)

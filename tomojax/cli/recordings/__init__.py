@@ -11,6 +11,7 @@ from tomojax.cli.recordings._opened import (
 )
 from tomojax.cli.recordings._pairs import (
     calibrate_pairs as calibrate_pairs,
+    check_pairs as check_pairs,
     is_pairs as is_pairs,
 )
 from tomojax.cli.recordings._reconstruct import reconstruct as reconstruct

@@ -98,3 +98,19 @@ def calibrate_pairs(
     print(f"stated deviation of a place: {row['deviation_median_mm'] or nan:.3g} mm")
     print(f"calibration: {out}")
     entry.write_report(options["json_path"], rows=[row], summary=row)
+
+
+def check_pairs(rec: Path, json_path: Path | None) -> int:
+    """Prints what is wrong with a rig that reads pairs; returns the exit status."""
+    from tomojax import ert
+
+    only("source", "json_path")
+    recording = ert.load(rec)
+    with naming(rec):
+        faults = ert.check(recording)
+    print(f"{len(faults)} fault{'s'[: len(faults) != 1]}" if faults else "no fault found")
+    for fault in faults:
+        print(f"- {fault.kind}: {fault.text}\n  mend: {fault.mend}")
+    rows = [fault._asdict() for fault in faults]
+    entry.write_report(json_path, rows=rows, summary={"faults": len(faults)})
+    return 1 if faults else 0

@@ -10,7 +10,13 @@ import click
 
 from tomojax._require import naming, require
 from tomojax.cli import entry
-from tomojax.cli.recordings import layout_option, opened, stretch
+from tomojax.cli.recordings import (
+    check_pairs,
+    is_pairs,
+    layout_option,
+    opened,
+    stretch,
+)
 from tomojax.cli.rigs._session import session
 
 _PAUSE = 2.0  # s, between the parts of a recording
@@ -85,9 +91,14 @@ def check(source: str, corners: Any, like: Path | None, **options: Any) -> int:
     Electrode e is row·columns + column; rows run along x, columns along y. The best ground
     conditions are all (`tomojax record --pattern all`).
 
+    A recording of pairs needs presses anywhere, one at a time: electrodes that say nothing,
+    and exchanged or reversed wires are named.
+
     Exit status: 0 no fault, 1 faults, 2 nothing could be said.
     """
     path = Path(source)
+    if is_pairs(path):
+        return check_pairs(path, options["json_path"])
     if source.startswith(_SOURCES) and not path.is_file():
         path = options["out"] or Path(time.strftime("check-%Y%m%d-%H%M%S.h5"))
         _record(source, path, corners, options | {"like": like})

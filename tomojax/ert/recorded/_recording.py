@@ -10,16 +10,22 @@ from jaxtyping import Bool, Float
 
 from tomojax._require import require, require_kind
 from tomojax._shown import named
-from tomojax._whole import whole
-from tomojax.ert._pairs import Pairs
-from tomojax.files import open_container
+from tomojax.ert.recorded._fields import (
+    electrodes_of,
+    fields_of,
+    NUMBERS,
+    readings_of,
+    text,
+)
+from tomojax.ert.recorded._pairs import Pairs
+from tomojax.ert.recorded._reference import reference_of
+from tomojax.ert.recorded._saving import save_as
 from tomojax.recordings import number, Outline, SCHEMA, size_of, VERSIONS
 
 if TYPE_CHECKING:
     import tomojax.sensor
 
 KIND = "conductivity"
-_NUMBERS = "scale", "offset", "electrode_diameter", "f_switch"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,29 +171,54 @@ class PairRecording:
         """Computes the SHA-256 of the voltages."""
         return hashlib.sha256(np.ascontiguousarray(self.voltages).data).hexdigest()
 
-    def save(self, path: Path | str) -> None:
-        """Writes the recording to a file (HDF5)."""
-        import h5py
+    def against(
+        self, reference: Any = "quiet", frames: float = 10, seconds: float = 60.0
+    ) -> "PairRecording":
+        """Returns the recording with the changes of its voltages against a reference.
 
-        names = "units", "notes", "f_switch", "magnitude", "electrode_diameter"
-        told = {name: getattr(self, name) for name in names}
+        **Arguments:** `reference` is a frame (C, R) without a press, in the recording's
+        units; "first", the mean of the first `frames`; "quiet", that of the first stretch
+        of so many frames in which nothing is pressed; or "running", the median over
+        `seconds`, where presses are shorter than half of them and voltages drift.
+        **Raises:** `ValueError` for another reference, and where no stretch is quiet.
+
+        **Example:**
+
+        >>> import numpy as np
+        >>> import tomojax as tx
+        >>> volts = np.ones((30, 8, 4))
+        >>> volts[20:25] += 0.5  # a press
+        >>> box = (0.1, 0.1)
+        >>> xy = 0.01 + 0.01 * np.indices((2, 4)).reshape(2, -1).T
+        >>> pairs = tx.ert.Pairs.opposite(8)
+        >>> read = tx.ert.PairRecording(volts, pairs, xy, 0.004, size=box)
+        >>> print(read.against("first").voltages[[0, 22], 0, 0])
+        [0.  0.5]
+        """
+        told = self.voltages, self.t0, reference, int(frames), seconds
+        return replace(self, voltages=self.voltages - reference_of(*told))
+
+    def save(self, path: Path | str) -> None:
+        """Writes the recording: .h5, .mat, or .csv with a line a frame and PATH.toml.
+
+        **Raises:** `ValueError` for another ending.
+        """
+        told: dict[str, Any] = {
+            n: getattr(self, n)
+            for n in ("units", "notes", "f_switch", "magnitude", "electrode_diameter")
+        }
         told |= {"schema": SCHEMA, "schema_version": VERSIONS[-1], "kind": KIND}
         told |= self.outline.attributes() | ({"size": self.size} if self.size else {})
-        condition = np.broadcast_to(np.arange(self.pairs.conditions), self.bad.shape[:2])
         arrays = {
             "v": self.voltages.astype(np.float32),
             "t0": self.t0,
-            "condition": condition.astype(np.uint16),
             "conditions/inject": self.pairs.inject.astype(np.uint16),
             "conditions/read": self.pairs.read.astype(np.uint16),
             "electrode_xy": self.electrode_xy,
         } | self.outline.datasets()
-        with whole(path) as part, h5py.File(part, "w") as file:
-            file.attrs.update(told)
-            for name, values in arrays.items():
-                file[name] = values
-            if self.places is not None:
-                file["places"] = self.places
+        if self.places is not None:
+            arrays["places"] = self.places
+        save_as(Path(path), arrays, told)
 
 
 def load(path: Path | str) -> PairRecording:
@@ -206,49 +237,43 @@ def load(path: Path | str) -> PairRecording:
     path = Path(path)
     try:
         require(path.is_file(), "file", "none, or a folder", "a recording in HDF5")
-        with open_container(path) as file:
-            return _read(path, file)
+        return _read(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
-def _read(path: Path, file: Any) -> PairRecording:
-    told, names = file.attributes, file.names
+def _read(path: Path) -> PairRecording:
+    told = fields_of(path)
     for name, wanted in (("schema", SCHEMA), ("kind", KIND)):
-        require(told.get(name) == wanted, name, repr(told.get(name)), repr(wanted))
-
-    def dataset(name: str, axes: int | None = None) -> Any:
-        if axes is None and name not in names:
-            return None
-        require(name in names, name, f"only {sorted(names)[:20]}", "it")
-        values = file.read_whole(name)
-        fits = values.dtype.kind in "iuf" and axes in (None, values.ndim)
-        require(fits, name, f"{values.dtype} {values.shape}", f"numbers on {axes} axes")
-        return values
-
-    pairs = Pairs(dataset("conditions/inject", 2), dataset("conditions/read", 3))
-    given: dict[str, Any] = {n: number(n, told[n]) for n in _NUMBERS if n in told}
-    volts = given.pop("scale", 1.0) * dataset("v", 3) + given.pop("offset", 0.0)
-    if "condition" in names:
-        condition, c = dataset("condition", 2), pairs.conditions
-        fits, shape = condition.shape == volts.shape[:2], f"shape {condition.shape}"
-        require(fits, "condition", shape, f"{volts.shape[:2]}, as v has")
-        inside = np.isin(condition, np.arange(c)).all()
-        require(inside, "condition", int(condition.max(initial=0)), f"0 to {c - 1}")
-        ordered = np.full((len(volts), c, volts.shape[2]), np.nan)
-        ordered[np.arange(len(volts))[:, None], condition.astype(int)] = volts
-        volts = ordered
-    given |= {name: str(told[name]) for name in ("units", "notes") if name in told}
+        found = text(told, name, wanted)
+        require(found == wanted, name, repr(found), repr(wanted))
+    xy = electrodes_of(told)
+    volts, pairs = readings_of(told, len(xy))
+    given: dict[str, Any] = {n: number(n, told[n]) for n in NUMBERS[2:] if n in told}
+    given |= {name: text(told, name) for name in ("units", "notes") if name in told}
     require("electrode_diameter" in given, "electrode_diameter", "none", "a number, m")
-    return PairRecording(
+    magnitude = told.get("magnitude")
+    recording = PairRecording(
         voltages=volts,
         pairs=pairs,
-        electrode_xy=dataset("electrode_xy", 2),
-        outline=Outline.read(told, dataset) or Outline("rectangle"),
+        electrode_xy=xy,
+        outline=Outline.read(told, told.get) or Outline("rectangle"),
         size=size_of(told["size"]) if "size" in told else None,
-        t0=dataset("t0", 1),
-        places=dataset("places"),
-        magnitude=bool(told["magnitude"]) if "magnitude" in told else None,
+        t0=np.ravel(told["t0"]) if "t0" in told else None,
+        places=told.get("places"),
+        magnitude=None if magnitude is None else bool(magnitude),
         path=path,
         **given,
     )
+    reference = told.get("reference", "none")
+    if isinstance(reference, bytes | str):
+        reference = text(told, "reference", "none")
+        if reference == "none":
+            return recording
+    else:
+        shape = np.shape(told["v"])[1:]
+        alone = {n: value for n, value in told.items() if n != "condition"}
+        alone["v"] = np.reshape(reference, (1, *shape))
+        reference = readings_of(alone, len(xy))[0][0]
+    more = {n: number(n, told[n]) for n in ("frames", "seconds") if n in told}
+    return recording.against(reference, **more)

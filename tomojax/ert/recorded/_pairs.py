@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from tomojax._require import require, require_whole
 
@@ -64,11 +64,12 @@ class Pairs:
         return self
 
     @classmethod
-    def skip(cls, electrodes: int, skipped: int) -> "Pairs":
+    def skip(cls, electrodes: int, skipped: int, rotated: bool = False) -> "Pairs":
         """Lists the usual protocol: `skipped` electrodes lie between the driven ones.
 
         Each electrode drives once. Readings are between neighbours; those that share a
-        driven electrode are left out.
+        driven electrode are left out. The first reading of each injection begins at
+        electrode 0, or, where they are `rotated`, at the one that the current enters by.
 
         **Example:**
 
@@ -77,15 +78,35 @@ class Pairs:
         >>> pairs.inject[:2].tolist(), pairs.read[0].tolist()
         ([[0, 2], [1, 3]], [[4, 3], [5, 4], [6, 5], [7, 6]])
         """
-        require_whole("electrodes", electrodes, 4, _MOST)
-        require_whole("skipped", skipped, 0)
-        fits = skipped <= electrodes - 2
-        require(fits, "skipped", f"{skipped} of {electrodes}", "two apart")
-        each = np.arange(electrodes)
-        inject = np.stack([each, (each + skipped + 1) % electrodes], 1)
-        read = np.stack([(each + 1) % electrodes, each], 1)
-        apart = ~(read[None, :, :, None] == inject[:, None, None]).any((2, 3))
-        return cls(inject, np.stack([read[some] for some in apart]))
+        inject, read = _around(electrodes, skipped, rotated)
+        apart = undriven(inject, read)
+        return cls(inject, np.stack([each[some] for each, some in zip(read, apart)]))
+
+    @classmethod
+    def named(
+        cls, name: str, electrodes: int, rotated: bool = False, driven: bool = False
+    ) -> "Pairs":
+        """Lists the protocol of a name: "adjacent", "opposite" or "skip n".
+
+        **Arguments:** `rotated` as of `skip`; `driven`: readings at driven electrodes are
+        listed as well, as many files have them.
+        **Raises:** `ValueError` for another name.
+
+        **Example:**
+
+        >>> import tomojax as tx
+        >>> tx.ert.Pairs.named("skip 2", 16).inject[0].tolist()
+        [0, 3]
+        >>> tx.ert.Pairs.named("adjacent", 16, driven=True).read.shape
+        (16, 16, 2)
+        """
+        half = electrodes // 2 - 1
+        words = {"adjacent": 0, "opposite": half} | {f"skip {n}": n for n in range(half)}
+        expected = "'adjacent', 'opposite' or 'skip n'"
+        require(name in words, "protocol", repr(name), expected)
+        if driven:
+            return cls(*_around(electrodes, words[name], rotated))
+        return cls.skip(electrodes, words[name], rotated)
 
     @classmethod
     def adjacent(cls, electrodes: int) -> "Pairs":
@@ -133,3 +154,20 @@ class Pairs:
         sign = np.sign(both[..., 1] - both[..., 0]).prod(-1)
         at = [*np.divmod(one, self.readings), *np.divmod(other, self.readings)]
         return np.stack([*at, sign[one] * sign[other]], 1)
+
+
+def undriven(inject: Any, read: Any) -> Bool[np.ndarray, "C R"]:
+    """Tells which readings are at no driven electrode: those that a protocol keeps."""
+    return ~(read[..., None] == inject[:, None, None]).any((2, 3))
+
+
+def _around(electrodes: int, skipped: int, rotated: bool) -> tuple[Any, Any]:
+    """Returns injections all the way round, and all readings of neighbours of each."""
+    require_whole("electrodes", electrodes, 4, _MOST)
+    require_whole("skipped", skipped, 0)
+    fits = skipped <= electrodes - 2
+    require(fits, "skipped", f"{skipped} of {electrodes}", "two apart")
+    each = np.arange(electrodes)
+    inject = np.stack([each, (each + skipped + 1) % electrodes], 1)
+    first = each + rotated * each[:, None]
+    return inject, np.stack([first + 1, first], 2) % electrodes

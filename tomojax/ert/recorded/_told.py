@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tomojax.ert._recording import PairRecording
+from tomojax.ert.recorded._recording import PairRecording
 
 _TOLD = 20  # readings that never change, by name
 

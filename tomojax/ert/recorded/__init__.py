@@ -1,0 +1,1 @@
+"""Recordings of pairs of electrodes: their files, and what they hold. Loads no JAX."""
