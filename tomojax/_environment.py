@@ -8,9 +8,12 @@ import os
 import platform
 import sys
 from contextlib import suppress
-from importlib.metadata import version
+from functools import cache
+from importlib import metadata
 from itertools import takewhile
 from pathlib import Path
+
+version = cache(metadata.version)  # reads a file of long text each time
 
 # The lines of /proc/cpuinfo that name the processor and its features, on x86 and ARM.
 _PROCESSOR = ("model name", "flags", "CPU implementer", "CPU part", "Features")

@@ -6,16 +6,18 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax._require import require
-from tomojax.calibration._calibrate import Calibrated, calibrated, known_frames
 from tomojax.files import read_csv, read_npz
 from tomojax.recordings import CHUNK_SLOTS, read_chunk, Recording
 from tomojax.sensor import Calibration, nominal_noise
+
+if TYPE_CHECKING:
+    from tomojax.calibration._calibrate import Calibrated
 
 # Slots looked at for zeros, in so many stretches.
 _QUIET_SLOTS = 8192
@@ -181,7 +183,7 @@ def calibrated_recording(
     *,
     calibration: Calibration | None = None,
     progress: Callable[[str], None] = lambda text: None,
-) -> Calibrated:
+) -> "Calibrated":
     """Calibrates from a recording of one contact; returns frames and covariance too.
 
     Zeros are taken from contact-free slots first, if there are any. `places` (m) are one
@@ -210,6 +212,9 @@ def calibrated_recording(
     >>> lines = tx.calibration.text(sensor, found)
     >>> figure = tx.calibration.picture(sensor, found)
     """
+    # Here: `tare`, which every run on a recording needs, need not wait for it.
+    from tomojax.calibration._calibrate import calibrated, known_frames
+
     slots, per_scan = recording.scans * recording.slots, recording.slots
     if places is not None:
         places = np.asarray(places, float)

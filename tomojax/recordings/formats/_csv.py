@@ -33,7 +33,7 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
     known = [_OTHERS.get(name.lower(), "") for name in names]
     twice = [name for name in set(known) - {""} if known.count(name) > 1]
     require(not twice, "columns", f"{twice} twice", "each once")
-    pairs = "one named ground (a skin read between pairs: tomojax.ert.PairRecording)"
+    pairs = "one named ground (of pairs: kind and protocol in a file .toml beside)"
     require("ground" in known, "columns", names[:8], pairs)
     electrodes = [k for k, name in enumerate(known) if not name]
     require(electrodes, "columns", names[:8], "a column of voltages each electrode")
