@@ -135,11 +135,11 @@ def judged(found: dict, scenes: Any, kind: str) -> dict:
     ]
     wrong = ~right
     wrong[right] = [bool((e > 0.5).any()) for e in each]
-    far = np.concatenate(each) if each else np.array([np.inf])
+    far = np.concatenate(each) if each else np.array([np.nan])
     return row | {
         "right": int(right.sum()),
-        "median": float(np.median(far)),
-        "p90": float(np.quantile(far, 0.9)),
+        "median": float(np.median(far)) if each else None,
+        "p90": float(np.quantile(far, 0.9)) if each else None,
         "wrong_unflagged": int((wrong & ~doubt).sum()),
     }
 
@@ -207,7 +207,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
                     if (row["method"], row["slots"], row["scene"]) == (method, slots, kind)
                 ]  # fmt: skip
                 at = [names.index(r["skin"]) + 0.2 * (k - 1.5) + 0.05 * j for r in mine]
-                low, high = ([min(r[f], 3) for r in mine] for f in ("median", "p90"))
+                low, high = ([min(r[f] or 3, 3) for r in mine] for f in ("median", "p90"))
                 axes.hlines(at, low, high, colors=look["color"])
                 axes.plot(low, at, **look, label=method if not j else None)
         axes.set(xscale="log", xlabel="off, mean pitches", title=f"{slots} slots")

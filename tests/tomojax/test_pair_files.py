@@ -110,8 +110,14 @@ def test_matlabs_older_files_are_read(recorded, tmp_path, compressed) -> None:
     path = tmp_path / "skin.mat"
     told = {"kind": "conductivity", "protocol": "opposite", "rim": 8.0, "outline": "disc"}
     told |= {"diameter": 0.1, "electrode_diameter": 0.01, "v": recorded.voltages}
+    told["reference"] = recorded.voltages[7]  # a frame, as the first has its shape
     savemat(path, told, do_compression=compressed)
-    np.testing.assert_allclose(tx.ert.load(path).voltages, recorded.voltages)
+    wanted = recorded.voltages - recorded.voltages[7]
+    np.testing.assert_allclose(tx.ert.load(path).voltages, wanted)
+    del told["reference"]
+    savemat(path, told | {"reference": "first", "frames": 2.0})
+    wanted = recorded.voltages - recorded.voltages[:2].mean(0)
+    np.testing.assert_allclose(tx.ert.load(path).voltages, wanted, atol=1e-12)
 
 
 def test_a_contact_recording_in_matlabs_older_format_is_read(tmp_path) -> None:
@@ -184,6 +190,7 @@ def test_a_description_tells_the_reference(places, tmp_path) -> None:
         (("rim = 8", "rim = 8\nrims = 1"), "description: got ..rims.., expected some of"),
         (("electrode_diameter = 0.01", ""), "electrode_diameter: got none"),
         (('"conductivity"', '"contact"'), "kind: got 'contact'"),
+        (("rim = 8", 'rim = 8\nclockwise = "no"'), "clockwise: got 'no', expected true"),
         (('"opposite"', '"opposite"\nreference = "now"'), "reference: got 'now'"),
     ],
 )

@@ -65,7 +65,8 @@ def _of_container(path: Path) -> dict[str, Any]:
         found = {n: v for n, v in file.attributes.items() if n in _NAMES}
         for name in _readable(file):
             short = name.removeprefix("conditions/")
-            if matlab and name in _NAMES - {*ARRAYS} | {"reference"}:
+            word = file.attributes_of(name).get("MATLAB_class") == b"char"
+            if matlab and name in _NAMES and (word or name not in ARRAYS):
                 found[name] = variable(file, name)
             elif short in ARRAYS:
                 values = file.read_whole(name)
@@ -84,6 +85,14 @@ def text(told: dict[str, Any], name: str, default: str = "") -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
+def flag(told: dict[str, Any], name: str) -> bool:
+    """Returns a field that is true or false; false where it is not told."""
+    value = np.squeeze(np.asarray(told.get(name, False)))
+    fits = value.shape == () and value.dtype.kind in "biuf" and value in (0, 1)
+    require(bool(fits), name, repr(told.get(name)), "true or false")
+    return bool(value)
+
+
 def electrodes_of(told: dict[str, Any]) -> np.ndarray:
     """Returns electrodes' places, m: as they are told, or evenly around a round rim."""
     if "rim" not in told:
@@ -94,7 +103,7 @@ def electrodes_of(told: dict[str, Any]) -> np.ndarray:
     require(fits, "rim", told["rim"], "how many electrodes are on the rim")
     across = told.get("rim_diameter", told.get("diameter"))
     require(across is not None, "rim_diameter", "none", "m, or the disc's diameter")
-    turn = -1 if told.get("clockwise", False) else 1
+    turn = -1 if flag(told, "clockwise") else 1
     angle = np.radians(number("first_angle", told.get("first_angle", 0.0)))
     angle = angle + turn * 2 * np.pi * np.arange(int(count)) / int(count)
     radius = number("rim_diameter", across) / 2
@@ -122,7 +131,7 @@ def readings_of(told: dict[str, Any], electrodes: int) -> tuple[np.ndarray, Pair
         pairs = Pairs(np.asarray(told["inject"]), np.asarray(told["read"]))
         whole, kept = pairs, np.ones(pairs.read.shape[:2], bool)
     else:
-        rotated = bool(told.get("rotated", False))
+        rotated = flag(told, "rotated")
         pairs = Pairs.named(name, electrodes, rotated)
         driven = rows == pairs.conditions * electrodes
         whole = Pairs.named(name, electrodes, rotated, driven)

@@ -13,6 +13,7 @@ from tomojax._shown import named
 from tomojax.ert.recorded._fields import (
     electrodes_of,
     fields_of,
+    flag,
     NUMBERS,
     readings_of,
     text,
@@ -252,7 +253,6 @@ def _read(path: Path) -> PairRecording:
     given: dict[str, Any] = {n: number(n, told[n]) for n in NUMBERS[2:] if n in told}
     given |= {name: text(told, name) for name in ("units", "notes") if name in told}
     require("electrode_diameter" in given, "electrode_diameter", "none", "a number, m")
-    magnitude = told.get("magnitude")
     recording = PairRecording(
         voltages=volts,
         pairs=pairs,
@@ -261,7 +261,7 @@ def _read(path: Path) -> PairRecording:
         size=size_of(told["size"]) if "size" in told else None,
         t0=np.ravel(told["t0"]) if "t0" in told else None,
         places=told.get("places"),
-        magnitude=None if magnitude is None else bool(magnitude),
+        magnitude=flag(told, "magnitude") if "magnitude" in told else None,
         path=path,
         **given,
     )
