@@ -203,7 +203,7 @@ def _small(text: str):
 @pytest.mark.parametrize(
     "make, says",
     [
-        (_small("1,2,3\n"), "a first line that names them"),
+        (_small("1,2,4\n"), "a first line that names them"),
         (_small("t,v0,v1\n0,1,2\n"), "one named ground"),
         (_small("ground,v0,v1\n"), "lines: got none of numbers"),
         (_small("ground,v0,v1\n0,1,2\n1,2\n"), "columns"),

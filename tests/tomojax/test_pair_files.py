@@ -1,6 +1,7 @@
 """Recordings of pairs: tables, MATLAB's files, protocols by name, references, a check."""
 
 import numpy as np
+import pandas
 import pytest
 from click.testing import CliRunner
 from scipy.io import savemat
@@ -85,6 +86,16 @@ def test_a_table_without_names_is_a_frame_a_line(recorded, tmp_path) -> None:
     np.testing.assert_allclose(back.voltages, recorded.voltages)
     np.testing.assert_allclose(back.electrode_xy, RIM, atol=1e-12)
     assert back.places is None
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_columns_that_pandas_counts_are_no_frame(recorded, tmp_path, index) -> None:
+    path = tmp_path / "skin.csv"
+    pandas.DataFrame(recorded.voltages.reshape(60, -1)).to_csv(path, index=index)
+    path.with_suffix(".toml").write_text(DESCRIPTION)
+    np.testing.assert_allclose(tx.ert.load(path).voltages, recorded.voltages)
+    np.savetxt(path, [[np.nan] * 32, recorded.voltages[1].ravel()], delimiter=",")
+    assert tx.ert.load(path).bad.sum() == 32
 
 
 def test_readings_at_driven_electrodes_are_left_out(places, tmp_path) -> None:

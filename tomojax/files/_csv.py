@@ -27,9 +27,9 @@ class Table(NamedTuple):
 def read_csv(path: Path | str, what: str) -> Table:
     """Reads numbers in columns: separated by commas, semicolons or tabs.
 
-    The first line may name the columns. Commas may be decimal where semicolons or tabs
-    separate. A field that is no number is NaN. A column without a name that is empty, or
-    counts the lines, is left out.
+    The first line may name the columns, or count them from 0 or 1. Commas may be decimal
+    where semicolons or tabs separate. A field that is no number is NaN. A column without a
+    name that is empty, or counts the lines, is left out.
 
     **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
@@ -68,19 +68,28 @@ def _head(file: TextIO) -> tuple[list[str], str, str]:
         require(line, "lines", "none", "a line of numbers or names")
     separator = next((s for s in ("\t", ";", ",") if s in line), ",")
     names = [name.strip().strip('"') for name in line.rstrip("\r\n").split(separator)]
-    words = [bool(re.search("[A-Za-z]", name)) for name in names]
-    named = any(words) and not any(map(_is_number, names))
-    if not named:
+    words = [bool(re.search("[A-Za-z]", name)) and not _number(name) for name in names]
+    bare = any(_number(name) for name in names)
+    if (bare or not any(words)) and not _counted(names):
         return [""] * len(names), separator, line + file.read()
     return names, separator, file.read()
 
 
-def _is_number(text: str) -> bool:
+def _counted(names: list[str]) -> bool:
+    """Tells names that pandas gives to columns without one: 0, 1, 2 …"""
+    some = names[1:] if names[0] == "" else names
+    return len(some) > 2 and some in (
+        [str(k + a) for k in range(len(some))] for a in (0, 1)
+    )
+
+
+def _number(text: str) -> bool:
+    """Tells what stands for a number, NaN and infinities among them."""
     try:
         float(text.replace(",", "."))
     except ValueError:
         return False
-    return text.lower() not in ("nan", "inf", "-inf", "infinity")
+    return True
 
 
 def _named(names: list[str], values: np.ndarray) -> tuple[list[str], np.ndarray]:
