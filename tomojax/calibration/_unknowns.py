@@ -63,7 +63,7 @@ def unknowns_of(sensor: Sensor, before: Calibration) -> Unknowns:
 
 
 def widened(unknowns: Unknowns, state: Float[np.ndarray, " P"]) -> Unknowns:
-    """Widens the prior of electrodes' places, if a first pass found them farther off."""
+    """Widens the prior of electrodes' places, if a pass found them farther off."""
     at, prior = unknowns.parts["electrodes"], unknowns.prior.copy()
     square = float(np.mean((state - unknowns.start)[at] ** 2))
     prior[at, at] /= max(1.0, square * prior[at.start, at.start])
