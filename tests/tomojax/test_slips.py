@@ -141,7 +141,7 @@ def test_a_csv_that_lacks_something_says_all_of_it(tmp_path):
     with pytest.raises(ValueError, match="drive_voltage, ground_resistance, sheet_res"):
         tx.open_recording(path)
     path.write_text("time,i0r0,i0r1\n0,1,2\n")
-    with pytest.raises(ValueError, match=r"tomojax\.ert\.PairRecording"):
+    with pytest.raises(ValueError, match="of pairs: kind and protocol in a file .toml"):
         tx.open_recording(path)
 
 

@@ -4,7 +4,7 @@ import re
 import warnings
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -60,7 +60,7 @@ def read_csv(path: Path | str, what: str) -> Table:
         raise ValueError(f"{path}: {what}: {_line(error)}") from None
 
 
-def _head(file: TextIO) -> tuple[list[str], str, str]:
+def _head(file: StringIO) -> tuple[list[str], str, str]:
     """Reads the columns' names, if a line has them; finds the separator, and the rest."""
     line = ""
     while not line.strip() or line.startswith(("#", "sep=")):  # Excel's line

@@ -26,7 +26,7 @@ def reference_of(
     reference: Any,
     frames: int,
     seconds: float,
-) -> Float[np.ndarray, "n C R"]:
+) -> Float[np.ndarray, "either C R"]:
     """Returns each frame's voltages without a press, as broadcasts to the frames.
 
     **Arguments:** `reference` is an array (C, R); "first", the mean of the first `frames`;
