@@ -203,6 +203,11 @@ def test_a_description_tells_the_reference(places, tmp_path) -> None:
         (('"conductivity"', '"contact"'), "kind: got 'contact'"),
         (("rim = 8", 'rim = 8\nclockwise = "no"'), "clockwise: got 'no', expected true"),
         (('"opposite"', '"opposite"\nreference = "now"'), "reference: got 'now'"),
+        (('"opposite"', '"opposite"\nreference = [1.0]'), "reference: got shape"),
+        (
+            ('"opposite"', '"opposite"\nreference = "first"\nframes = 2.5'),
+            "frames: got 2.5, expected a whole number",
+        ),
     ],
 )
 def test_bad_descriptions_are_told_in_a_line(recorded, tmp_path, change, told) -> None:

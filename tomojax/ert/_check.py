@@ -28,9 +28,14 @@ _EXPLAINED, _SURE = 0.15, 6.0
 # others do, but for the sign: by so much of that at least.
 _REVERSED = 0.7
 
-# What is looked at: frames, places along the sheet's longer side, readings, electrodes that
-# fit worst, and exchanges one after the other.
-_FRAMES, _PLACES, _READINGS, _WORST, _ROUNDS = 300, 20, 2000, 10, 3
+# Frames, and readings of each, that are looked at: more say the same.
+_FRAMES, _READINGS = 300, 2000
+# Places along the sheet's longer side: a press is about as wide as their distance.
+_PLACES = 20
+# Exchanges are tried among so many electrodes, those that fit worst.
+_WORST = 10
+# At most so many exchanges are named.
+_ROUNDS = 3
 
 
 class PairFault(NamedTuple):

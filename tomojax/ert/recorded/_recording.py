@@ -196,6 +196,7 @@ class PairRecording:
         >>> print(read.against("first").voltages[[0, 22], 0, 0])
         [0.  0.5]
         """
+        require(frames == int(frames), "frames", frames, "a whole number")
         told = self.voltages, self.t0, reference, int(frames), seconds
         return replace(self, voltages=self.voltages - reference_of(*told))
 
@@ -233,11 +234,11 @@ def load(path: Path | str) -> PairRecording:
     >>> import tomojax as tx
     >>> tx.ert.load("none.h5")
     Traceback (most recent call last):
-    ValueError: none.h5: file: got none, or a folder, expected a recording in HDF5
+    ValueError: none.h5: file: got none, or a folder, expected a recording
     """
     path = Path(path)
     try:
-        require(path.is_file(), "file", "none, or a folder", "a recording in HDF5")
+        require(path.is_file(), "file", "none, or a folder", "a recording")
         return _read(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
@@ -272,6 +273,8 @@ def _read(path: Path) -> PairRecording:
             return recording
     else:
         shape = np.shape(told["v"])[1:]
+        fits = np.size(reference) == np.prod(shape)
+        require(fits, "reference", f"shape {np.shape(reference)}", f"{shape}, a frame")
         alone = {n: value for n, value in told.items() if n != "condition"}
         alone["v"] = np.reshape(reference, (1, *shape))
         reference = readings_of(alone, len(xy))[0][0]

@@ -61,4 +61,4 @@ def _csv(path: Path, arrays: Arrays, told: dict[str, Any]) -> None:
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
 
 
-_WRITERS: dict[str, Callable] = {".h5": _hdf5, ".mat": _mat, ".csv": _csv}
+_WRITERS: dict[str, Callable] = {".h5": _hdf5, ".hdf5": _hdf5, ".mat": _mat, ".csv": _csv}
