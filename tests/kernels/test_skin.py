@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.kernels.sheet import coverage, Skin
+from tomojax.kernels.sheet import coverage, rectangle_grid_fields, Skin
 
 RADIUS = 0.05
 RINGS = ((1, 0.0), (5, 0.016), (8, 0.032))
@@ -68,6 +68,31 @@ def test_potentials_on_a_disc(disc) -> None:
     off = (np.asarray(field.values[:, :, 0]) - want)[clear]
     off = off - off.mean(0) - (off - off.mean(0)).mean(1, keepdims=True)
     assert np.abs(off).max() < 1e-3 * np.ptp(want[clear])
+
+
+def test_half_discs_on_a_slanting_edge() -> None:
+    """A rectangle that stands askew in its box, beside one of twice the height."""
+    wide, high = 0.08, 0.05
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    put = lambda at: np.asarray(at) @ [[cos, sin], [-sin, cos]] + [high * sin, 0]  # noqa: E731
+    xy = np.array([[0.015, 0], [0.04, 0], [0.068, 0]])
+    corners = [[0, 0], [wide, 0], [wide, high], [0, high]]
+    sensor = tx.Sensor.polygon(put(corners), put(xy), electrode_shunt=1.0)
+    field = tx.sensor.make_field(sensor)
+    axes = (np.linspace(0, s, n) for s, n in zip(field.size, field.values.shape))
+    at = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    place = (at - [high * sin, 0]) @ [[cos, -sin], [sin, cos]]
+    some = ((place > 0.003) & (place < np.array([wide, high]) - 0.003)).all(-1)
+    some &= np.hypot(*np.moveaxis(place[:, :, None] - xy, -1, 0)).min(-1) > 0.005
+    # An ampere through half a disc is two through a whole one.
+    given = xy + [0, high], *np.zeros((2, 2)), 0.0025, np.array([wide, 2 * high]), 1.0
+    ee, _, rows = rectangle_grid_fields(*given, place[some] + [0, high])
+    rho = 2 * float(sensor.sheet_resistance)
+    want = pairs(rho * ee)
+    np.testing.assert_allclose(pairs(np.asarray(field.electrodes)), want, rtol=1e-3)
+    off = np.asarray(field.values[:, :, 0])[some] - rho * rows.T
+    off = off - off.mean(0) - (off - off.mean(0)).mean(1, keepdims=True)
+    assert np.abs(off).max() < 1e-3 * np.ptp(rho * rows)
 
 
 def test_tables_in_float32_have_its_digits() -> None:

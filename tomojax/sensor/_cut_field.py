@@ -27,13 +27,16 @@ from tomojax.kernels.sheet import (
     Skin,
     stretch,
 )
-from tomojax.sensor._edges import AbstractEdge
+from tomojax.sensor._edges import AbstractEdge, PolygonEdge
 from tomojax.sensor._mesh_solve import centred, MeshSolve
 from tomojax.sensor._sensor import Sensor
 
-# Cells of the mesh, of a diameter; at most so many along a side.
+# Cells of the mesh, of a diameter; as many where an edge crosses an electrode, or a gap is
+# narrower than one; at most so many along a side.
 _MESH = 4
+_FINE = 8
 _MOST = 200
+_FINEST = 300
 
 # With cells of half the side a mesh lacks a quarter as much where the sheet is smooth, and
 # less than half at corners that point inwards. So this part of what the finer mesh changes
@@ -73,16 +76,18 @@ class Cut(NamedTuple):
     alike: Float[np.ndarray, " M"]  # whether the sheet is flat there, 1 or 0
 
 
-def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1) -> Cut:
+def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1, fine: bool = False) -> Cut:
     """Puts the sheet on a mesh that is finer than its electrodes.
 
-    `coarser`: cells of the mesh beside each other that are one.
+    `coarser`: cells of the mesh beside each other that are one; `fine`: a finer mesh where
+    the edge asks for one.
     """
     size, xy = np.asarray(sensor.size, float), sensor.electrode_xy
     diameter, rho = float(sensor.electrode_diameter), np.asarray(sensor.sheet_resistance)
-    wanted = np.ceil(_MESH * size / diameter * (1 - 1e-5)).astype(int)
+    cells, most = (_FINE, _FINEST) if fine and _edge_is_near(sensor) else (_MESH, _MOST)
+    wanted = np.ceil(cells * size / diameter * (1 - 1e-5)).astype(int)
     # As fine as the sensor's own where that is finer: narrow gaps ask for it.
-    mesh = np.maximum(np.clip(wanted, 8, _MOST), sensor.divisions)
+    mesh = np.maximum(np.clip(wanted, 8, most), sensor.divisions)
     mesh = -(-mesh // 2) * 2 // coarser
     if rho.ndim:  # on a mesh that divides that of the sheet's values
         divisions = np.array(sensor.divisions)
@@ -109,6 +114,17 @@ def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1) -> Cut:
     parts = eqx.filter_jit(feed_parts)(xy, given[0], shape, sensor.size, skin)
     alike = np.asarray(stretch(skin, xy, jnp.asarray(side, sensor.dtype))) < _ALIKE
     return Cut(shape, skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
+
+
+def _edge_is_near(sensor: Sensor) -> bool:
+    """Tells whether an edge crosses an electrode, or gaps are narrower than one."""
+    outline, diameter = sensor.outline, sensor.electrode_diameter
+    if outline is None:
+        return False
+    crossed = np.asarray(outline.distance(sensor.electrode_xy)) > -float(diameter) / 2
+    if crossed.any() or not isinstance(outline, PolygonEdge):
+        return bool(crossed.any())
+    return outline.narrowest(float(diameter)) < float(diameter)
 
 
 def cut_fields(
@@ -149,7 +165,7 @@ def cut_fields(
 
     fine = coarse = corrected(cut)
     if not sensor.sheet_resistance.ndim:  # values of cells have a finest mesh
-        coarse = corrected(cut_of(sensor, even, 2))
+        coarse = corrected(cut_of(sensor, even, 2, fine=True))
     ee, rows = (a + _TO_COME * (a - b) for a, b in zip(fine, coarse))
     return (ee + ee.T) / 2, rows
 

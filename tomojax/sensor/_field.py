@@ -74,12 +74,13 @@ def make_field(sensor: Sensor) -> Field:
             more_ee, more = _variation(sensor, even, cells)
             ee, rows = ee + more_ee, rows + more
         return averaged_field(sensor, *_told(told, ee, rows), every)
-    cut = cut_of(sensor, even)
+    cut = cut_of(sensor, even, fine=True)
     ee, rows = _told(told, *cut_fields(sensor, even, cut, cells))
     field = averaged_field(sensor, ee, rows, every)
     x, y = (np.linspace(0, float(s), n // every + 1) for s, n in zip(sensor.size, cells))
     home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
-    return field._replace(home=home, among=among_sites(sensor, cut))
+    # What the shape adds between sites is smoother than the electrodes' own potentials.
+    return field._replace(home=home, among=among_sites(sensor, cut_of(sensor, even)))
 
 
 def make_among(sensor: Sensor) -> Among:
