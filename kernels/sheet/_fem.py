@@ -20,7 +20,7 @@ from tomojax.kernels.sheet._electrodes import (
     metal_shares,
     series_resistances,
 )
-from tomojax.kernels.sheet._mesh import Shape, triangles
+from tomojax.kernels.sheet._mesh import namespace, Shape, triangles, Values
 from tomojax.kernels.sheet._reduction import ContactReduction, touch_electrodes
 from tomojax.kernels.sheet._skin import coverage, OUTSIDE, pinned_node, Skin, stiffness_on
 from tomojax.kernels.sheet._slots import centred, Resistances
@@ -30,22 +30,22 @@ from tomojax.kernels.sheet._stiffness import reference_stiffness
 class FemSheet(NamedTuple):
     """A sheet on its mesh: all that the factorisation needs."""
 
-    local: Float[Array, "K 3 3"]  # stiffness of each element, S
-    pinned: Int[Array, ""]  # the node at 0 V
-    feeds: Float[Array, "nodes M"]  # shares of each electrode's current per node
-    series: Float[Array, " M"]  # Ω, see `series_resistances`
-    dipoles: Float[Array, "nodes D"]  # 1/m, D = 2M, or 0 for electrodes without extent
-    dipole_series: Float[Array, " D"]  # Ω/m²
-    metal: Float[Array, "nodes M"]  # share of a node's contact that is on an electrode
+    local: Float[Values, "K 3 3"]  # stiffness of each element, S
+    pinned: Int[Values, ""]  # the node at 0 V
+    feeds: Float[Values, "nodes M"]  # shares of each electrode's current per node
+    series: Float[Values, " M"]  # Ω, see `series_resistances`
+    dipoles: Float[Values, "nodes D"]  # 1/m, D = 2M, or 0 for electrodes without extent
+    dipole_series: Float[Values, " D"]  # Ω/m²
+    metal: Float[Values, "nodes M"]  # share of a node's contact that is on an electrode
 
 
 def fem_sheet(
-    sheet: Float[Array, " K"],
-    places: Float[Array, "M 2"],
-    radius: Float[Array, ""],
+    sheet: Float[Values, " K"],
+    places: Float[Values, "M 2"],
+    radius: Float[Values, ""],
     shape: Shape,
-    size: Float[Array, "2"],
-    shunt: Float[Array, ""] | None = None,
+    size: Float[Values, "2"],
+    shunt: Float[Values, ""] | None = None,
     skin: Skin | None = None,
 ) -> FemSheet:
     """Puts electrodes on the mesh of a sheet of conductance `sheet` (S per square).
@@ -58,16 +58,16 @@ def fem_sheet(
     if skin is None:
         local = reference_stiffness(shape, size)
     else:
-        sheet = sheet * jnp.maximum(coverage(skin, shape), OUTSIDE)
+        sheet = sheet * namespace(sheet).maximum(coverage(skin, shape), OUTSIDE)
         local = stiffness_on(skin, shape, size)
     series, dipole_series = series_resistances(at, sheet, shunt)
     feeds = feed_weights(at)
     return FemSheet(
         local=sheet[:, None, None] * local,
-        pinned=pinned_node(skin, shape),
+        pinned=namespace(sheet).asarray(pinned_node(skin, shape)),
         feeds=feeds,
         series=series,
-        dipoles=feeds[:, :0] if shunt is None else dipole_weights(at),
+        dipoles=feeds[:, :0] if shunt is None else dipole_weights(at, feeds),
         dipole_series=dipole_series,
         metal=metal_shares(at),
     )

@@ -6,12 +6,25 @@ rectangle if `nx` and `ny` are even. Numbering is static (NumPy), places are not
 """
 
 from functools import lru_cache
+from typing import Any, TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 Shape = tuple[int, int]
+
+# What describes a sheet is computed in JAX, or by NumPy where nothing is compiled: results
+# are of the arguments' kind, which a type checker cannot follow.
+if TYPE_CHECKING:
+    Values = Any
+else:
+    Values = Array | np.ndarray | np.generic
+
+
+def namespace(values: Any) -> Any:
+    """Returns NumPy for NumPy's values, else JAX's NumPy."""
+    return np if isinstance(values, np.ndarray | np.generic) else jnp
 
 
 def block_shape(shape: Shape) -> Shape:
@@ -62,9 +75,9 @@ def _node_index(shape: Shape) -> np.ndarray:
     return index
 
 
-def nodes(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "nodes 2"]:
+def nodes(shape: Shape, size: Float[Values, "2"]) -> Float[Values, "nodes 2"]:
     """Computes places of the nodes, m."""
-    return jnp.asarray(_node_index(shape) / np.array(shape), size.dtype) * size
+    return (_node_index(shape) / np.array(shape)).astype(size.dtype) * size
 
 
 def node_image(values: np.ndarray, shape: Shape) -> np.ndarray:
@@ -80,32 +93,32 @@ def cell_centres(shape: Shape) -> Float[np.ndarray, "cells 2"]:
     return np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
 
 
-def cell_sides(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "2"]:
+def cell_sides(shape: Shape, size: Float[Values, "2"]) -> Float[Values, "2"]:
     """Computes the sides of a cell, m."""
     return size / np.array(shape, size.dtype)
 
 
-def node_areas(shape: Shape, size: Float[Array, "2"]) -> Float[Array, " nodes"]:
+def node_areas(shape: Shape, size: Float[Values, "2"]) -> Float[Values, " nodes"]:
     """Computes the area that belongs to each node, m²: a cell inside, half at an edge."""
     index = _node_index(shape)
     inside = np.where((index == 0) | (index == np.array(shape)), 0.5, 1.0).prod(-1)
-    return jnp.asarray(inside, size.dtype) * cell_sides(shape, size).prod()
+    return inside.astype(size.dtype) * cell_sides(shape, size).prod()
 
 
-def centroids(shape: Shape, size: Float[Array, "2"]) -> Float[Array, "elements 2"]:
+def centroids(shape: Shape, size: Float[Values, "2"]) -> Float[Values, "elements 2"]:
     """Computes centroids of the elements, m."""
     unit = (_node_index(shape) / np.array(shape))[triangles(shape)].mean(1)
-    return jnp.asarray(unit, size.dtype) * size
+    return unit.astype(size.dtype) * size
 
 
-def element_area(shape: Shape, size: Float[Array, "2"]) -> Float[Array, ""]:
+def element_area(shape: Shape, size: Float[Values, "2"]) -> Float[Values, ""]:
     """Computes the area of one element, m²: all are equal."""
     return cell_sides(shape, size).prod() / 2
 
 
 def subpoints(
-    shape: Shape, size: Float[Array, "2"], level: int = 2
-) -> Float[Array, "elements points 2"]:
+    shape: Shape, size: Float[Values, "2"], level: int = 2
+) -> Float[Values, "elements points 2"]:
     """Computes the centroids of the 4^level equal triangles within each element, m."""
     weights = np.eye(3)[None]  # (triangles, corners, barycentric)
     for _ in range(level):
@@ -116,4 +129,4 @@ def subpoints(
         weights = np.concatenate(parts)
     corners = (_node_index(shape) / np.array(shape))[triangles(shape)]
     unit = np.einsum("pb,kbd->kpd", weights.mean(1), corners)
-    return jnp.asarray(unit, size.dtype) * size
+    return unit.astype(size.dtype) * size

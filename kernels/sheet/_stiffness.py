@@ -13,12 +13,19 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tomojax.kernels.algebra import BlockTri
-from tomojax.kernels.sheet._mesh import block_shape, cell_sides, Shape, triangles
+from tomojax.kernels.sheet._mesh import (
+    block_shape,
+    cell_sides,
+    namespace,
+    Shape,
+    triangles,
+    Values,
+)
 
 
 def reference_stiffness(
-    shape: Shape, size: Float[Array, "2"]
-) -> Float[Array, "elements 3 3"]:
+    shape: Shape, size: Float[Values, "2"]
+) -> Float[Values, "elements 3 3"]:
     """Computes the stiffness of each element of a flat sheet at 1 S per square.
 
     A right triangle has legs p (to vertex 1) and q (to vertex 2). The hypotenuse carries
@@ -30,7 +37,7 @@ def reference_stiffness(
     edge_x = np.array([[1, -1, 0], [-1, 1, 0], [0, 0, 0]])
     edge_y = np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 1]])
     one = along_x * edge_x.astype(size.dtype) + along_y * edge_y.astype(size.dtype)
-    return jnp.broadcast_to(one, (2 * shape[0] * shape[1], 3, 3))
+    return namespace(one).broadcast_to(one, (2 * shape[0] * shape[1], 3, 3))
 
 
 def assemble(

@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._programs import options
 from tomojax.kernels.contacts import Among
 from tomojax.kernels.sheet import (
     centroids,
@@ -27,7 +26,7 @@ from tomojax.kernels.sheet import (
     Skin,
     stretch,
 )
-from tomojax.sensor._edges import AbstractEdge, PolygonEdge
+from tomojax.sensor._edges import AbstractEdge, in_parts, PolygonEdge, skin_on
 from tomojax.sensor._mesh_solve import centred, MeshSolve
 from tomojax.sensor._sensor import Sensor
 
@@ -49,9 +48,6 @@ _WIDER = 0.5
 
 # Sites along each side between which potentials are tabulated.
 _SITES = 24
-
-# Places whose distance to the edge is computed at once.
-_TOGETHER = 4096
 
 # Part of a wave that its effect is computed with.
 _LITTLE = 0.02
@@ -82,9 +78,10 @@ def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1, fine: bool = False) -
     `coarser`: cells of the mesh beside each other that are one; `fine`: a finer mesh where
     the edge asks for one.
     """
-    size, xy = np.asarray(sensor.size, float), sensor.electrode_xy
-    diameter, rho = float(sensor.electrode_diameter), np.asarray(sensor.sheet_resistance)
-    cells, most = (_FINE, _FINEST) if fine and _edge_is_near(sensor) else (_MESH, _MOST)
+    size, xy = (np.asarray(a, float) for a in (sensor.size, sensor.electrode_xy))
+    diameter = float(sensor.electrode_diameter)
+    rho = np.asarray(sensor.sheet_resistance, float)
+    cells, most = (_FINE, _FINEST) if fine and edge_is_near(sensor) else (_MESH, _MOST)
     wanted = np.ceil(cells * size / diameter * (1 - 1e-5)).astype(int)
     # As fine as the sensor's own where that is finer: narrow gaps ask for it.
     mesh = np.maximum(np.clip(wanted, 8, most), sensor.divisions)
@@ -101,22 +98,18 @@ def cut_of(sensor: Sensor, even: Sensor, coarser: int = 1, fine: bool = False) -
     more = 4 // coarser * blocks
     wider, margin = mesh + 2 * more, more * side
     shape, whole = ((int(m[0]), int(m[1])) for m in (mesh, wider))
-    skin = sensor.on_mesh(shape, rho).skin
+    skin = skin_on(sensor.outline, sensor.surface, shape, size, sensor.dtype)
     assert skin is not None
-    made = jax.jit(fem_sheet, static_argnums=3, compiler_options=options())
-    given = sensor.electrode_diameter / 2, sensor.electrode_shunt
-    resistance = jnp.asarray(rho, sensor.dtype)
-    sheet = made(1 / resistance, xy, given[0], shape, sensor.size, given[1], skin)
-    box = sensor.size + 2 * jnp.asarray(margin, sensor.dtype)
-    same = jnp.full(2 * wider.prod(), 1 / even.sheet_resistance)
-    moved = xy + jnp.asarray(margin, sensor.dtype)
-    around = made(same, moved, given[0], whole, box, given[1])
-    parts = eqx.filter_jit(feed_parts)(xy, given[0], shape, sensor.size, skin)
-    alike = np.asarray(stretch(skin, xy, jnp.asarray(side, sensor.dtype))) < _ALIKE
-    return Cut(shape, skin, sheet, whole, around, margin, np.asarray(parts), 1.0 * alike)
+    radius, shunt = np.asarray(diameter / 2), np.asarray(sensor.electrode_shunt, float)
+    sheet = fem_sheet(1 / rho, xy, radius, shape, size, shunt, skin)
+    same = np.full(2 * wider.prod(), 1 / float(even.sheet_resistance))
+    around = fem_sheet(same, xy + margin, radius, whole, size + 2 * margin, shunt)
+    parts = feed_parts(xy, radius, shape, size, skin)
+    alike = stretch(skin, xy, side) < _ALIKE
+    return Cut(shape, skin, sheet, whole, around, margin, parts, 1.0 * alike)
 
 
-def _edge_is_near(sensor: Sensor) -> bool:
+def edge_is_near(sensor: Sensor) -> bool:
     """Tells whether an edge crosses an electrode, or gaps are narrower than one."""
     outline, diameter = sensor.outline, sensor.electrode_diameter
     if outline is None:
@@ -231,11 +224,7 @@ def homes(
     outline, size = sensor.outline, np.asarray(sensor.size, float)
 
     def level_at(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = np.empty((len(at), 3))
-        for k in range(0, len(at), _TOGETHER):  # of one size: one program
-            some = np.resize(at[k : k + _TOGETHER], (_TOGETHER, 2))
-            level = np.asarray(_levels(outline, jnp.asarray(some, sensor.dtype)))
-            found[k : k + _TOGETHER] = level[: len(at) - k]
+        found = in_parts(_levels, outline, at, sensor.dtype)
         return found[:, 0], found[:, 1:]
 
     flat = points.reshape(-1, 2)

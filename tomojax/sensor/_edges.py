@@ -1,6 +1,8 @@
 """Describes a sheet that is no rectangle: its outline in the box, its surface in space."""
 
 from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ from jaxtyping import Array, Float
 from tomojax._checks import checked, known, require
 from tomojax._custom_types import Numbers
 from tomojax._shown import named, shown
+from tomojax.kernels.sheet import nodes, Skin
 from tomojax.sensor._outline import checked_center, Density, norm, Points
 
 # Sides of an outline, or nodes of a surface: more are a mistake, and would take minutes.
@@ -21,6 +24,9 @@ _MOST = 20_000
 # it the way along the edge is, past a gap or a neck.
 _SAMPLES = 2000
 _AROUND = 3.0
+
+# Places that are computed at once, by one program.
+_TOGETHER = 4096
 
 
 class AbstractEdge(eqx.Module):
@@ -163,6 +169,51 @@ def _check_sides(start: np.ndarray, end: np.ndarray) -> None:
                 f"points: side {k} from ({x:g}, {y:g}) mm crosses side "
                 f"{k + 1 + int(np.argmax(crosses))}; an outline may not cross itself"
             )
+
+
+def skin_on(
+    outline: AbstractEdge | None,
+    surface: Callable | None,
+    shape: tuple[int, int],
+    size: Float[np.ndarray, "2"],
+    dtype: Any,
+) -> Skin | None:
+    """Describes a sheet on a mesh of `shape`, on the host; None for a flat rectangle."""
+    if outline is None and surface is None:
+        return None
+    level = np.full(np.prod(np.array(shape) + 1), -float(size.max()))
+    if outline is not None:
+        level = in_parts(_distances, outline, nodes(shape, size), dtype)
+    return Skin(level, surface_on_host(surface, dtype))
+
+
+def surface_on_host(surface: Callable | None, dtype: Any) -> Callable | None:
+    """Makes a surface that takes and gives NumPy's arrays."""
+    if surface is None:
+        return None
+    return lambda points: in_parts(_places, surface, points, dtype)
+
+
+def in_parts(
+    function: Callable, about: Any, at: Float[np.ndarray, "n 2"], dtype: Any
+) -> Float[np.ndarray, "n ..."]:
+    """Computes `function(about, points)` of many points by one program (host)."""
+    found = []
+    for k in range(0, len(at), _TOGETHER):
+        some = at[k : k + _TOGETHER]
+        given = np.resize(some, (_TOGETHER, 2)).astype(dtype)
+        found.append(np.asarray(function(about, given), float)[: len(some)])
+    return np.concatenate(found)
+
+
+@eqx.filter_jit
+def _distances(outline: AbstractEdge, at: Float[Array, "n 2"]) -> Float[Array, " n"]:
+    return outline.distance(at)
+
+
+@eqx.filter_jit
+def _places(surface: Callable, at: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    return surface(at)
 
 
 @jax.jit  # also on the host one program

@@ -13,11 +13,11 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._programs import options
 from tomojax._require import require
 from tomojax.kernels.contacts import Among, Field, field_at
 from tomojax.kernels.sheet import (
     disc_mean,
+    fem_sheet,
     heights,
     rectangle_grid_fields,
     rectangle_slope,
@@ -25,8 +25,14 @@ from tomojax.kernels.sheet import (
     smooth_orders,
     triangles,
 )
-from tomojax.sensor._cut_field import among_sites, cut_fields, cut_of, homes, wave_fields
-from tomojax.sensor._forward import sheet_on_mesh
+from tomojax.sensor._cut_field import (
+    among_sites,
+    cut_fields,
+    cut_of,
+    edge_is_near,
+    homes,
+    wave_fields,
+)
 from tomojax.sensor._mesh_solve import MeshSolve
 from tomojax.sensor._sensor import Sensor
 from tomojax.sensor.meshes._told import ToldSheet
@@ -80,7 +86,8 @@ def make_field(sensor: Sensor) -> Field:
     x, y = (np.linspace(0, float(s), n // every + 1) for s, n in zip(sensor.size, cells))
     home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
     # What the shape adds between sites is smoother than the electrodes' own potentials.
-    return field._replace(home=home, among=among_sites(sensor, cut_of(sensor, even)))
+    plain = cut_of(sensor, even) if edge_is_near(sensor) else cut
+    return field._replace(home=home, among=among_sites(sensor, plain))
 
 
 def make_among(sensor: Sensor) -> Among:
@@ -159,17 +166,19 @@ def _variation(
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
     divisions = np.array(sensor.divisions)
     finer = np.ceil(_MESH * size / diameter / divisions).astype(int)
-    values = np.asarray(sensor.sheet_resistance).reshape(*divisions, 2)
+    values = np.asarray(sensor.sheet_resistance, float).reshape(*divisions, 2)
     values = values.repeat(finer[0], 0).repeat(finer[1], 1).ravel()
     mesh = int(divisions[0] * finer[0]), int(divisions[1] * finer[1])
-    on_mesh = jax.jit(sheet_on_mesh, compiler_options=options())
+    xy, shunt = (
+        np.asarray(a, float) for a in (sensor.electrode_xy, sensor.electrode_shunt)
+    )
 
     def solved(rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        fem = on_mesh(replace(sensor, sheet_resistance=rho, divisions=mesh))
+        fem = fem_sheet(1 / rho, xy, np.asarray(diameter / 2), mesh, size, shunt)
         ee, nodes = MeshSolve(fem, mesh).fields()
         return ee, nodes[:, triangles(mesh)].mean(-1)
 
-    one, other = solved(values), solved(np.full_like(values, even.sheet_resistance))
+    one, other = solved(values), solved(np.full_like(values, float(even.sheet_resistance)))
     ee, ek = (a - b for a, b in zip(one, other))
     # From the cells' middles to the table's points, which mirror at the same edges.
     middles = ek.reshape(-1, *mesh, 2).mean(-1)

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from tomojax._checks import checked, known
 from tomojax._custom_types import Numbers
 from tomojax._require import check_apart, require, require_whole
-from tomojax.sensor._edges import AbstractEdge
+from tomojax.kernels.sheet import coverage
+from tomojax.sensor._edges import AbstractEdge, skin_on
 from tomojax.sensor._outline import AbstractShape, Scene
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 
@@ -136,13 +137,13 @@ def check_skin(sensor: Any) -> None:
         f"electrodes {outside[:5].tolist()} off the sheet, by {level.max():.3g} m",
         "middles on the sheet or on its edge",
     )
-    curved = sensor.surface is not None
-    places = np.asarray(sensor.surface(sensor.electrode_xy)) if curved else xy
+    size, shape = np.asarray(sensor.size, float), sensor.divisions
+    skin = skin_on(sensor.outline, sensor.surface, shape, size, sensor.dtype)
+    places = skin.points(xy) if skin is not None else xy
     check_apart(places, diameter, slack)
-    if sensor.outline is None:
+    if sensor.outline is None or skin is None:
         return
-    shape = sensor.divisions
-    part = np.asarray(sensor.parts())
+    part = coverage(skin, shape)
     labelled: Any = scipy.ndimage.label(part.reshape(*shape, 2).max(-1) > 0)
     parts = labelled[0]
     cells = np.clip(

@@ -35,7 +35,13 @@ from tomojax.kernels.sheet import (
 )
 from tomojax.plots import png, sheet
 from tomojax.sensor._converter import Converter, NOISE
-from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
+from tomojax.sensor._edges import (
+    AbstractEdge,
+    PolygonEdge,
+    RoundEdge,
+    skin_on,
+    surface_on_host,
+)
 from tomojax.sensor._placing import check_skin, Electrodes, places_named
 from tomojax.sensor.meshes._mesh_file import read_triangles
 from tomojax.sensor.meshes._told import ToldSheet
@@ -382,9 +388,13 @@ class Sensor(eqx.Module):
         """Returns the sheet's area, m²."""
         if self.flat:
             return float(np.prod(np.asarray(self.size)))
-        return float(
-            eqx.filter_jit(element_areas)(self.skin, self.divisions, self.size).sum()
-        )
+        return float(element_areas(*self._on_host()).sum())
+
+    def _on_host(self) -> tuple[Skin | None, tuple[int, int], np.ndarray]:
+        """Returns the sheet's description in NumPy, its mesh and size: no program."""
+        size = np.asarray(self.size, float)
+        about = self.outline, self.surface, self.divisions, size, self.dtype
+        return skin_on(*about), self.divisions, size
 
     def on_sheet(self, points: Numbers) -> Bool[Array, "*n"]:
         """Tells which points (…, 2), m, are on the sheet."""
@@ -532,9 +542,10 @@ def _check_mesh(sensor: Sensor) -> None:
 
 def _stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndarray, "2 M"]:
     """Computes how long steps along x and y of the chart are in space, at places."""
-    at, step = jnp.asarray(places), jnp.asarray(size) / _MOST_CELLS
-    long = local_cells(Skin(jnp.zeros(0), surface), at, step.astype(at.dtype))
-    return np.asarray(long, float) / np.asarray(step, float)[:, None]
+    at, step = np.asarray(places, float), np.asarray(size, float) / _MOST_CELLS
+    dtype = jnp.asarray(places).dtype
+    skin = Skin(np.zeros(0), surface_on_host(surface, dtype))
+    return local_cells(skin, at, step) / step[:, None]
 
 
 def nominal_noise(sensor: Sensor) -> float:
