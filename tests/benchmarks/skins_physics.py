@@ -5,7 +5,8 @@
 `bench.skins.Peer` has quadratic elements on an unstructured mesh. For each skin: the
 resistance between any two electrodes, by `resistances` and by the table that `points` looks
 up; the table's potentials a diameter off electrodes and 3 mm off the edge, of their range,
-both over the table's least disc (of the chart, as contacts are); voltages of eight contacts. Needs triangle and shapely. Writes skins_physics.json.
+both over the table's least disc (of the chart, as contacts are); voltages of eight
+contacts. Needs triangle and shapely. Writes skins_physics.json.
 """
 
 import argparse

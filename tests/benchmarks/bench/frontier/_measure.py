@@ -31,13 +31,10 @@ class Job(NamedTuple):
 def grounds_of(
     sensor: Sensor, name: str, volts: Float[np.ndarray, "n M M"]
 ) -> Integer[np.ndarray, "n S"]:
-    """Returns the grounded electrodes; "corners" explore, "ten" adds *Around* to them."""
+    """Returns the grounded electrodes of each frame; "corners" are those that explore."""
     n, corners = len(volts), np.asarray(exploration(sensor))
     if name in ("corner", "corners"):
         return np.tile(corners[: 1 if name == "corner" else 2], (n, 1))
-    if name == "ten":
-        around = grounds_of(sensor, "around", volts)
-        return np.concatenate([np.tile(corners, (n, 1)), around], 1)
     if name in get_args(AdaptivePattern):
         scan = AdaptiveScan(sensor, cast(AdaptivePattern, name))
         explored = jnp.asarray(volts[:, corners], sensor.dtype)

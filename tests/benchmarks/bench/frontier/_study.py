@@ -27,7 +27,7 @@ _HERE = Path(__file__).parents[2]  # the folder of `bench`, for processes of job
 SCENES, QUICK_SCENES = 20, 6
 
 # What each method is measured on: settings that somebody would choose.
-_EVERY = ("corner", "corners", "ten", "around", "boundary", "all")
+_EVERY = ("corner", "corners", "around", "boundary", "all")
 
 
 def jobs(quick: bool) -> list[Job]:
@@ -47,7 +47,7 @@ def jobs(quick: bool) -> list[Job]:
         Job("shape", ("corners",), (2,), most=6),
         Job("auto", ("corners", "all"), (32,), most=10),
         Job("follow", ("around_contacts",)),
-        Job("peers", tuple(name for name in _EVERY if name != "ten")),
+        Job("peers", _EVERY),
     ]
 
 
