@@ -13,6 +13,7 @@ from tomojax._pictures import METHODS, plain
 
 _PEERS = {"pyEIT": "s", "scikit-fem + NumPy": "D", "NumPy sLORETA": "^"}
 _TOLD = ("pattern", "slots", "pixels", "dtype", "output", "batch", "p50_us")
+ABOVE = ("points", "source", "shape")
 WORDS = {
     "one": "one contact",
     "two": "two, 15 to 40 mm apart",
@@ -141,7 +142,9 @@ def chart(rows: list[dict[str, Any]]) -> Any:
             best = min(mine, key=lambda r: error_mm(r) or 0)
             at, text = (best["p50_us"], error_mm(best) or 0), {"fontsize": 10}
             text |= {"color": look["color"], "textcoords": "offset points"}
-            axes.annotate(name, at, (5, -11), **text)
+            # Those that lie near each other are named on either side.
+            where, side = ((4, 7), "right") if name in ABOVE else ((5, -11), "left")
+            axes.annotate(name, at, where, ha=side, **text)
         for peer, line in ((False, "-"), (True, "--")):
             steps = front([r for r in some if r["peer"] == peer])
             if steps:
