@@ -210,11 +210,12 @@ def slots_left(
 ) -> tuple[Float[Array, ""], Float[Array, " M"]]:
     """Computes what slots' own images leave, V rms: of all voltages, by electrode."""
 
-    # Slot by slot: of a batch each is one product, where a batch of products is slow.
-    def add(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
-        misfit, v = slot
-        return total + matmul(misfit, v) ** 2, None
+    # Slot by slot: of a batch each is one product, where a batch of products is slow, and
+    # slots in order (`lax.scan`) would be copied first.
+    def add(k: Array, total: Array) -> Array:
+        misfit, v = (lax.dynamic_index_in_dim(a, k, 0, False) for a in (misfits, voltages))
+        return total + matmul(misfit, v) ** 2
 
-    squares, _ = lax.scan(add, jnp.zeros_like(voltages[0]), (misfits, voltages))
+    squares = lax.fori_loop(0, len(misfits), add, jnp.zeros_like(voltages[0]))
     count = jnp.sum(used, 0).astype(squares.dtype)
     return jnp.sqrt(squares.sum() / count.sum()), jnp.sqrt(squares / count)
