@@ -99,7 +99,7 @@ def node_parts(
     if namespace(part) is np:
         total = np.bincount(vertices.ravel(), each.ravel())
     else:
-        total = (0 * skin.level).at[vertices].add(each)
+        total = namespace(part).zeros_like(skin.level).at[vertices].add(each)
     return total / count.astype(part.dtype) * node_areas(shape, size)
 
 

@@ -116,6 +116,20 @@ def test_a_rectangle_as_an_outline_is_one() -> None:
     assert abs(cut.area - 0.0064) < 1e-6
 
 
+def test_a_bent_rectangle_is_one() -> None:
+    """A sheet around a cylinder, without an outline, has the flat sheet's voltages."""
+
+    def bend(p: jax.Array) -> jax.Array:
+        turn = p[..., 0] / RADIUS
+        return jnp.stack([jnp.cos(turn), jnp.sin(turn), p[..., 1] / RADIUS], -1) * RADIUS
+
+    plain = tx.Sensor.grid(4, 4, divisions=(32, 32))
+    bent = tx.Sensor(plain.size, plain.electrode_xy, surface=bend, divisions=(32, 32))
+    touch = tx.Disc([0.031, 0.047], 0.006, 1.0)
+    want = tx.voltages(plain, touch, [0, 9])
+    np.testing.assert_allclose(tx.voltages(bent, touch, [0, 9]), want, atol=1e-3)
+
+
 def test_parts_of_cut_triangles() -> None:
     """Areas of a half plane at any angle add up, and can be differentiated."""
     shape, size = (12, 10), jnp.array([0.12, 0.1])
