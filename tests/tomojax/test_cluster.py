@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import recordings
 from click.testing import CliRunner
-from distributed import Client, LocalCluster
+from distributed import Client, Future, LocalCluster
 
 import tomojax as tx
 from tomojax.cli.app import app
@@ -73,6 +73,23 @@ def test_a_worker_is_killed_and_a_run_is_stopped(client, rec, tmp_path) -> None:
         recording.opener = lambda: tx.open_recording("/no/such/file.h5")
         with pytest.raises(ValueError, match="^/no/such/file.h5: no such file"):
             tx.reconstruct_recording(recording, tmp_path / "n.h5", SETTINGS, client=client)
+
+
+def test_the_given_client_waits(client, rec, tmp_path, monkeypatch) -> None:
+    """Beside another client: a result that is lost is waited for again, by one loop."""
+    loops, whole = [], Future.result
+
+    def result(future: Future, *args, **options):
+        event = future._state._get_event()
+        loops.append(getattr(event, "_loop", None))
+        return whole(future, *args, **options)
+
+    with Client(client.scheduler.address, set_as_default=False) as other:
+        own = other.loop.asyncio_loop
+        with client.as_current():
+            monkeypatch.setattr(Future, "result", result)
+            run(rec, tmp_path / "o.h5", client=other)
+    assert own in loops and set(loops) <= {own, None}
 
 
 @pytest.mark.long

@@ -252,7 +252,7 @@ class There:
     ) -> Generator[Found]:
         from distributed import as_completed
 
-        left, running = iter(todo), as_completed([])
+        left, running = iter(todo), as_completed([], loop=self._client.loop)
 
         def give() -> None:
             threads = sum(self._client.nthreads().values())
