@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 
 Shape = tuple[int, int]
 
-# What describes a sheet is computed in JAX, or by NumPy where nothing is compiled: results
-# are of the arguments' kind, which a type checker cannot follow.
+# Arrays of JAX, or of NumPy where nothing is to be compiled. A result is of the arguments'
+# kind, which a type checker cannot follow.
 if TYPE_CHECKING:
     Values = Any
 else:

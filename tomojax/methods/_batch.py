@@ -239,7 +239,8 @@ class Batch:
         size = len(part)
         if self.method.padded:
             size = next(b for b in self.method.blocks if b >= size)
-        # A copy under a mask takes four times as long, and few parts need one.
+        # A part of all frames has them in order. A copy under a mask takes longer, and few
+        # parts need one.
         some, used = (a if len(part) == len(a) else a[part] for a in (voltages, good))
         some = some if used.all() else np.where(used, some, 0)
         block = np.zeros((size, *voltages.shape[1:]), self.method.cell.dtype)

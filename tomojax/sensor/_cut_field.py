@@ -30,11 +30,13 @@ from tomojax.sensor._edges import AbstractEdge, in_parts, PolygonEdge, skin_on
 from tomojax.sensor._mesh_solve import centred, MeshSolve
 from tomojax.sensor._sensor import Sensor
 
-# Cells of the mesh, of a diameter; as many where an edge crosses an electrode, or a gap is
-# narrower than one; at most so many along a side.
+# Cells of the mesh, of a diameter; at most so many along a side.
 _MESH = 4
-_FINE = 8
 _MOST = 200
+
+# The same where an edge crosses an electrode, or a gap is narrower than one. With four
+# cells potentials beside half a disc were twice as far off.
+_FINE = 8
 _FINEST = 300
 
 # With cells of half the side a mesh lacks a quarter as much where the sheet is smooth, and

@@ -140,14 +140,13 @@ def hindsight(
 def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
     """Finds the λ of least error, and tells whether λ lies at the end of the widest range.
 
-    Whole decades come first, then the halves beside the best. The range widens while its
-    end is better than all values inside.
+    The range widens while its end is better than all values inside.
     """
     low, high = _FIRST
-    at = cache(lambda k: error(float(10.0 ** (k / 2))))
+    error = cache(error)
     while True:
-        steps = range(low, high + 1, 2)
-        errors = [at(k) for k in steps]
+        grid = [float(10.0 ** (k / 2)) for k in range(low, high + 1)]
+        errors = [error(lam) for lam in grid]
         inner = 1 + int(np.argmin(errors[1:-1]))
         below, above = (bool(errors[k] < _BETTER * errors[inner]) for k in (0, -1))
         if below and low > _LIMITS[0]:
@@ -157,10 +156,7 @@ def best_lambda(error: Callable[[float], float]) -> tuple[float, bool]:
         else:
             break
     at_end = below or above
-    best = steps[int(np.argmin(errors)) if at_end else inner]
-    if not at_end:
-        best = min((best, best - 1, best + 1), key=at)
-    return float(10.0 ** (best / 2)), at_end
+    return grid[int(np.argmin(errors)) if at_end else inner], at_end
 
 
 def peer_images(
