@@ -52,6 +52,8 @@ from tomojax.kernels.contacts._one_slot import (
     tangents as tangents,
     whitened as whitened,
 )
+from tomojax.kernels.contacts._near import fields_about as fields_about, Near as Near
+from tomojax.kernels.contacts._patches import patches as patches
 from tomojax.kernels.contacts._points import (
     DISC as DISC,
     Fitted as Fitted,

@@ -40,7 +40,7 @@ from tomojax.kernels.contacts._points import (
 # The longest step of each parameter of a disc. Places in units of the fit (a twentieth of
 # a pitch): a start is no farther off than a candidate from its neighbour. A size and
 # lengths may not run away while the place is still wrong.
-_LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0
+_LONGEST = 6.0, 6.0, 0.7, 1.0, 1.0, 1.0
 
 
 def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) -> Explained:
@@ -82,10 +82,10 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     column = alone + moves[0]
     current, rest = best_currents(column, frame.whitened)
     first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
-    each = jnp.concatenate([first, each[:, :, 3:DISC]], 2)
+    each = jnp.concatenate([first, each[:, :, 3:5], 0 * first[:, :, :1]], 2)
     scale = current[:, :, None] * _chain(sheet, parameters, radius)
     tangent = (each * scale[..., None]).reshape(len(drop), -1, each.shape[-1])
-    prior, by_parameter = _priors(parameters)
+    prior, by_parameter = priors_of(parameters)
     moved = columns[:, count:].reshape(len(drop), count, 7, -1)[:, :, :2]
     moved = jnp.einsum("sck,sckm->scm", shift, moved, precision="highest")
     volts = made_by(current, columns[:, :count] + moved)
@@ -137,23 +137,31 @@ def _columns(
 
 
 def _chain(
-    sheet: Sheet, parameters: Float[Array, "C 5"], radius: Float[Array, " C"]
-) -> Float[Array, "C 5"]:
+    sheet: Sheet, parameters: Float[Array, "C 6"], radius: Float[Array, " C"]
+) -> Float[Array, "C 6"]:
     """Computes derivatives of place, radius and moments by the underlying parameters."""
     size, raw = sheet.field.size, parameters[:, :2] * sheet.unit
     mirrored = jnp.where(jnp.abs(raw) % (2 * size) > size, -1, 1) * jnp.sign(raw)
     by_size = SIZE_WIDTH * radius
     long = jnp.broadcast_to(LONG * sheet.size**2, raw.shape)
-    return jnp.concatenate([mirrored * sheet.unit, by_size[:, None], long], 1)
+    each = mirrored * sheet.unit, by_size[:, None], long, 0 * by_size[:, None]
+    return jnp.concatenate(each, 1)
 
 
-def _priors(parameters: Float[Array, "C 5"]) -> tuple[Array, Array]:
-    """Measures sizes and lengths against their priors, and returns the slopes too."""
+def priors_of(
+    parameters: Float[Array, "C 6"], told: Float[Array, " C"] | None = None
+) -> tuple[Array, Array]:
+    """Measures sizes, lengths and conductances against their priors; returns slopes too.
 
-    def one(p: Float[Array, "5"]) -> Float[Array, "3"]:
-        return jnp.concatenate([p[2:3], longness(p[3:5])])
+    `told`: how well a conductance is told by its contact's mean potential, 1/σ; 1 of discs.
+    """
+    told = jnp.ones_like(parameters[:, 0]) if told is None else told
 
-    values, slopes = jax.vmap(one)(parameters), jax.vmap(jax.jacfwd(one))(parameters)
+    def one(p: Float[Array, "6"], told: Float[Array, ""]) -> Float[Array, "4"]:
+        return jnp.concatenate([p[2:3], longness(p[3:5]), told * p[5:6]])
+
+    values = jax.vmap(one)(parameters, told)
+    slopes = jax.vmap(jax.jacfwd(one))(parameters, told)
     count = len(parameters)
     whole = jnp.eye(count, dtype=slopes.dtype)[:, None, :, None] * slopes[:, :, None]
     return values.ravel(), whole.reshape(values.size, -1)

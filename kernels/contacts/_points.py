@@ -12,13 +12,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels.contacts._field import among_at, Field, margin_of
+from tomojax.kernels.contacts._near import Near
 from tomojax.kernels.sheet import rectangle_green, rectangle_slope, Slots
 
 # ln of the width of what is known of a contact's size beforehand.
 SIZE_WIDTH = 0.5
 
-# Parameters of a contact: place, size, and how much longer it is than wide (see `LONG`).
-DISC = 5
+# Parameters of a contact: place, size, how much longer it is than wide (see `LONG`), and ln
+# of its conductance beside what its mean potential tells (of patches; 0 of discs).
+DISC = 6
 
 # What is known beforehand of (a² − b²)/8, half the difference of the second moments of an
 # even ellipse: 1 σ, of the usual radius squared.
@@ -52,6 +54,7 @@ class Sheet(NamedTuple):
     drive_voltage: Float[Array, ""]
     unit: Float[Array, ""]  # of the fit's lengths, m
     size: Float[Array, ""]  # usual radius of a contact, m
+    near: Near | None = None  # for patches
 
 
 class Fitted(NamedTuple):

@@ -10,6 +10,7 @@ from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
 from tomojax.sensor._field import (
     make_among as make_among,
     make_field as make_field,
+    make_fields as make_fields,
     make_moves as make_moves,
     make_waves as make_waves,
 )

@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Array, Float
 
 from tomojax._require import require
-from tomojax.kernels.contacts import Among, Field, field_at
+from tomojax.kernels.contacts import Among, Field, field_at, Near
 from tomojax.kernels.sheet import (
     disc_mean,
     fem_sheet,
@@ -34,6 +34,7 @@ from tomojax.sensor._cut_field import (
     wave_fields,
 )
 from tomojax.sensor._mesh_solve import MeshSolve
+from tomojax.sensor._near_field import near_of
 from tomojax.sensor._sensor import Sensor
 from tomojax.sensor.meshes._told import ToldSheet
 
@@ -72,6 +73,11 @@ def make_field(sensor: Sensor) -> Field:
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
+    return make_fields(sensor)[0]
+
+
+def make_fields(sensor: Sensor) -> tuple[Field, Near]:
+    """Computes the table of `make_field`, and potentials at points beside electrodes."""
     told = sensor.told
     sensor, even, cells, every = parts_of(sensor)
     if sensor.flat:
@@ -79,7 +85,9 @@ def make_field(sensor: Sensor) -> Field:
         if sensor.sheet_resistance.ndim:
             more_ee, more = _variation(sensor, even, cells)
             ee, rows = ee + more_ee, rows + more
-        return averaged_field(sensor, *_told(told, ee, rows), every)
+        ee, rows = _told(told, ee, rows)
+        near = near_of(sensor, float(even.sheet_resistance), rows, every)
+        return averaged_field(sensor, ee, rows, every), near
     cut = cut_of(sensor, even, fine=True)
     ee, rows = _told(told, *cut_fields(sensor, even, cut, cells))
     field = averaged_field(sensor, ee, rows, every)
@@ -87,7 +95,8 @@ def make_field(sensor: Sensor) -> Field:
     home = jnp.asarray(homes(sensor, x, y), sensor.dtype)
     # What the shape adds between sites is smoother than the electrodes' own potentials.
     plain = cut_of(sensor, even) if edge_is_near(sensor) else cut
-    return field._replace(home=home, among=among_sites(sensor, plain))
+    field = field._replace(home=home, among=among_sites(sensor, plain))
+    return field, near_of(sensor, float(even.sheet_resistance), rows, every)
 
 
 def make_among(sensor: Sensor) -> Among:

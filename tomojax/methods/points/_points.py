@@ -31,7 +31,7 @@ from tomojax.methods.points._faults import searched
 from tomojax.methods.points._films import filmed
 from tomojax.methods.points._found import fitting_of, Found
 from tomojax.methods.points._ladder import first, steps
-from tomojax.sensor import Calibration, make_field, Sensor
+from tomojax.sensor import Calibration, make_fields, Sensor
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
 # can be told of a contact grows with the pitch, whatever the electrodes' size.
@@ -43,7 +43,7 @@ _BESIDE = 1.6
 
 def sheet_of(sensor: Sensor) -> Sheet:
     """Computes the electrodes' potentials, and lengths that suit the sensor."""
-    pitch, field = sensor.mean_pitch, make_field(sensor)
+    pitch, (field, near) = sensor.mean_pitch, make_fields(sensor)
     usual = jnp.asarray(USUAL * pitch, sensor.dtype)
     narrow = jnp.asarray(NARROW * USUAL * pitch, sensor.dtype)
     thin, resistance = _beside(field, narrow, sensor.sheet_resistance)
@@ -55,6 +55,7 @@ def sheet_of(sensor: Sensor) -> Sheet:
         drive_voltage=sensor.drive_voltage,
         unit=jnp.asarray(UNIT * pitch, sensor.dtype),
         size=usual,
+        near=near,
     )
 
 
