@@ -83,7 +83,7 @@ def discs(sheet: Sheet, frame: WhitenedFrame, parameters: Float[Array, " P"]) ->
     current, rest = best_currents(column, frame.whitened)
     first = each[:, :, :3] + moves[1:].transpose(1, 2, 0, 3) + _bent(shift, each)
     each = jnp.concatenate([first, each[:, :, 3:5], 0 * first[:, :, :1]], 2)
-    scale = current[:, :, None] * _chain(sheet, parameters, radius)
+    scale = current[:, :, None] * chain_of(sheet, parameters, radius)
     tangent = (each * scale[..., None]).reshape(len(drop), -1, each.shape[-1])
     prior, by_parameter = priors_of(parameters)
     moved = columns[:, count:].reshape(len(drop), count, 7, -1)[:, :, :2]
@@ -136,7 +136,7 @@ def _columns(
     return columns, whitened_rows(frame, columns)
 
 
-def _chain(
+def chain_of(
     sheet: Sheet, parameters: Float[Array, "C 6"], radius: Float[Array, " C"]
 ) -> Float[Array, "C 6"]:
     """Computes derivatives of place, radius and moments by the underlying parameters."""

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from tomojax.kernels.algebra import solve_positive
-from tomojax.kernels.contacts._discs import priors_of
+from tomojax.kernels.contacts._discs import chain_of, priors_of
 from tomojax.kernels.contacts._equations import (
     best_currents,
     currents_of,
@@ -24,7 +24,7 @@ from tomojax.kernels.contacts._equations import (
     whitened_rows,
     WhitenedFrame,
 )
-from tomojax.kernels.contacts._field import home_of
+from tomojax.kernels.contacts._field import home_of, rows_at
 from tomojax.kernels.contacts._near import fields_about, nearest, Near, rows_near
 from tomojax.kernels.contacts._points import (
     DISC,
@@ -103,24 +103,30 @@ def patches(
     parameters = parameters.reshape(-1, DISC)
     cloud = jax.vmap(lambda p: _cloud(sheet, p))(parameters)
     place, radius = unpack(sheet, parameters)
-    even = cloud.rows.mean(1)
+    moment = LONG * sheet.size**2 * parameters[:, 3:5]
+    table = jax.vmap(rows_at, (None, 0, 0, 0))(sheet.field, place, radius, moment)
+    even = table[:, 0]
     slots, offset = sheet.slots, sheet.slots.offset(frame.grounds)
     columns = slots.relative(even, frame.grounds).swapaxes(0, 1) + offset[:, None]
     current = currents_of(whitened_rows(frame, columns), frame.whitened)
     flowing = made_by(current, columns)
-    given, drop, told = _given(sheet, frame, cloud, parameters, current, flowing)
+    given, drop, told = _given(sheet, frame, cloud, parameters, even, current, flowing)
 
     def one(p: Float[Array, "6"], given: _Given) -> Float[Array, "S M"]:
         cloud, own = _cloud(sheet, p), given.own * jnp.exp(-p[5])
         given = given._replace(own=own)
         sunk = slots.sunk(cloud.rows, frame.grounds, flowing)
-        return jnp.matmul(_shares(cloud, given, sunk), cloud.rows, precision="highest")
+        uneven = _shares(cloud, given, sunk) - 1 / len(cloud.off)
+        return jnp.matmul(uneven, cloud.rows, precision="highest")
 
     def turned(p: Array, given: _Given) -> tuple[Array, Array]:
         moved = lambda t: jax.jvp(lambda p: one(p, given), (p,), (t,))  # noqa: E731
         return jax.vmap(moved, out_axes=(None, 0))(jnp.eye(DISC, dtype=p.dtype))
 
     rows, slopes = jax.vmap(turned)(parameters, given)  # (C, S, M), (C, 6, S, M)
+    by_table = table[:, 1:DISC] * chain_of(sheet, parameters, radius)[:, : DISC - 1, None]
+    slopes = slopes.at[:, : DISC - 1].add(by_table[:, :, None])
+    rows = rows + even[:, None]
     columns = slots.apart(rows.swapaxes(0, 1), frame.grounds) + offset[:, None]
     column = whitened_rows(frame, columns)
     current, rest = best_currents(column, frame.whitened)
@@ -222,6 +228,7 @@ def _given(
     frame: WhitenedFrame,
     cloud: _Cloud,
     parameters: Float[Array, "C 6"],
+    even: Float[Array, "C M"],
     current: Float[Array, "S C"],
     flowing: Float[Array, "S M"],
 ) -> tuple[_Given, Float[Array, "S C"], Float[Array, " C"]]:
@@ -248,8 +255,8 @@ def _given(
         return _Given(own, (current.sum(1, keepdims=True) / safe).T, slope, radius)
 
     def dropped(current: Array, shares: Array) -> Array:
-        even, at_ground = level.mean(1).T, sunk.mean(1).T
-        drop = drops(sheet, frame.grounds, among, even, at_ground, current)
+        mean = level.mean(1).T, sunk.mean(1).T
+        drop = drops(sheet, frame.grounds, among, *mean, current)
         return drop - current * _fallen(cloud, shares, level).T
 
     def own_of(current: Array, drop: Array) -> Array:
@@ -261,13 +268,14 @@ def _given(
         own, current = now
         given = about(own * jnp.exp(-parameters[:, 5]), current)
         shares = jax.vmap(_shares)(cloud, given, sunk)
-        rows = jnp.matmul(shares, cloud.rows, precision="highest").swapaxes(0, 1)
+        rows = jnp.matmul(shares - 1 / n, cloud.rows, precision="highest")
+        rows = rows.swapaxes(0, 1) + even
         column = sheet.slots.apart(rows, frame.grounds) + offset
         current = currents_of(whitened_rows(frame, column), frame.whitened)
         return own_of(current, dropped(current, shares)), current
 
-    even = jnp.full((len(place), len(current), n), 1 / n, current.dtype)
-    first = own_of(current, dropped(current, even)), current
+    flat = jnp.full((len(place), len(current), n), 1 / n, current.dtype)
+    first = own_of(current, dropped(current, flat)), current
     own, current = jax.lax.fori_loop(0, _PASSES, agreed, first)
     given = about(own, current)
     shares = jax.vmap(_shares)(
