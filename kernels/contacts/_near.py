@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from tomojax.kernels.contacts._field import cubic, nearby_of
+from tomojax.kernels.contacts._field import thin_rows_at
 
 # Terms of the smooth parts: more are less smooth, fewer end less smoothly.
 _TERMS = 3
@@ -49,30 +49,31 @@ def fields_about(
     return log, away * inverse[..., None] / reach**2
 
 
-def nearest(near: Near, at: Float[Array, "n 2"]) -> Int[Array, " n"]:
-    """Finds the electrode nearest to each place: at most one is within reach of a place."""
-    square = ((at[:, None] - near.electrodes) ** 2).sum(-1)
-    return jnp.argmin(square, 1).astype(jnp.int32)
-
-
 def rows_near(
     near: Near,
     size: Float[Array, "2"],
     at: Float[Array, "n 2"],
-    own: Int[Array, " n"],
-    log: Float[Array, " n"],
-    dipole: Float[Array, "n 2"],
-) -> Float[Array, "n M"]:
-    """Computes R_e at points, Ω, from the fields about each point's electrode `own`."""
+    each: Float[Array, "p 2"],
+) -> Float[Array, "n 3 M"]:
+    """Computes R_e (Ω) of n small patches, and slopes by x and y, row by row.
 
-    def smooth(at: Array) -> Array:
-        part, nearby = nearby_of(near.smooth[:, :, None], size, at, 0, 1)
-        along = cubic(part)
-        flat = (along[0][:, None] * along[1]).ravel()
-        return jnp.matmul(flat, nearby[:, 0], precision="highest")
+    `each` has a patch's points about its middle: what is rough is averaged over these. At
+    most one electrode is within reach of a point.
+    """
+    square = ((at[:, None] - near.electrodes) ** 2).sum(-1)
+    own = jnp.argmin(square, 1).astype(jnp.int32)
+    away = (at - near.electrodes[own])[:, None] + each
 
-    rows = jax.vmap(smooth)(at)
+    def rough(shift: Float[Array, "2"]) -> tuple[Array, Array]:
+        log, dipole = fields_about(near.radius, near.reach, away + shift)
+        return log.mean(1), dipole.mean(1)
+
+    none, unit = jnp.zeros_like(size), jnp.eye(2, dtype=size.dtype)
+    turned = jax.vmap(lambda by: jax.jvp(rough, (none,), (by,)), out_axes=(None, 0))
+    now, slopes = turned(unit)
+    log, dipole = (jnp.concatenate([a[None], b]) for a, b in zip(now, slopes))
+    rows = jax.vmap(thin_rows_at, (None, None, 0))(near.smooth, size, at)
     feeds = jnp.arange(len(near.electrodes), dtype=own.dtype) == own[:, None]
-    rows = rows + jnp.where(feeds, near.feed * log[:, None], 0)
+    rows = rows + jnp.where(feeds[:, None], near.feed * log.T[..., None], 0)
     polarised = near.answer * near.radius**2 * dipole
-    return rows + jnp.einsum("nmk,nk->nm", near.pull[own], polarised, precision="highest")
+    return rows + jnp.einsum("nmk,jnk->njm", near.pull[own], polarised, precision="highest")

@@ -3,8 +3,7 @@
 `discs` spreads a contact's current evenly, and leans it to one side. Under metal that lies
 on an electrode in part the current goes elsewhere: to the electrode's rim, and round it.
 Here a contact is a cloud of patches of one conductance each, and their shares of the
-current solve the sheet's own equations, slot by slot. A place is then off by a twentieth of
-a millimetre where discs are off by a half.
+current solve the sheet's own equations, slot by slot.
 """
 
 from typing import cast, NamedTuple
@@ -25,7 +24,7 @@ from tomojax.kernels.contacts._equations import (
     WhitenedFrame,
 )
 from tomojax.kernels.contacts._field import home_of, rows_at
-from tomojax.kernels.contacts._near import fields_about, nearest, Near, rows_near
+from tomojax.kernels.contacts._near import Near, rows_near
 from tomojax.kernels.contacts._points import (
     DISC,
     drops,
@@ -34,6 +33,7 @@ from tomojax.kernels.contacts._points import (
     LEAST_DROP,
     LONG,
     Sheet,
+    SIZE_WIDTH,
     slope_of,
     unpack,
 )
@@ -41,17 +41,17 @@ from tomojax.kernels.contacts._points import (
 # Rings of patches around the middle one: 1 + 6 + 12.
 _RINGS = 2
 
-# Points of a patch that the fields beside electrodes are averaged over.
-_POINTS = 7
+# Electrodes whose metal patches tell from each other; for further ones they are one place.
+_BESIDE = 8
 
-# Passes that a contact's conductance and its current's shape agree after.
-_PASSES = 3
+# Passes in which a contact's conductance and its current's shape come to agree.
+_PASSES = 2
 
 # How well a slot's level is known, 1 σ, of the drive. The level tells a contact's drop and
-# so its conductance; of metal, whose drop is small, the currents' shape tells more.
+# so its conductance; of metal, whose drop is small, the current's shape tells more.
 _LEVEL = 0.05
 
-# The induced current's middle stays within this part of the radius.
+# The middle of the current that the sheet induces stays within this part of the radius.
 _FARTHEST = 0.6
 
 
@@ -67,16 +67,20 @@ def _rings(count: int) -> Float[np.ndarray, "n 2"]:
 
 
 _CLOUD = _rings(_RINGS)
-_EACH = _rings(1) / np.sqrt(len(_CLOUD))
+_COUNT = len(_CLOUD)
+
+# Points of a patch that fields beside electrodes are averaged over.
+_EACH = _rings(1) / np.sqrt(_COUNT)
 
 
 class _Cloud(NamedTuple):
     """A contact's n patches."""
 
     off: Float[Array, "n 2"]  # from its middle, m
-    rows: Float[Array, "n M"]  # R_e, Ω
-    plane: Float[Array, "n n"]  # between patches, but for what all have in common, Ω
-    taken: Float[Array, "n n"]  # of this by electrodes' discs, Ω
+    moves: Float[Array, "n 2 3"]  # of that by size and lengths, m
+    rows: Float[Array, "n 3 M"]  # R_e, Ω, and slopes by x and y, Ω/m
+    plane: Float[Array, "n n"]  # potentials between patches, but for what all share, Ω
+    taken: Float[Array, "n n"]  # of these by electrodes' metal, Ω
 
 
 class _Given(NamedTuple):
@@ -93,75 +97,79 @@ def patches(
 ) -> Explained:
     """Explains a frame as `discs` does, by as many parameters.
 
-    A patch at x_i with q_i/(g/n) = V0 − u(x_i) and the slot's whole current I has
+    A patch at x_i with q_i = (g/n)(V0 − u(x_i)) and the slot's whole current I has
 
-        Σ_j G_ij q_j + (n/g)·q_i = const + I·R_l(x_i) − Σ_c E_c·(x_i − x),
+        Σ_j G_ij q_j + (n/g)·q_i = const + I·R_l(x_i) − E·(x_i − x),
 
-    E_c the slope that edges and other contacts make. Currents of contacts stay free, as in
-    `discs`; the equations give their shares alone.
+    E the slope that far edges and other contacts make. Contacts' currents stay free: the
+    equations give their shares alone. An even contact's potentials come from the table; the
+    patches add what is uneven.
     """
     parameters = parameters.reshape(-1, DISC)
-    cloud = jax.vmap(lambda p: _cloud(sheet, p))(parameters)
     place, radius = unpack(sheet, parameters)
     moment = LONG * sheet.size**2 * parameters[:, 3:5]
     table = jax.vmap(rows_at, (None, 0, 0, 0))(sheet.field, place, radius, moment)
-    even = table[:, 0]
-    slots, offset = sheet.slots, sheet.slots.offset(frame.grounds)
-    columns = slots.relative(even, frame.grounds).swapaxes(0, 1) + offset[:, None]
-    current = currents_of(whitened_rows(frame, columns), frame.whitened)
-    flowing = made_by(current, columns)
-    given, drop, told = _given(sheet, frame, cloud, parameters, even, current, flowing)
+    cloud = jax.vmap(_cloud, (None, 0, 0, 0))(sheet, place, radius, parameters)
+    slots, offset = sheet.slots, sheet.slots.offset(frame.grounds)[:, None]
 
-    def one(p: Float[Array, "6"], given: _Given) -> Float[Array, "S M"]:
-        cloud, own = _cloud(sheet, p), given.own * jnp.exp(-p[5])
-        given = given._replace(own=own)
-        sunk = slots.sunk(cloud.rows, frame.grounds, flowing)
-        uneven = _shares(cloud, given, sunk) - 1 / len(cloud.off)
-        return jnp.matmul(uneven, cloud.rows, precision="highest")
+    def columns_of(uneven: Float[Array, "C S n"]) -> Float[Array, "S C M"]:
+        rows = _product("csn,cnm->scm", uneven, cloud.rows[:, :, 0]) + table[:, 0]
+        return slots.apart(rows, frame.grounds) + offset
 
-    def turned(p: Array, given: _Given) -> tuple[Array, Array]:
-        moved = lambda t: jax.jvp(lambda p: one(p, given), (p,), (t,))  # noqa: E731
-        return jax.vmap(moved, out_axes=(None, 0))(jnp.eye(DISC, dtype=p.dtype))
-
-    rows, slopes = jax.vmap(turned)(parameters, given)  # (C, S, M), (C, 6, S, M)
-    by_table = table[:, 1:DISC] * chain_of(sheet, parameters, radius)[:, : DISC - 1, None]
-    slopes = slopes.at[:, : DISC - 1].add(by_table[:, :, None])
-    rows = rows + even[:, None]
-    columns = slots.apart(rows.swapaxes(0, 1), frame.grounds) + offset[:, None]
-    column = whitened_rows(frame, columns)
-    current, rest = best_currents(column, frame.whitened)
-    tangent = slots.apart(jnp.moveaxis(slopes, 2, 0), frame.grounds)
-    tangent = (tangent * current[..., None, None]).reshape(len(current), -1, even.shape[1])
+    count, kinds = len(place), len(frame.grounds)
+    even = columns_of(jnp.zeros((count, kinds, _COUNT), place.dtype))
+    current = currents_of(whitened_rows(frame, even), frame.whitened)
+    leaving = slots.sunk(cloud.rows, frame.grounds, made_by(current, even))  # (C, n, 3, S)
+    about = _Slots(sheet, frame, cloud, place, radius, leaving[:, :, 0])
+    given, drop = about.agreed(parameters[:, 5], current, columns_of)
+    shares, inverse = jax.vmap(_shares)(cloud, given, leaving[:, :, 0])
+    columns = columns_of(shares - 1 / _COUNT)
+    current, rest = best_currents(whitened_rows(frame, columns), frame.whitened)
+    chain = chain_of(sheet, parameters, radius)[:, : DISC - 1]
+    moving = jax.vmap(_moving)(cloud, given, leaving, shares, inverse, chain[:, :2])
+    by_table = table[:, 1:DISC] * chain[..., None]
+    slopes = jnp.moveaxis(jnp.pad(by_table, ((0, 0), (0, 1), (0, 0)))[:, None] + moving, 1, 0)
+    tangent = slots.apart(slopes, frame.grounds) * current[..., None, None]
+    tangent = whitened_rows(frame, tangent.reshape(kinds, count * DISC, -1))
+    forward = jnp.sign(sheet.drive_voltage)
+    least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
+    told = jnp.maximum((forward * drop).mean(0), least)
+    told = jax.lax.stop_gradient(told / (_LEVEL * jnp.abs(sheet.drive_voltage)))
     prior, by_parameter = priors_of(parameters, told)
     none = jnp.zeros_like(place)
     at = jax.vmap(home_of, (None, 0))(sheet.field, place)
     volts = made_by(current, columns)
     fitted = Fitted(at, none, none[:, 0], radius, current, drop, volts)
-    tangent = whitened_rows(frame, tangent)
+    column = whitened_rows(frame, columns)
     return Explained(rest, column, tangent, prior, by_parameter, fitted)
 
 
-def _cloud(sheet: Sheet, parameters: Float[Array, "6"]) -> _Cloud:
+def _product(how: str, *arrays: Array) -> Array:
+    return jnp.einsum(how, *arrays, precision="highest")
+
+
+def _cloud(sheet: Sheet, place: Array, radius: Array, parameters: Array) -> _Cloud:
     """Puts patches on an ellipse with the disc's area and the moments (a² − b²)/8."""
-    near, dtype = cast(Near, sheet.near), parameters.dtype
-    (place,), (radius,) = unpack(sheet, parameters[None])
-    half = 4 * LONG * sheet.size**2 * parameters[3:5]
-    square = jnp.sqrt(radius**4 + (half**2).sum())
-    xx, yy, xy = square + half[0], square - half[0], half[1]
-    root = jnp.sqrt(2 * (square + radius**2))
-    both = jnp.stack([xx + radius**2, xy, xy, yy + radius**2]).reshape(2, 2) / root
-    off, each = (
-        jnp.matmul(jnp.asarray(a, dtype), both, precision="highest")
-        for a in (_CLOUD, _EACH)
-    )
-    size = sheet.field.size
+    near, size = cast(Near, sheet.near), sheet.field.size
+
+    def root(p: Float[Array, "3"]) -> Float[Array, "2 2"]:
+        # The root of four times the even ellipse's second moments.
+        a = radius * jnp.exp(SIZE_WIDTH * (p[0] - parameters[2]))
+        half = 4 * LONG * sheet.size**2 * p[1:]
+        square = jnp.sqrt(a**4 + (half**2).sum())
+        xx, yy = square + half[0] + a**2, square - half[0] + a**2
+        both = jnp.stack([xx, half[1], half[1], yy]).reshape(2, 2)
+        return both / jnp.sqrt(2 * (square + a**2))
+
+    shape = parameters[2:5]
+    unit, each = (jnp.asarray(a, place.dtype) for a in (_CLOUD, _EACH))
+    off, each = (_product("nk,kj->nj", a, root(shape)) for a in (unit, each))
+    moves = _product("nk,kjp->njp", unit, jax.jacfwd(root)(shape))
     at = size - jnp.abs(size - jnp.abs(place + off) % (2 * size))
-    own = nearest(near, at)
-    away = at - near.electrodes[own]
-    about = fields_about(near.radius, near.reach, away[:, None] + each)
-    log, dipole = (a.mean(1) for a in about)
-    rows = rows_near(near, size, at, own, log, dipole)
-    return _Cloud(off, rows, *_among(sheet, at, radius))
+    rows = rows_near(near, size, at, each)
+    found = _Cloud(off, moves, rows, *_among(sheet, place, at, radius))
+    # Slopes are added up below.
+    return jax.lax.stop_gradient(found)
 
 
 def _images(sheet: Sheet, at: Float[Array, "n 2"]) -> Float[Array, "k n 2"]:
@@ -171,6 +179,33 @@ def _images(sheet: Sheet, at: Float[Array, "n 2"]) -> Float[Array, "k n 2"]:
     one = jnp.stack([at, -at, 2 * sheet.field.size - at])  # of each coordinate
     x, y = np.divmod(np.arange(9), 3)
     return jnp.stack([one[x, :, 0], one[y, :, 1]], -1)
+
+
+def _among(sheet: Sheet, place: Array, at: Array, radius: Array) -> tuple[Array, Array]:
+    """Computes potentials between patches, Ω: of the sheet, and what metal takes of them.
+
+    Edges mirror the patches, and electrodes' metal answers them with dipoles.
+    """
+    near, images = cast(Near, sheet.near), _images(sheet, at)
+    rim = radius / float(np.sqrt(_COUNT) * np.exp(0.25))
+    square = ((at[:, None] - images[:, None]) ** 2).sum(-1)
+    # Units of length beyond all distances keep the matrix positive.
+    unit = jnp.where(jnp.arange(len(images)) == 0, 6 * radius, 3 * sheet.field.size.max())
+    ratio = jnp.maximum(square, rim**2) / unit[:, None, None] ** 2
+    plane = -jnp.log(jnp.prod(ratio, 0)) / 2
+
+    def field(images: Array, electrodes: Array) -> Array:
+        away = images[:, :, None] - electrodes
+        square = jnp.maximum((away**2).sum(-1, keepdims=True), near.radius**2)
+        return (away / square).sum(0).reshape(images.shape[1], -1)
+
+    one = field(_images(sheet, place[None]), near.electrodes)
+    far = ((place - near.electrodes) ** 2).sum(-1)
+    beside = jax.lax.top_k(-far, min(_BESIDE, len(far)))[1]
+    some = field(images, near.electrodes[beside])
+    rest = (one**2).sum() - (one.reshape(-1, 2)[beside] ** 2).sum()
+    taken = _product("ik,jk->ij", some, some) + rest
+    return near.feed * plane, near.feed * near.answer * near.radius**2 * taken
 
 
 def _steep(sheet: Sheet, place: Float[Array, "C 2"], radius: Array) -> Float[Array, "C C 2"]:
@@ -185,110 +220,105 @@ def _steep(sheet: Sheet, place: Float[Array, "C 2"], radius: Array) -> Float[Arr
     return slope_of(sheet, place, radius) - own * images
 
 
-def _among(sheet: Sheet, at: Array, radius: Array) -> tuple[Array, Array]:
-    """Computes potentials between patches, Ω: of the sheet, and what metal discs take.
-
-    Edges of a rectangle mirror the patches; the nearest images count. What all patches have
-    in common is left out.
-    """
-    near, size, images = cast(Near, sheet.near), sheet.field.size, _images(sheet, at)
-    rim = radius / float(np.sqrt(len(at)) * np.exp(0.25))
-    square = ((at[:, None] - images[:, None]) ** 2).sum(-1)
-    # Units of length beyond all distances keep the matrix positive.
-    unit = jnp.where(jnp.arange(len(images)) == 0, 6 * radius, 3 * size.max())
-    plane = -jnp.log(jnp.maximum(square, rim**2) / unit[:, None, None] ** 2).sum(0) / 2
-    away = images[:, :, None] - near.electrodes
-    field = away / jnp.maximum((away**2).sum(-1, keepdims=True), near.radius**2)
-    field = field.sum(0).reshape(len(at), -1)
-    taken = jnp.matmul(field, field.T, precision="highest")
-    # The shares' slopes by a contact's place come from the grounds' potentials alone.
-    found = near.feed * plane, near.feed * near.answer * near.radius**2 * taken
-    return jax.lax.stop_gradient(found)
-
-
 def _shares(
     cloud: _Cloud, given: _Given, sunk: Float[Array, "n S"]
-) -> Float[Array, "S n"]:
-    """Solves the patches' equations: shares of the contact's current, with sum 1."""
-    induced = sunk * given.more - jnp.matmul(cloud.off, given.slope.T, precision="highest")
-    n = len(cloud.off)
-    right = jnp.concatenate([jnp.ones_like(induced[:, :1]), induced], 1)
-    matrix = cloud.plane - cloud.taken + given.own * jnp.eye(n, dtype=right.dtype)
-    found = solve_positive(matrix, right)
-    base = found[:, :1] / found[:, :1].sum()
-    uneven = found[:, 1:] - base * found[:, 1:].sum(0)
-    shift = jnp.matmul(uneven.T, cloud.off, precision="highest")
-    length = jnp.sqrt((shift**2).sum(-1) + 1e-18)
+) -> tuple[Float[Array, "S n"], Float[Array, "n n"]]:
+    """Solves the patches' equations: shares of the contact's current, and the inverse."""
+    unit = jnp.eye(_COUNT, dtype=sunk.dtype)
+    inverse = solve_positive(cloud.plane - cloud.taken + given.own * unit, unit)
+    base = inverse.sum(1)
+    induced = sunk * given.more - _product("nk,sk->ns", cloud.off, given.slope)
+    uneven = _balanced(inverse, induced.T)
+    shift = _product("sn,nk->sk", uneven, cloud.off)
+    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
     uneven = uneven * jnp.minimum(1, _FARTHEST * given.radius / length)
-    return (base + uneven).T
+    return base / base.sum() + uneven, inverse
 
 
-def _given(
-    sheet: Sheet,
-    frame: WhitenedFrame,
+def _balanced(
+    inverse: Float[Array, "n n"], right: Float[Array, "*k n"]
+) -> Float[Array, "*k n"]:
+    """Solves the equations with a constant that makes the sum 0."""
+    base = inverse.sum(1)
+    found = _product("...n,nm->...m", right, inverse)
+    return found - found.sum(-1, keepdims=True) * (base / base.sum())
+
+
+def _moving(
     cloud: _Cloud,
-    parameters: Float[Array, "C 6"],
-    even: Float[Array, "C M"],
-    current: Float[Array, "S C"],
-    flowing: Float[Array, "S M"],
-) -> tuple[_Given, Float[Array, "S C"], Float[Array, " C"]]:
-    """Finds each contact's conductance, and what else its shares depend on; and drops.
+    given: _Given,
+    leaving: Float[Array, "n 3 S"],
+    shares: Float[Array, "S n"],
+    inverse: Float[Array, "n n"],
+    along: Float[Array, "2"],
+) -> Float[Array, "S 6 M"]:
+    """Computes slopes of what patches add, Ω, by place, size, lengths and conductance.
 
-    An even contact's drop V0 − u comes first. Its current then moves to where the sheet
-    takes more of it, and the contact's mean potential falls.
+    `along` are a place's own slopes by its parameters, m. Patches move, and as they do, the grounds' potential there. How the potentials between
+    patches change is left out.
     """
-    place, radius = unpack(sheet, parameters)
-    n = cloud.off.shape[1]
-    forward = jnp.sign(sheet.drive_voltage)
-    least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
-    among = jax.vmap(green_of(sheet, place, radius))(place)
-    steep = _steep(sheet, place, radius)
-    sunk = sheet.slots.sunk(cloud.rows, frame.grounds, flowing)  # (C, n, S)
-    level = sheet.slots.level(cloud.rows, frame.grounds)
-    offset = sheet.slots.offset(frame.grounds)[:, None]
-
-    def about(own: Array, current: Array) -> _Given:
-        enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
-        safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
-        slope = jnp.einsum("sd,cdk->sck", current, steep, precision="highest")
-        slope = jnp.moveaxis(slope / safe[..., None], 1, 0)
-        return _Given(own, (current.sum(1, keepdims=True) / safe).T, slope, radius)
-
-    def dropped(current: Array, shares: Array) -> Array:
-        mean = level.mean(1).T, sunk.mean(1).T
-        drop = drops(sheet, frame.grounds, among, *mean, current)
-        return drop - current * _fallen(cloud, shares, level).T
-
-    def own_of(current: Array, drop: Array) -> Array:
-        through = (forward * current).mean(0)
-        through = jnp.maximum(through, 1e-6 * least / sheet.sheet_resistance)
-        return n * jnp.maximum((forward * drop).mean(0), least) / through
-
-    def agreed(_: int, now: tuple[Array, Array]) -> tuple[Array, Array]:
-        own, current = now
-        given = about(own * jnp.exp(-parameters[:, 5]), current)
-        shares = jax.vmap(_shares)(cloud, given, sunk)
-        rows = jnp.matmul(shares - 1 / n, cloud.rows, precision="highest")
-        rows = rows.swapaxes(0, 1) + even
-        column = sheet.slots.apart(rows, frame.grounds) + offset
-        current = currents_of(whitened_rows(frame, column), frame.whitened)
-        return own_of(current, dropped(current, shares)), current
-
-    flat = jnp.full((len(place), len(current), n), 1 / n, current.dtype)
-    first = own_of(current, dropped(current, flat)), current
-    own, current = jax.lax.fori_loop(0, _PASSES, agreed, first)
-    given = about(own, current)
-    shares = jax.vmap(_shares)(
-        cloud, given._replace(own=own * jnp.exp(-parameters[:, 5])), sunk
-    )
-    drop = dropped(current, shares)
-    told = jnp.maximum((forward * drop).mean(0), least) / (_LEVEL * forward * sheet.drive_voltage)
-    return *jax.lax.stop_gradient((given, drop)), jax.lax.stop_gradient(told)
+    unit = jnp.broadcast_to(jnp.diag(along), (_COUNT, 2, 2))
+    moves = jnp.concatenate([unit, cloud.moves], 2)  # (n, 2, 5)
+    lifted = _product("nks,nkp->spn", leaving[:, 1:], moves) * given.more[:, None, None]
+    stronger = (given.own * shares)[:, None]
+    turned = _balanced(inverse, jnp.concatenate([lifted, stronger], 1))  # (S, 6, n)
+    uneven = shares - 1 / _COUNT
+    carried = _product("sn,nkp->spnk", uneven, moves)
+    carried = _product("spnk,nkm->spm", carried, cloud.rows[:, 1:])
+    carried = jnp.pad(carried, ((0, 0), (0, 1), (0, 0)))
+    return carried + _product("spn,nm->spm", turned, cloud.rows[:, 0])
 
 
-def _fallen(cloud: _Cloud, shares: Array, level: Array) -> Float[Array, "C S"]:
-    """Computes how much an even current's mean potential differs for these shares, Ω."""
-    uneven = shares - 1 / shares.shape[-1]
-    own = jnp.einsum("csj,cij->cs", uneven, cloud.plane)
-    own = own - jnp.einsum("csj,cij->cs", shares, cloud.taken)
-    return own / shares.shape[-1] - jnp.einsum("csj,cjs->cs", uneven, level)
+class _Slots(NamedTuple):
+    """Contacts in the slots of a frame."""
+
+    sheet: Sheet
+    frame: WhitenedFrame
+    cloud: _Cloud
+    place: Float[Array, "C 2"]
+    radius: Float[Array, " C"]
+    sunk: Float[Array, "C n S"]
+
+    def agreed(
+        self, stronger: Float[Array, " C"], current: Float[Array, "S C"], columns_of
+    ) -> tuple[_Given, Float[Array, "S C"]]:
+        """Finds conductances that agree with the drops, then `stronger`; and the drops."""
+        sheet, frame = self.sheet, self.frame
+        level = sheet.slots.level(self.cloud.rows[:, :, 0], frame.grounds)  # (C, n, S)
+        among = jax.vmap(green_of(sheet, self.place, self.radius))(self.place)
+        steep = _steep(sheet, self.place, self.radius)
+
+        def dropped(current: Array, shares: Array) -> Array:
+            # As the current leaves what is even, the contact's mean potential falls.
+            uneven, cloud = shares - 1 / _COUNT, self.cloud
+            less = _product("csj,cij->cs", uneven, cloud.plane)
+            less = less - _product("csj,cij->cs", shares, cloud.taken)
+            less = less / _COUNT - _product("csj,cjs->cs", uneven, level)
+            means = level.mean(1).T, self.sunk.mean(1).T
+            return drops(sheet, frame.grounds, among, *means, current) - current * less.T
+
+        def about(current: Array, drop: Array) -> _Given:
+            enough = 1e-4 * jnp.abs(current).sum(1, keepdims=True) + 1e-15
+            safe = jnp.where(jnp.abs(current) > enough, current, jnp.inf)
+            slope = _product("sd,cdk->sck", current, steep) / safe[..., None]
+            forward = jnp.sign(sheet.drive_voltage)
+            least = LEAST_DROP * jnp.abs(sheet.drive_voltage)
+            through = jnp.maximum(
+                (forward * current).mean(0), 1e-6 * least / sheet.sheet_resistance
+            )
+            own = _COUNT * jnp.maximum((forward * drop).mean(0), least) / through
+            whole = current.sum(1, keepdims=True) / safe
+            own = own * jnp.exp(-stronger)
+            return _Given(own, whole.T, jnp.moveaxis(slope, 1, 0), self.radius)
+
+        def once(_: int, now: tuple[Array, Array]) -> tuple[Array, Array]:
+            current, drop = now
+            shares, _ = jax.vmap(_shares)(self.cloud, about(current, drop), self.sunk)
+            column = whitened_rows(frame, columns_of(shares - 1 / _COUNT))
+            current = currents_of(column, frame.whitened)
+            return current, dropped(current, shares)
+
+        flat = jnp.full((len(self.place), len(current), _COUNT), 1 / _COUNT, current.dtype)
+        now = current, dropped(current, flat)
+        now = jax.lax.fori_loop(0, _PASSES, once, jax.lax.stop_gradient(now))
+        return jax.lax.stop_gradient((about(*now), now[1]))
