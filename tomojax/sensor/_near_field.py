@@ -6,7 +6,7 @@
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, spline_filter
 
 from tomojax.kernels.contacts import fields_about, Near
 from tomojax.sensor._sensor import Sensor
@@ -34,31 +34,42 @@ def near_of(
     """
     size, xy = np.asarray(sensor.size, float), np.asarray(sensor.electrode_xy, float)
     radius, answer = float(sensor.electrode_diameter) / 2, float(sensor.electrode_shunt)
-    apart = np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1)) + np.diag(
-        np.full(len(xy), np.inf)
-    )
-    reach = max(_REACH * min(apart.min(), 2 * size.min()), 1.01 * radius)
-    feed = rho / (2 * np.pi)
-    axes = [np.linspace(0, s, n) for s, n in zip(size, rows.shape[1:])]
+    apart = np.hypot(*(xy[:, None] - xy).T)
+    least = min((apart + np.diag(np.full(len(xy), np.inf))).min(), 2 * size.min())
+    reach = max(_REACH * least, 1.01 * radius)
+    feed, cells = rho / (2 * np.pi), np.array(rows.shape[1:]) - 1
+    pull = _pull(rows, xy, _CIRCLE * radius, size) / (1 - answer / _CIRCLE**2)
     smooth = rows.copy()
-    pull = np.zeros((len(xy), len(xy), 2))
-    turn = 2 * np.pi * np.arange(_POINTS) / _POINTS
-    circle = _CIRCLE * radius * np.stack([np.cos(turn), np.sin(turn)], 1)
     for e, place in enumerate(xy):
-        inner = [np.flatnonzero(np.abs(x - p) <= reach) for x, p in zip(axes, place)]
-        grid = np.stack(np.meshgrid(*(x[i] for x, i in zip(axes, inner)), indexing="ij"), -1)
-        log, dipole = fields_about(np.float64(radius), np.float64(reach), grid - place)
-        on = place + circle
-        if ((on >= 0) & (on <= size)).all():
-            at = (on / size * (np.array(rows.shape[1:]) - 1)).T
-            around = np.stack([map_coordinates(row, at, order=3, mode="mirror") for row in rows])
-            slope = 2 / _POINTS * around @ circle / (_CIRCLE * radius) ** 2
-            pull[e] = -slope / (1 - answer / _CIRCLE**2)
-        window = np.ix_(range(len(xy)), *inner)
-        part = answer * radius**2 * np.einsum("xyk,mk->mxy", dipole, pull[e])
-        part[e] += feed * log
-        smooth[window] -= part
-    dtype = sensor.dtype
+        low = np.maximum(np.ceil((place - reach) / size * cells).astype(int), 0)
+        x, y = (np.arange(a, b) for a, b in zip(low, _end(place + reach, size, cells)))
+        at = np.stack(np.meshgrid(x, y, indexing="ij"), -1) / cells * size
+        log, dipole = fields_about(np.float64(radius), np.float64(reach), at - place)
+        rough = answer * radius**2 * np.einsum("xyk,mk->mxy", dipole, pull[e])
+        rough[e] += feed * log
+        smooth[:, x[:, None], y] -= rough
     values = smooth[:, ::every, ::every].transpose(1, 2, 0)
     numbers = (values, xy, pull, feed, radius, reach, answer)
-    return Near(*(jnp.asarray(a, dtype) for a in numbers))
+    return Near(*(jnp.asarray(a, sensor.dtype) for a in numbers))
+
+
+def _end(at: np.ndarray, size: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Returns the first points of the table beyond a place along each axis."""
+    return np.minimum(np.floor(at / size * cells).astype(int), cells) + 1
+
+
+def _pull(
+    rows: Float[np.ndarray, "M nx ny"], xy: np.ndarray, radius: float, size: np.ndarray
+) -> Float[np.ndarray, "M M 2"]:
+    """Computes −∇R_e as circles about electrodes tell it, Ω/m; 0 where one leaves the box."""
+    turn = 2 * np.pi * np.arange(_POINTS) / _POINTS
+    circle = radius * np.stack([np.cos(turn), np.sin(turn)], 1)
+    on = xy[:, None] + circle
+    at = on.reshape(-1, 2).T / size[:, None] * (np.array(rows.shape[1:])[:, None] - 1)
+    # As the table is, mirrored at its edges.
+    smooth = (spline_filter(row, 3, mode="mirror") for row in rows)
+    found = [map_coordinates(a, at, order=3, mode="mirror", prefilter=False) for a in smooth]
+    around = np.stack(found).reshape(len(rows), len(xy), _POINTS)
+    slope = 2 / _POINTS / radius**2 * np.einsum("mep,pk->emk", around, circle)
+    inside = ((on >= 0) & (on <= size)).all((1, 2))
+    return np.where(inside[:, None, None], -slope, 0)

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import solve_positive
+from tomojax.kernels.algebra import solve_positive, tree_where
 from tomojax.methods.points._blocks import begun, called, each_frame, Frames, put
 from tomojax.methods.points._faults import searched
-from tomojax.methods.points._fit import best_fit, CURVE, DISCS
+from tomojax.methods.points._fit import best_fit, CURVE, DISCS, polished
 from tomojax.methods.points._found import (
     apart_and_strong,
     Ended,
@@ -19,7 +19,7 @@ from tomojax.methods.points._found import (
     Found,
     long_enough,
 )
-from tomojax.methods.points._ladder import bar_at, GAIN, ring_at, seen_at_all, shaped
+from tomojax.methods.points._ladder import are_discs, bar_at, GAIN, ring_at, seen_at_all, shaped
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
 # here is an upper bound, as the others stay where they are.
@@ -69,8 +69,8 @@ def filmed(frames: Frames, films: Int[np.ndarray, " n"]) -> Found:
 
 def _is_of(found: Found, size: int) -> Bool[np.ndarray, " n"]:
     """Tells whether `size` discs were found; a `size` of 0 stands for a bar or a ring."""
-    each = np.where(shaped(found), 0, found.count)
-    return (each == size) & (found.count > 0) & ~found.high & (found.faults == 0)
+    fits = are_discs(found, size) if size else shaped(found) & (found.faults == 0)
+    return fits & (found.count > 0) & ~found.high
 
 
 @each_frame
@@ -82,9 +82,11 @@ def _discs(scene: Fitting, before: Found, size: int) -> Again:
     found, ended = best_fit(scene, DISCS, before.parameters[:size].reshape(1, -1))
     if size == 1:
         found = seen_at_all(scene, found)
+        found = tree_where(found.count > 0, polished(scene, found, None, size)[0], found)
         return Again(found, _explained(found) & (found.count > 0))
     needed = _needed(scene, ended).min() > _NEEDED * GAIN * (size - 1)
     apart = apart_and_strong(scene, found, size)
+    found = polished(scene, found, None, size)[0]
     return Again(found, _explained(found) & needed & apart)
 
 

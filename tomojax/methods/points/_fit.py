@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from tomojax.kernels import contacts as model
-from tomojax.kernels.algebra import descend, Limits, Normal
+from tomojax.kernels.algebra import descend, Limits, Normal, tree_where
 from tomojax.kernels.contacts import WhitenedFrame
 from tomojax.methods.points._found import Ended, Fitting, Found, found_of, LEFT
 
@@ -30,13 +30,16 @@ _HOPELESS = 2.0
 
 # A few of many slots are searched with; then this many steps with all slots follow. Slots
 # share errors, and more steps would fit those.
-_LAST = 12
+_LAST = 3
+
+# Steps of patches, which begin where discs end.
+_LAST_PATCHES = 12
+
+# One disc's patches also begin round and as wide as this, in σ of what is known of a size.
+_WIDE = 1.2
 
 # Newton's steps that take an end to the lowest cost, where it is to be `exact`.
 _NEWTON = 6
-
-# Size of a wide disc, in σ of what is known beforehand.
-_WIDE = 1.2
 
 # More of such steps for a curve, which a few slots hardly tell.
 _LAST_LONG = 10
@@ -61,28 +64,16 @@ class Kind(NamedTuple):
     """A model: the part of a frame that the model explains, and its parameters' limits."""
 
     explain: Callable[..., model.Explained]
-    search: Callable[..., model.Explained]  # the same, roughly: it costs less
     limits: Callable[..., Limits]
     parameters: int  # of one contact
     last: int  # steps with all slots
-    again: Callable[[Array], Array]  # starts of these
-
-
-def _as_is(found: Float[Array, " P"]) -> Float[Array, "1 P"]:
-    return found[None]
-
-
-def _wider(found: Float[Array, " P"]) -> Float[Array, "n P"]:
-    """Lets one disc also begin round and wide: a narrow, long one may look alike."""
-    if len(found) > model.DISC:
-        return found[None]
-    return jnp.stack([found, found.at[2:].set(jnp.array([_WIDE, 0, 0, 0], found.dtype))])
+    searches: bool = True  # in a few slots first, which stand for all
 
 
 # Traced once for all that holds it.
-_discs, _curve = jax.jit(model.discs), jax.jit(model.curve)
-DISCS = Kind(jax.jit(model.patches), _discs, model.limits_of, model.DISC, _LAST, _wider)
-CURVE = Kind(_curve, _curve, model.limits_of_curve, model.CURVE, _LAST_LONG, _as_is)
+DISCS = Kind(jax.jit(model.discs), model.limits_of, model.DISC, _LAST)
+CURVE = Kind(jax.jit(model.curve), model.limits_of_curve, model.CURVE, _LAST_LONG)
+PATCHES = Kind(jax.jit(model.patches), model.limits_of, model.DISC, _LAST_PATCHES, False)
 
 
 def best_fit(
@@ -104,7 +95,7 @@ def best_fit(
     width = scene.frame.whitened.shape[1]
     slopes = model.free_slopes(explained)[..., :width]
     ended = Ended(parameters, normal.matrix, explained.rest[:, :width], slopes)
-    found = found_of(scene, explained, ended, normal.cost, kind is DISCS)
+    found = found_of(scene, explained, ended, normal.cost, kind is not CURVE)
     return found, ended
 
 
@@ -137,25 +128,45 @@ def _nearly(
     limits = _limits(kind, sheet, starts.shape[1])
 
     def lowest(
-        explain: Callable, starts: Array, frame: WhitenedFrame, below: Array, most: int
+        starts: Array, frame: WhitenedFrame, below: Array, most: int
     ) -> tuple[Array, Array]:
         together = _TOGETHER // len(frame.grounds)
         together = int(np.clip(together, _LEAST_TOGETHER, _MOST_TOGETHER))
-        alone = explain is kind.search and kind is DISCS
-        alone = alone and starts.shape[1] == kind.parameters
+        alone = kind is DISCS and starts.shape[1] == kind.parameters
         enough = (_ENOUGH if alone else 0.0) * _usual(frame)
         of = below.sum(), enough, sheet, frame, scene.prepared.tolerance
-        return descend(_cost_of(explain), starts, limits, _FEW, most, together, *of)
+        return descend(_cost_of(kind), starts, limits, _FEW, most, together, *of)
 
-    part = jax.tree.map(lambda a: a[some], frame) if len(some) < len(frame.grounds) else frame
-    found, cost = lowest(kind.search, starts, part, below[some], _MOST)
-    if part is frame and kind.search is kind.explain:
-        return found
-    # What is far from explaining these explains no more of all.
-    hopeless = cost > _HOPELESS * below[some].sum() + _usual(part)
-    found = jnp.where(hopeless, jnp.nan, found)
-    again = kind.again(found)
-    return lowest(kind.explain, again, frame, below, kind.last)[0]
+    if not kind.searches:
+        return lowest(starts, frame, below, kind.last)[0]
+    if len(some) < len(frame.grounds):
+        part = jax.tree.map(lambda a: a[some], frame)
+        found, cost = lowest(starts, part, below[some], _MOST)
+        # What is far from explaining these explains no more of all.
+        hopeless = cost > _HOPELESS * below[some].sum() + _usual(part)
+        found = jnp.where(hopeless, jnp.nan, found)
+        return lowest(found[None], frame, below, kind.last)[0]
+    return lowest(starts, frame, below, _MOST)[0]
+
+
+def polished(
+    scene: Fitting, found: Found, ended: Ended | None, size: int
+) -> tuple[Found, Ended | None]:
+    """Lets `size` discs end as patches, where these explain the frame no worse.
+
+    One disc also begins round and wide: a narrow, long one may look alike.
+    """
+    start = found.parameters[:size].reshape(-1)
+    starts = start[None]
+    if size == 1:
+        round_ = jnp.array([_WIDE, 0, 0, 0], start.dtype)
+        starts = jnp.stack([start, start.at[2:].set(round_)])
+    new, end = best_fit(scene, PATCHES, starts)
+    told = {"doubtful": found.doubtful, "unsure": found.unsure | new.unsure}
+    better, new = new.cost <= found.cost, new._replace(**told)
+    if ended is not None:
+        ended = tree_where(better, end, ended)
+    return tree_where(better, new, found), ended
 
 
 def _usual(frame: WhitenedFrame) -> Float[Array, ""]:
@@ -169,12 +180,12 @@ def _limits(kind: Kind, sheet: model.Sheet, count: int) -> Limits:
 
 
 @functools.cache
-def _cost_of(explain: Callable[..., model.Explained]) -> Callable[..., Normal]:
+def _cost_of(kind: Kind) -> Callable[..., Normal]:
     @jax.jit
     def cost(
         p: Float[Array, " P"], sheet: model.Sheet, frame: WhitenedFrame, tolerance: Array
     ) -> Normal:
-        return model.normal_of(explain(sheet, frame, p), tolerance)
+        return model.normal_of(kind.explain(sheet, frame, p), tolerance)
 
     return cost
 
@@ -204,7 +215,7 @@ def _downhill(scene: Fitting, kind: Kind, at: Float[Array, " P"]) -> Callable:
 
     What ends at its highest value near `at` stays there.
     """
-    highest, cost = _limits(kind, scene.method.sheet, len(at)).highest, _cost_of(kind.explain)
+    highest, cost = _limits(kind, scene.method.sheet, len(at)).highest, _cost_of(kind)
 
     def downhill(p: Array, scene: Fitting) -> Array:
         sheet, tolerance = scene.method.sheet, scene.prepared.tolerance

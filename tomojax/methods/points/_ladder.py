@@ -13,7 +13,7 @@ from tomojax.kernels.algebra import tree_where
 from tomojax.kernels.sheet import volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import seen
-from tomojax.methods.points._fit import best_fit, CURVE, DISCS, starts_at
+from tomojax.methods.points._fit import best_fit, CURVE, DISCS, polished, starts_at
 from tomojax.methods.points._found import (
     APART,
     apart_and_strong,
@@ -96,12 +96,19 @@ def shaped(found: Found) -> Any:
     return ((found.extent**2).sum((-2, -1)) > 0) | (found.ring.sum(-1) > 0)
 
 
+def are_discs(found: Found, size: int) -> Any:
+    """Tells whether `size` discs were found, no fault beside them; in NumPy as well."""
+    return (found.count == size) & ~shaped(found) & (found.faults == 0)
+
+
 def first(scene: Fitting) -> Ladder:
     """Fits one disc, from the best candidates."""
     at, candidates = look_of(scene), scene.method.candidates
     scores = model.explained(_alone(scene, at), at.own)
     best = model.best_places(scores, candidates, 1.5 * scene.method.spacing, _STARTS)
     found, ended = best_fit(scene, DISCS, starts_at(scene, candidates[best][:, None]))
+    found, ended = polished(scene, found, ended, 1)
+    assert ended is not None
     found = seen_at_all(scene, found)
     promise, rival = _promise(scene, found, ended, 1)
     pair = jnp.stack([found.place[0], rival])
