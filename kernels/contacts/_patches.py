@@ -45,7 +45,7 @@ _RINGS = 2
 _BESIDE = 8
 
 # Passes in which a contact's conductance and its current's shape come to agree.
-_PASSES = 2
+_PASSES = 1
 
 # How well a slot's level is known, 1 σ, of the drive. The level tells a contact's drop and
 # so its conductance; of metal, whose drop is small, the current's shape tells more.
