@@ -37,6 +37,8 @@ from tomojax.kernels.contacts._field import (
     cubic as cubic,
     Field as Field,
     field_at as field_at,
+    fields_about as fields_about,
+    Near as Near,
     rows_at as rows_at,
     thin_of as thin_of,
     thin_rows_at as thin_rows_at,
@@ -52,8 +54,6 @@ from tomojax.kernels.contacts._one_slot import (
     tangents as tangents,
     whitened as whitened,
 )
-from tomojax.kernels.contacts._near import fields_about as fields_about, Near as Near
-from tomojax.kernels.contacts._patches import patches as patches
 from tomojax.kernels.contacts._points import (
     DISC as DISC,
     Fitted as Fitted,
@@ -71,3 +71,4 @@ from tomojax.kernels.contacts._search import (
     Followed as Followed,
     nothing_followed as nothing_followed,
 )
+from tomojax.kernels.contacts.patches import patches as patches

@@ -11,8 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from tomojax.kernels.contacts._field import among_at, Field, margin_of
-from tomojax.kernels.contacts._near import Near
+from tomojax.kernels.contacts._field import among_at, Field, margin_of, Near
 from tomojax.kernels.sheet import rectangle_green, rectangle_slope, Slots
 
 # ln of the width of what is known of a contact's size beforehand.

@@ -72,7 +72,7 @@ class Near(NamedTuple):
     place: Float[Array, "2"]  # m
     spread: Float[Array, ""]  # 1 σ of it, m; ∞: the place is a start alone
 
-    def explained(self, parameters: Float[Array, "5"]) -> Explained:
+    def explained(self, parameters: Float[Array, "6"]) -> Explained:
         """Explains the frame by a contact with these parameters."""
         found, unit = model.discs(self.sheet, self.frame, parameters), self.sheet.unit
         place, spread = self.place / unit, self.spread / unit
@@ -82,14 +82,14 @@ class Near(NamedTuple):
             slope=jnp.concatenate([found.slope, slope]),
         )
 
-    def fitted(self) -> Float[Array, "5"]:
+    def fitted(self) -> Float[Array, "6"]:
         """Fits a contact: its parameters."""
         start = jnp.pad(self.place / self.sheet.unit, (0, model.DISC - 2))[None]
         limits, counts = model.limits_of(self.sheet), (_STEPS, _STEPS, _TOGETHER)
         return descend(_cost, start, limits, *counts, jnp.inf, 0.0, self)[0]
 
 
-def _cost(parameters: Float[Array, "5"], near: Near) -> Normal:
+def _cost(parameters: Float[Array, "6"], near: Near) -> Normal:
     return normal_of(near.explained(parameters), near.tolerance)
 
 

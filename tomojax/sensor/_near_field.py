@@ -33,7 +33,10 @@ def near_of(
     u₀ + E·r(1 − s·a²/r²), s the disc's answer.
     """
     size, xy = np.asarray(sensor.size, float), np.asarray(sensor.electrode_xy, float)
-    radius, answer = float(sensor.electrode_diameter) / 2, float(sensor.electrode_shunt)
+    radius, answer = (
+        float(sensor.electrode_diameter) / 2,
+        float(np.asarray(sensor.electrode_shunt)),
+    )
     apart = np.hypot(*(xy[:, None] - xy).T)
     least = min((apart + np.diag(np.full(len(xy), np.inf))).min(), 2 * size.min())
     reach = max(_REACH * least, 1.01 * radius)
@@ -44,7 +47,7 @@ def near_of(
         low = np.maximum(np.ceil((place - reach) / size * cells).astype(int), 0)
         x, y = (np.arange(a, b) for a, b in zip(low, _end(place + reach, size, cells)))
         at = np.stack(np.meshgrid(x, y, indexing="ij"), -1) / cells * size
-        log, dipole = fields_about(np.float64(radius), np.float64(reach), at - place)
+        log, dipole = fields_about(radius, reach, at - place)
         rough = answer * radius**2 * np.einsum("xyk,mk->mxy", dipole, pull[e])
         rough[e] += feed * log
         smooth[:, x[:, None], y] -= rough
@@ -61,15 +64,17 @@ def _end(at: np.ndarray, size: np.ndarray, cells: np.ndarray) -> np.ndarray:
 def _pull(
     rows: Float[np.ndarray, "M nx ny"], xy: np.ndarray, radius: float, size: np.ndarray
 ) -> Float[np.ndarray, "M M 2"]:
-    """Computes −∇R_e as circles about electrodes tell it, Ω/m; 0 where one leaves the box."""
+    """Computes −∇R_e by circles about electrodes, Ω/m; 0 where a circle leaves the box."""
     turn = 2 * np.pi * np.arange(_POINTS) / _POINTS
     circle = radius * np.stack([np.cos(turn), np.sin(turn)], 1)
     on = xy[:, None] + circle
     at = on.reshape(-1, 2).T / size[:, None] * (np.array(rows.shape[1:])[:, None] - 1)
     # As the table is, mirrored at its edges.
     smooth = (spline_filter(row, 3, mode="mirror") for row in rows)
-    found = [map_coordinates(a, at, order=3, mode="mirror", prefilter=False) for a in smooth]
+    found = [
+        map_coordinates(a, at, order=3, mode="mirror", prefilter=False) for a in smooth
+    ]
     around = np.stack(found).reshape(len(rows), len(xy), _POINTS)
     slope = 2 / _POINTS / radius**2 * np.einsum("mep,pk->emk", around, circle)
-    inside = ((on >= 0) & (on <= size)).all((1, 2))
+    inside = np.all((on >= 0) & (on <= size), (1, 2))
     return np.where(inside[:, None, None], -slope, 0)

@@ -19,7 +19,14 @@ from tomojax.methods.points._found import (
     Found,
     long_enough,
 )
-from tomojax.methods.points._ladder import are_discs, bar_at, GAIN, ring_at, seen_at_all, shaped
+from tomojax.methods.points._ladder import (
+    are_discs,
+    bar_at,
+    GAIN,
+    ring_at,
+    seen_at_all,
+    shaped,
+)
 
 # A contact is needed that gains so many times what the ladder asks of one more: the gain
 # here is an upper bound, as the others stay where they are.
