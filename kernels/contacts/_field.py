@@ -245,9 +245,9 @@ def fields_about(
 ) -> tuple[Float[Any, "*n"], Float[Any, "*n 2"]]:
     """Computes the rough parts of −ln r and of r/r² (1/m) away from a disc's centre.
 
-    Within the disc r counts as its radius. The smooth parts, which a table has, are the
-    series of both in 1 − r²/R², R the reach, cut off; so the rough parts end at R. They
-    take arrays of NumPy and of JAX.
+    Within the disc r counts as its radius. A table has the smooth parts: the series of
+    −ln r and 1/r² in 1 − r²/R², R the reach, cut off. So the rough parts end at R. The
+    functions take arrays of NumPy and of JAX.
     """
     xp: Any = np if isinstance(away, np.ndarray) else jnp
     square = (away**2).sum(-1) / reach**2

@@ -2,7 +2,7 @@
 
 `discs` spreads a contact's current evenly, and leans it to one side. Under metal that lies
 on an electrode in part the current goes elsewhere: to the electrode's rim, and round it.
-Here a contact is a cloud of patches of one conductance each, and their shares of the
+Here a contact is a cloud of patches of one conductance each. The patches' shares of the
 current solve the sheet's own equations, slot by slot.
 """
 
@@ -54,7 +54,7 @@ _FARTHEST = 0.6
 
 
 class _Given(NamedTuple):
-    """What one contact's shares depend on beside its own place and shape."""
+    """Values that one contact's shares depend on, beside its own place and shape."""
 
     own: Float[Array, ""]  # n/g: resistance of a patch, Ω
     more: Float[Array, " S"]  # the slot's whole current, of the contact's own

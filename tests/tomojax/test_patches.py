@@ -1,0 +1,54 @@
+"""Metal on electrodes: its current goes where the sheet takes it, and its place is right."""
+
+import numpy as np
+import pytest
+
+import tomojax as tx
+from bench.rigs import draw_rig, network_of, Touch
+
+TEN = np.array([0, 63, 5, 12, 20, 27, 34, 41, 50, 58])
+# From an electrode to the contact's middle, m; radius, m; conductance, S.
+METAL = (
+    ((0.0081, 0.0007), 0.0110, 7.7e-4),
+    ((0.0060, -0.0010), 0.0075, 1.1e-3),
+    ((-0.0070, 0.0020), 0.0097, 1.0e-3),
+    ((0.0010, 0.0063), 0.0078, 2.3e-3),
+)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Rows of metal discs on a network of resistors without errors, and the truth."""
+    sensor = tx.Sensor.grid(dtype=np.float32)
+    none = {"uneven": 0.0, "off": 0.0, "gain": 0.0, "noise": 1e-7, "bits": 24}
+    rig = draw_rig(sensor, np.random.default_rng(3), **none)
+    exact, electrodes = network_of(rig), np.asarray(sensor.electrode_xy, float)
+    made = [
+        Touch(electrodes[e] + away, (a, a), 0.0, g)
+        for e, (away, a, g) in zip((27, 14, 41, 9), METAL)
+    ]
+    volts = np.array([exact.touched(touch, TEN) for touch in made], np.float32)
+    # As errors are told of a calibrated rig.
+    known = tx.Calibration(error=0.1, own=0.1)
+    batch = tx.Batch(tx.method(sensor, "points", 32, known), 1.0, 2, images=False)
+    return batch(volts, np.tile(TEN, (len(made), 1))), made
+
+
+def test_places_beside_electrodes(rows):
+    found, made = rows
+    assert found.contact_count.tolist() == [1] * len(made)
+    off = found.contact_xy[:, 0] - [touch.centre for touch in made]
+    assert np.hypot(*off.T).max() < 1e-4  # even discs that lean: 0.12 to 0.53 mm
+
+
+def test_conductance_of_metal(rows):
+    """The level hardly tells it: the current's shape does."""
+    found, made = rows
+    ratio = found.contact_conductance[:, 0] / [touch.conductance for touch in made]
+    assert np.abs(np.log(ratio)).max() < 0.25
+
+
+def test_radius_of_metal(rows):
+    found, made = rows
+    ratio = found.contact_radius[:, 0] / [touch.half_axes[0] for touch in made]
+    assert np.abs(ratio - 1).max() < 0.05
