@@ -1,4 +1,4 @@
-"""Metal on electrodes: its current goes where the sheet takes it, and its place is right."""
+"""Metal on electrodes: its current goes where the sheet takes it."""
 
 import numpy as np
 import pytest
