@@ -68,9 +68,7 @@ def cloud_of(sheet: Sheet, place: Array, radius: Array, parameters: Array) -> Cl
     moves = product("nk,kjp->njp", unit, jax.jacfwd(root)(shape))
     at = size - jnp.abs(size - jnp.abs(place + off) % (2 * size))
     rows = rows_near(near, size, at, each)
-    found = Cloud(off, moves, rows, *_among(sheet, place, at, radius))
-    # Slopes are added up below.
-    return jax.lax.stop_gradient(found)
+    return Cloud(off, moves, rows, *_among(sheet, place, at, radius))
 
 
 def _images(sheet: Sheet, at: Float[Array, "n 2"]) -> Float[Array, "k n 2"]:

@@ -183,16 +183,17 @@ class _Contacts(NamedTuple):
         steep = steep_of(self.sheet, self.place, self.radius)
         flat = jnp.full((len(self.place), len(current), COUNT), 1 / COUNT, current.dtype)
 
-        def once(_: int, now: tuple[Array, Array]) -> tuple[Array, Array]:
-            given = self._given(steep, stronger, *now)
+        def once(current: Array, drop: Array) -> tuple[Array, Array]:
+            given = self._given(steep, stronger, current, drop)
             shares, _ = jax.vmap(_shares)(self.cloud, given, self.sunk)
             column = whitened_rows(self.frame, columns_of(shares - 1 / COUNT))
             current = currents_of(column, self.frame.whitened)
             return current, self._dropped(among, current, shares)
 
         now = current, self._dropped(among, current, flat)
-        now = jax.lax.fori_loop(0, _PASSES, once, jax.lax.stop_gradient(now))
-        return jax.lax.stop_gradient((self._given(steep, stronger, *now), now[1]))
+        for _ in range(_PASSES):
+            now = once(*now)
+        return self._given(steep, stronger, *now), now[1]
 
     def told(self, drop: Float[Array, "S C"]) -> Float[Array, " C"]:
         """Returns 1/σ of ln g as drops tell it."""
