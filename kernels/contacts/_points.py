@@ -154,8 +154,13 @@ def not_beyond(
 
     The dipole alone does not hold where another contact is near.
     """
+    return shift * kept_within(shift, radius[:, None])
+
+
+def kept_within(shift: Float[Array, "*n 2"], radius: Array) -> Float[Array, "*n 1"]:
+    """Returns the part of a shift, 1 at most, that ends within 0.6 of the radius."""
     length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    return shift * jnp.minimum(1, 0.6 * radius[:, None] / length)
+    return jnp.minimum(1, 0.6 * radius / length)
 
 
 def polarisability(sheet: Sheet, conductance: Array, radius: Array) -> Array:

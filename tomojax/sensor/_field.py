@@ -73,11 +73,17 @@ def make_field(sensor: Sensor) -> Field:
 
     **Raises:** `ValueError` for a sheet more than 32 pitches wide.
     """
-    return make_fields(sensor)[0]
+    return _made(sensor)[0]
 
 
 def make_fields(sensor: Sensor) -> tuple[Field, Near]:
     """Computes the table of `make_field`, and potentials at points beside electrodes."""
+    field, nominal, rho, rows, every = _made(sensor)
+    return field, near_of(nominal, rho, rows, every)
+
+
+def _made(sensor: Sensor) -> tuple[Field, Sensor, float, np.ndarray, int]:
+    """Computes `make_field`, and what `near_of` takes."""
     told = sensor.told
     sensor, even, cells, every = parts_of(sensor)
     if sensor.flat:
@@ -86,8 +92,8 @@ def make_fields(sensor: Sensor) -> tuple[Field, Near]:
             more_ee, more = _variation(sensor, even, cells)
             ee, rows = ee + more_ee, rows + more
         ee, rows = _told(told, ee, rows)
-        near = near_of(sensor, float(even.sheet_resistance), rows, every)
-        return averaged_field(sensor, ee, rows, every), near
+        field = averaged_field(sensor, ee, rows, every)
+        return field, sensor, float(even.sheet_resistance), rows, every
     cut = cut_of(sensor, even, fine=True)
     ee, rows = _told(told, *cut_fields(sensor, even, cut, cells))
     field = averaged_field(sensor, ee, rows, every)
@@ -96,7 +102,7 @@ def make_fields(sensor: Sensor) -> tuple[Field, Near]:
     # What the shape adds between sites is smoother than the electrodes' own potentials.
     plain = cut_of(sensor, even) if edge_is_near(sensor) else cut
     field = field._replace(home=home, among=among_sites(sensor, plain))
-    return field, near_of(sensor, float(even.sheet_resistance), rows, every)
+    return field, sensor, float(even.sheet_resistance), rows, every
 
 
 def make_among(sensor: Sensor) -> Among:

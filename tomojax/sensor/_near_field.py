@@ -40,9 +40,9 @@ def near_of(
     apart = np.hypot(*(xy[:, None] - xy).T)
     least = min((apart + np.diag(np.full(len(xy), np.inf))).min(), 2 * size.min())
     reach = max(_REACH * least, 1.01 * radius)
-    feed, cells = rho / (2 * np.pi), np.array(rows.shape[1:]) - 1
     pull = _pull(rows, xy, _CIRCLE * radius, size) / (1 - answer / _CIRCLE**2)
-    smooth = rows.copy()
+    smooth = rows[:, ::every, ::every].copy()
+    feed, cells = rho / (2 * np.pi), np.array(smooth.shape[1:]) - 1
     for e, place in enumerate(xy):
         low = np.maximum(np.ceil((place - reach) / size * cells).astype(int), 0)
         x, y = (np.arange(a, b) for a, b in zip(low, _end(place + reach, size, cells)))
@@ -51,8 +51,7 @@ def near_of(
         rough = answer * radius**2 * np.einsum("xyk,mk->mxy", dipole, pull[e])
         rough[e] += feed * log
         smooth[:, x[:, None], y] -= rough
-    values = smooth[:, ::every, ::every].transpose(1, 2, 0)
-    numbers = (values, xy, pull, feed, radius, reach, answer)
+    numbers = (smooth.transpose(1, 2, 0), xy, pull, feed, radius, reach, answer)
     return Near(*(jnp.asarray(a, sensor.dtype) for a in numbers))
 
 

@@ -29,6 +29,7 @@ from tomojax.kernels.contacts._points import (
     drops,
     Fitted,
     green_of,
+    kept_within,
     LEAST_DROP,
     LONG,
     Sheet,
@@ -42,15 +43,9 @@ from tomojax.kernels.contacts.patches._cloud import (
     steep_of,
 )
 
-# Passes in which a contact's conductance and its current's shape come to agree.
-_PASSES = 1
-
 # How well a slot's level is known, 1 σ, of the drive. The level tells a contact's drop and
 # so its conductance; of metal, whose drop is small, the current's shape tells more.
 _LEVEL = 0.05
-
-# The middle of the current that the sheet induces stays within this part of the radius.
-_FARTHEST = 0.6
 
 
 class _Given(NamedTuple):
@@ -120,8 +115,7 @@ def _shares(
     induced = sunk * given.more - product("nk,sk->ns", cloud.off, given.slope)
     uneven = _balanced(inverse, induced.T)
     shift = product("sn,nk->sk", uneven, cloud.off)
-    length = jnp.sqrt((shift**2).sum(-1, keepdims=True) + 1e-18)
-    uneven = uneven * jnp.minimum(1, _FARTHEST * given.radius / length)
+    uneven = uneven * kept_within(shift, given.radius)
     return base / base.sum() + uneven, inverse
 
 
@@ -183,17 +177,14 @@ class _Contacts(NamedTuple):
         steep = steep_of(self.sheet, self.place, self.radius)
         flat = jnp.full((len(self.place), len(current), COUNT), 1 / COUNT, current.dtype)
 
-        def once(current: Array, drop: Array) -> tuple[Array, Array]:
-            given = self._given(steep, stronger, current, drop)
-            shares, _ = jax.vmap(_shares)(self.cloud, given, self.sunk)
-            column = whitened_rows(self.frame, columns_of(shares - 1 / COUNT))
-            current = currents_of(column, self.frame.whitened)
-            return current, self._dropped(among, current, shares)
-
-        now = current, self._dropped(among, current, flat)
-        for _ in range(_PASSES):
-            now = once(*now)
-        return self._given(steep, stronger, *now), now[1]
+        drop = self._dropped(among, current, flat)
+        given = self._given(steep, stronger, current, drop)
+        # Once more, with the current's shape: a third time changes no place.
+        shares, _ = jax.vmap(_shares)(self.cloud, given, self.sunk)
+        column = whitened_rows(self.frame, columns_of(shares - 1 / COUNT))
+        current = currents_of(column, self.frame.whitened)
+        drop = self._dropped(among, current, shares)
+        return self._given(steep, stronger, current, drop), drop
 
     def told(self, drop: Float[Array, "S C"]) -> Float[Array, " C"]:
         """Returns 1/σ of ln g as drops tell it."""
