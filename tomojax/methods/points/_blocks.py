@@ -145,7 +145,7 @@ def climbed(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
 
 def ended(frames: Frames, rows: Int[np.ndarray, " k"], best: Any) -> None:
     """Lets fits of several discs end as patches, in place; one disc has ended so."""
-    for size in range(2, frames.most + 1):
+    for size in range(2, frames.most + 1 if frames.method.patches else 0):
         which = np.flatnonzero(are_discs(best, size))
         if len(which):
             part = jax.tree.map(lambda a, which=which: a[which], best)

@@ -154,8 +154,11 @@ def polished(
 ) -> tuple[Found, Ended | None]:
     """Lets `size` discs end as patches, where these explain the frame no worse.
 
-    One disc also begins round and wide: a narrow, long one may look alike.
+    One disc also begins round and wide: a narrow, long one may look alike. Nominal values
+    are too far off for patches to tell more than discs.
     """
+    if not scene.method.patches:
+        return found, ended
     start = found.parameters[:size].reshape(-1)
     starts = start[None]
     if size == 1:

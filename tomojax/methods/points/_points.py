@@ -115,6 +115,8 @@ class Points(AbstractMethod):
     neighbours: Int[Array, "n 2"]  # electrodes that a wire may join
     inside: Bool[Array, "nx ny"] | None
     grounded: Bool[np.ndarray, "L M"]
+    # Whether discs end as patches: where the rig's own errors are known.
+    patches: bool = eqx.field(static=True, default=False)
     # Whether a fit goes on to the lowest cost itself: for differences beside slopes.
     exact: bool = eqx.field(static=True, default=False)
 
@@ -149,7 +151,8 @@ class Points(AbstractMethod):
         ground = jnp.asarray(calibration.ground, self.cell.dtype)
         slots = lengthened(self.sheet.slots, self.sheet.field.electrodes, ground)
         sheet = self.sheet._replace(slots=slots)
-        return replace(self, sheet=sheet, errors=self.errors.calibrated(calibration))
+        errors, known = self.errors.calibrated(calibration), bool(calibration.own < 1)
+        return replace(self, sheet=sheet, errors=errors, patches=known)
 
     @property
     def drive_sign(self) -> Float[Array | np.ndarray, ""]:
@@ -172,7 +175,7 @@ class Points(AbstractMethod):
                 due(ladder), partial(step, scene), lambda found: found, ladder
             )
         best = ladder.best
-        for size in range(2, count + 1):
+        for size in range(2, count + 1 if self.patches else 0):
             end = lambda found, size=size: polished(scene, found, None, size)[0]  # noqa: E731
             best = jax.lax.cond(are_discs(best, size), end, lambda found: found, best)
         return self._described(best)
