@@ -68,7 +68,8 @@ def require_indices(name: str, numbers: jax.Array, count: int) -> None:
     require_shape(name, numbers, (None,))
     require(numbers.size > 0, name, "none", "at least one")
     if known(numbers):
-        low, high = int(numbers.min()), int(numbers.max())
+        host = np.asarray(numbers)  # of JAX each operation would be a program
+        low, high = int(host.min()), int(host.max())
         inside = 0 <= low and high < count
         require(inside, name, f"{low} to {high}", f"0 to {count - 1}")
 

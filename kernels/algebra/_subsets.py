@@ -3,6 +3,8 @@
 The weights form the capped simplex, 0 ≤ w ≤ 1 and Σw = n: the convex hull of all sets of n.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -38,6 +40,7 @@ def heaviest(weights: Float[Array, " M"], n: int) -> Float[Array, " M"]:
     return least_weights(-weights, n)
 
 
+@partial(jax.jit, static_argnums=1)
 def subset_marginals(logits: Float[Array, " M"], n: int) -> Float[Array, " M"]:
     """Computes each member's probability to be in a set of `n`, p(S) ∝ exp Σ_{e in S} θ_e.
 

@@ -12,6 +12,7 @@ training with input noise, 2011.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.scipy.linalg import cho_solve, solve_triangular
@@ -85,6 +86,7 @@ def matern(
     return (1 + r + r**2 / 3) * jnp.exp(-r)
 
 
+@jax.jit  # as one program to compile
 def shrunk_covariance(errors: Float[Array, "N K"]) -> Float[Array, "K K"]:
     """Estimates E[eeᵀ], shrunk towards its diagonal as few frames demand.
 

@@ -111,8 +111,8 @@ class Grounds(NamedTuple):
 
     def grounded(self, which: Int[A, "*L"]) -> Bool[A, "*L M"]:
         """Tells the electrodes whose voltage tells of their path to ground: l."""
-        which = jnp.asarray(which)
-        return jnp.arange(len(self.electrodes), dtype=which.dtype) == which[..., None]
+        xp: Any = np if isinstance(which, np.ndarray) else jnp
+        return xp.arange(len(self.electrodes), dtype=which.dtype) == which[..., None]
 
 
 class Conditions(NamedTuple):

@@ -6,7 +6,7 @@ Places start at the best candidates, or the best pair of candidates, and move by
 Newton's steps; strengths follow by least squares.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -72,11 +72,11 @@ class _Maps(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    xy: Float[Array, "n c 2"]
-    covariance: Float[Array, "n c 2 2"]
-    strength: Float[Array, "n c"]
-    chi2: Float[Array, " n"]
-    left: Float[Array, "n K"]
+    xy: Float[Any, "n c 2"]
+    covariance: Float[Any, "n c 2 2"]
+    strength: Float[Any, "n c"]
+    chi2: Float[Any, " n"]
+    left: Float[Any, "n K"]
 
 
 def changes(
@@ -243,31 +243,31 @@ def _best(
 
     A strength of 0 is no change. `further`: which frames may have more than one.
     """
-    told, k = jnp.asarray(frames), frames.shape[1]
+    (n, k), dtype = frames.shape, frames.dtype
     best = _Fit(
-        xy=jnp.zeros((len(told), most, 2), told.dtype),
-        covariance=jnp.zeros((len(told), most, 2, 2), told.dtype),
-        strength=jnp.zeros((len(told), most), told.dtype),
-        chi2=jnp.sum(told**2, 1),
-        left=told,
+        xy=np.zeros((n, most, 2), dtype),
+        covariance=np.zeros((n, most, 2, 2), dtype),
+        strength=np.zeros((n, most), dtype),
+        chi2=np.sum(frames**2, 1),
+        left=frames,
     )
     for count in range(1, most + 1):
-        found = _fitted(told, maps, count)
+        found = jax.tree.map(np.asarray, _fitted(jnp.asarray(frames), maps, count))
         # Before the noise is known, it is what the changes leave.
-        noise = jnp.maximum(0.0 if further is None else 1.0, found.chi2 / (k - 3 * count))
-        more = count - np.asarray(best.strength != 0).sum(1)
-        price = (3 * np.log(k) * more).astype(frames.dtype)
+        noise = np.maximum(0.0 if further is None else 1.0, found.chi2 / (k - 3 * count))
+        more = count - (best.strength != 0).sum(1)
+        price = (3 * np.log(k) * more).astype(dtype)
         fits = best.chi2 - found.chi2 > price * noise
         if count > 1 and further is not None:
             fits &= further
         wide = [(0, 0), (0, most - count)]
         found = found._replace(
-            xy=jnp.pad(found.xy, [*wide, (0, 0)]),
-            covariance=jnp.pad(found.covariance, [*wide, (0, 0), (0, 0)]),
-            strength=jnp.pad(found.strength, wide),
+            xy=np.pad(found.xy, [*wide, (0, 0)]),
+            covariance=np.pad(found.covariance, [*wide, (0, 0), (0, 0)]),
+            strength=np.pad(found.strength, wide),
         )
         best = jax.tree.map(
-            lambda new, old, fits=fits: jnp.where(
+            lambda new, old, fits=fits: np.where(
                 fits.reshape(-1, *[1] * (new.ndim - 1)), new, old
             ),
             found,

@@ -87,8 +87,8 @@ def sensitivities(sensor: Sensor, pairs: Pairs, places: Numbers) -> Float[Array,
     (2, 8, 4)
     """
     at = checked("places", places, "finite", (None, 2), dtype=sensor.dtype)
-    inside = np.asarray((at >= 0) & (at <= sensor.size)).all()
-    size = np.asarray(sensor.size).tolist()
+    host, size = np.asarray(at), np.asarray(sensor.size).tolist()
+    inside = ((host >= 0) & (host <= sensor.size)).all()
     require(inside, "places", "some off the box", f"0 to {size} m, as the sensor has them")
     return _sensitivities(sensor, _fields(sensor)[1], _Slots.of(sensor, pairs), at)
 

@@ -107,12 +107,12 @@ class Errors(eqx.Module):
         By default each electrode is grounded alone.
         """
         which = sensor.all_grounds()
-        grounded = jnp.eye(sensor.electrode_count, dtype=bool)
+        grounded: Any = np.eye(sensor.electrode_count, dtype=bool)
         if slots is not None:
-            grounded = slots.grounded(jnp.asarray(which))
+            grounded = slots.grounded(which)
         noise = jnp.asarray(nominal_noise(sensor), sensor.dtype)
         off = _OFF * sensor.electrode_diameter / sensor.mean_pitch
-        one = jnp.ones((), sensor.dtype)
+        grounded, one = jnp.asarray(grounded), jnp.asarray(np.ones((), sensor.dtype))
         return cls(sensor.electrode_xy, sensor.size, off, noise, grounded, one, one)
 
     def calibrated(self, calibration: Calibration) -> "Errors":

@@ -4,7 +4,8 @@ Three changes of the plain form (`tomojax.reconstruct`) place contacts as well a
 tests/benchmarks/equation3.py has the gain of each. A slot's level is left out, as ground
 paths are hardly known. Each slot has an image of its own, and the image is their mean, as
 strong contacts draw another current in every slot. Places are read off pixels that are
-divided by their resolution, as J's columns are longest at electrodes.
+divided by their resolution (sLORETA: Pascual-Marqui, 2002), as J's columns are longest at
+electrodes.
 """
 
 from dataclasses import replace
@@ -54,13 +55,17 @@ _RANK = 4
 _FEWER = 2
 _FROM = 1e-3
 
-# Rows of the basis that stands for columns of length 1, for each electrode: places differ
-# by a tenth of a millimetre.
+# Rows of the basis that stands for the images which tell places, for each electrode: places
+# differ by a tenth of a millimetre.
 _MATCHED_RANK = 5
 
-# A column that is shorter than this part of the longest is of a pixel at the ground: it
-# points anywhere.
-_SHORT = 1e-2
+# λ/σ₁² of these images, σ₁ of each slot. With less, large contacts and rigs with few
+# channels are lost; with more, places from few slots are less near.
+_PLACING = 0.1
+
+# A pixel whose resolution is less than this part of the highest is at the ground: its
+# column points anywhere.
+_LOW = 1e-5
 
 # A lone contact's place is read from this part of a pitch around its peak.
 _NEAR = 0.75
@@ -84,7 +89,7 @@ class PreparedLinear(NamedTuple):
     """Arrays for one ground set with its good channels."""
 
     image: tuple[Array, ...]  # these in turn turn voltages (SM,) into φ (pixels,)
-    matched: tuple[Array, ...]  # and into their likeness to each pixel's column
+    placing: tuple[Array, ...]  # and into the image that tells a lone contact's place
     sharp: Float[Array, " pixels"]  # 1/√(diagonal of the resolution matrix)
     rows: Float[Array, "some M r"]  # centred J of the slots that are looked at
     looked: Bool[Array, "some M"]  # their channels, less the ground's
@@ -98,8 +103,8 @@ class Linear(AbstractMethod):
     """φ = mean over slots of (JᵀJ + λI)⁻¹JᵀV with J(0), each slot less its mean.
 
     Contacts are peaks of φ_k/√(resolution matrix)_kk. A lone contact's place is that of the
-    highest Σ_l J_kᵀV/|J_k|, the same for λ → ∞: it is highest at the place itself, whatever
-    current the contact draws in each slot.
+    highest Σ_l φ^l_k/√(resolution matrix)^l_kk, λ/σ₁² = 0.1: it is highest at the place
+    itself, whatever current the contact draws in each slot.
 
     **Example:**
 
@@ -120,7 +125,7 @@ class Linear(AbstractMethod):
     factors: Float[Array, "L M r"]  # J^l Bᵀ
     strongest: float  # σ₁² of all slots
     shared: Shared  # what all slots' T^l share, host
-    alike: Float[np.ndarray, "q pixels"]  # basis of T's columns of length 1, host
+    standard: Float[np.ndarray, "q pixels"]  # basis of `_standardized`, host
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
     polarity: Float[Array, ""]  # of the drive: 1 or −1
@@ -149,8 +154,8 @@ class Linear(AbstractMethod):
         turn = jnp.asarray(turn[:, ::-1].copy(), maps.dtype)
         shared, grounded = shared_maps(pixels)
         good = np.ones(maps.shape[1], bool)
-        every = [_alike(shared, k, good, own) for k, own in enumerate(grounded)]
-        alike = _rows_of(np.concatenate(every), _MATCHED_RANK * len(good))
+        every = [_standardized(shared, k, good, own) for k, own in enumerate(grounded)]
+        standard = _rows_of(np.concatenate(every), _MATCHED_RANK * len(good))
         near = _NEAR * sensor.mean_pitch / np.asarray(pixels.cell, float)
         near = np.maximum(1, np.round(near)).astype(int)
         return cls(
@@ -161,7 +166,7 @@ class Linear(AbstractMethod):
             factors=matmul(reduced.factors, turn),
             strongest=float(strength[-1]),
             shared=shared,
-            alike=alike,
+            standard=standard,
             conductance=conductance,
             reading_noise=jnp.asarray(nominal_noise(sensor), pixels.cell.dtype),
             polarity=jnp.sign(jnp.asarray(sensor.drive_voltage, pixels.cell.dtype)),
@@ -204,7 +209,7 @@ class Linear(AbstractMethod):
         basis, factors = basis[:rank], factors[grounds, :, :rank]
         (slots, m), (rank, count) = good.shape, basis.shape
         rows, operators = np.zeros((2, slots, m, rank))
-        misfits, alike = np.zeros((slots, m, m)), np.zeros((slots, m, count))
+        misfits, placing = np.zeros((slots, m, m)), np.zeros((slots, m, count))
         seen, there = np.zeros(count), np.flatnonzero(good.any(1))
         for k in there:
             own = self.grounded[grounds[k]]
@@ -216,15 +221,13 @@ class Linear(AbstractMethod):
             operators[k] = operator.T / len(there)
             misfits[k] = rows[k] @ operator - centre
             seen += ((operator.T @ basis) * (rows[k] @ basis)).sum(0)
-            alike[k] = _alike(self.shared, grounds[k], good[k], own)
+            placing[k] = _standardized(self.shared, grounds[k], good[k], own)
         step = max(1, slots // _SOME)
         current = np.asarray(self.conductance, float)[grounds[there]].mean(0)
         sharp = np.where(seen > 0, 1 / np.sqrt(np.maximum(seen, 1e-30)), 0)
         return PreparedLinear(
             image=_in_turn(operators.reshape(-1, rank), basis, dtype),
-            matched=_in_turn(
-                alike.reshape(-1, count) @ self.alike.T.astype(float), self.alike, dtype
-            ),
+            placing=_short(placing.reshape(-1, count), self.standard, dtype),
             sharp=jnp.asarray(sharp, dtype),
             rows=jnp.asarray(rows[::step], dtype),
             looked=jnp.asarray((good & ~self.grounded[grounds])[::step]),
@@ -245,13 +248,13 @@ class Linear(AbstractMethod):
     ) -> Estimate:
         voltages = _more_than_level(voltages, prepared.used)
         phi = self.image(prepared, voltages)
-        sharp, alike = (
+        sharp, placing = (
             self.drive_sign * image.reshape(self.shape)
-            for image in (phi * prepared.sharp, _applied(prepared.matched, voltages))
+            for image in (phi * prepared.sharp, _applied(prepared.placing, voltages))
         )
         found = read_contacts(sharp, None, self.cell, count, reach=self.reach)
         lone = (found.count == 1) & (jnp.arange(count) == 0)
-        place = self.cell * (highest_place(alike, self.reach) + 0.5)
+        place = self.cell * (highest_place(placing, self.reach) + 0.5)
         found = found._replace(xy=jnp.where(lone[:, None], place, found.xy))
         carried, left = self._explained(prepared, voltages, found)
         there = jnp.arange(count) < found.count.astype(int)
@@ -292,17 +295,23 @@ def _more_than_level(
     return jnp.where(jnp.abs(left).max(1, keepdims=True) > rounding, left, 0)
 
 
-def _alike(
+def _standardized(
     shared: Shared,
     ground: int,
     good: Bool[np.ndarray, " M"],
     grounded: Bool[np.ndarray, " M"],
 ) -> Float[np.ndarray, "M pixels"]:
-    """Computes T^l's columns less their mean, of length 1; J's are the same but for it."""
+    """Computes (TTᵀ + λI)⁻¹T of a slot, each pixel divided by the root of its resolution.
+
+    T^l's columns less their mean are J's but for their lengths, which do not count.
+    """
     maps = factors_of(shared.slots, shared.rows, np.array([ground]))[0]
-    columns = centring(good, grounded) @ maps
-    length = np.linalg.norm(columns, axis=0)
-    return columns / np.hypot(length, _SHORT * length.max() + 1e-30)
+    maps = centring(good, grounded) @ maps
+    square = maps @ maps.T
+    more = _PLACING * np.linalg.norm(square, 2) * np.eye(len(maps))
+    made = np.linalg.solve(square + more + 1e-30 * np.eye(len(maps)), maps)
+    seen = (made * maps).sum(0)
+    return made / np.sqrt(seen + _LOW * seen.max() + 1e-30)
 
 
 def _rows_of(
@@ -316,6 +325,17 @@ def _rows_of(
         image = rows.T @ (rows @ basis.astype(np.float32))
         basis = np.linalg.qr(image.astype(float))[0]
     return basis.T.astype(np.float32)
+
+
+def _short(
+    operator: Float[np.ndarray, "SM pixels"],
+    basis: Float[np.ndarray, "q pixels"],
+    dtype: Any,
+) -> tuple[Array, ...]:
+    """Makes two matrices of an operator that has more rows than the basis."""
+    if len(operator) > len(basis):
+        return _in_turn(operator @ basis.T.astype(float), basis, dtype)
+    return (jnp.asarray(operator, dtype),)
 
 
 def _in_turn(

@@ -36,11 +36,11 @@ class Pixels(NamedTuple):
         """
         if self.parts is None:
             return self._mean(values)
-        covered = self._mean(self.parts)
+        covered: Array = self._mean(self.parts)
         mean = self._mean(values * self.parts) / jnp.where(covered > 0, covered, 1)
         return jnp.where(covered > 0, mean, 0)
 
-    def _mean(self, values: jax.Array) -> Float[Array, "*before pixels"]:
+    def _mean(self, values: Any) -> Any:
         (nx, ny), (mx, my) = self.shape, self.sensor.divisions
         split = values.reshape(*values.shape[:-1], nx, mx // nx, ny, my // ny, 2)
         return split.mean((-4, -2, -1)).reshape(*values.shape[:-1], nx * ny)
@@ -50,7 +50,7 @@ class Pixels(NamedTuple):
         """Tells which pixels have some of the sheet; None: all of them."""
         if self.parts is None:
             return None
-        return self._mean(self.parts).reshape(self.shape) > 0
+        return jnp.asarray(self._mean(np.asarray(self.parts)).reshape(self.shape) > 0)
 
 
 def pixels_of(sensor: Sensor, shape: tuple[int, int], cells: int = 1) -> Pixels:

@@ -99,7 +99,7 @@ class Ready(eqx.Module):
         alike = np.where(used.any(2), each, 0)
         ready = [method.prepare(g, u, float(lam)) for g, u in zip(alike, used)]
         self.method, self.grounds = method, jnp.asarray(alike)
-        self.prepared = jax.tree.map(lambda *parts: jnp.stack(parts), *ready)
+        self.prepared = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *ready)
         self.good, self.grounded = jnp.asarray(used), jnp.asarray(grounded)
         self.threshold = jnp.asarray(threshold, method.cell.dtype)
         self.contacts, self.images = int(contacts), images

@@ -50,21 +50,27 @@ class Converter(eqx.Module):
         """Reads `volts` as this converter does; `key` draws the noise."""
         silent = known(self.noise) and self.noise == 0
         require(silent or key is not None, "key", None, "a jax.random key for the noise")
-        if not silent:
-            drawn = known(key) and not hasattr(key, "dtype")
-            require(not drawn, "key", repr(key), "a jax.random key, as jax.random.key(0)")
-            assert key is not None
-            noise = self.noise.astype(volts.dtype)
-            volts = volts + noise * jax.random.normal(key, volts.shape, volts.dtype)
-        if self.bits is None:
-            return volts
-        full = self.full_scale.astype(volts.dtype)
-        step = 2 * full / 2**self.bits
-        codes = jnp.clip(
-            jnp.round(volts / step), -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
+        drawn = known(key) and not hasattr(key, "dtype")
+        require(
+            silent or not drawn, "key", repr(key), "a jax.random key, as jax.random.key(0)"
         )
-        return volts + jax.lax.stop_gradient(codes * step - volts)
+        return _read(self, volts, None if silent else key)
 
     def __repr__(self) -> str:
         noise, full_scale = shown(self.noise, "V"), shown(self.full_scale, "V")
         return named(self, noise=noise, full_scale=full_scale, bits=shown(self.bits))
+
+
+@eqx.filter_jit  # as one program to compile
+def _read(
+    converter: Converter, volts: Float[Array, "*shape"], key: Array | None
+) -> Float[Array, "*shape"]:
+    if key is not None:
+        noise = converter.noise.astype(volts.dtype)
+        volts = volts + noise * jax.random.normal(key, volts.shape, volts.dtype)
+    if converter.bits is None:
+        return volts
+    half, full = 2 ** (converter.bits - 1), converter.full_scale.astype(volts.dtype)
+    step = full / half
+    codes = jnp.clip(jnp.round(volts / step), -half, half - 1)
+    return volts + jax.lax.stop_gradient(codes * step - volts)

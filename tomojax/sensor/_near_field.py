@@ -52,7 +52,7 @@ def near_of(
         rough[e] += feed * log
         smooth[:, x[:, None], y] -= rough
     numbers = (smooth.transpose(1, 2, 0), xy, pull, feed, radius, reach, answer)
-    return Near(*(jnp.asarray(a, sensor.dtype) for a in numbers))
+    return Near(*(jnp.asarray(np.asarray(a, sensor.dtype)) for a in numbers))
 
 
 def _end(at: np.ndarray, size: np.ndarray, cells: np.ndarray) -> np.ndarray:

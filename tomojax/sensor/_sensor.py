@@ -3,6 +3,7 @@
 import operator
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -204,13 +205,10 @@ class Sensor(eqx.Module):
             require_whole(name, count)
         dtype = others.get("dtype")
         step, rim = (
-            jnp.broadcast_to(checked(name, value, "positive", dtype=dtype), 2)
+            checked(name, value, "positive", (), (2,), dtype=dtype)
             for name, value in (("pitch", pitch), ("margin", margin))
         )
-        count = np.array([rows, columns])
-        index = np.indices((rows, columns)).reshape(2, -1).T
-        xy = rim + step * index.astype(step.dtype)
-        size = 2 * rim + step * (count - 1).astype(step.dtype)
+        size, xy = _grid(step, rim, rows, columns)
         return cls(others.pop("size", size), xy, **others)
 
     @classmethod
@@ -399,8 +397,7 @@ class Sensor(eqx.Module):
     def on_sheet(self, points: Numbers) -> Bool[Array, "*n"]:
         """Tells which points (…, 2), m, are on the sheet."""
         at = checked("points", points, "finite", (None, 2), dtype=self.dtype)
-        inside = ((at >= 0) & (at <= self.size)).all(-1)
-        return inside if self.outline is None else inside & (self.outline.distance(at) < 0)
+        return _inside(self.size, self.outline, at)
 
     def in_space(
         self, points: Numbers
@@ -578,3 +575,17 @@ def converter_of(sensor: Sensor) -> Converter:
     drive = abs(float(sensor.drive_voltage)) or 1.0
     # Beside it the noise of a reading has zeros and steps.
     return Converter(noise=2 / 3 * NOISE * drive, full_scale=drive / 0.9)
+
+
+@partial(jax.jit, static_argnums=(2, 3))  # as one program to compile
+def _grid(step: Array, rim: Array, rows: int, columns: int) -> tuple[Array, Array]:
+    """Places electrodes in rows and columns; returns the size first."""
+    index = jnp.asarray(np.indices((rows, columns)).reshape(2, -1).T, step.dtype)
+    xy = rim + step * index
+    return rim + xy[-1], xy
+
+
+@eqx.filter_jit
+def _inside(size: Array, outline: Any, at: Float[Array, "n 2"]) -> Bool[Array, " n"]:
+    inside = ((at >= 0) & (at <= size)).all(-1)
+    return inside if outline is None else inside & (outline.distance(at) < 0)

@@ -191,7 +191,9 @@ class EachSlot(AbstractStepMethod):
         leaves = zip(*map(jax.tree.leaves, each))
         shared = tuple(all(one is some[0] for one in some) for some in leaves)
         both = iter(shared)
-        prepared = jax.tree.map(lambda *a: a[0] if next(both) else jnp.stack(a), *each)
+        prepared = jax.tree.map(
+            lambda *a: a[0] if next(both) else jnp.asarray(np.stack(a)), *each
+        )
         told = grounded, method.residual_limit, method.noise
         return cls(count, *told, method, prepared, shared, jnp.asarray(good))
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +27,7 @@ GAIN = 5e-4
 _WAVES = 4
 
 
+@eqx.filter_jit  # as one program to compile
 def varied(sensor: Sensor, key: Array) -> Sensor:
     """Varies a rig: its sheet in long waves, and its electrodes' places."""
     sheet, places = jax.random.split(key)
