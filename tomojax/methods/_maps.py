@@ -37,7 +37,7 @@ class Pixels(NamedTuple):
         if self.parts is None:
             return self._mean(values)
         covered: Array = self._mean(self.parts)
-        mean = self._mean(values * self.parts) / jnp.where(covered > 0, covered, 1)
+        mean: Array = self._mean(values * self.parts) / jnp.where(covered > 0, covered, 1)
         return jnp.where(covered > 0, mean, 0)
 
     def _mean(self, values: Any) -> Any:
