@@ -61,7 +61,7 @@ _MATCHED_RANK = 5
 
 # λ/σ₁² of these images, σ₁ of each slot. With less, large contacts and rigs with few
 # channels are lost; with more, places from few slots are less near.
-_PLACING = 0.1
+_PLACING = 0.3
 
 # A pixel whose resolution is less than this part of the highest is at the ground: its
 # column points anywhere.
@@ -103,7 +103,7 @@ class Linear(AbstractMethod):
     """φ = mean over slots of (JᵀJ + λI)⁻¹JᵀV with J(0), each slot less its mean.
 
     Contacts are peaks of φ_k/√(resolution matrix)_kk. A lone contact's place is that of the
-    highest Σ_l φ^l_k/√(resolution matrix)^l_kk, λ/σ₁² = 0.1: it is highest at the place
+    highest Σ_l φ^l_k/√(resolution matrix)^l_kk, λ/σ₁² = 0.3: it is highest at the place
     itself, whatever current the contact draws in each slot.
 
     **Example:**

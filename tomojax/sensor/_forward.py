@@ -15,6 +15,7 @@ from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax._require import require_kind
 from tomojax.kernels.sheet import (
+    ContactReduction,
     conditions_of,
     element_area,
     element_areas,
@@ -311,11 +312,19 @@ def voltages(
     return converter(exact, key)
 
 
-@eqx.filter_jit
 def exact_voltages(sensor: Sensor, g: Float[Array, " K"], grounds: Array) -> Array:
+    return _under(sensor, _touched(sensor, g), grounds)
+
+
+# The mesh's factor: a program by itself, whose shapes no number of grounds changes.
+@eqx.filter_jit
+def _touched(sensor: Sensor, g: Float[Array, " K"]) -> ContactReduction:
     fem = sheet_on_mesh(sensor)
-    sites = site_conductance(fem, g, sensor.divisions)
-    contact = fem_contact(fem, sites, sensor.divisions)
+    return fem_contact(fem, site_conductance(fem, g, sensor.divisions), sensor.divisions)
+
+
+@eqx.filter_jit
+def _under(sensor: Sensor, contact: ContactReduction, grounds: Array) -> Array:
     law = law_of(sensor, grounds, contact.resistance)
     return ground_voltages(contact, *law, sensor.drive_voltage)
 
