@@ -15,8 +15,8 @@ from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax._require import require_kind
 from tomojax.kernels.sheet import (
-    ContactReduction,
     conditions_of,
+    ContactReduction,
     element_area,
     element_areas,
     fem_contact,
