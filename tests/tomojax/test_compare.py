@@ -15,7 +15,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def table(sensor):
-    return tx.design.compare_patterns(sensor, MINE)
+    return tx.design.compare_patterns(sensor, MINE, contacts=16, rigs=2)
 
 
 def test_widths_are_equal_and_more_slots_are_nearer(table) -> None:
@@ -40,7 +40,7 @@ def test_tables_for_people_and_for_pandas(table) -> None:
 
 
 def test_a_width_out_of_reach_is_said(sensor) -> None:
-    (row,) = tx.design.compare_patterns(sensor, ["all"], width=1e-3).rows
+    (row,) = tx.design.compare_patterns(sensor, ["all"], width=1e-3, contacts=16).rows
     assert not row.equally_wide and row.width_mm > 1.5
 
 
