@@ -122,8 +122,7 @@ def test_shapes(scenes, rows):
     # Discs with the same second moments.
     assert abs(radius[bar] / (0.075 / np.sqrt(6)) - 1) < 0.12
     assert abs(radius[ring] / (0.027 * np.sqrt(2)) - 1) < 0.1
-    # Patches know that metal draws its current at the rim: its radius is the object's own.
-    assert abs(radius[metal] / 0.012 - 1) < 0.15
+    assert abs(radius[metal] / (0.012 * np.sqrt(2)) - 1) < 0.15
     assert np.isnan(angle[ring])
     assert rows.image[ring, 15, 16] < 0.1 * rows.image[ring].max()  # the hole
 

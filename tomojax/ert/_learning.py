@@ -9,6 +9,7 @@ place is known stay where they are.
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
@@ -53,6 +54,7 @@ class Learned(NamedTuple):
     whitener: Float[Array, "K K"]
 
 
+@jax.jit  # as one program to compile
 def whitener_of(covariance: Float[Array, "K K"]) -> Float[Array, "K K"]:
     """Returns W with WᵀW = Σ⁻¹."""
     low = jnp.linalg.cholesky(covariance)

@@ -164,7 +164,8 @@ class Response:
             filled = np.where(missing, usual, filled)
             found, strength = self._placed(filled)
         flags = np.zeros(len(flat), np.uint32)
-        doubted = (found.chi2 > self.limit) | (self.gain_of_two(filled) > self.alone)
+        chi2 = np.asarray(found.chi2)
+        doubted = (chi2 > self.limit) | (self.gain_of_two(filled) > self.alone)
         flags[doubted] |= Flag.HIGH_RESIDUAL.value
         flags[strength < QUIET] = Flag.NO_CONTACT.value
         if self.known < LEAST_KNOWN:
@@ -173,7 +174,7 @@ class Response:
         flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
         covariance = self.share**2 * np.asarray(found.covariance, float)
         covariance += self.own**2 * np.eye(2)
-        residual = np.sqrt(np.asarray(found.chi2, float))
+        residual = np.sqrt(chi2.astype(float))
         return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
 
     def gain_of_two(self, flat: Float[np.ndarray, "n K"]) -> Float[np.ndarray, " n"]:

@@ -3,7 +3,6 @@
 import operator
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -204,11 +203,16 @@ class Sensor(eqx.Module):
         for name, count in (("rows", rows), ("columns", columns)):
             require_whole(name, count)
         dtype = others.get("dtype")
-        step, rim = (
+        both = (
             checked(name, value, "positive", (), (2,), dtype=dtype)
             for name, value in (("pitch", pitch), ("margin", margin))
         )
-        size, xy = _grid(step, rim, rows, columns)
+        # In NumPy where they are known: of JAX each operation would be a program.
+        step, rim = (np.asarray(a) if known(a) else a for a in both)
+        count = np.array([rows, columns])
+        index = np.indices((rows, columns)).reshape(2, -1).T
+        xy = rim + step * index.astype(step.dtype)
+        size = 2 * rim + step * (count - 1).astype(step.dtype)
         return cls(others.pop("size", size), xy, **others)
 
     @classmethod
@@ -575,14 +579,6 @@ def converter_of(sensor: Sensor) -> Converter:
     drive = abs(float(sensor.drive_voltage)) or 1.0
     # Beside it the noise of a reading has zeros and steps.
     return Converter(noise=2 / 3 * NOISE * drive, full_scale=drive / 0.9)
-
-
-@partial(jax.jit, static_argnums=(2, 3))  # as one program to compile
-def _grid(step: Array, rim: Array, rows: int, columns: int) -> tuple[Array, Array]:
-    """Places electrodes in rows and columns; returns the size first."""
-    index = jnp.asarray(np.indices((rows, columns)).reshape(2, -1).T, step.dtype)
-    xy = rim + step * index
-    return rim + xy[-1], xy
 
 
 @eqx.filter_jit

@@ -140,7 +140,7 @@ def simulate_scenes(
     radii = np.broadcast_to(np.asarray(radii), len(at))
     away = np.linalg.norm(at[:, :, None] - np.asarray(sensor.electrode_xy), axis=-1)
     reach = radii + np.asarray(sensor.electrode_diameter) / 2
-    touched = jnp.asarray((away < reach[:, None, None]).any(1))
+    touched = (away < reach[:, None, None]).any(1)
     sheet, converter = sheet_of(sensor), converter_of(sensor)
     found = np.empty((len(at), sensor.electrode_count, sensor.electrode_count))
     keys = jax.random.split(jax.random.key(seed), rigs)
@@ -150,8 +150,9 @@ def simulate_scenes(
         turns = np.arange(number, len(at), rigs)
         some = np.resize(turns, -(-len(at) // rigs))
         shares = disc_shares(sensor, at[some].reshape(-1, 2), float(radii.mean()))
-        there = (more.elements @ shares).T.reshape(*at[some].shape[:2], -1)
-        drawn = jnp.asarray(at[some]), jnp.asarray(radii[some]), there, touched[some]
+        there = np.asarray(more.elements) @ np.asarray(shares)
+        there = there.T.reshape(*at[some].shape[:2], -1)
+        drawn = at[some], radii[some], there, touched[some]
         exact = exact_on_rig(sheet, *drawn, more.electrodes, conductance)
         gains = 1 + GAIN * jax.random.normal(split[number, 1], found.shape[1:2])
         seen = converter(gains.astype(sensor.dtype) * exact, split[number, 2])
