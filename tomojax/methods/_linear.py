@@ -57,10 +57,10 @@ _FROM = 1e-3
 
 # Rows of the basis that stands for the images which tell places, for each electrode: places
 # differ by a tenth of a millimetre.
-_MATCHED_RANK = 5
+_PLACING_RANK = 5
 
 # λ/σ₁² of these images, σ₁ of each slot. With less, large contacts and rigs with few
-# channels are lost; with more, places from few slots are less near.
+# channels are lost; with more, places from few slots are less near. A ratio, of no one rig.
 _PLACING = 0.3
 
 # A pixel whose resolution is less than this part of the highest is at the ground: its
@@ -155,7 +155,7 @@ class Linear(AbstractMethod):
         shared, grounded = shared_maps(pixels)
         good = np.ones(maps.shape[1], bool)
         every = [_standardized(shared, k, good, own) for k, own in enumerate(grounded)]
-        standard = _rows_of(np.concatenate(every), _MATCHED_RANK * len(good))
+        standard = _rows_of(np.concatenate(every), _PLACING_RANK * len(good))
         near = _NEAR * sensor.mean_pitch / np.asarray(pixels.cell, float)
         near = np.maximum(1, np.round(near)).astype(int)
         return cls(

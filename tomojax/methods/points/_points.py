@@ -85,6 +85,7 @@ class Points(AbstractMethod):
     Slots share places and sizes, not currents. λ multiplies the variance of the model's
     error: 1 for nominal values. A batch also tries faults of the rig where one disc does
     not do: a short, a leak, a film, crosstalk, wrong channels. `estimate` does not.
+    On a calibrated rig discs end as patches, whose currents the sheet decides.
 
     **Example:**
 
