@@ -8,6 +8,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -98,8 +99,19 @@ def _signature(thing: Any) -> str:
 
 
 def _members(thing: type) -> Iterator[str]:
-    """Yields directives of a class's own public methods and properties."""
-    for name, member in vars(thing).items():
+    """Yields directives of a class's public methods and properties.
+
+    Its own, and those of what it is made of that its room does not offer.
+    """
+    place = thing.__module__.rpartition(".")[0]
+    offered = vars(sys.modules[place])
+    parts = [
+        part
+        for part in thing.__mro__
+        if part is thing
+        or (part.__module__.rpartition(".")[0] == place and part.__name__ not in offered)
+    ]
+    for name, member in (pair for part in parts for pair in vars(part).items()):
         if name.startswith("_"):
             continue
         bare = member.fget if isinstance(member, property) else member

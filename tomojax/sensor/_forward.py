@@ -33,8 +33,8 @@ from tomojax.kernels.sheet import (
 )
 from tomojax.sensor._converter import Converter
 from tomojax.sensor._outline import AbstractShape
-from tomojax.sensor._placing import require_on_sheet
-from tomojax.sensor._sensor import check_conditions, Sensor
+from tomojax.sensor._placing import check_conditions, require_on_sheet
+from tomojax.sensor._sensor import Sensor
 
 Route = Literal["fem", "series"]
 Contact = AbstractShape | Numbers | Callable[[Array], AbstractShape]

@@ -1,5 +1,6 @@
 """Puts electrodes on a sheet of any outline; checks that they and shapes are on it."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -8,11 +9,11 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._checks import checked, known
+from tomojax._checks import checked, known, require_array, require_shape
 from tomojax._custom_types import Numbers
 from tomojax._require import check_apart, require, require_whole
-from tomojax.kernels.sheet import coverage
-from tomojax.sensor._edges import AbstractEdge, skin_on
+from tomojax.kernels.sheet import coverage, local_cells, Skin
+from tomojax.sensor._edges import AbstractEdge, skin_on, surface_on_host
 from tomojax.sensor._outline import AbstractShape, Scene
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 
@@ -25,6 +26,9 @@ _RIM = 600
 # A shape that reaches further than so many sides of the sheet was not given in metres: of
 # a millimetre taken for a metre it would be a thousand. It is no figure of a sensor.
 _LARGEST = 10
+
+# Cells along a side of a cut sheet's mesh, at most.
+MOST_CELLS = 200
 
 # What `place_electrodes` takes by name.
 _NAMES = ("rim", "inset", "grid", "points")
@@ -209,3 +213,38 @@ def _reach(shape: Disc | Ellipse | Bar | Ring) -> float:
     if isinstance(shape, Bar):
         return float(np.hypot(shape.length, shape.width)) / 2
     return float(shape.outer)
+
+
+def check_conditions(name: str, table: Array, electrodes: int) -> None:
+    """Refuses a table of conductances to ground, S. **Raises:** `ValueError`."""
+    require_shape(name, table, (None, electrodes))
+    require(table.size > 0, name, "none", "at least one")
+    require_array(name, table, "not negative")
+    if known(table):
+        floating = np.flatnonzero(np.asarray(table).sum(1) == 0)
+        require(not floating.size, name, f"slots {floating[:5]} ungrounded", "a ground")
+
+
+def check_mesh(sensor: Any) -> None:
+    size, diameter = (
+        np.asarray(a, np.float64) for a in (sensor.size, sensor.electrode_diameter)
+    )
+    sides = size / np.array(sensor.divisions)
+    if sensor.surface is not None and known(*jax.tree.leaves(sensor.surface)):
+        sides = sides * stretch(sensor.surface, sensor.electrode_xy, size).T
+    cell = sides.max()
+    enough = np.ceil(size / diameter).astype(int).tolist()
+    require(
+        cell <= diameter * (1 + 1e-5),
+        "divisions",
+        f"{sensor.divisions}, cells of {cell:.3g} m",
+        f"cells no wider than an electrode, {diameter:g} m: at least {enough}",
+    )
+
+
+def stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndarray, "2 M"]:
+    """Computes how long steps along x and y of the chart are in space, at places."""
+    at, step = np.asarray(places, float), np.asarray(size, float) / MOST_CELLS
+    dtype = jnp.asarray(places).dtype
+    skin = Skin(np.zeros(0), surface_on_host(surface, dtype))
+    return local_cells(skin, at, step) / step[:, None]
