@@ -11,9 +11,8 @@ from jaxtyping import Array, Float, Int, Integer
 
 from tomojax._programs import Kept, kept
 from tomojax._stopping import stop_if_asked
-from tomojax.methods.points._fit import polished
-from tomojax.methods.points._found import Fitting, fitting_of, Found
-from tomojax.methods.points._ladder import are_discs, first, Ladder, steps
+from tomojax.methods.points._found import Fitting, fitting_of
+from tomojax.methods.points._ladder import first, Ladder, steps
 
 # Slots of a compiled call.
 _CALL = 1024
@@ -141,20 +140,6 @@ def climbed(frames: Frames, rows: Int[np.ndarray, " k"]) -> Ladder:
         new = called(frames, rows[asking], _step, part, number)
         put(ladder, asking, new, len(rows))
     return ladder
-
-
-def ended(frames: Frames, rows: Int[np.ndarray, " k"], best: Any) -> None:
-    """Lets fits of several discs end as patches, in place; one disc has ended so."""
-    for size in range(2, frames.most + 1 if frames.method.patches else 0):
-        which = np.flatnonzero(are_discs(best, size))
-        if len(which):
-            part = jax.tree.map(lambda a, which=which: a[which], best)
-            put(best, which, called(frames, rows[which], _end, part, size), len(rows))
-
-
-@each_frame
-def _end(scene: Fitting, found: Found, size: int) -> Found:
-    return polished(scene, found, None, size)[0]
 
 
 @each_frame

@@ -18,7 +18,7 @@ from tomojax.kernels.contacts import Look, look
 from tomojax.kernels.sheet import Grounds, volts_per_ampere
 from tomojax.methods._contract import rms, rms_by_electrode
 from tomojax.methods._errors import highest_cost, with_faults, without_offset
-from tomojax.methods.points._blocks import called, climbed, each_frame, ended, Frames, put
+from tomojax.methods.points._blocks import called, climbed, each_frame, Frames, put
 from tomojax.methods.points._fit import best_fit, DISCS
 from tomojax.methods.points._found import Ended, Fitting, Found, look_of
 from tomojax.methods.points._ladder import extra, GAIN, seen_at_all, shaped
@@ -61,7 +61,6 @@ def searched(frames: Frames, rows: Int[np.ndarray, " n"]) -> Found:
     """Returns the best fits: of contacts alone, or of fewer contacts beside faults."""
     ladder: Any = climbed(frames, rows)
     best: Any = jax.tree.map(np.array, ladder.best)
-    ended(frames, rows, best)
     for size in range(1, min(frames.most, 2) + 1):
         base = ladder.one if size == 1 else ladder.discs
         larger = _extra_of(best) > extra(size)

@@ -42,9 +42,11 @@ GAIN = 8.0
 _PROMISE = 0.65
 
 # Two discs are believed where their cost per slot is lower than one long contact's by the
-# first number; discs that gain enough need no such lead. Below the second number the row is
-# in doubt.
+# first number; discs that gain enough need no such lead. From more slots than the second
+# number a lead is as sure where it is as large over all of them: noise differs from slot to
+# slot. Below the third number the row is in doubt.
 _LEAD = 0.5
+_LEAD_SLOTS = 10
 _CLEAR = 2.5
 
 # First guess of half a bar's length, of half the way between two discs that fit best.
@@ -152,7 +154,8 @@ def seen_at_all(scene: Fitting, found: Found) -> Found:
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     """Fits `size` discs, and keeps them where they gain enough."""
     best, discs, pair = ladder.best, ladder.discs, ladder.pair
-    new, ended = _more_discs(scene, discs, ladder.rival, size)
+    new, ended = polished(scene, *_more_discs(scene, discs, ladder.rival, size), size)
+    assert ended is not None
     if size == 2:
         # Of a fit that was given up nothing is known.
         pair = jnp.where(jnp.isfinite(new.place[:2]).all(), new.place[:2], pair)
@@ -203,7 +206,8 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
     # One after the other: the model is compiled once.
     best, costs = jax.lax.scan(tried, before, starts)
     lead = jnp.fmin(one.cost, costs[0]) - two.cost
-    likelier = rivals & (lead > jnp.where(believed, 0, _LEAD))
+    least = _LEAD * jnp.minimum(1, _LEAD_SLOTS / scene.prepared.slot_count)
+    likelier = rivals & (lead > jnp.where(believed, 0, least))
     best = tree_where(likelier, two, best)
     doubtful = rivals & (jnp.abs(lead) < _CLEAR)
     return ladder._replace(best=best._replace(doubtful=doubtful))

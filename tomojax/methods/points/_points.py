@@ -29,9 +29,8 @@ from tomojax.methods._rows import Rows
 from tomojax.methods.points._blocks import called, Frames
 from tomojax.methods.points._faults import searched
 from tomojax.methods.points._films import filmed
-from tomojax.methods.points._fit import polished
 from tomojax.methods.points._found import fitting_of, Found
-from tomojax.methods.points._ladder import are_discs, first, steps
+from tomojax.methods.points._ladder import first, steps
 from tomojax.sensor import Calibration, make_fields, Sensor
 
 # Usual radius of a contact and unit of the fit's lengths, of the electrodes' pitch: what
@@ -175,11 +174,7 @@ class Points(AbstractMethod):
             ladder = jax.lax.cond(
                 due(ladder), partial(step, scene), lambda found: found, ladder
             )
-        best = ladder.best
-        for size in range(2, count + 1 if self.patches else 0):
-            end = lambda found, size=size: polished(scene, found, None, size)[0]  # noqa: E731
-            best = jax.lax.cond(are_discs(best, size), end, lambda found: found, best)
-        return self._described(best)
+        return self._described(ladder.best)
 
     def block(self, prepared: PreparedErrors, part: Part, count: int, images: bool) -> Rows:
         """Estimates n frames; fits a larger model only to the frames that ask for one."""
