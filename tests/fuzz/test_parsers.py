@@ -93,8 +93,16 @@ def test_what_a_file_is_is_told_of_any_bytes(tmp_path):
         app.commands["design"].main(["--policy", str(path)], standalone_mode=False)
 
 
-@pytest.mark.parametrize("text, shape", [("1,2\n", (1, 2)), ("0.1", (1, 1))])
-def test_a_text_of_one_line_is_a_table(tmp_path, text, shape):
+@pytest.mark.parametrize(
+    "text, shape",
+    [
+        ("1,2\n", (1, 2)),
+        ("0.1", (1, 1)),
+        ("1;2;\n3;4;\n", (2, 2)),  # a separator ends each line
+        ("1;2;\n3;4;5\n", (2, 3)),  # a value is missing
+    ],
+)
+def test_a_text_of_few_lines_is_a_table(tmp_path, text, shape):
     (tmp_path / "xy.csv").write_text(text)
     assert read_csv(tmp_path / "xy.csv", "places").values.shape == shape
 

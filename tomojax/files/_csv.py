@@ -29,7 +29,8 @@ def read_csv(path: Path | str, what: str) -> Table:
 
     The first line may name the columns, or count them from 0 or 1. Commas may be decimal
     where semicolons or tabs separate. A field that is no number is NaN. A column without a
-    name that is empty, or counts the lines, is left out.
+    name that is empty, or counts the lines, is left out, and so is one that is empty where
+    lines without names end with a separator.
 
     **Raises:** `ValueError`, one line: the file, the text `what`, and why.
 
@@ -51,7 +52,8 @@ def read_csv(path: Path | str, what: str) -> Table:
         require("\0" not in text, "bytes", "no text", "CSV")
         names, separator, rest = _head(StringIO(text))
         values, cut = _table(rest, separator, len(names))
-        return Table(*_named(names, values), cut)
+        closed = rest.partition("\n")[0].rstrip("\r").endswith(separator)
+        return Table(*_named(names, values, closed), cut)
     except UnicodeDecodeError:
         raise ValueError(
             f"{path}: {what}: got bytes that are no text, expected CSV"
@@ -92,10 +94,12 @@ def _number(text: str) -> bool:
     return True
 
 
-def _named(names: list[str], values: np.ndarray) -> tuple[list[str], np.ndarray]:
+def _named(
+    names: list[str], values: np.ndarray, closed: bool
+) -> tuple[list[str], np.ndarray]:
     """Leaves out columns without a name, and pandas' column that counts the lines."""
     if not any(names):
-        return [], values
+        return [], values[:, :-1] if closed and np.isnan(values[:, -1]).all() else values
     counted = values - values[:1] == np.arange(len(values))[:, None]
     empty = counted.all(0) | np.isnan(values).all(0)
     bare = np.array(
