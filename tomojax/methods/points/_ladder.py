@@ -186,13 +186,13 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
 
     The step also runs where two discs lay too near each other to be believed, and where one
     long contact may look like them. The likelier is then kept, with a doubt where data
-    hardly tell.
+    hardly tell: of discs far apart and a curve as well.
     """
     one, two, rivals = ladder.one, ladder.two, ladder.rivals
     believed = ladder.best.count == 2
     before = tree_where(rivals, one, ladder.best)
 
-    def tried(best: Found, starts: Float[Array, "n P"]) -> tuple[Found, Array]:
+    def tried(best: Found, starts: Float[Array, "n P"]) -> tuple[Found, tuple]:
         # With less it is not chosen.
         less = GAIN + jnp.maximum(0, one.cost - _score(best))
         less = jnp.where(rivals, 0, less)
@@ -200,16 +200,17 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
         # What leaves more than errors is no shape: a curve fits a little of anything.
         gained = _gains(scene, one, alone, 2) & ~alone.high & long_enough(scene, alone)
         chosen = tree_where(gained & (_score(alone) < _score(best)), alone, best)
-        return chosen, alone.cost
+        return chosen, (alone.cost, jnp.where(gained, alone.cost, jnp.inf))
 
     starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
     # One after the other: the model is compiled once.
-    best, costs = jax.lax.scan(tried, before, starts)
+    best, (costs, sound) = jax.lax.scan(tried, before, starts)
     lead = jnp.fmin(one.cost, costs[0]) - two.cost
     least = _LEAD * jnp.minimum(1, _LEAD_SLOTS / scene.prepared.slot_count)
     likelier = rivals & (lead > jnp.where(believed, 0, least))
     best = tree_where(likelier, two, best)
-    doubtful = rivals & (jnp.abs(lead) < _CLEAR)
+    apart = jnp.where(rivals, lead, sound.min() - ladder.best.cost)
+    doubtful = (rivals | believed) & (jnp.abs(apart) < _CLEAR)
     return ladder._replace(best=best._replace(doubtful=doubtful))
 
 
