@@ -82,13 +82,15 @@ def test_frames_together_ask_for_a_curve_as_each_alone():
     parameters = np.zeros((4, 3, 6), np.float32)
     parameters[1:, :2, 3] = 2 * NOT_ROUND
     parameters[2, 1, 3] = 0  # one is round
-    zero, rivals = np.zeros(4, np.float32), np.arange(4) == 3
+    zero, last, none = np.zeros(4, np.float32), np.arange(4) == 3, np.zeros(4, bool)
     discs = Found(*[zero] * len(Found._fields))
     discs = discs._replace(parameters=parameters, count=np.full(4, 2))
-    ladder = Ladder(*[discs] * 3, *[zero] * 3, np.ones(4, bool), discs, rivals)
-    each = [bool(wants_curve(jax.tree.map(lambda a, k=k: a[k], ladder))) for k in range(4)]
-    assert each == [False, True, False, True]
-    assert np.asarray(wants_curve(ladder)).tolist() == each
+    for why in ((last, none), (none, last)):
+        ladder = Ladder(*[discs] * 3, *[zero] * 3, np.ones(4, bool), discs, *why)
+        parts = [jax.tree.map(lambda a, k=k: a[k], ladder) for k in range(4)]
+        each = [bool(wants_curve(part)) for part in parts]
+        assert each == [False, True, False, True]
+        assert np.asarray(wants_curve(ladder)).tolist() == each
 
 
 def test_two_or_one_long_one(rig, method):
@@ -111,6 +113,18 @@ def test_two_or_one_long_one(rig, method):
     assert ((found.contact_count == true) | doubt).sum() >= 17
     assert (found.contact_count[::3] == 2).sum() >= 3
     assert not doubt[2::3].any()
+
+
+def test_soft_bars_are_no_pairs(rig, method):
+    """Bars of 26 to 50 mm: two discs explain their voltages, within what errors leave."""
+    rng, made = np.random.default_rng(8), []
+    for _ in range(16):
+        turn, middle = rng.uniform(0, np.pi), rng.uniform(0.035, 0.125, 2)
+        bar = rig.bar(middle, rng.uniform(0.026, 0.05), 0.006, turn)
+        made.append(rig.measure(rig.scene((bar, 10 ** rng.uniform(-5.2, -4)))[0])[CORNERS])
+    found = tx.Batch(method, 1.0, contacts=3)(np.stack(made), np.tile(CORNERS, (16, 1)))
+    doubt = found.flags & Flag.COUNT_UNCERTAIN > 0
+    assert ((found.contact_count == 1) | doubt).sum() >= 15
 
 
 def test_shapes(scenes, rows):

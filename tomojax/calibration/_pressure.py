@@ -25,7 +25,7 @@ def calibrate_presses(
     """Fits a material's law to presses of known force; the presses choose the law.
 
     Laws are g = c·pᵏ (S/m² at Pa) and the same with an end, 1/g = 1/(c·pᵏ) + 1/m. Least
-    squares fit ln(g/A) at p = F/A. With five presses or more the law is taken that tells
+    squares fit ln(g/A) at p = F/A. From five presses on, that law is taken that tells
     presses which were left out of its fit with the smaller error. `pressure` of the result
     has c and k, or c, k and m; `deviation["force"]` is 1 σ of a force that a press left out
     is told by, as a part of the force. Give presses while loading and while unloading where
@@ -103,7 +103,7 @@ def pressure(
 ) -> Float[np.ndarray, "*n"]:
     """Computes p = (g/c)^(1/k), Pa, of conductances in S/m², as an image of `shape`.
 
-    Where the law has an end m, g is mg/(m − g) there, and p is NaN from m on.
+    If the law has an end m, g is mg/(m − g) there, and p is NaN from m on.
 
     **Raises:** `ValueError` without a law.
 

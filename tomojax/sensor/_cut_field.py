@@ -27,8 +27,8 @@ from tomojax.kernels.sheet import (
     stretch,
 )
 from tomojax.sensor._edges import AbstractEdge, in_parts, PolygonEdge, skin_on
-from tomojax.sensor._mesh_solve import centred, MeshSolve
 from tomojax.sensor._sensor import Sensor
+from tomojax.sensor.meshes._mesh_solve import centred, MeshSolve
 
 # Cells of the mesh, of a diameter; at most so many along a side.
 _MESH = 4

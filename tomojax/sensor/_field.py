@@ -33,9 +33,9 @@ from tomojax.sensor._cut_field import (
     homes,
     wave_fields,
 )
-from tomojax.sensor._mesh_solve import MeshSolve
 from tomojax.sensor._near_field import near_of
 from tomojax.sensor._sensor import Sensor
+from tomojax.sensor.meshes._mesh_solve import MeshSolve
 from tomojax.sensor.meshes._told import ToldSheet
 
 # Spacing of the radii that potentials are averaged over, of the electrodes' pitch.

@@ -239,6 +239,9 @@ _WEAKEST = 0.1
 # Two discs nearer than so many usual radii may be one long contact.
 _REACH = 4.0
 
+# Two discs nearer than that may be what a bar of twice the length looks like.
+_AS_A_BAR = 6.0
+
 # A ring narrower than so many usual radii is a disc.
 _NARROWEST = 1.2
 
@@ -261,6 +264,11 @@ def near_and_strong(scene: Fitting, found: Found) -> Bool[Array, ""]:
     apart = _nearest(scene, found, 2)
     near = (apart >= _ON_EACH_OTHER) & (apart < _REACH)
     return near & _strong(scene, found, 2, _WEAKEST_SECOND)
+
+
+def as_a_bar(scene: Fitting, found: Found) -> Bool[Array, ""]:
+    """Tells whether two discs lie so near that a bar, twice as long, may look like them."""
+    return _nearest(scene, found, 2) < _AS_A_BAR
 
 
 def _nearest(scene: Fitting, found: Found, size: int) -> Float[Array, ""]:

@@ -17,6 +17,7 @@ from tomojax.methods.points._fit import best_fit, CURVE, DISCS, polished, starts
 from tomojax.methods.points._found import (
     APART,
     apart_and_strong,
+    as_a_bar,
     Ended,
     Fitting,
     Found,
@@ -68,6 +69,7 @@ class Ladder(NamedTuple):
     asked: Bool[Array, ""]  # whether one disc does not do, more are believed or not
     two: Found  # discs that may be one long contact, where `rivals`
     rivals: Bool[Array, ""]
+    near: Bool[Array, ""]  # whether two discs are believed that one bar may look like
 
 
 def _due(ladder: Ladder, size: int) -> Any:
@@ -84,13 +86,17 @@ def wants_curve(ladder: Ladder) -> Any:
     """Tells whether a bar or a ring is worth a try: neither one disc nor two will do.
 
     Two long discs may stand for a bar, which is then tried. So may two discs near each
-    other.
+    other, as a soft bar of two pitches makes them.
     """
     # Where a larger model has less to gain than the cost beyond the usual.
     explained = ladder.discs.cost < ladder.discs.usual + GAIN
     two = (ladder.discs.count == 2) & explained
     square = (ladder.discs.parameters[..., :2, 3:5] ** 2).sum(-1)
-    return ladder.rivals | ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
+    return (
+        ladder.rivals
+        | ladder.near
+        | ladder.asked & ~(two & (square < model.NOT_ROUND**2).any(-1))
+    )
 
 
 def shaped(found: Found) -> Any:
@@ -126,6 +132,7 @@ def first(scene: Fitting) -> Ladder:
         asked=jnp.array(False),
         two=found,
         rivals=jnp.array(False),
+        near=jnp.array(False),
     )
 
 
@@ -168,6 +175,7 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     sound = apart_and_strong(scene, new, size)
     new = new._replace(cost=jnp.where(sound, new.cost, jnp.inf))
     gained = _gains(scene, discs, new, size)
+    near = gained & as_a_bar(scene, new) if size == 2 else ladder.near
     promise, rival = _promise(scene, new, ended, size)
     return ladder._replace(
         best=tree_where(gained & (_score(new) < _score(best)), new, best),
@@ -178,6 +186,7 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
         asked=asked,
         two=two,
         rivals=rivals,
+        near=near,
     )
 
 
@@ -204,12 +213,14 @@ def _longer(scene: Fitting, ladder: Ladder) -> Ladder:
 
     starts = jnp.stack([_bars(scene, ladder), _rings(scene, ladder)])
     # One after the other: the model is compiled once.
-    best, (costs, sound) = jax.lax.scan(tried, before, starts)
+    each: Any
+    best, each = jax.lax.scan(tried, before, starts)
+    costs, sound = each
     lead = jnp.fmin(one.cost, costs[0]) - two.cost
     least = _LEAD * jnp.minimum(1, _LEAD_SLOTS / scene.prepared.slot_count)
     likelier = rivals & (lead > jnp.where(believed, 0, least))
     best = tree_where(likelier, two, best)
-    apart = jnp.where(rivals, lead, sound.min() - ladder.best.cost)
+    apart: Any = jnp.where(rivals, lead, sound.min() - ladder.best.cost)
     doubtful = (rivals | believed) & (jnp.abs(apart) < _CLEAR)
     return ladder._replace(best=best._replace(doubtful=doubtful))
 
