@@ -44,8 +44,8 @@ _PROMISE = 0.65
 
 # Two discs are believed where their cost per slot is lower than one long contact's by the
 # first number; discs that gain enough need no such lead. From more slots than the second
-# number a lead is as sure where it is as large over all of them: noise differs from slot to
-# slot. Below the third number the row is in doubt.
+# number, which the lead was set with, a lead is as sure where it is as large over all of
+# them: noise differs from slot to slot. Below the third number the row is in doubt.
 _LEAD = 0.5
 _LEAD_SLOTS = 10
 _CLEAR = 2.5
