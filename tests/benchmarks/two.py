@@ -5,7 +5,8 @@
 Rigs are drawn by default: every second one is a resistor network, every other one of finite
 elements (`bench.rigs`). Each scene is a pair of discs (radii of 0.15 to 0.3 pitches, one up
 to three times as strong) or one ellipse (0.3 to 0.6 pitches in the mean of its half-axes,
-2 : 1 or 3 : 1), of 0.03 to 30 times the conductance of a square. `points` has ten slots or
+2 : 1 or 3 : 1), of 0.03 to 30 times the conductance of a square. Soft bars are ellipses
+5 : 1 of 0.03 to 1 times that conductance. `points` has ten slots or
 64, and nominal values or a blind calibration by 100 lone contacts. A pair is told where two
 are found, each within half their distance of its own. The default seed is for judging: no
 threshold was set on it. Writes two.json and two.png.
@@ -27,6 +28,7 @@ from benchmarks.calibration import scene, ten_of  # noqa: E402
 
 RESULTS = HERE.parents[1] / "notebooks" / "results"
 APART, RATIOS = (10, 15, 20, 30), (2, 3)  # mm; of half-axes
+LONG = 5
 TOUCHES, SLOTS, KNOWN = 100, (10, 64), ("nominal", "calibrated")
 
 
@@ -36,6 +38,13 @@ def scenes_of(sensor: Any, rng: np.random.Generator, each: int) -> list[tuple[st
 
     pitch, size = sensor.mean_pitch, np.asarray(sensor.size, float)
     square = 1 / float(np.mean(np.asarray(sensor.sheet_resistance)))
+
+    def long_one(rng: np.random.Generator, ratio: int, most: float) -> Touch:
+        axes = rng.uniform(0.3, 0.6) * pitch * np.array([ratio**0.5, ratio**-0.5])
+        middle = rng.uniform(axes[0] + 0.05 * pitch, size - axes[0] - 0.05 * pitch)
+        g = square * 10 ** rng.uniform(-1.5, most)
+        return Touch(middle, (float(axes[0]), float(axes[1])), _turn(rng), g)
+
     found = []
     for _ in range(each):
         for apart in APART:
@@ -50,12 +59,11 @@ def scenes_of(sensor: Any, rng: np.random.Generator, each: int) -> list[tuple[st
             ]
             found.append((f"two {apart} mm apart", pair))
         for ratio in RATIOS:
-            axes = rng.uniform(0.3, 0.6) * pitch * np.array([ratio**0.5, ratio**-0.5])
-            middle = rng.uniform(axes[0] + 0.05 * pitch, size - axes[0] - 0.05 * pitch)
-            g = square * 10 ** rng.uniform(-1.5, 1.5)
-            one = Touch(middle, (float(axes[0]), float(axes[1])), _turn(rng), g)
-            found.append((f"ellipse {ratio} : 1", [one]))
-    return found
+            found.append((f"ellipse {ratio} : 1", [long_one(rng, ratio, 1.5)]))
+    bars = rng.spawn(1)[0]  # whose draws leave all others as they are
+    return found + [
+        (f"soft bar {LONG} : 1", [long_one(bars, LONG, 0)]) for _ in range(each)
+    ]
 
 
 def _turn(rng: np.random.Generator) -> float:
