@@ -148,6 +148,7 @@ def found(tree, name):
     ]
 
 
+@pytest.mark.long
 def test_a_steps_image_is_empty_off_the_sheet(round_skin):
     touch = tx.Disc.of_total([0.06, 0.04], 0.006, 3e-5)
     volts = np.asarray(tx.voltages(round_skin, touch, [0]))[0]

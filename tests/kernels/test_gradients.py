@@ -83,13 +83,10 @@ def jit_cases(rng):
     return {c[0]: c[1:] for c in cases(sensor, g, rng)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
-    ["sheet"]
-    + [
-        pytest.param(name, marks=pytest.mark.long)
-        for name in ("conductance", "contact resistance", "shunt", "places")
-    ],
+    ["sheet", "conductance", "contact resistance", "shunt", "places"],
 )
 def test_forward_and_reverse_match_differences(name, rng) -> None:
     f, x, direction, step = jit_cases(rng)[name]

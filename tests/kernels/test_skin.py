@@ -147,6 +147,7 @@ def test_parts_of_cut_triangles() -> None:
         np.testing.assert_allclose(slope, 2 * off / 0.96, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_gradient_by_an_outline_and_by_places() -> None:
     """Of a loss on Eq. 3's image, beside differences."""
     xy = np.array(

@@ -31,6 +31,12 @@ BLOCKS = {
 RUN = [name for name, blocks in BLOCKS.items() if any(not one.installs for one in blocks)]
 LONG = [name for name in RUN if any(block.long for block in BLOCKS[name])]
 
+# Pages whose blocks compile many programs; in the short run they are compiled as Python.
+SLOW = [
+    f"notebooks/how/{name}.md"
+    for name in ("measured_skins", "skins", "arrays", "method", "machines", "files")
+]
+
 # A command, and what bash makes of its status.
 _COMMAND = re.compile(r"tomojax ([^|&;<>]*)(.*)")
 
@@ -106,7 +112,10 @@ def run_blocks(blocks: list[Block], monkeypatch: pytest.MonkeyPatch) -> None:
             thing.close()
 
 
-@pytest.mark.parametrize("name", RUN)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.long) if n in SLOW else n for n in RUN],
+)
 def test_blocks_run(name, user, monkeypatch) -> None:
     run_blocks([block for block in BLOCKS[name] if not block.long], monkeypatch)
 

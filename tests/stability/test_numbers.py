@@ -100,6 +100,7 @@ def test_no_slots_are_an_error(batch):
         batch(frame(0), np.zeros((1, 0), int))
 
 
+@pytest.mark.long
 def test_a_ground_that_is_repeated_counts_as_its_slots_do(batch):
     v = frame(1)
     once = batch(v, np.array([[5]]))

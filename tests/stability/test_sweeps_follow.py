@@ -6,6 +6,7 @@ from sweeps import check, scenes, stated, swept
 from bench.stability import SWEEPS, takes_part
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", swept("follow"))
 def test_follow(name):
     check("follow", name)

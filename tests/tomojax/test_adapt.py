@@ -100,6 +100,7 @@ def found(sensor, touches, day, tmp_path_factory, request):
     return runs | {"start": still, "most": most}
 
 
+@pytest.mark.long
 def test_drift_is_followed(found, day):
     start, without, adapted = (found[a]["mm"] for a in ("start", False, True))
     assert without[-1] > 3 * start[-1]

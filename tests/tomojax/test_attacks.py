@@ -73,6 +73,7 @@ def test_contacts_of_a_sound_rig_are_no_faults(sensor, lone, batch):
     assert (two.contact_count == 2).sum() >= 5 and not (two.flags & FAULT).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slots", [2, 6])
 def test_source_doubts_what_a_strong_contact_may_hide(sensor, slots):
     method = tx.method(sensor, "source")

@@ -55,6 +55,7 @@ def test_a_sound_rig_has_no_fault(made):
 FEW = {2: [0, M - 1], 10: [0, M - 1, *range(2, M - 2, 2)][:10]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slots", FEW)
 @pytest.mark.parametrize("leak", [0.0, 200.0, 5e3])
 def test_a_leaky_switch_of_a_few_grounds(made, slots, leak):
@@ -74,6 +75,7 @@ def test_a_ground_that_does_not_open_of_a_few(made, slots):
     assert kinds(found) == {("ground_stuck", (9,))}
 
 
+@pytest.mark.long
 def test_slow_channels_under_two_grounds_are_no_leak(made):
     given = faulty.recorded(made, 1, slots=2, pattern=FEW[2], settling=0.12)
     assert kinds(tx.bringup.check(given)) == {("settling", ())}
@@ -120,7 +122,17 @@ SINGLE = {
 }
 
 
-@pytest.mark.parametrize("name", SINGLE)
+# They are measured with a trace in time, which takes long to simulate.
+IN_TIME = ("settling", "one settles", "hum")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.long) if name in IN_TIME else name
+        for name in SINGLE
+    ],
+)
 def test_a_fault_is_named_and_nothing_else(made, name):
     given, named = SINGLE[name]
     found = tx.bringup.check(faulty.recorded(made, 2, **given))
@@ -188,12 +200,14 @@ def test_slopes_of_the_plane(rows, columns):
         np.testing.assert_allclose(found[:, off], want[:, off], atol=1e-6 * scale)
 
 
+@pytest.mark.long
 def test_two_faults_are_two(made):
     given = {"channels": MIRRORED, "dead": [6], "told": {"drive_voltage": 0.8}}
     found = tx.bringup.check(faulty.recorded(made, 7, **given))
     assert kinds(found) == {("mirrored", ()), ("dead", (6,)), ("drive", ())}
 
 
+@pytest.mark.long
 def test_parts_that_are_missing_are_not_judged(made):
     scans = {"slots": 10, "pattern": np.arange(0, M, 2), "f_switch": 1000.0}
     found = tx.bringup.check(faulty.recorded(made, 8, quiet=0, corners=(), **scans))
@@ -222,6 +236,7 @@ def test_nothing_can_be_said(made, given, word):
         tx.bringup.check(faulty.recorded(made, 9, **given))
 
 
+@pytest.mark.long
 def test_voltages_of_another_sensor(made):
     recording = faulty.recorded(made, 9)
     volts = np.random.default_rng(0).uniform(0.5, 3, (recording.scans, 1, M))

@@ -64,6 +64,7 @@ def kinds(checked):
     return [(fault.kind, fault.channels) for fault in checked.faults]
 
 
+@pytest.mark.long
 def test_a_sound_round_skin_has_no_fault(rig, volts):
     checked = found(rig, volts)
     assert not checked.faults and list(checked.unjudged) == ["mirrored or turned array"]

@@ -77,6 +77,7 @@ def test_results_are_those_of_these_slots(recording, table, tmp_path):
     assert np.hypot(*(found - np.repeat(PLACES, 4, 0)).T).max() < 0.012
 
 
+@pytest.mark.long
 def test_a_lambda_for_each_frame(recording):
     method = tx.method(recording.rig.sensor(), "linear", 16)
     scans = recording.read(0, 4)

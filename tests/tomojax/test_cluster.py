@@ -53,6 +53,7 @@ def kill(client) -> None:
             return
 
 
+@pytest.mark.long
 def test_a_worker_is_killed_and_a_run_is_stopped(client, rec, tmp_path) -> None:
     """The bytes are those of one process."""
     out = tmp_path / "o.h5"

@@ -18,6 +18,7 @@ def table(sensor):
     return tx.design.compare_patterns(sensor, MINE, contacts=16, rigs=2)
 
 
+@pytest.mark.long
 def test_widths_are_equal_and_more_slots_are_nearer(table) -> None:
     rows = {row.pattern: row for row in table.rows}
     assert list(rows) == list(MINE) and table.width_mm == pytest.approx(20)

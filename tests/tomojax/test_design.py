@@ -87,6 +87,7 @@ def test_slope_in_lambda(objectives, method):
     np.testing.assert_allclose(slope, (f(t + h) - f(t - h)) / (2 * h), rtol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
 def test_all_sets_of_three_are_above_the_bound_and_the_best_is_found(objectives, kind):
     objective = objectives(*kind)

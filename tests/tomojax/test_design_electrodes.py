@@ -16,6 +16,7 @@ def sensor():
     return tx.Sensor.grid(3, 3, pitch=0.04, margin=0.02, divisions=(24, 24))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("start", ["symmetric", "random"])
 def test_slopes_in_electrodes_places(sensor, rng, start):
     places = jnp.asarray(rng.uniform(0.02, 0.1, (5, 2)))
@@ -103,6 +104,7 @@ def test_a_mesh_has_the_closed_forms_spread(sensor):
         np.testing.assert_allclose(spread(other), spread(plain), rtol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("grounds", ["one", "several"])
 def test_slopes_on_a_disc_from_any_places(grounds):
     middle = [[0.03, 0.031], [0.05, 0.04], [0.045, 0.02], [0.022, 0.05], [0.06, 0.061]]

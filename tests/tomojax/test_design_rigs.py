@@ -70,6 +70,7 @@ def test_metal_on_the_grounded_electrode():
     assert np.ptp(got[ground]) < 0.01 and np.ptp(got[other]) > 1
 
 
+@pytest.mark.long
 def test_a_radius_for_each_scene(sensor):
     places = np.array([[0.03, 0.04]] * 2)
     small, large = tx.design.simulate_scenes(
@@ -115,6 +116,7 @@ def test_a_move_of_the_contact_is_its_score(sensor):
     np.testing.assert_allclose(moved[:2], [1.3 * move, 0], atol=0.01 * move)
 
 
+@pytest.mark.long
 def test_errors_on_rigs(sensor):
     places = tx.design.design_places(sensor, count=6)
     objective = tx.design.design_objective(sensor, places, criterion="rigs")
@@ -150,6 +152,7 @@ def test_images_on_rigs(sensor, images):
     assert np.isfinite(np.asarray(even)).all()
 
 
+@pytest.mark.long
 def test_images_by_place(sensor, images):
     """Designs are better than sets that are drawn."""
     sets, bound = designs_by_place(images, 3)

@@ -74,6 +74,7 @@ def test_sound_rows_are_not_doubted(sensor, made):
     assert not doubted(rows_of(sensor, made, "points")).any()
 
 
+@pytest.mark.long
 def test_a_ground_that_is_another_is_doubted(sensor, made):
     rows = rows_of(sensor, made, "points", lines=(np.arange(16) + 1) % 16)
     assert (rows.flags & tx.Flag.GROUND_NOT_LOWEST > 0).all()

@@ -67,6 +67,7 @@ def test_pairs_that_are_none_are_refused(inject, read, told) -> None:
         tx.ert.background(disc(), Pairs([[0, 1]], [[[7, 8]]]))
 
 
+@pytest.mark.long
 def test_voltages_and_slopes_are_the_closed_form_of_points_on_a_rim() -> None:
     # u = (ρ/π)·ln(1/|x − e|) of balanced currents: an electrode and its image coincide.
     sensor, pairs = disc(), Pairs.opposite(8)
@@ -93,6 +94,7 @@ def test_voltages_and_slopes_are_the_closed_form_of_points_on_a_rim() -> None:
     assert abs(got - wanted).max() < 0.01 * abs(wanted).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shunt", [None, 0.8])
 def test_the_jacobian_is_the_derivative_of_the_voltages(shunt, rng) -> None:
     # Readings on driven electrodes too: their own resistances follow the sheet.
@@ -333,6 +335,7 @@ def test_one_and_two_changes_are_told_apart() -> None:
         assert sure == (noise is not None)
 
 
+@pytest.mark.long
 def test_changes_follow_the_full_model() -> None:
     # A disc whose conductance is halved, on the mesh of the whole sheet.
     sensor = disc(diameter=0.01, divisions=(60, 60))

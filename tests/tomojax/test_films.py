@@ -82,6 +82,7 @@ def test_a_film_finds_what_a_search_finds(recording, tmp_path, rate) -> None:
     np.testing.assert_allclose(searched["contact_xy"], film["contact_xy"], atol=2e-4)
 
 
+@pytest.mark.long
 def test_resumed_rows_are_the_same(recording, tmp_path) -> None:
     given = dict(method="points", films=True, chunk=16, contacts=1)
     whole = rows(recording, tmp_path / "whole.h5", **given)

@@ -40,6 +40,7 @@ def test_two_are_two_within_twenty_slots(step, apart, first):
     assert off.max() < 1.5e-3
 
 
+@pytest.mark.long
 def test_a_short_of_the_grounded_corner_is_no_finger():
     """The second contact that it looks like is there under one ground alone."""
     sensor = grid(6, 6)

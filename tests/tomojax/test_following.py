@@ -66,6 +66,7 @@ def same(one, other) -> None:
         np.testing.assert_array_equal(values, other[name], err_msg=name)
 
 
+@pytest.mark.long
 def test_as_the_step_says_slot_by_slot(path, whole):
     with tx.open_recording(path) as recording:
         rig = recording.rig

@@ -30,6 +30,7 @@ def test_a_mat_of_384_electrodes_takes_little_memory():
     assert row["memory_GB"] < 2
 
 
+@pytest.mark.long
 def test_grounds_of_a_step_share_what_they_can():
     """What is shared, less a ground's own part, is what the ground has by itself."""
     method = tx.method(sensor(), "source", grid=16)
@@ -64,6 +65,7 @@ def test_the_basis_is_orthonormal_and_strongest_first():
     np.testing.assert_allclose(values, lengths, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_long_sheet_has_square_pixels():
     method = tx.method(tx.Sensor.grid(8, 16), "source")
     assert method.shape == (32, 64)

@@ -33,6 +33,7 @@ def folder(tmp_path_factory) -> Path:
     return made
 
 
+@pytest.mark.long
 def test_each_gets_results_and_all_a_table(folder, tmp_path) -> None:
     out = tmp_path / "out"
     words = ("reconstruct", folder, "-o", out, "--method", "source", "--no-images")
@@ -76,6 +77,7 @@ def test_mistakes_are_named(folder, tmp_path, words, says) -> None:
     assert code != 0 and says in said
 
 
+@pytest.mark.long
 def test_a_stretch_in_every_command(folder, tmp_path) -> None:
     rec, out = folder / "r0.h5", tmp_path / "part.h5"
     stretch = ("--from", "0.0004", "--to", "0.0014")

@@ -76,6 +76,7 @@ ROWS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ROWS)
 def test_what_unrolls_has_the_flat_sheets_resistances(name) -> None:
     """By triangles and electrodes in space alone, and by a chart that is given."""

@@ -55,6 +55,7 @@ def rows(every):
     return jax.tree.map(lambda a: a[lone], found), made[lone]
 
 
+@pytest.mark.long
 def test_near_pairs_of_metal(every):
     """Two discs that lean are farther off there than one bar is."""
     found, made = every

@@ -50,6 +50,7 @@ def test_adaptive_patterns(paper_sensor, weight) -> None:
     assert tx.pattern(paper_sensor, "temporal", weight).tolist() == point
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("angle", [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4, 2.75])
 def test_cop_line_lies_along_a_bar(paper_sensor, angle) -> None:
     bar = tx.Bar([0.087, 0.074], 0.06, 0.01, angle, 1.0)
@@ -160,7 +161,7 @@ OUTLINES = {
     [  # of the boundary, the edge and the vertical line
         ("rim", (16, 3, 2)),
         pytest.param("letter", (20, 6, 6), marks=pytest.mark.long),
-        ("hexagons", (13, 5, 3)),
+        pytest.param("hexagons", (13, 5, 3), marks=pytest.mark.long),
         pytest.param("hole", (24, 5, 4), marks=pytest.mark.long),
     ],
 )
@@ -184,6 +185,7 @@ def test_patterns_on_other_outlines(name, sizes) -> None:
     assert away[around].mean() < away.mean()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["around", "cop_line", "point"])
 def test_scenes_without_a_region(paper_sensor, name) -> None:
     """Nothing, one electrode, the edge, the whole sheet, NaN: defined and flagged."""
@@ -221,6 +223,7 @@ def test_one_trace_for_all_voltages(paper_sensor, weight) -> None:
     np.testing.assert_array_equal(jax.vmap(lambda v: scan(v)[0])(batch), singles)
 
 
+@pytest.mark.long
 def test_float32(weight) -> None:
     sensor = tx.Sensor.grid(dtype=np.float32)
     for name in ("around", "cop_line", "point"):

@@ -232,6 +232,7 @@ def test_unusual_errors_widen_what_is_stated(scenes, method, rows):
     assert (c[:, 0] * c[:, 1] > c[:, 2] ** 2).all()  # an ellipse
 
 
+@pytest.mark.long
 def test_scenes_that_no_disc_explains(rig, method):
     """Each has a result that is defined, or a flag that says that there is none."""
     inside = [

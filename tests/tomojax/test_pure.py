@@ -34,7 +34,11 @@ def frames(sensor):
     return np.stack([*volts, 0 * volts[0], -volts[0]]), which
 
 
-@pytest.mark.parametrize("name", ["source", "linear", "points", "auto", "shape"])
+@pytest.mark.parametrize(
+    "name",
+    ["source", "linear"]
+    + [pytest.param(name, marks=pytest.mark.long) for name in ("points", "auto", "shape")],
+)
 def test_rows_are_those_of_a_batch(sensor, frames, name) -> None:
     method, (volts, which) = tx.method(sensor, name, 16), frames
     good = np.ones((2, 2, 16), bool)
@@ -57,7 +61,7 @@ def test_rows_are_those_of_a_batch(sensor, frames, name) -> None:
             np.testing.assert_allclose(one, other, atol=close, err_msg=field)
 
 
-@pytest.mark.parametrize("name", ["source", "points"])
+@pytest.mark.parametrize("name", ["source", pytest.param("points", marks=pytest.mark.long)])
 def test_slopes_by_voltages_beside_differences(sensor, frames, name, rng) -> None:
     """Of place and current, in float64; along a direction of no meaning."""
     method, volts = tx.method(sensor, name, 16), jnp.asarray(frames[0][0])
@@ -137,7 +141,7 @@ def test_slopes_of_a_place_by_the_sensor(place, which, close) -> None:
     np.testing.assert_allclose(slope, wanted, rtol=0, atol=close * float(abs(wanted).max()))
 
 
-@pytest.mark.parametrize("name", ["source", "linear"])
+@pytest.mark.parametrize("name", ["source", pytest.param("linear", marks=pytest.mark.long)])
 def test_slopes_by_lambda(sensor, frames, name) -> None:
     """The brightest pixel's slope, by `jvp` and by `grad`, is that of differences."""
     method, volts = tx.method(sensor, name, 8), jnp.asarray(frames[0][0])

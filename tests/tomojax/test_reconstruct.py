@@ -92,6 +92,7 @@ def test_batch_and_one_lambda_for_it(problem) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reduced", [False, True])
 def test_weights_leave_out(problem, reduced) -> None:
     _, j, volts, _ = problem

@@ -69,6 +69,7 @@ def test_what_is_in_the_file(whole, recording_path):
     np.testing.assert_array_equal(flags, expected)
 
 
+@pytest.mark.long
 def test_a_row_per_slot(recording_path, tmp_path):
     settings = tx.results.Settings(rate="slot", images=False, grid=16)
     with h5py.File(run(recording_path, tmp_path / "o.h5", settings)) as file:

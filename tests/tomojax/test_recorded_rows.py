@@ -127,6 +127,7 @@ def test_points_count_every_scene(shared_data):
             assert not rows.flags[k] & Flag.HIGH_RESIDUAL, scene["name"]
 
 
+@pytest.mark.long
 @either
 @pytest.mark.parametrize("pattern", ["all", "copline", "corners"])
 @pytest.mark.parametrize("thing", ["spanner", "orange"])

@@ -131,6 +131,7 @@ def test_conditions_are_chosen_by_what_they_tell(skin, response) -> None:
         tx.ert.choose(tx.ert.nominal(skin), skin.pairs, 1)
 
 
+@pytest.mark.long
 def test_presses_choose_a_condition_that_tells_how_far_others_are_off(skin) -> None:
     # A hidden number turns presses about the middle; the last condition reads it alone.
     rng = np.random.default_rng(3)

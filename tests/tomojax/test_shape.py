@@ -65,6 +65,7 @@ def rows(method, volts):
     return batch_of(method, volts, list(MADE), ALL)
 
 
+@pytest.mark.long
 def test_letters_and_frames_can_be_read(rows, method, volts):
     names = list(MADE)
     for name in ("H", "S", "frame"):

@@ -54,8 +54,15 @@ def read(disc, paired):
     return read
 
 
-@pytest.mark.parametrize("grounds", ["one", "several"])
-@pytest.mark.parametrize("name, off", [("points", 0.2e-3), ("source", 4e-3)])
+@pytest.mark.parametrize(
+    "grounds, name, off",
+    [
+        ("several", "points", 0.2e-3),
+        ("one", "source", 4e-3),
+        pytest.param("one", "points", 0.2e-3, marks=pytest.mark.long),
+        pytest.param("several", "source", 4e-3, marks=pytest.mark.long),
+    ],
+)
 def test_a_contact_is_found(read, grounds, name, off) -> None:
     rows = read(name, grounds)[1]
     np.testing.assert_array_equal(rows.contact_count, 1)
@@ -105,6 +112,7 @@ def test_policies_of_a_table(disc) -> None:
     assert chosen[:5] == chosen[5:] and len(set(chosen)) > 2
 
 
+@pytest.mark.long
 def test_adaptive_policies_of_pairs(disc) -> None:
     """Eight conditions of three electrodes each: those about the contact are chosen."""
     m = disc.electrode_count
@@ -314,6 +322,7 @@ def test_a_bar_on_a_round_skin_has_its_conductance_and_no_doubt(disc) -> None:
     assert np.isnan(rows.touch[0]).any()
 
 
+@pytest.mark.long
 def test_eq_1_of_a_skin_in_float32(disc) -> None:
     # Elements off the sheet have a loop of 10^6 times the others, which must not count.
     grounds = [0, 4, 12]

@@ -101,6 +101,7 @@ def test_one_more_and_one_less(step, scenes):
     assert int(outs[-1].flags) == Flag.NO_CONTACT
 
 
+@pytest.mark.long
 def test_three_that_come_at_once_are_three(sensor, scenes):
     """And no fewer before: a touch-down each."""
     step = tx.make_step(sensor, "follow", [[0, 63, 7]], contacts=4)
@@ -284,6 +285,7 @@ def test_float32_beside_float64(step, scenes):
             np.testing.assert_allclose(mine, wanted, atol=near)
 
 
+@pytest.mark.long
 def test_hurried_slots_are_answered_by_the_cheaper_method(sensor, step, scenes):
     both = tx.make_step(sensor, "source", "all", cheaper="follow")
     volts, state, quick = scenes["one"], both.state, step.state
@@ -340,6 +342,7 @@ def test_what_is_no_policy(wrong):
         tx.make_step(small, "source", wrong, contacts=1, grid=8)
 
 
+@pytest.mark.long
 def test_a_table_of_ones_own(sensor, scenes):
     """Four ground conditions by the half of the sheet."""
     table = np.zeros((2, 1, 4), int)

@@ -46,7 +46,13 @@ def levels(sensor):
     return [np.zeros((16, 16)), *some]
 
 
-@pytest.fixture(scope="module", params=list(MADE))
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=pytest.mark.long) if name == "follow" else name
+        for name in MADE
+    ],
+)
 def pair(request, sensor, tmp_path_factory):
     """A step as C and the same as JAX's program."""
     folder = tmp_path_factory.mktemp("steps")
@@ -169,6 +175,7 @@ def test_threads_do_not_disturb_each_other(pair, levels):
         assert all(np.array_equal(xy, alone[k], equal_nan=True) for xy in found[k])
 
 
+@pytest.mark.long
 def test_it_is_kept_and_made_again_where_it_is_damaged(sensor, tmp_path, monkeypatch):
     monkeypatch.setenv("TOMOJAX_STEPS", str(tmp_path))
     make = lambda **more: tx.make_step(  # noqa: E731
@@ -207,6 +214,7 @@ def test_where_nobody_asks(sensor, monkeypatch):
         make(native=True)
 
 
+@pytest.mark.long
 def test_the_same_code_serves_every_rig_of_its_shape(sensor, written, tmp_path):
     """With other tables: another pitch, drive, calibration, channels, highest voltage."""
     folder, name, _ = written
