@@ -276,7 +276,10 @@ def extra(count: Any) -> Any:
 def _more_discs(
     scene: Fitting, discs: Found, rival: Float[Array, "2"], size: int
 ) -> tuple[Found, Ended]:
-    """Fits one more disc; two discs also start from pairs of candidates."""
+    """Fits one more disc; two discs also start from pairs of candidates.
+
+    More also start where one of the present discs stood for two: each is wide then.
+    """
     candidates = scene.method.candidates
     # As usual ones: what is missing has made those that there are long.
     beside = jnp.concatenate([discs.place[: size - 1], rival[None]])
@@ -289,6 +292,8 @@ def _more_discs(
         pairs = model.best_pairs(at, alone, places, candidates, spacing, _PAIRS)
         pairs = jnp.concatenate([candidates[pairs], _halves(scene, discs)[None]])
         starts = jnp.concatenate([starts, starts_at(scene, pairs)])
+    else:
+        starts = jnp.concatenate([starts, starts_at(scene, _divided(scene, discs, size))])
     less = jnp.where((size == 2) & is_long(discs), 0.0, GAIN * (size - 1))
     return best_fit(scene, DISCS, starts, _asked_of(scene, discs, less))
 
@@ -300,18 +305,38 @@ def _asked_of(scene: Fitting, old: Found, less: Array | float) -> Float[Array, "
     return (old.misfits + known - less) * slots
 
 
-def _halves(scene: Fitting, discs: Found) -> Float[Array, "2 2"]:
+def _divided(scene: Fitting, discs: Found, size: int) -> Float[Array, "n size 2"]:
+    """Puts two places in the place of one of the discs, along it or across, each in turn.
+
+    They are a radius from its middle at least.
+    """
+    starts = []
+    for k in range(size - 1):
+        others = jnp.delete(discs.place[: size - 1], k, axis=0)
+        for turn in (0.0, jnp.pi / 2):
+            halves = _halves(scene, discs, k, discs.radius[k], turn)
+            starts.append(jnp.concatenate([others, halves]))
+    return jnp.stack(starts)
+
+
+def _halves(
+    scene: Fitting,
+    discs: Found,
+    k: int = 0,
+    least: Float[Array, ""] | float = 0.0,
+    turn: float = 0.0,
+) -> Float[Array, "2 2"]:
     """Puts two places on one long disc, ± h, of the same moment: h² = 2·(a² − b²)/8.
 
     h is at least half the least distance of two discs: two discs look like a long disc.
     """
     sheet = scene.method.sheet
-    long = discs.parameters[0, 3:5]
+    long = discs.parameters[k, 3:5]
     h = jnp.sqrt(2 * model.LONG * jnp.sqrt((long**2).sum() + 1e-12)) * sheet.size
-    h = jnp.maximum(h, APART / 2 * sheet.size)
-    angle = jnp.arctan2(long[1], long[0]) / 2
+    h = jnp.maximum(h, jnp.maximum(APART / 2 * sheet.size, least))
+    angle = jnp.arctan2(long[1], long[0]) / 2 + turn
     along = h * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-    return discs.place[0] + jnp.stack([along, -along])
+    return discs.place[k] + jnp.stack([along, -along])
 
 
 def _gains(scene: Fitting, old: Found, new: Found, size: int) -> Array:
