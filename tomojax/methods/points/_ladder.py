@@ -159,7 +159,11 @@ def seen_at_all(scene: Fitting, found: Found) -> Found:
 
 
 def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
-    """Fits `size` discs, and keeps them where they gain enough."""
+    """Fits `size` discs, and keeps them where they gain enough.
+
+    Where they leave far more than errors, one more may explain it all, and together gain
+    enough: that one is then tried beside these, which are not believed.
+    """
     best, discs, pair = ladder.best, ladder.discs, ladder.pair
     new, ended = polished(scene, *_more_discs(scene, discs, ladder.rival, size), size)
     assert ended is not None
@@ -177,10 +181,11 @@ def _larger(scene: Fitting, ladder: Ladder, size: int) -> Ladder:
     gained = _gains(scene, discs, new, size)
     near = gained & as_a_bar(scene, new) if size == 2 else ladder.near
     promise, rival = _promise(scene, new, ended, size)
+    onward = gained | (new.high & (new.cost < discs.cost))
     return ladder._replace(
         best=tree_where(gained & (_score(new) < _score(best)), new, best),
-        discs=tree_where(gained, new, discs),
-        promise=jnp.where(gained, promise, 0),
+        discs=tree_where(onward, new, discs),
+        promise=jnp.where(onward, promise, 0),
         rival=rival,
         pair=pair,
         asked=asked,
