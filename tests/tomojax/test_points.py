@@ -77,6 +77,28 @@ def test_how_many_and_where(scenes, rows):
     assert not high.any()
 
 
+def test_three_on_few_electrodes():
+    """Also where two discs explain little, or one of them stands for two."""
+    told = {"divisions": (40, 40), "electrode_shunt": 1.0, "dtype": np.float32}
+    sensor = tx.Sensor.grid(5, 5, **told)
+    grounds = np.array([0, 4, 20, 24, 12, 2, 10, 14, 22, 6])
+    rng, pitch = np.random.default_rng(3), sensor.mean_pitch
+    made, true = [], []
+    while len(made) < 8:
+        places = rng.uniform(0.1, 0.9, (3, 2)) * np.asarray(sensor.size)
+        if np.linalg.norm(places - np.roll(places, 1, 0), axis=1).min() < 1.5 * pitch:
+            continue
+        siemens, radii = 10 ** rng.uniform(-4.8, -4.0, 3), rng.uniform(0.2, 0.4, 3) * pitch
+        discs = map(tx.Disc.of_total, places, radii, siemens)
+        made.append(np.asarray(tx.voltages(sensor, tx.Scene(*discs), grounds)))
+        true.append(places)
+    volts = np.stack(made) + 2e-4 * rng.normal(size=(8, 10, 25))
+    batch = tx.Batch(tx.method(sensor, "points", 16), images=False)
+    rows = batch(volts.astype(np.float32), np.tile(grounds, (8, 1)))
+    assert rows.contact_count.tolist() == [3] * 8
+    assert max(map(apart, rows.contact_xy, [[(p, 0) for p in t] for t in true])) < 1e-3
+
+
 def test_frames_together_ask_for_a_curve_as_each_alone():
     """Two round discs that explain a frame ask for no bar; two long ones, or rivals, do."""
     parameters = np.zeros((4, 3, 6), np.float32)
