@@ -86,6 +86,8 @@ class Pty:
         return True
 
     def close(self) -> None:
+        # The terminal's number may be another rig's next, as a device that is unplugged.
+        self.name.unlink(missing_ok=True)
         os.close(self._master)
         os.close(self._slave)
 

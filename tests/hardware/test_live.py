@@ -15,6 +15,7 @@ import tomojax as tx
 from tomojax import Flag
 from tomojax.cli import app
 from tomojax.hardware import open_source, run, SlotRing
+from tomojax.hardware.sources.virtual import Pty
 from tomojax.hardware.sources.virtual_rig import VirtualRig
 
 # Slots a second: what a machine that is busy with other tests keeps up with.
@@ -222,11 +223,23 @@ def test_record_grounds_of_ones_own(command, scene, tmp_path):
 
 _OWNER = """
 import os, sys
+from tomojax.hardware.sources.virtual import Pty
 from tomojax.hardware.sources.virtual_rig import VirtualRig
 rig = VirtualRig(sys.argv[1], link="udp")
 print(os.getpgid(rig._process.pid) == os.getpgid(0), flush=True)
 os._exit(0)
 """
+
+
+def test_a_terminal_that_is_cut_has_no_name_until_it_is_back(tmp_path):
+    """Its number may be another rig's by then, which a source would listen to."""
+    link = Pty(tmp_path / "rig")
+    assert link.name.exists()
+    link.close()
+    assert not os.path.lexists(link.name)
+    link.open()
+    assert link.name.exists()
+    link.close()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no groups of processes")
