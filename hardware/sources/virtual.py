@@ -86,7 +86,7 @@ class Pty:
         return True
 
     def close(self) -> None:
-        # The terminal's number may be another rig's next, as a device that is unplugged.
+        # A cut device has no name; the terminal's number may be another rig's next.
         self.name.unlink(missing_ok=True)
         os.close(self._master)
         os.close(self._slave)

@@ -122,14 +122,14 @@ SINGLE = {
 }
 
 
-# They are measured with a trace in time, which takes long to simulate.
-IN_TIME = ("settling", "one settles", "hum")
+# These take longest.
+SLOWEST = ("settling", "one settles", "hum")
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.long) if name in IN_TIME else name
+        pytest.param(name, marks=pytest.mark.long) if name in SLOWEST else name
         for name in SINGLE
     ],
 )
