@@ -59,6 +59,24 @@ def test_places_are_nearer_than_by_the_nominal_sheet(skin, response) -> None:
     assert np.mean(found.flags == 0) > 0.9 and abs(np.median(found.strength) - 1) < 0.1
 
 
+@pytest.mark.parametrize("reach", [0.0, 0.3])
+def test_a_sheet_that_reaches_beyond_its_ring_is_found(reach) -> None:
+    """The recording says that the ring is the edge: presses tell where the edge is."""
+    rng = np.random.default_rng(5)
+    angle = 2 * np.pi * np.arange(8) / 8
+    ring = RADIUS * np.stack([np.cos(angle), np.sin(angle)], 1)
+    radius = (1 + reach) * RADIUS
+    sensor = tx.Sensor.disc(2 * radius, ring + radius, electrode_diameter=0.01)
+    places = rng.uniform(-0.024, 0.024, (60, 2))
+    pairs = Pairs.opposite(8)
+    volts = -np.asarray(tx.ert.sensitivities(sensor, pairs, places + radius))
+    volts = volts * (1 + 0.03 * rng.normal(size=volts.shape[1:]))
+    told = tx.recordings.Outline("disc", 2 * RADIUS)
+    recording = PairRecording(volts, pairs, ring, 0.01, outline=told, places=places)
+    found = tx.ert.nominal(recording.knowing(0)).locate(volts)
+    assert np.median(far(found, recording)) < 0.0016  # 0.0024 by the ring
+
+
 def test_without_places_every_row_is_doubted(skin) -> None:
     test = some(skin, slice(200, None))
     found = tx.ert.learn(some(skin, slice(200)).knowing(0)).locate(test.voltages)

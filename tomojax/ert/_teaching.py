@@ -21,6 +21,11 @@ _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a
 _LABELLED = 1000  # likewise of places that stay where they are, in a dozen maps
 _CLEARLY = 1.5  # more of the frames' squares
 
+# Shares by which the sheet may be wider than told: a skin often reaches beyond its ring of
+# electrodes. Up to a tenth places move most, and beyond a third they hardly move at all.
+_WIDER = (0.0, 0.1, 0.3)
+_LIKELIER = 2.0  # each frame, by a wider sheet, where that is taken
+
 
 def nominal(recording: PairRecording) -> Response:
     """Takes the physics of the sheet for the response; learns the readings' errors alone.
@@ -156,18 +161,17 @@ def _nominal(
     if chosen is None:
         chosen = np.flatnonzero(use.frames)[:_LABELLED]
     flat = recording.voltages.reshape(len(recording.voltages), -1)[chosen][:, used]
-    at, columns = _physics(recording)
-    columns = columns[:, used]
+    fits = [_fit(recording, flat, used, wider) for wider in _shares(recording)]
+    best = max(fits, key=lambda fit: fit.likelihood)
+    clearly = best.likelihood - fits[0].likelihood > np.log(_LIKELIER)
+    at, columns, found, whitener, _ = best if clearly else fits[0]
     dtype = columns.dtype
-    sign = _sign(flat, columns)
-    columns = (sign * columns).astype(dtype)
-    found, whitener = place_by_physics(flat.astype(dtype), columns, at)
     size = np.median(np.linalg.norm(flat, axis=1))
     response = Response(
         at=at,
         readings=columns,
         spread=np.zeros(len(at), dtype),
-        whitener=np.asarray(whitener),
+        whitener=whitener,
         scale=np.where(used, size, 0.0),
         limit=float(np.quantile(np.asarray(found.chi2), 0.99)),
         own=0.0,
@@ -188,10 +192,43 @@ def _sign(flat: Float[np.ndarray, "n K"], columns: Float[np.ndarray, "G K"]) -> 
     return 1 if higher > _CLEARLY * lower else -1
 
 
-def _physics(recording: PairRecording) -> tuple[np.ndarray, np.ndarray]:
+class _Fit(NamedTuple):
+    """Presses that are placed by the physics of one sheet."""
+
+    at: Float[np.ndarray, "G 2"]
+    columns: Float[np.ndarray, "G K"]
+    found: Posterior
+    whitener: Float[np.ndarray, "K K"]
+    likelihood: float  # log p of a frame, the mean, less a constant
+
+
+def _shares(recording: PairRecording) -> tuple[float, ...]:
+    """Returns by which shares the sheet may be wider: a curved one is as it is told."""
+    return _WIDER if recording.outline.surface is None else _WIDER[:1]
+
+
+def _fit(
+    recording: PairRecording,
+    flat: Float[np.ndarray, "n K"],
+    used: Bool[np.ndarray, " N"],
+    wider: float,
+) -> _Fit:
+    """Places presses by the physics of a sheet that is wider than told by a share."""
+    at, columns = _physics(recording, wider)
+    columns = columns[:, used]
+    columns = (_sign(flat, columns) * columns).astype(columns.dtype)
+    found, whitener = place_by_physics(flat.astype(columns.dtype), columns, at)
+    whitener = np.asarray(whitener)
+    chi2 = flat.shape[1] * np.asarray(found.chi2).mean()
+    likelihood = np.log(np.diag(whitener)).sum() - chi2 / 2
+    return _Fit(at, columns, found, whitener, float(likelihood))
+
+
+def _physics(recording: PairRecording, wider: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns candidate places, and how readings change by a local change at each."""
-    sensor, at = recording.sensor(), candidates(recording, _CANDIDATES)
-    columns = np.asarray(sensitivities(sensor, recording.pairs, at))
+    sensor, at = recording.sensor(wider=wider), candidates(recording, _CANDIDATES)
+    begins = (wider / 2 * np.array(recording.box)).astype(np.float32)
+    columns = np.asarray(sensitivities(sensor, recording.pairs, at + begins))
     if recording.magnitude:
         columns = columns * np.sign(np.asarray(background(sensor, recording.pairs)))
     return (at + recording.origin).astype(np.float32), columns.reshape(len(at), -1)

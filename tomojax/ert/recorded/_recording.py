@@ -152,20 +152,31 @@ class PairRecording:
             return np.stack([self.outline.loops[0].min(0), self.outline.loops[0].max(0)])
         return self.outline.diameter * np.array([[-0.5, -0.5], [0.5, 0.5]])
 
-    def sensor(self, dtype: Any = np.float32) -> "tomojax.sensor.Sensor":
+    def sensor(
+        self, dtype: Any = np.float32, wider: float = 0.0
+    ) -> "tomojax.sensor.Sensor":
         """Makes the sensor, whose places are the recording's less `origin`.
 
-        The sheet has the nominal resistance of `Sensor`.
+        The sheet has the nominal resistance of `Sensor`. `wider`: the outline grows about
+        its box's middle by this share; electrodes and holes stay where they are. The box
+        then begins `wider`/2 of its sides before `origin`.
         """
         from tomojax.sensor import Sensor  # needs JAX, which reading does not
 
-        loops = tuple(loop - self.origin for loop in self.outline.loops)
+        grown = 1 + wider
+        start = self.origin - wider / 2 * np.array(self.box)
+        loops = [loop - start for loop in self.outline.loops]
+        loops[:1] = [grown * (loop - self.origin) for loop in self.outline.loops[:1]]
+        across = grown * self.outline.diameter
+        outline = replace(self.outline, loops=tuple(loops), diameter=across)
+        width, height = self.box
+        box = grown * width, grown * height
         return Sensor.cut(
-            self.box,
-            electrodes=self.electrode_xy - self.origin,
+            box,
+            electrodes=self.electrode_xy - start,
             electrode_diameter=self.electrode_diameter,
             dtype=dtype,
-            **replace(self.outline, loops=loops).sheet(self.box),
+            **outline.sheet(box),
         )
 
     def digest(self) -> str:
