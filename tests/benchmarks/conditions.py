@@ -127,7 +127,7 @@ def main() -> None:
                 row = {"conditions": name, "method": method, "scene": kind}
                 rows.append(row | judged(said, part, kind))
                 print(json.dumps(rows[-1]), flush=True)
-    asked = {k: str(v) if isinstance(v, Path) else v for k, v in vars(options).items()}
+    asked = {k: v for k, v in vars(options).items() if k != "out"}
     text = json.dumps({"options": asked, "rows": rows}, indent=1)
     (options.out / "conditions.json").write_text(text + "\n")
     plot(rows, options.out / "conditions.png")

@@ -191,7 +191,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     rows = measured(options)
-    told = {k: str(v) if isinstance(v, Path) else v for k, v in vars(options).items()}
+    told = {k: v for k, v in vars(options).items() if k != "out"}
     name = "rigs" if options.model == "network" else "rigs_elements"
     text = json.dumps({"options": told, "rows": rows}, indent=1)
     (options.out / f"{name}.json").write_text(text + "\n")

@@ -35,7 +35,8 @@ def gallery(figure: Figure, lines: dict[str, Any], size: Any, names: Any = ()) -
                 cmap=DENSITY, vmin=0, vmax=1,
             )  # fmt: skip
             place.set(xticks=(0, width), yticks=(0, height))
-        axes[0].set_title(title, loc="left", fontsize=10)
+        above = "\n" if len(names) and axes is grid[0] else ""  # the column's name is below
+        axes[0].set_title(title + above, loc="left", fontsize=10)
     for place in grid[-1, 1:]:  # one picture's labels would stand on the next one's
         place.tick_params(labelbottom=False)
     for place, name in zip(grid[0], names):
