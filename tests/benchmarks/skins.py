@@ -242,7 +242,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         rows = measured(options, options.scenes or Path(made))
-    told = {k: v for k, v in vars(options).items() if k != "out"}
+    told = {k: v for k, v in vars(options).items() if k not in ("out", "scenes")}
     text = json.dumps({"options": told, "rows": rows}, indent=1)
     (options.out / "skins.json").write_text(text + "\n")
     plot(rows, options.out / "skins.png")
