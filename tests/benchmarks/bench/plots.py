@@ -26,7 +26,8 @@ def gallery(figure: Figure, lines: dict[str, Any], size: Any, names: Any = ()) -
     count = max(len(images) for images in lines.values())
     grid = figure.subplots(len(lines), count, squeeze=False, sharex=True, sharey=True)
     shown = None
-    for axes, (title, images) in zip(grid, lines.items()):
+    for row, (title, images) in enumerate(lines.items()):
+        axes = grid[row]
         for place, image in zip(axes, images):
             image = np.asarray(image, float)
             top = float(np.quantile(image, 0.998)) or 1.0
@@ -35,7 +36,7 @@ def gallery(figure: Figure, lines: dict[str, Any], size: Any, names: Any = ()) -
                 cmap=DENSITY, vmin=0, vmax=1,
             )  # fmt: skip
             place.set(xticks=(0, width), yticks=(0, height))
-        above = "\n" if len(names) and axes is grid[0] else ""  # the column's name is below
+        above = "\n" if len(names) and row == 0 else ""  # the column's name is below
         axes[0].set_title(title + above, loc="left", fontsize=10)
     for place in grid[-1, 1:]:  # one picture's labels would stand on the next one's
         place.tick_params(labelbottom=False)
