@@ -1,6 +1,7 @@
 """Teaches responses: from the physics of the sheet, and from presses."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,9 +22,9 @@ _UNLABELLED = 600  # presses that the rounds take; a map of so many is made in a
 _LABELLED = 1000  # likewise of places that stay where they are, in a dozen maps
 _CLEARLY = 1.5  # more of the frames' squares
 
-# Shares by which the sheet may be wider than told: a skin often reaches beyond its ring of
+# Shares by which the sheet may be wider than told: a skin may reach beyond its ring of
 # electrodes. Up to a tenth places move most, and beyond a third they hardly move at all.
-_WIDER = (0.0, 0.1, 0.3)
+_WIDER = (0.1, 0.3)
 _LIKELIER = 2.0  # each frame, by a wider sheet, where that is taken
 
 
@@ -161,7 +162,10 @@ def _nominal(
     if chosen is None:
         chosen = np.flatnonzero(use.frames)[:_LABELLED]
     flat = recording.voltages.reshape(len(recording.voltages), -1)[chosen][:, used]
-    fits = [_fit(recording, flat, used, wider) for wider in _shares(recording)]
+    fits = [_fit(recording, flat, used, 0.0)]
+    for wider in _shares(recording):
+        with suppress(ValueError):  # no mesh has cells that are fine enough for it
+            fits.append(_fit(recording, flat, used, wider))
     best = max(fits, key=lambda fit: fit.likelihood)
     clearly = best.likelihood - fits[0].likelihood > np.log(_LIKELIER)
     at, columns, found, whitener, _ = best if clearly else fits[0]
@@ -203,8 +207,17 @@ class _Fit(NamedTuple):
 
 
 def _shares(recording: PairRecording) -> tuple[float, ...]:
-    """Returns by which shares the sheet may be wider: a curved one is as it is told."""
-    return _WIDER if recording.outline.surface is None else _WIDER[:1]
+    """Returns by which shares the sheet may be wider than told.
+
+    A curved sheet is as it is told, and so is one whose outline hides a part from its box's
+    middle: grown about the middle, it would not hold all that it held.
+    """
+    grows = recording.outline.surface is None
+    for loop in recording.outline.loops[:1]:
+        x, y = (loop - recording.origin - np.array(recording.box) / 2).T
+        turns = x * np.roll(y, -1) - y * np.roll(x, -1)
+        grows &= bool((turns > 0).all() or (turns < 0).all())
+    return _WIDER if grows else ()
 
 
 def _fit(
