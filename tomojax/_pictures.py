@@ -76,7 +76,7 @@ def plain(*axes: Any) -> None:
 
 def lay_sheet(
     axes: Any,
-    size: Any,
+    box: Any,
     electrode_xy: Any,
     diameter: float = 0.0,
     color: str = "0.6",
@@ -84,14 +84,15 @@ def lay_sheet(
 ) -> Any:
     """Sets the axes to a sheet seen from above, in mm, with the outlines of its electrodes.
 
-    Returns the outlines. Lengths in m. Without a diameter an electrode is a small ring.
+    Returns the outlines. Lengths in m. `box`: its size, or its lowest and its highest
+    corner. Without a diameter an electrode is a small ring.
     `outline`: closed lines of a sheet that does not fill its box.
     """
     from matplotlib.collections import EllipseCollection
 
-    width, height = 1e3 * np.asarray(size, float)
+    low, high = 1e3 * corners(box)
     xy = 1e3 * np.asarray(electrode_xy, float).reshape(-1, 2)
-    across = np.full(len(xy), 1e3 * diameter or 0.02 * min(width, height))
+    across = np.full(len(xy), 1e3 * diameter or 0.02 * (high - low).min())
     outlines = EllipseCollection(
         across, across, np.zeros(len(xy)), units="xy", offsets=xy,
         offset_transform=axes.transData, facecolors="none", edgecolors=color,
@@ -99,9 +100,15 @@ def lay_sheet(
     )  # fmt: skip
     axes.add_collection(outlines)
     draw_outline(axes, outline, color)
-    axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="x, mm", ylabel="y, mm")
     return outlines
+
+
+def corners(box: Any) -> np.ndarray:
+    """Returns the lowest and the highest corner of a box that its size may stand for."""
+    box = np.asarray(box, float)
+    return box if box.ndim == 2 else np.stack([0 * box, box])
 
 
 def draw_outline(axes: Any, lines: Any, color: str = "0.6") -> None:

@@ -23,13 +23,15 @@ def pixels(image: np.ndarray) -> dict[str, Any]:
     return {"pixels": numbers(np.round(shown / high, 3)), "high": 1.0, "top": high}
 
 
-def contact_columns(xy: Any, conductance: Any, names: Any = None) -> dict[str, list]:
-    """Returns places in mm, each with a label of its number and its conductance."""
-    xy, g = 1e3 * np.asarray(xy, float).reshape(-1, 2), np.asarray(conductance, float)
+def contact_columns(
+    xy: Any, strength: Any, names: Any = None, unit: tuple[float, str] = (1e6, " µS")
+) -> dict[str, list]:
+    """Returns places in mm, each with a label of its number and its strength."""
+    xy, g = 1e3 * np.asarray(xy, float).reshape(-1, 2), np.asarray(strength, float)
     known = np.isfinite(xy).all(1)
     numbers = np.arange(1, len(xy) + 1) if names is None else np.asarray(names)
     labels = [
-        f"{n}: {1e6 * s:.3g} µS" if np.isfinite(s) else f"{n}"
+        f"{n}: {unit[0] * s:.3g}{unit[1]}" if np.isfinite(s) else f"{n}"
         for n, s in zip(numbers[known].tolist(), g[known])
     ]
     return {"x": xy[known, 0].tolist(), "y": xy[known, 1].tolist(), "label": labels}

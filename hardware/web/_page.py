@@ -30,7 +30,7 @@ _LEVELS = {0: _GREY, 1: _ORANGE, 2: _RED}
 
 
 def document(
-    size: Any,
+    box: Any,
     electrode_xy: Any,
     image_shape: tuple[int, int] | None,
     image_label: str,
@@ -40,7 +40,7 @@ def document(
 ) -> dict[str, Any]:
     """Returns what the page embeds: Bokeh's document, and where each figure goes.
 
-    - `size` and `electrode_xy`: m.
+    - `box` of the sheet, its size or its lowest and highest corner, and `electrode_xy`: m.
     - `image_shape`: pixels along x and y, or None without an image.
     - `span`: the time line's beginning and end, s.
     - `strength`: the label of the contacts' strength, with the unit.
@@ -55,7 +55,7 @@ def document(
     data["image"] = {"image": [np.zeros((ny, nx), np.float32)]}
     sources = {n: ColumnDataSource(columns, name=n) for n, columns in data.items()}
     figures = {
-        "sheet": _sheet(sources, size, electrode_xy, image_shape, image_label, lines),
+        "sheet": _sheet(sources, box, electrode_xy, image_shape, image_label, lines),
         **_lines(sources, span, strength),
         **_electrodes(sources, len(electrode_xy)),
     }
@@ -86,15 +86,16 @@ def _figure(name: str, **given: Any) -> Any:
     return made
 
 
-def _sheet(sources, size, electrode_xy, image_shape, image_label, lines) -> Any:
+def _sheet(sources, box, electrode_xy, image_shape, image_label, lines) -> Any:
     from bokeh.models import ColorBar, LinearColorMapper, Range1d
 
-    width, height = (1e3 * float(s) for s in size)
-    more = 0.03 * max(width, height)
+    box = 1e3 * np.asarray(box, float)
+    (x0, y0), (x1, y1) = box if box.ndim == 2 else (0 * box, box)
+    more = 0.03 * max(x1 - x0, y1 - y0)
     sheet = _figure(
         "sheet",
-        x_range=Range1d(-more, width + more),
-        y_range=Range1d(-more, height + more),
+        x_range=Range1d(x0 - more, x1 + more),
+        y_range=Range1d(y0 - more, y1 + more),
         x_axis_label="x, mm",
         y_axis_label="y, mm",
     )
@@ -104,7 +105,7 @@ def _sheet(sources, size, electrode_xy, image_shape, image_label, lines) -> Any:
         )
         colours.palette = colours.palette[::-1]
         sheet.image(
-            "image", source=sources["image"], x=0, y=0, dw=width, dh=height,
+            "image", source=sources["image"], x=x0, y=y0, dw=x1 - x0, dh=y1 - y0,
             color_mapper=colours,
         )  # fmt: skip
         sheet.add_layout(ColorBar(color_mapper=colours, title=image_label), "above")
@@ -116,7 +117,7 @@ def _sheet(sources, size, electrode_xy, image_shape, image_label, lines) -> Any:
             x, y, names, text_font_size="8px", text_color="#5f86b3", x_offset=4, y_offset=-2
         )
     if lines is None:
-        lines = [np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * np.asarray(size, float)]
+        lines = [1e-3 * np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])]
     closed = [1e3 * np.concatenate([line, line[:1]]) for line in lines]
     sheet.multi_line(
         [line[:, 0].tolist() for line in closed], [line[:, 1].tolist() for line in closed],

@@ -256,10 +256,14 @@ def test_commands_calibrate_and_locate(recorded, tmp_path) -> None:
         assert np.isfinite(results["contact_covariance"]).all()
     assert np.median(np.sqrt((off**2).sum(1))) < 0.005
     run("export", out, "--to", "csv", "-o", tmp_path / "out.csv")
+    assert "contact1_strength" in (tmp_path / "out.csv").read_text().splitlines()[0]
+    run("export", out, "--to", "svg", "-o", tmp_path / "out.svg")
     with pytest.raises(ValueError, match="a file, expected a new name, or --overwrite"):
         run("reconstruct", path, "-o", out)
-    told = run("reconstruct", path, "-o", out, "--overwrite")
-    assert "off by" in told
+    told = run(
+        "reconstruct", path, "-o", out, "--overwrite", "--picture", cal.with_name("p.png")
+    )
+    assert "off by" in told and "picture: " in told
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
 import tomojax as tx
 from tomojax.ert import PairRecording, Pairs, Response
+from tomojax.results import track_file
 
 RADIUS = 0.05
 
@@ -124,11 +127,11 @@ def test_what_no_lone_press_explains_is_flagged(skin, response) -> None:
 
 def test_two_presses_are_told_from_a_press_of_any_strength(skin, response) -> None:
     test = some(skin, slice(200, None))
-    volts = test.voltages.reshape(len(test.voltages), -1)
+    volts = test.voltages
     apart = np.linalg.norm(test.places[:20] - test.places[20:40], axis=1) > 0.03
     for each in (0.5, 1, 2):
-        two = response.gain_of_two(each * (volts[:20] + volts[20:40]))[apart]
-        lone = response.gain_of_two(each * volts)
+        two = response.placed(each * (volts[:20] + volts[20:40]))[1][apart]
+        lone = response.placed(each * volts)[1]
         assert np.mean(two > response.alone) > 0.8
         assert np.mean(lone > response.alone) < 0.05
 
@@ -262,3 +265,50 @@ def test_measured_presses_are_placed(shared_data, name, places, bar) -> None:
     test = some(recording, slice(1200, None))
     found = tx.ert.learn(some(recording, rows).knowing(places)).locate(test.voltages)
     assert 1e3 * np.median(far(found, test)) < bar
+
+
+def test_a_frame_by_itself_is_placed_as_among_others(skin, response) -> None:
+    volts = skin.voltages[200:206].copy()
+    volts[1, 2, 1] = np.nan
+    place = eqx.filter_jit(response.locator)
+    found, alone = response.locate(volts), [place(frame) for frame in volts]
+    for name, field in found._asdict().items():
+        each = np.stack([np.asarray(getattr(one, name)) for one in alone])
+        np.testing.assert_allclose(each, field, rtol=1e-4, atol=1e-7, err_msg=name)
+
+    def x(step: float, way: np.ndarray) -> jax.Array:
+        return response.locator(volts[0] + step * way).xy[0]
+
+    # The candidates' probabilities follow readings smoothly: a slope and a difference.
+    way = 0.3 * (skin.voltages[201] - volts[0])
+    slope = float(jax.grad(x)(0.0, way))
+    step = 0.01
+    assert abs(slope - float(x(step, way) - x(-step, way)) / (2 * step)) < 0.05 * abs(slope)
+
+
+def test_a_press_is_followed(skin, response, tmp_path) -> None:
+    """Rows of one press that stays, and then of none: a track, with a picture."""
+    still = np.repeat(skin.voltages[200:201], 30, 0)
+    noise = np.random.default_rng(5).normal(size=still.shape)
+    still += 0.2 * np.sqrt(np.mean(still**2)) * noise
+    volts = np.concatenate([still, 0 * still[:10]])
+    recording = PairRecording(
+        volts, skin.pairs, skin.electrode_xy, 0.01, outline=skin.outline
+    )
+    out, tracks = tmp_path / "found.h5", tmp_path / "tracks.h5"
+    found = response.locate(volts)
+    tx.ert.write_results(recording, found, out)
+    (touch,) = track_file.track_results(out, tracks)[1]
+    assert touch.rows == 30 and abs(touch.conductance - found.strength[:30].mean()) < 0.2
+    with tx.results.LoadedResults(tracks) as file:
+        places, strength = file["contact_xy"][:30, 0], file["contact_strength"][:30, 0]
+        lowest, highest = file.box()
+    for axis in (0, 1):
+        assert places[:, axis].std() < 0.5 * found.xy[:30, axis].std()
+    assert strength.std() < 0.5 * found.strength[:30].std()
+    np.testing.assert_allclose([lowest, highest], [[-RADIUS] * 2, [RADIUS] * 2])
+    # The picture's sheet is where the recording has it.
+    figure = track_file.picture(out, tracks)
+    sheet = next(a for a in figure.axes if "Paths" in a.get_title())
+    assert sheet.get_xlim()[0] > -51 and sheet.get_xlim()[1] < 51
+    assert any("strength" in a.get_ylabel() for a in figure.axes)

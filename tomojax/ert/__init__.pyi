@@ -7,7 +7,8 @@ from ._choice import (
     PressInformation as PressInformation,
     restrict as restrict,
 )
-from ._response import Located as Located, Response as Response
+from ._locator import Located as Located, Locator as Locator
+from ._response import Response as Response
 from ._results import (
     located_text as located_text,
     summary_located as summary_located,
@@ -45,6 +46,7 @@ __all__ = [
     "LevelsFound",
     "load",
     "Located",
+    "Locator",
     "nominal",
     "PairRecording",
     "PairFault",

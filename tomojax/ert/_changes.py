@@ -18,7 +18,7 @@ from tomojax._checks import require
 from tomojax._custom_types import Numbers
 from tomojax._programs import kept
 from tomojax.ert._learning import whitener_of
-from tomojax.ert._response import QUIET
+from tomojax.ert._locator import QUIET
 from tomojax.ert._sheet_change import background, sensitivities
 from tomojax.ert.recorded._recording import PairRecording
 from tomojax.kernels.algebra import solve_positive

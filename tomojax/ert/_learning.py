@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Integer
 
 from tomojax._programs import kept
 from tomojax.kernels.inverse import (
-    matern,
     place_scores,
     shrunk_covariance,
     smooth_map,
@@ -84,7 +83,7 @@ def place(
 ) -> Posterior:
     """Places frames by a map."""
     scores, chi2 = place_scores(readings, mapped, spread, whitener)
-    return _posterior(scores, chi2 / readings.shape[1], at)
+    return posterior(scores, chi2 / readings.shape[1], at)
 
 
 @kept
@@ -96,31 +95,10 @@ def learned_moves(
     return smooth_map(readings, away, certain, readings[:1], reach)
 
 
-@kept
-def moves(
-    readings: Float[Array, "n K"],
-    taught: Float[Array, "M K"],
-    weights: Float[Array, "M 2"],
-    reach: Float[Array, ""],
-) -> Float[Array, "n 2"]:
-    """Returns how far places are from the true ones, 0 for readings like none taught."""
-    return matern(readings, taught, reach) @ weights
-
-
-@kept
-def least_chi2(
-    readings: Float[Array, "n K"],
-    mapped: Float[Array, "G K"],
-    whitener: Float[Array, "K K"],
-) -> Float[Array, " n"]:
-    """Returns the least χ² of frames over candidates, as if maps were certain."""
-    certain = jnp.zeros(len(mapped), mapped.dtype)
-    return place_scores(readings, mapped, certain, whitener)[1].min(1)
-
-
-def _posterior(
+def posterior(
     scores: Float[Array, "n G"], chi2: Float[Array, "n G"], at: Float[Array, "G 2"]
 ) -> Posterior:
+    """Returns places by log-probabilities, which count for a part."""
     scores = _TRUST * (scores - scores.max(1, keepdims=True))
     weights = jnp.exp(scores) / jnp.exp(scores).sum(1, keepdims=True)
     xy = weights @ at
@@ -160,7 +138,7 @@ def by_columns(
     strength = jnp.maximum(white @ maps.T, 0) / size
     gain = strength**2 * size
     left = jnp.sum(white**2, 1)[:, None] - gain
-    found = _posterior(gain / 2, left / unit.shape[1], at)
+    found = posterior(gain / 2, left / unit.shape[1], at)
     return found, jnp.take_along_axis(strength, found.best[:, None], 1)
 
 

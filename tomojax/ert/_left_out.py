@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float, Int
 
 from tomojax._require import require
 from tomojax.ert._learning import learned_moves, place
+from tomojax.ert._locator import LEAST_KNOWN
 from tomojax.ert._presses import Presses
-from tomojax.ert._response import compressed, LEAST_KNOWN, Response
+from tomojax.ert._response import compressed, Response
 from tomojax.ert._teaching import LENGTHS
 from tomojax.ert.recorded._recording import PairRecording
 

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from tomojax.ert._learning import learn_places, learned, learned_moves
-from tomojax.ert._response import HIDDEN, Response
+from tomojax.ert._locator import HIDDEN
+from tomojax.ert._response import Response
 
 _FOLDS = 5
 # Of the map from readings to moves, in usual distances of two frames' readings: from moves
@@ -99,8 +100,8 @@ class Presses(NamedTuple):
         found = []
         for half, rest in (halves, halves[::-1]):
             by, volts = self.of(half).mapped([length])[0], self.voltages[rest]
-            gain = by.gain_of_two(volts.reshape(len(rest), -1)[:, by.used])
-            found.append([by.locate(volts).residual ** 2, gain])
+            placed, gain = by.placed(volts)
+            found.append([placed.residual**2, gain])
         limits = np.quantile(np.concatenate(found, 1), 1 - _LET_GO, axis=1)
         return dict(zip(("limit", "alone"), limits.tolist(), strict=True))
 

@@ -5,56 +5,23 @@ candidate places, with the covariance of what readings scatter about it. Reading
 asinh(v/2s), with s their usual size: errors of large readings grow with the readings.
 """
 
+import functools
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Bool, Float
 
 from tomojax._require import require
 from tomojax._whole import whole
-from tomojax.ert._learning import (
-    by_columns,
-    least_chi2,
-    moves,
-    place,
-    Posterior,
-)
+from tomojax.ert._locator import locate, Located, Locator
 from tomojax.files import open_container
-from tomojax.kernels.flags import Flag
 
 SCHEMA = "tomojax-response"
 _NUMBERS = dict.fromkeys(("limit", "own", "alone", "share", "reach"), float) | {
     "known": int
 }  # attributes of a file
-
-HIDDEN = 20  # known places that judge a map: a share of 68 % of 20 is known to 10 %
-LEAST_KNOWN = 2 * HIDDEN
-_STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
-QUIET = 0.25  # of a usual press's strength: nothing presses
-# Two presses are tried on a tenth of the candidates' extent, at these strengths: halves, so
-# that what one press explains two explain about as well, and no strength tells them apart.
-_COARSE = 10
-_BOTH = ((1.0, 1.0), (0.5, 0.5), (1.0, 0.5), (0.5, 1.0))
-
-
-class Located(NamedTuple):
-    """Places of n frames, m, as the recording has them.
-
-    **Example:**
-
-    >>> import tomojax as tx
-    >>> tx.ert.Located._fields
-    ('xy', 'covariance', 'strength', 'residual', 'flags')
-    """
-
-    xy: Float[np.ndarray, "n 2"]
-    covariance: Float[np.ndarray, "n 2 2"]  # m²
-    strength: Float[np.ndarray, " n"]  # of the press, over the usual press's there
-    residual: Float[np.ndarray, " n"]  # rms, in standard deviations of the readings
-    flags: Integer[np.ndarray, " n"]  # bits of `Flag`
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +108,11 @@ class Response:
                 read[name] = kind(file.attributes[name])
         return cls(**read)
 
+    @functools.cached_property
+    def locator(self) -> Locator:
+        """Returns the response made ready for frames: a pure function."""
+        return Locator(self)
+
     def locate(self, voltages: Float[np.ndarray, "n C R"]) -> Located:
         """Places one press a frame: the mean over candidates by their probabilities.
 
@@ -148,97 +120,18 @@ class Response:
         A frame that no usual press explains is tried as a weaker and as a stronger one;
         `HIGH_RESIDUAL` then says that no lone press explains it, or that two presses, whose
         readings add up, explain it clearly better. `PLACE_UNCERTAIN` is on every row where
-        too few places were known to say how far places are off.
+        too few places were known to say how far places are off. `locator` answers one frame
+        at a time, within other compiled code too.
 
         **Raises:** `ValueError` for readings that are not the response's.
         """
-        flat = np.asarray(voltages, float).reshape(len(voltages), -1)
-        shown = f"{flat.shape[1]} a frame"
-        require(flat.shape[1] == len(self.scale), "v", shown, f"{len(self.scale)}")
-        flat = flat[:, self.used]
-        missing = ~np.isfinite(flat)
-        filled = np.where(missing, 0.0, flat)
-        found, strength = self._placed(filled)
-        if missing.any():  # a reading that is missing is as the press there has it
-            usual = strength[:, None] * self._usual(found)
-            filled = np.where(missing, usual, filled)
-            found, strength = self._placed(filled)
-        flags = np.zeros(len(flat), np.uint32)
-        chi2 = np.asarray(found.chi2)
-        doubted = (chi2 > self.limit) | (self.gain_of_two(filled) > self.alone)
-        flags[doubted] |= Flag.HIGH_RESIDUAL.value
-        flags[strength < QUIET] = Flag.NO_CONTACT.value
-        if self.known < LEAST_KNOWN:
-            flags |= np.uint32(Flag.PLACE_UNCERTAIN.value)
-        flags[missing.any(1)] |= Flag.DEAD_CHANNEL.value
-        flags[missing.mean(1) > 0.5] |= Flag.NO_DATA.value
-        covariance = self.share**2 * np.asarray(found.covariance, float)
-        covariance += self.own**2 * np.eye(2)
-        residual = np.sqrt(chi2.astype(float))
-        return Located(np.asarray(found.xy, float), covariance, strength, residual, flags)
+        return self.placed(voltages)[0]
 
-    def gain_of_two(self, flat: Float[np.ndarray, "n K"]) -> Float[np.ndarray, " n"]:
-        """Returns log(χ² by one press / χ² by two), each the least; 0 by the physics."""
-        if self.known < 0:
-            return np.zeros(len(flat))
-        values = compressed(flat, self.scale[self.used]).astype(self.at.dtype)
-        raw, low = np.sinh(self.readings), self.at.min(0)
-        step = (self.at.max(0) - low).max() / _COARSE + 1e-12
-        cells = np.floor((self.at - low) / step)
-        few = np.unique(cells, axis=0, return_index=True)[1]
-        apart = np.abs(cells[few][:, None] - cells[few]).max(-1) > 1
-        one, other = few[np.array(np.nonzero(np.triu(apart)))]
-
-        if not len(one):
-            return np.zeros(len(flat))
-
-        def least(mapped: np.ndarray) -> np.ndarray:
-            mapped = np.arcsinh(mapped).astype(self.at.dtype)
-            return np.asarray(least_chi2(values, mapped, self.whitener))
-
-        lone = [least(each * raw) for each in (1.0, *_STRENGTHS)]
-        both = [least(a * raw[one] + b * raw[other]) for a, b in _BOTH]
-        by_one, by_two = (np.log(np.maximum(np.min(c, 0), 1e-30)) for c in (lone, both))
-        return by_one - by_two
-
-    def _placed(
-        self, flat: Float[np.ndarray, "n K"]
-    ) -> tuple[Posterior, Float[np.ndarray, " n"]]:
-        if self.known < 0:
-            size = np.linalg.norm(flat, axis=1, keepdims=True)
-            unit = np.asarray(flat / np.where(size > 0, size, 1), self.at.dtype)
-            found, strength = by_columns(unit, self.readings, self.whitener, self.at)
-            usual = self.scale[self.used][0]  # the norm of a usual frame
-            return found, np.asarray(strength[:, 0] > 0) * size[:, 0] / usual
-        found = self._by_map(flat)
-        poor = np.flatnonzero(np.asarray(found.chi2) > self.limit)
-        for strength in _STRENGTHS if len(poor) else ():
-            other = self._by_map(flat[poor] / strength)
-            better = np.asarray(other.chi2) < np.asarray(found.chi2)[poor]
-            put = [np.array(field) for field in found]
-            for mine, new in zip(put, other, strict=True):
-                mine[poor[better]] = np.asarray(new)[better]
-            found = Posterior(*(jnp.asarray(one) for one in put))
-        usual = self._usual(found)
-        weight = 1 / self.scale[self.used] ** 2
-        product = np.sum(flat * usual * weight, 1)
-        return found, product / np.maximum(np.sum(usual**2 * weight, 1), 1e-30)
-
-    def _by_map(self, flat: Float[np.ndarray, "n K"]) -> Posterior:
-        values = compressed(flat, self.scale[self.used]).astype(self.at.dtype)
-        found = place(values, self.readings, self.spread, self.whitener, self.at)
-        if self.taught is None or self.weights is None:
-            return found
-        reach = np.asarray(self.reach, self.at.dtype)
-        return found._replace(xy=found.xy - moves(values, self.taught, self.weights, reach))
-
-    def _usual(self, found: Posterior) -> Float[np.ndarray, "n K"]:
-        """Returns the readings of presses of the usual strength at the found places."""
-        mapped = np.asarray(self.readings, float)[np.asarray(found.best)]
-        scale = self.scale[self.used]
-        if self.known < 0:
-            return scale * mapped / np.linalg.norm(mapped, axis=1, keepdims=True)
-        return 2 * scale * np.sinh(mapped)
+    def placed(
+        self, voltages: Float[np.ndarray, "n C R"]
+    ) -> tuple[Located, Float[np.ndarray, " n"]]:
+        """Locates, and returns log(χ² by one press / χ² by two); 0 by the physics."""
+        return locate(self.locator, voltages, len(self.scale))
 
 
 def compressed(flat: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tomojax._environment import environment
 from tomojax.ert._changes import Changes
-from tomojax.ert._response import Located
+from tomojax.ert._locator import Located
 from tomojax.ert.recorded._recording import PairRecording
 from tomojax.ert.recorded._told import quantile
 from tomojax.kernels.flags import DOUBT, Flag, NO_ANSWER

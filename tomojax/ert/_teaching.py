@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 
 from tomojax._require import require
 from tomojax.ert._learning import place_by_physics, Posterior
+from tomojax.ert._locator import LEAST_KNOWN, QUIET
 from tomojax.ert._presses import Presses
-from tomojax.ert._response import compressed, LEAST_KNOWN, QUIET, Response
+from tomojax.ert._response import compressed, Response
 from tomojax.ert._sheet_change import background, sensitivities
 from tomojax.ert.recorded._recording import PairRecording
 

@@ -130,7 +130,7 @@ class _Picture:
             self._shown = show_image(sheet, first, source.size, bar, "max", **most)
         else:
             sheet.set_facecolor("black")
-        told = source.size, source.electrode_xy
+        told = source.box, source.electrode_xy
         electrodes = lay_sheet(sheet, *told, outline=source.outline)
         (self._dots,) = sheet.plot([], [], ".", color=SKY, ms=2, alpha=0.6)
         (self._rings,) = sheet.plot([], [], color=SKY, lw=1.2)

@@ -29,6 +29,7 @@ _OF_CONTACT = {
     "contact_radius": ("radius_m",),
     "contact_current": ("current_A",),
     "contact_conductance": ("conductance_S",),
+    "contact_strength": ("strength",),
     "contact_force": ("force_N",),
 }
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from tomojax._pictures import BLUE, VERMILION
 from tomojax.exports._source import Source
 from tomojax.kernels.flags import DOUBT
+from tomojax.results.loading import strength
 
 # Columns of a picture: more bins would fall on the same pixel.
 _BINS = 1000
@@ -28,9 +29,8 @@ class Overview(NamedTuple):
 
 
 def overview(source: Source) -> Overview:
-    """Sums forces where these are calibrated, conductances otherwise."""
-    forces = "contact_force" in source.names
-    name, unit = ("contact_force", 1.0) if forces else ("contact_conductance", 1e6)
+    """Sums forces where these are calibrated; strengths of presses, or conductances."""
+    name, unit, words = strength(source.names)
     t = source.times()
     begin, length = float(t[0]), max(float(t[-1] - t[0]), 1e-9)
     bins = min(_BINS, len(t))
@@ -45,7 +45,6 @@ def overview(source: Source) -> Overview:
     step = length / bins
     centres = begin + step * (np.arange(bins) + 0.5)
     there = np.isfinite(low)
-    words = "force, N" if forces else "conductance, µS"
     starts = begin + step * np.flatnonzero(doubt)
     return Overview(centres[there], low[there], high[there], starts, step, words)
 

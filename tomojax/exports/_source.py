@@ -31,6 +31,8 @@ WORDS = {
     "contact_current": "current through a contact",
     "contact_conductance": "conductance of a contact",
     "contact_conductance_error": "standard deviation of the logarithm of the conductance",
+    "contact_strength": "strength of a press, of a usual one",
+    "contact_strength_error": "standard deviation of the logarithm of the strength",
     "contact_force": "force of a contact",
     "contact_track": "number of a contact, 0 where there is none",
     "contact_covariance": "covariance of a place: xx, yy, xy",
@@ -71,6 +73,7 @@ class Source:
                 require(name in file.names, name, "none", "this dataset")
             self.start, self.stop = stretch_of(file.read("t"), since, until)
             self.size, self.electrode_xy = file.size(), file.electrode_xy()
+            self.box = file.box()
             self.outline = file.outline()
         except ValueError as error:
             file.close()

@@ -9,6 +9,7 @@ from tomojax._whole import whole
 from tomojax.exports._overview import draw_overview, overview
 from tomojax.exports._source import Progress, Source
 from tomojax.results import outlines_of
+from tomojax.results.loading import strength
 
 # Points of a path that a picture shows.
 _POINTS = 20_000
@@ -21,7 +22,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
     told = overview(source)
     figure = Figure(figsize=(6.0, 7.0), layout="constrained")
     sheet, line = figure.subplots(2, 1, height_ratios=(4, 1))
-    lay_sheet(sheet, source.size, source.electrode_xy, outline=source.outline)
+    lay_sheet(sheet, source.box, source.electrode_xy, outline=source.outline)
     tracked = "contact_track" in source.names
     step = max(1, -(-source.rows // _POINTS))
     xy = 1e3 * source.thinned("contact_xy", step)
@@ -50,9 +51,7 @@ def write(source: Source, out: Path, progress: Progress) -> None:
 
 
 def _most(source: Source) -> int:
-    """Returns the row with the largest sum of conductances."""
-    totals = [
-        np.nansum(block["contact_conductance"].astype(float), 1)
-        for block in source.blocks(["contact_conductance"])
-    ]
+    """Returns the row with the largest sum over contacts."""
+    name = strength(source.names)[0]
+    totals = [np.nansum(b[name].astype(float), 1) for b in source.blocks([name])]
     return int(np.concatenate(totals).argmax())

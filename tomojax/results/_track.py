@@ -22,6 +22,8 @@ _SIGMAS = 5.0  # standard deviations of a feeble one's place
 _MODEL = 0.02
 # Of a current by the converter's noise, of what the drive lets flow through a square.
 _NOISE = 4.5e-5
+# Of a press's strength, which a response tells about so well.
+_PRESS = 0.1
 _ASTRAY = 0.5  # pitches that a place is off where ln g is by 1
 _UNTOLD = 0.15  # pitches, of a place that comes without a standard deviation
 
@@ -69,8 +71,8 @@ class _Paths(NamedTuple):
 
 def track(
     rows: Rows,
-    drive_voltage: float,
-    sheet_resistance: float,
+    drive_voltage: float | None,
+    sheet_resistance: float | None,
     *,
     smooth: bool = True,
     hold: int = 3,
@@ -85,11 +87,12 @@ def track(
     and a step shows at once.
 
     **Arguments:** `rows` of `points` or `auto` (their contacts come with covariances);
-    `drive_voltage` V; `sheet_resistance` Ω/sq; `smooth`: later rows count as well as
-    earlier rows; `hold`: rows that a present contact may be missing from (a feeble contact
-    is not seen under every ground). `least`: rows that have to show a contact (fewer rows
-    show a ghost). `drift`: standard deviations per row of place (m) and ln g, the likeliest
-    by default; `pitch` of the electrodes, m.
+    `drive_voltage` V; `sheet_resistance` Ω/sq; both None where the rows' conductances and
+    currents are strengths of presses, which nothing drives; `smooth`: later rows count as
+    well as earlier rows; `hold`: rows that a present contact may be missing from (a feeble
+    contact is not seen under every ground). `least`: rows that have to show a contact
+    (fewer rows show a ghost). `drift`: standard deviations per row of place (m) and ln g,
+    the likeliest by default; `pitch` of the electrodes, m.
     **Raises:** `ValueError` for rows without covariances and values out of range.
 
     **Example:**
@@ -123,7 +126,9 @@ def track(
     place = pick(rows.contact_xy), square
     g, current = pick(rows.contact_conductance), pick(rows.contact_current)
     height = np.log(np.maximum(g, 1e-30))[..., None]
-    spread = _height_noise(g, current, drive_voltage, sheet_resistance)
+    spread = np.full(g.shape, _PRESS**2, np.float32)
+    if drive_voltage is not None and sheet_resistance is not None:
+        spread = _height_noise(g, current, drive_voltage, sheet_resistance)
     # What is feeble beside its ground is told neither where nor how strong.
     spread += np.trace(place[1], axis1=-2, axis2=-1) / (_ASTRAY * pitch) ** 2
     spread = spread[..., None, None]
@@ -142,9 +147,14 @@ def _check(rows, drive_voltage, sheet_resistance, hold, least, drift, pitch) -> 
     require(np.isfinite(pitch) and pitch > 0, "pitch", pitch, "m, above 0")
     told = np.isfinite(rows.contact_covariance).any() or not rows.contact_count.any()
     require(told, "rows", "contacts without covariance", "those of points or auto")
-    require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
-    fine = np.isfinite(sheet_resistance) and sheet_resistance > 0
-    require(fine, "sheet_resistance", sheet_resistance, "ohms, above 0")
+    none = drive_voltage is None, sheet_resistance is None
+    require(
+        none[0] == none[1], "sheet_resistance", sheet_resistance, "a number, or None twice"
+    )
+    if not any(none):
+        require(np.isfinite(drive_voltage), "drive_voltage", drive_voltage, "volts")
+        fine = np.isfinite(sheet_resistance) and sheet_resistance > 0
+        require(fine, "sheet_resistance", sheet_resistance, "ohms, above 0")
     require_whole("hold", hold, 0)
     require_whole("least", least)
     if drift is not None:
@@ -286,7 +296,7 @@ class Touch(NamedTuple):
     end: float  # s, of the last row that has it
     rows: int
     xy: tuple[float, float]  # m, in the middle of its time
-    conductance: float  # S, the highest
+    conductance: float  # S, the highest; a press's strength
 
 
 def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:

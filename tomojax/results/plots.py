@@ -26,11 +26,15 @@ def timeline(path: Path) -> Figure:
     """Draws contacts' places and currents over time, the path on the sheet, and flags."""
     with LoadedResults(path) as file:
         step = max(1, -(-file.rows // _POINTS))  # so many rows as a picture shows
-        names = ["t", "contact_xy", "contact_current", "flags", "residual"]
+        pressed = "contact_strength" in file.names
+        strength = "contact_strength" if pressed else "contact_current"
+        names = ["t", "contact_xy", strength, "flags", "residual"]
         names += {"contact_covariance"} & set(file.names)
         rows = {name: file.thinned(name, step) for name in names}
+        rows["strength"] = abs(rows[strength]) * (1 if pressed else 1e6)
+        rows["residual"] = rows["residual"] * (1 if pressed else 1e3)
         shown = _largest(file) if "image" in file.names else {}
-        size, electrodes = file.size(), np.zeros((0, 2))
+        size, box, electrodes = file.size(), file.box(), np.zeros((0, 2))
         if "electrode_xy" in file.attributes:
             electrodes = file.electrode_xy()
         method, outline = str(file.attributes.get("method", "")), file.outline()
@@ -42,13 +46,14 @@ def timeline(path: Path) -> Figure:
     # A line of flags needs less height than a curve.
     heights = [1, 1, 1, 1, min(1.0, 0.15 + 0.12 * len(flags))]
     panels = left.subplots(5, 1, sharex=True, height_ratios=heights)
-    _over_time(panels, rows)
+    told = "strength", "residual, deviations"
+    _over_time(panels, rows, told if pressed else ("current, µA", "residual, mV rms"))
     maps = [n for n in ("image", "residual_by_electrode") if n in shown]
     sheets = right.subplots(1 + len(maps), 1, squeeze=False).ravel()
     right = dict(zip(("places", *maps), sheets))
     # A bar is as tall as its map: one map alone does not fill its column.
     tall = 0.9 if maps else 0.5
-    _on_sheet(right["places"], rows, size, electrodes, outline, tall)
+    _on_sheet(right["places"], rows, box, electrodes, outline, tall)
     if "image" in right:
         label = f"image, {shown['unit'].replace('^2', '²')}"
         show_image(right["image"], shown["image"], size, label)
@@ -70,21 +75,21 @@ def _largest(file: LoadedResults) -> dict[str, Any]:
     return told | {"unit": file.unit("image")}
 
 
-def _over_time(panels: Any, rows: dict[str, np.ndarray]) -> None:
-    """Draws places, currents, residuals and flags against time, one below the other."""
-    t, xy, current = rows["t"], rows["contact_xy"], rows["contact_current"]
-    most = max(1, int(np.isfinite(current).any(0).sum()))
+def _over_time(panels: Any, rows: dict[str, np.ndarray], words: tuple[str, str]) -> None:
+    """Draws places, strengths, residuals and flags against time, one below the other."""
+    t, xy, strength = rows["t"], rows["contact_xy"], rows["strength"]
+    most = max(1, int(np.isfinite(strength).any(0).sum()))
     for c in range(most):
         look = style(c, linestyle="none", markersize=3, label=f"{c + 1}")
         panels[0].plot(t, 1e3 * xy[:, c, 0], **look)
         panels[1].plot(t, 1e3 * xy[:, c, 1], **look)
-        panels[2].plot(t, 1e6 * current[:, c], **look)
-    panels[3].plot(t, 1e3 * rows["residual"], ".", color=GREY, markersize=3)
-    for axes, label in zip(panels, ("x, mm", "y, mm", "current, µA", "residual, mV rms")):
+        panels[2].plot(t, strength[:, c], **look)
+    panels[3].plot(t, rows["residual"], ".", color=GREY, markersize=3)
+    for axes, label in zip(panels, ("x, mm", "y, mm", *words)):
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    words = "Contacts of each row" + ", 1 is the strongest" * (most > 1)
-    panels[0].set_title(words, loc="left")
+    title = "Contacts of each row" + ", 1 is the strongest" * (most > 1)
+    panels[0].set_title(title, loc="left")
     if most > 1:
         place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 8}
         panels[0].legend(**place, markerscale=2, frameon=False)
@@ -111,20 +116,20 @@ def _flags(axes: Any, t: np.ndarray, flags: np.ndarray) -> None:
 def _on_sheet(
     axes: Any,
     rows: dict,
-    size: np.ndarray,
+    box: np.ndarray,
     electrodes: np.ndarray,
     outline: Any,
     tall: float,
 ) -> None:
-    """Draws where contacts were: by time, the larger the current; rows in doubt grey."""
-    lay_sheet(axes, size, electrodes, outline=outline)
-    xy, current = rows["contact_xy"], np.nan_to_num(rows["contact_current"])
+    """Draws where contacts were: by time, the larger the stronger; rows in doubt grey."""
+    lay_sheet(axes, box, electrodes, outline=outline)
+    xy, strength = rows["contact_xy"], np.nan_to_num(rows["strength"])
     there = np.isfinite(xy).all(-1)
     doubt = there & (rows["flags"] & int(DOUBT) > 0)[:, None]
     axes.plot(*(1e3 * xy[doubt].T), "x", color=GREY, ms=3, mew=0.5, zorder=1)
     sound = there & ~doubt
     time = np.broadcast_to(rows["t"][:, None], sound.shape)[sound]
-    area = _LARGEST * current[sound] / max(float(current.max(initial=0)), 1e-30)
+    area = _LARGEST * strength[sound] / max(float(strength.max(initial=0)), 1e-30)
     dots = axes.scatter(
         *(1e3 * xy[sound].T), c=time, s=np.maximum(area, _SMALLEST), cmap=VALUE, lw=0,
         zorder=2,
@@ -132,22 +137,23 @@ def _on_sheet(
     axes.figure.colorbar(dots, ax=axes, label="time, s", shrink=tall)
     crosses = "; crosses: in doubt" if doubt.any() else ""
     axes.set_title(f"Where contacts were{crosses}", fontsize=11)
-    if enlarge(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * size):
+    if enlarge(axes, 1e3 * xy[sound if sound.any() else there], 1e3 * box):
         axes.set_title(f"Where contacts were, enlarged{crosses}", fontsize=11)
     if "contact_covariance" in rows:
         ellipses(axes, xy[:, 0], rows["contact_covariance"][:, 0])
 
 
-def enlarge(axes: Any, places: np.ndarray, size: np.ndarray) -> bool:
+def enlarge(axes: Any, places: np.ndarray, box: np.ndarray) -> bool:
     """Shows only the part of the sheet with the places, where that is small; mm."""
     if not len(places):
         return False
     low, high = places.min(0), places.max(0)
-    half = 0.6 * float((high - low).max()) + 0.08 * float(size.max())
-    small = 2 * half < 0.7 * size.min()
+    least, most = box
+    half = 0.6 * float((high - low).max()) + 0.08 * float((most - least).max())
+    small = 2 * half < 0.7 * (most - least).min()
     if small:
         # The window stays on the sheet.
-        middle = np.clip((low + high) / 2, half, size - half)
+        middle = np.clip((low + high) / 2, least + half, most - half)
         for limit, at in zip((axes.set_xlim, axes.set_ylim), middle):
             limit(at - half, at + half)
     return bool(small)

@@ -17,7 +17,7 @@ from tomojax._whole import reason, whole
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output
 from tomojax.results._track import Touch, touches, track, Tracks
-from tomojax.results.loading import LoadedResults
+from tomojax.results.loading import LoadedResults, strength
 
 # Datasets that tracks replace or add, with their units.
 _UNITS = {name: field.unit for name, field in fields_of_rows().items()} | {
@@ -56,7 +56,9 @@ def track_results(
     check_output(out, resume=False, overwrite=overwrite, resumes=False)
     with LoadedResults(path) as file:
         size, electrodes = file.size(), len(file.electrode_xy())
-        drive, sheet = (file.number(n) for n in ("drive_voltage", "sheet_resistance"))
+        drive = sheet = None
+        if "contact_strength" not in file.names:
+            drive, sheet = (file.number(n) for n in ("drive_voltage", "sheet_resistance"))
         told = "contact_covariance" in file.names
         need = "results of points or auto, with contact_covariance"
         method = file.attributes.get("method", "unknown method")
@@ -82,19 +84,32 @@ def _write(
 ) -> None:
     with h5py.File(out, "w") as new:
         new.attrs.update(file.attributes | {"tracked": json.dumps(options)})
+        by_name = found._asdict()
+        if "contact_strength" in file.names:
+            by_name = _of_presses(by_name)
         for name in file.names:
-            if name not in Tracks._fields and name not in _LEFT_OUT:
+            if name not in by_name and name not in _LEFT_OUT:
                 values = file.read(name)
                 by_row = name == "t" or name in fields_of_rows()
                 new[name] = values[part] if by_row else values
                 new[name].attrs.update(file.attributes_of(name))
-        for name, values in found._asdict().items():
-            new.create_dataset(name, data=values).attrs["unit"] = _UNITS[name]
+        for name, values in by_name.items():
+            new.create_dataset(name, data=values).attrs["unit"] = _UNITS.get(name, "1")
+
+
+def _of_presses(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Renames what `_rows` has put where a contact's conductance and current are."""
+    sign = np.sign(found.pop("contact_current"))
+    size, error = (found.pop(f"contact_conductance{more}") for more in ("", "_error"))
+    return found | {"contact_strength": sign * size, "contact_strength_error": error}
 
 
 def _rows(file: LoadedResults, part: slice) -> Rows:
     names = [f for f in Rows._fields if f not in _LEFT_OUT and f in file.names]
     some = {f: file.read(f)[part] for f in names}
+    if "contact_strength" in file.names:
+        pressed = file.read("contact_strength")[part]
+        some |= {"contact_conductance": abs(pressed), "contact_current": pressed}
     for name in ("contact_count", "contact_xy", "contact_conductance", "contact_current"):
         require(name in some, f"{file.path}: {name}", "none", "this dataset")
     n = len(some["contact_count"])
@@ -102,13 +117,16 @@ def _rows(file: LoadedResults, part: slice) -> Rows:
     return Rows(**(none | some))  # pyright: ignore
 
 
-def text(found: list[Touch], most: int = 30) -> str:
-    """Formats the touches as a table."""
-    head = "  start s    end s     ms    rows    x mm    y mm      µS"
+def text(found: list[Touch], out: Path, most: int = 30) -> str:
+    """Formats the touches of a file of tracks as a table."""
+    with LoadedResults(out) as file:
+        pressed = "contact_strength" in file.names
+    unit, factor = ("strength", 1.0) if pressed else ("     µS", 1e6)
+    head = f"  start s    end s     ms    rows    x mm    y mm {unit}"
     lines = [
         f"{touch.start:9.4f} {touch.end:8.4f} {1e3 * (touch.end - touch.start):6.1f} "
         f"{touch.rows:7d} {1e3 * touch.xy[0]:7.2f} {1e3 * touch.xy[1]:7.2f} "
-        f"{1e6 * touch.conductance:7.3g}"
+        f"{factor * touch.conductance:7.3g}"
         for touch in found[:most]
     ]
     if len(found) > most:
@@ -117,18 +135,19 @@ def text(found: list[Touch], most: int = 30) -> str:
 
 
 def picture(path: Path, out: Path) -> Any:
-    """Draws places and conductances before and after, and the places' ellipses."""
+    """Draws places and strengths before and after, and the places' ellipses."""
     from matplotlib.figure import Figure
 
     from tomojax.results.plots import enlarge
 
     with LoadedResults(path) as raw:
         t, before = raw.read("t"), raw.read("contact_xy")
-        before_g = raw.read("contact_conductance")
+        name, factor, words = strength(raw.names)
+        before_g = raw.read(name)
     with LoadedResults(out) as file:
-        later, xy, g = (file.read(n) for n in ("t", "contact_xy", "contact_conductance"))
+        later, xy, g = (file.read(n) for n in ("t", "contact_xy", name))
         spread, names = file.read("contact_covariance"), file.read("contact_track")
-        size, electrodes = file.size(), file.electrode_xy()
+        box, electrodes, outline = file.box(), file.electrode_xy(), file.outline()
     figure = Figure(figsize=(14, 8), layout="constrained")
     figure.suptitle(f"Contacts of {path.name}, followed over time")
     grid = figure.add_gridspec(3, 3)
@@ -137,16 +156,16 @@ def picture(path: Path, out: Path) -> Any:
     colours = [style(k)["color"] for k in range(g.shape[1])]
     for axes, old, new, label in zip(
         left,
-        (1e3 * before[..., 0], 1e3 * before[..., 1], 1e6 * before_g),
-        (1e3 * xy[..., 0], 1e3 * xy[..., 1], 1e6 * g),
-        ("x, mm", "y, mm", "conductance, µS"),
+        (1e3 * before[..., 0], 1e3 * before[..., 1], factor * before_g),
+        (1e3 * xy[..., 0], 1e3 * xy[..., 1], factor * g),
+        ("x, mm", "y, mm", words),
     ):
         axes.plot(t[::step], old[::step], ".", ms=4, color="0.6")
         axes.set_prop_cycle(color=colours)
         axes.plot(later[::step], new[::step], lw=1)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    left[0].set_title("Places and conductances", loc="left")
+    left[0].set_title("Places and strengths", loc="left")
     for look, label in (({"marker": ".", "ls": "none"}, "row by row"), ({}, "followed")):
         colour = "0.6" if look else colours[0]
         left[0].plot([], [], color=colour, **look, label=label)
@@ -154,9 +173,9 @@ def picture(path: Path, out: Path) -> Any:
     left[0].legend(**place, frameon=False)
     left[2].set(xlabel="time, s", yscale="log")
     sheet = figure.add_subplot(grid[:, 2])
-    lay_sheet(sheet, size, electrodes)
+    lay_sheet(sheet, box, electrodes, outline=outline)
     _paths(sheet, xy, spread, names)
-    small = enlarge(sheet, 1e3 * xy[names > 0], 1e3 * size)
+    small = enlarge(sheet, 1e3 * xy[names > 0], 1e3 * box)
     shown = "enlarged" if small else "on the sheet"
     sheet.set_title(f"Paths, {shown};\nellipses: two standard deviations")
     return figure

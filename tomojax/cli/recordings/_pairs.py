@@ -50,7 +50,7 @@ def reconstruct_pairs(rec: Path, out: Path, options: dict[str, Any]) -> None:
     """
     from tomojax import ert
 
-    taken = "contacts", "out", "overwrite", "json_path", "rec"
+    taken = "contacts", "out", "overwrite", "json_path", "picture", "rec"
     recording, given = ert.load(rec), options["calibration"]
     source = click.get_current_context().get_parameter_source("contacts")
     if source == ParameterSource.COMMANDLINE:
@@ -67,6 +67,10 @@ def reconstruct_pairs(rec: Path, out: Path, options: dict[str, Any]) -> None:
     told = ert.summary_located(recording, found)
     print(ert.located_text(told, out))
     entry.write_report(options["json_path"], rows=[told], summary=told)
+    if options["picture"]:
+        from tomojax.results.plots import timeline
+
+        entry.save_picture(timeline(out), options["picture"])
 
 
 def calibrate_pairs(

@@ -67,10 +67,9 @@ class ShownResults:
         if "image" in file.names:
             shape = file.stretch("image", 0, 1).shape[1:]
             label = f"image, {file.unit('image')}"
-        forces = self._line.name == "contact_force"
         made = web.document(
-            file.size(), xy, shape, label, self._line.span,
-            "force, N" if forces else "conductance, µS", file.outline(),
+            file.box(), xy, shape, label, self._line.span,
+            self._line.words, file.outline(),
         )  # fmt: skip
         return made | {
             "live": False,
@@ -112,10 +111,14 @@ class ShownResults:
         file, names = self._file, self._file.names
         one = {n: file.stretch(n, row, row + 1)[0] for n in names if n in _OF_A_ROW}
         count, t = int(one["contact_count"]), float(file.stretch("t", row, row + 1)[0])
-        xy, g = one["contact_xy"][:count], one["contact_conductance"][:count]
+        xy = one["contact_xy"][:count]
+        forces = "contact_force" in one
+        pressed = "contact_strength" in one and not forces
+        g = one["contact_strength" if pressed else "contact_conductance"][:count]
+        unit = (1.0, "") if pressed else (1e6, " µS")
         tracks = one.get("contact_track")
         called = None if tracks is None else tracks[:count]
-        sources: dict[str, Any] = {"contacts": web.contact_columns(xy, g, called)}
+        sources: dict[str, Any] = {"contacts": web.contact_columns(xy, g, called, unit)}
         if "contact_covariance" in one:
             spread = one["contact_covariance"][:count]
             sources["ellipses"] = web.ellipse_columns(xy, spread)
@@ -143,9 +146,9 @@ class ShownResults:
         ]
         if "residual" in one and np.isfinite(one["residual"]):
             told.append(("residual", f"{1e3 * float(one['residual']):.3g} mV rms"))
-        if "contact_force" in one:
-            forces = one["contact_force"][:count]
-            told.append(("force", ", ".join(f"{f:.3g} N" for f in forces) or "–"))
+        if forces:
+            each = one["contact_force"][:count]
+            told.append(("force", ", ".join(f"{f:.3g} N" for f in each) or "–"))
         return sources, told, t
 
     def _volts(self, row: int, t: float, asked: dict[str, str]) -> tuple[str, dict]:
@@ -172,7 +175,7 @@ class ShownResults:
         return f"{self._heard}, ground {int(some.grounds[scan - first, slot])}", found
 
     def _time_line(self, since: float, until: float) -> tuple[dict[str, Any], list[str]]:
-        line, scale = self._line, 1.0 if self._line.name == "contact_force" else 1e6
+        line, scale = self._line, self._line.factor
         parts = line.parts(self._file, since, until, _MOST)
         t = parts.t.tolist()
         each = max(1, -(-len(t) // _MOST_FLAGS))
@@ -190,7 +193,8 @@ class ShownResults:
 
 _OF_A_ROW = (
     "contact_count", "contact_xy", "contact_conductance", "contact_covariance",
-    "contact_force", "contact_track", "residual", "residual_by_electrode", "image",
+    "contact_strength", "contact_force", "contact_track", "residual",
+    "residual_by_electrode", "image",
 )  # fmt: skip
 
 

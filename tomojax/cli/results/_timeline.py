@@ -10,7 +10,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax._stretch import stretch_of
-from tomojax.results.loading import LoadedResults
+from tomojax.results.loading import LoadedResults, strength
 
 _PARTS = 16384  # of the whole file that are kept
 _PLACES = 256  # that are looked at before the first picture
@@ -54,8 +54,7 @@ class Timeline:
             names = file.names
             for needed in ("contact_count", "contact_conductance", "flags"):
                 require(needed in names, f"{path}: {needed}", "none", "this dataset")
-            forces = "contact_force" in names
-            self.name = "contact_force" if forces else "contact_conductance"
+            self.name, self.factor, self.words = strength(names)
             t = _Times(file)
             self.first, self.last = stretch_of(t, since, until)
             self.span = t[self.first], t[self.last - 1]

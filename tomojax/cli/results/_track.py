@@ -46,9 +46,10 @@ _DRIFT = entry.Pair(float, "M,LN_G", "auto or M,LN_G, 0 or more", words={"auto":
 def track(results: Path, out: Path, **options: Any) -> None:
     """Follow the contacts of RESULTS over time.
 
-    RESULTS come from `reconstruct --method points` or auto, best with --rate slot. A
-    contact's place and conductance are found from all rows that show the contact. Each
-    contact gets a number. The command prints when each contact began and ended.
+    RESULTS come from `reconstruct --method points` or auto, best with --rate slot, or from
+    a recording of pairs. A contact's place and conductance, or a press's strength, are
+    found from all rows that show the contact. Each contact gets a number. The command
+    prints when each contact began and ended.
     """
     _check_stretch(results, options["since"], options["until"])
 
@@ -56,7 +57,7 @@ def track(results: Path, out: Path, **options: Any) -> None:
 
     names = ("overwrite", "smooth", "hold", "least", "drift", "since", "until")
     _, found = work.track_results(results, out, **{name: options[name] for name in names})
-    print(work.text(found))
+    print(work.text(found, out))
     print(f"tracks: {out}")
     rows = [touch._asdict() for touch in found]
     entry.write_report(options["json_path"], rows=rows, summary={"contacts": len(found)})

@@ -10,6 +10,7 @@ from tomojax.results.loading._labels import (
     IMAGES as IMAGES,
     label as label,
     parts_of as parts_of,
+    strength as strength,
     Variable as Variable,
     variables as variables,
 )

@@ -1,6 +1,6 @@
 """How fields of results are called in tables: columns, dimensions, names of flags."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +32,19 @@ _PARTS = {
     "contact_xyz": ("space_x", "space_y", "space_z"),
     "contact_normal": ("normal_x", "normal_y", "normal_z"),
 }
+
+# What tells how strong contacts are, the best first: factor and words for pictures.
+_STRENGTHS = {
+    "contact_force": (1.0, "force, N"),
+    "contact_strength": (1.0, "strength"),
+    "contact_conductance": (1e6, "conductance, µS"),
+}
+
+
+def strength(names: Collection[str]) -> tuple[str, float, str]:
+    """Returns the field that tells how strong contacts are, its factor and its words."""
+    name = next((n for n in _STRENGTHS if n in names), "contact_conductance")
+    return name, *_STRENGTHS[name]
 
 
 def label(*parts: str, unit: str) -> str:

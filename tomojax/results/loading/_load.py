@@ -104,6 +104,14 @@ class LoadedResults:
         require(fine, f"{self.path}: size", str(size)[:40], "two lengths, m")
         return size
 
+    def box(self) -> np.ndarray:
+        """Returns the lowest and the highest corner of the sheet's box (2, 2), m."""
+        size = self.size()
+        low = np.asarray(self.attributes.get("origin", 0 * size), float)
+        fine = low.shape == (2,) and bool(np.isfinite(low).all())
+        require(fine, f"{self.path}: origin", str(low)[:40], "a place, m")
+        return np.stack([low, low + size])
+
     def electrode_xy(self) -> np.ndarray:
         """Returns the electrodes' places (M, 2), m."""
         xy = np.asarray(self.attributes.get("electrode_xy"))
