@@ -19,6 +19,9 @@ import lazy_loader
 # Methods that are no more, and what took their places.
 _GONE = {"conductance": "shape", "positive": "source"}
 
+# A side of a sheet, m, that no rig has: this catches millimetres for metres.
+LONGEST = 10.0
+
 # Of what came, letters that a line shows: an array's have many lines, a file's text any.
 _SHOWN = 200
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -89,6 +89,10 @@ class Auto(AbstractMethod):
         return self.points.drive_sign
 
     @property
+    def highest(self) -> Float[Array | np.ndarray, ""] | float:
+        return self.points.highest
+
+    @property
     def noise(self) -> Float[Array, ""]:
         return self.points.noise
 
@@ -147,7 +151,7 @@ class Auto(AbstractMethod):
         coefficients = matmul(voltages.ravel(), prepared.source.operators)
         law, dtype = self.source, voltages.dtype
         shared = jnp.asarray(law.shared, dtype)
-        slots = jax.tree.map(lambda a: jnp.asarray(a, dtype), law.slots)
+        slots = jax.tree.map(partial(_as, dtype), law.slots)
         volts = matmul(factors_of(slots, shared, frame.grounds), coefficients)
         columns = whitened_columns(frame, volts)
         _, rest = best_currents(columns[:, None], frame.whitened)
@@ -168,6 +172,11 @@ class Auto(AbstractMethod):
         # Every rung's image is a current; what touches is told by `shape` itself.
         rung = jnp.asarray(Rung.SHAPE.value)
         return estimate._replace(rung=rung, touch=None, deviation=None)
+
+
+def _as(dtype: Any, values: Any) -> Any:
+    """Returns numbers of another dtype; whole numbers stay."""
+    return jnp.asarray(values, dtype) if eqx.is_inexact_array_like(values) else values
 
 
 @kept

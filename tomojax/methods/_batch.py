@@ -84,7 +84,7 @@ class Batch:
         self._prepared: OrderedDict[bytes, Any] = OrderedDict()
         self._begun = False
         self._grounded = grounded_of(method)
-        self._about = float(method.drive_sign), float(method.noise)
+        self._about = float(method.drive_sign), float(method.noise), float(method.highest)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leaves out what belongs to this process: devices, and what it has prepared."""
@@ -118,10 +118,13 @@ class Batch:
         of_type("good", good, "b", "True or False")
         self._check(voltages, grounds, good)
         if lams is not None:
+            lams = np.asarray(lams)
             fits = lams.shape == voltages.shape[:1] and bool((lams > 0).all())
             require(fits, "lams", f"shape {lams.shape}", "a λ above 0 for each frame")
         rows = self.empty(len(voltages))
         if flags is not None:
+            told = np.shape(flags)
+            require(told == rows.flags.shape, "flags", told, f"({len(rows.flags)},)")
             rows.flags[:] = flags
         grounds = np.where(good.any(2), grounds, 0)
         looked = look_at(voltages, grounds, good, *self._about, self._grounded)

@@ -192,6 +192,11 @@ class AbstractMethod(eqx.Module):
         """Returns the drive's direction: 1 or −1."""
 
     @property
+    def highest(self) -> Float[Array | np.ndarray, ""] | float:
+        """Returns the |V| that the drive cannot exceed; by default nothing tells it."""
+        return np.inf
+
+    @property
     @abstractmethod
     def noise(self) -> Float[Array, ""]:
         """Returns the noise of a reading, V rms."""
@@ -290,6 +295,11 @@ def grounded_of(method: AbstractMethod) -> Bool[np.ndarray, "L M"]:
     """
     told = getattr(method, "grounded", None)
     return np.eye(method.electrode_count, dtype=bool) if told is None else told
+
+
+def highest_of(volts: Float[Array, ""]) -> Float[Array | np.ndarray, ""]:
+    """Returns the |V| that no reading exceeds, with a drive that is told to 5 %."""
+    return 1.05 * (abs(np.asarray(volts)) if known(volts) else jnp.abs(volts))
 
 
 def sign_of(volts: Float[Array, ""]) -> Float[Array | np.ndarray, ""]:

@@ -40,14 +40,17 @@ def look_at(
     good: Bool[Any, "n S M"],
     drive_sign: Any,
     noise: Any,
+    highest: Any,
     grounded: Bool[Any, "L M"],
     xp: Any = np,
 ) -> Looked:
     """Checks levels and counts readings; `noise` of a reading, V; `xp`: NumPy or JAX's.
 
-    `grounded` tells which electrodes each ground holds near 0 V.
+    `highest`: |V| that the drive cannot exceed. `grounded` tells which electrodes each
+    ground holds near 0 V.
 
-    Bits: AGAINST_DRIVE and GROUND_NOT_LOWEST (see `level_bits`), and PLACE_UNCERTAIN where
+    Bits: SATURATED where a reading is beyond what the drive can make (or in millivolts),
+    AGAINST_DRIVE and GROUND_NOT_LOWEST (see `level_bits`), and PLACE_UNCERTAIN where
     too few readings are there for errors to show.
     """
     towards = voltages * xp.asarray(drive_sign, voltages.dtype)
@@ -61,7 +64,8 @@ def look_at(
     bits = level_bits(low, high, at, noise, xp)
     heights = (height > TELLS * noise).sum(1)
     least = xp.maximum(-(-heights // _EACH), 1)  # rounded up
-    flags = xp.zeros(len(bits), np.uint32)
+    top = height.max(1, initial=-np.inf)
+    flags = xp.where(top > highest, np.uint32(Flag.SATURATED), np.uint32(0))
     for flag in (Flag.AGAINST_DRIVE, Flag.GROUND_NOT_LOWEST):
         often = ((bits & flag.value) > 0).sum(1) >= least
         flags |= xp.where(often, np.uint32(flag), np.uint32(0))
@@ -74,7 +78,7 @@ def look_at(
     flags |= xp.where(vague, np.uint32(Flag.PLACE_UNCERTAIN), np.uint32(0))
     # c contacts: an offset, c currents, c places and shapes.
     most = (each.max(1, initial=0) - 1 - _MORE) // (1 + _CONTACT)
-    return Looked(readings > 0, height.max(1, initial=-np.inf), flags, xp.maximum(most, 1))
+    return Looked(readings > 0, top, flags, xp.maximum(most, 1))
 
 
 def _folded(best: Any, values: Float[Any, "n S M"], xp: Any) -> Float[Any, "n S"]:

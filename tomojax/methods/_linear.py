@@ -29,7 +29,14 @@ from tomojax.kernels.images import (
     strongest_first,
 )
 from tomojax.kernels.sheet import contact_jacobian, Resistances, Slots
-from tomojax.methods._contract import AbstractMethod, bits_of, centred, Estimate, Frame
+from tomojax.methods._contract import (
+    AbstractMethod,
+    bits_of,
+    centred,
+    Estimate,
+    Frame,
+    highest_of,
+)
 from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
     centring,
@@ -128,7 +135,7 @@ class Linear(AbstractMethod):
     standard: Float[np.ndarray, "q pixels"]  # basis of `_standardized`, host
     conductance: Float[Array, "L pixels"]  # of the loop from a pixel to each ground, S
     reading_noise: Float[Array, ""]
-    polarity: Float[Array, ""]  # of the drive: 1 or −1
+    drive: Float[Array, ""]  # V
     grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
@@ -169,7 +176,7 @@ class Linear(AbstractMethod):
             standard=standard,
             conductance=conductance,
             reading_noise=jnp.asarray(nominal_noise(sensor), pixels.cell.dtype),
-            polarity=jnp.sign(jnp.asarray(sensor.drive_voltage, pixels.cell.dtype)),
+            drive=jnp.asarray(sensor.drive_voltage, pixels.cell.dtype),
             grounded=grounded,
             inside=pixels.inside,
         )
@@ -183,7 +190,11 @@ class Linear(AbstractMethod):
 
     @property
     def drive_sign(self) -> Float[Array, ""]:
-        return self.polarity
+        return jnp.sign(self.drive)
+
+    @property
+    def highest(self) -> Float[Array | np.ndarray, ""]:
+        return highest_of(self.drive)
 
     @property
     def noise(self) -> Float[Array, ""]:
@@ -224,7 +235,8 @@ class Linear(AbstractMethod):
             placing[k] = _standardized(self.shared, grounds[k], good[k], own)
         step = max(1, slots // _SOME)
         current = np.asarray(self.conductance, float)[grounds[there]].mean(0)
-        sharp = np.where(seen > 0, 1 / np.sqrt(np.maximum(seen, 1e-30)), 0)
+        on_sheet = True if self.inside is None else np.asarray(self.inside).ravel()
+        sharp = np.where((seen > 0) & on_sheet, 1 / np.sqrt(np.maximum(seen, 1e-30)), 0)
         return PreparedLinear(
             image=_in_turn(operators.reshape(-1, rank), basis, dtype),
             placing=_short(placing.reshape(-1, count), self.standard, dtype),

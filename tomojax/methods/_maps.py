@@ -18,7 +18,7 @@ from tomojax._require import require
 from tomojax.kernels.algebra import matmul
 from tomojax.kernels.shapes import PixelSites
 from tomojax.kernels.sheet import fem_shared_resistances, site_conductance, Slots
-from tomojax.sensor import resistances, Sensor, sheet_on_mesh
+from tomojax.sensor import box_in_space, resistances, Sensor, sheet_on_mesh
 
 
 class Pixels(NamedTuple):
@@ -70,9 +70,8 @@ def pixel_divisions(
     sensor: Sensor, shape: tuple[int, int], cells: int = 1
 ) -> tuple[int, int]:
     """Finds a mesh that divides pixels; `cells` cells are no wider than an electrode."""
-    size = np.asarray(sensor.size, float)
     widest = float(sensor.electrode_diameter) / cells * (1 + 1e-5)
-    finer = np.ceil(size / np.array(shape) / widest).astype(int)
+    finer = np.ceil(box_in_space(sensor) / np.array(shape) / widest).astype(int)
     nx, ny = np.array(shape) * finer
     return int(nx), int(ny)
 

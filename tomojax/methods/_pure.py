@@ -108,6 +108,9 @@ class Ready(eqx.Module):
         self, voltages: Float[Array, "S M"], which: int | Int[Array, ""] = 0
     ) -> Rows:
         """Returns the row of a frame; `which` kind of scan."""
+        shape = np.shape(voltages)
+        fits = shape == self.good.shape[1:]
+        require(fits, "voltages", f"shape {shape}", f"{self.good.shape[1:]}")
         return self._row(voltages, jnp.asarray(which))
 
     @eqx.filter_jit
@@ -115,7 +118,8 @@ class Ready(eqx.Module):
         one = lambda a: jnp.asarray(a)[which]  # noqa: E731
         good, method = one(self.good), self.method
         v = jnp.where(good, voltages, 0)
-        about = one(self.grounds)[None], good[None], method.drive_sign, method.noise
+        told = method.drive_sign, method.noise, method.highest
+        about = one(self.grounds)[None], good[None], *told
         looked = look_at(v[None], *about, self.grounded, jnp)
         prepared = jax.tree.map(one, self.prepared)
         row = judged(method, method.estimate(prepared, v, self.contacts), v, self.images)

@@ -20,7 +20,13 @@ from tomojax.kernels.algebra import gaussian, matmul
 from tomojax.kernels.flags import Flag
 from tomojax.kernels.images import explained_by, read_contacts, strongest_first
 from tomojax.kernels.sheet import Grounds, Slots
-from tomojax.methods._contract import AbstractMethod, bits_of, Estimate, Frame
+from tomojax.methods._contract import (
+    AbstractMethod,
+    bits_of,
+    Estimate,
+    Frame,
+    highest_of,
+)
 from tomojax.methods._errors import noise_as
 from tomojax.methods._maps import (
     A,
@@ -121,7 +127,7 @@ class Source(AbstractMethod):
     smoothed: Float[Array, "r pixels"]  # each row of that basis times G
     reading_noise: Float[Array, ""]
     error: Float[Array, ""]  # of the model, as a part of that of nominal values
-    polarity: Float[Array, ""]  # of the drive: 1 or −1
+    drive: Float[Array, ""]  # V
     grounded: Bool[np.ndarray, "L M"]
     inside: Bool[Array, "nx ny"] | None = None
 
@@ -135,9 +141,9 @@ class Source(AbstractMethod):
         pixels = pixels_of(sensor, shape)
         # Half of the square that an electrode has to itself, as a Gaussian.
         length = _SMOOTH * sensor.mean_pitch / np.asarray(pixels.cell, float)
-        noise, sign = nominal_noise(sensor), float(np.sign(sensor.drive_voltage))
+        noise, drive = nominal_noise(sensor), float(sensor.drive_voltage)
         shared, grounded = shared_maps(pixels)
-        made = cls.from_shared(shared, grounded, shape, pixels.cell, length, noise, sign)
+        made = cls.from_shared(shared, grounded, shape, pixels.cell, length, noise, drive)
         if pixels.inside is None:
             return made
         # Rounding off the sheet, divided by its own spread, had peaks there.
@@ -154,11 +160,11 @@ class Source(AbstractMethod):
         cell: Array,
         length: Float[np.ndarray, "2"] | None = None,
         noise: float = 0.0,
-        polarity: float = 1.0,
+        drive: float = np.inf,
     ) -> "Source":
         """Makes the method of any T^l; the image is smooth over `length` pixels; `noise` V.
 
-        Currents flow out of the object for a `polarity` of 1, into the object for −1.
+        Currents flow out of the object for a `drive` above 0 V, into it below.
         `grounded` electrodes of each slot tell of their path alone.
         """
         dtype = cell.dtype
@@ -190,7 +196,7 @@ class Source(AbstractMethod):
             smoothed=jnp.asarray(smoothed.reshape(drawn.shape), dtype),
             reading_noise=jnp.asarray(noise, dtype),
             error=jnp.ones((), dtype),
-            polarity=jnp.asarray(polarity, dtype),
+            drive=jnp.asarray(drive, dtype),
             grounded=grounded,
         )
 
@@ -209,7 +215,11 @@ class Source(AbstractMethod):
 
     @property
     def drive_sign(self) -> Float[Array, ""]:
-        return self.polarity
+        return jnp.sign(self.drive)
+
+    @property
+    def highest(self) -> Float[Array | np.ndarray, ""]:
+        return highest_of(self.drive)
 
     @property
     def noise(self) -> Float[Array, ""]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Integer
 
-from tomojax._require import check_electrodes, require
+from tomojax._require import check_electrodes, LONGEST, require
 from tomojax._shown import html_table, named, shown
 from tomojax.recordings._clock import mended_gaps, mended_times, usual_step
 from tomojax.recordings._outline import check_table, Outline
@@ -23,7 +23,6 @@ VERSIONS = 1, 2  # 2 tells of outlines and conditions
 
 # What no rig has: these catch millimetres for metres, millivolts for volts.
 _NUMBERS = (1e-9, 1e12)
-_LARGEST_SHEET = 10.0  # m
 _FULL_SCALES = (0.1, 1000.0)  # of the converter, over the drive
 
 # A disc of the paper is a quarter of a pitch, and its sheet has 1024 cells of that size. A
@@ -283,8 +282,8 @@ def check(recording: Recording) -> None:
     rig, m = recording.rig, recording.electrodes
     check_numbers(rig)
     size = np.asarray(rig.size)
-    plausible = size.shape == (2,) and ((size > 0) & (size <= _LARGEST_SHEET)).all()
-    require(plausible, "size", size.tolist(), f"(2,) m, no more than {_LARGEST_SHEET:g} m")
+    plausible = size.shape == (2,) and ((size > 0) & (size <= LONGEST)).all()
+    require(plausible, "size", size.tolist(), f"(2,) m, no more than {LONGEST:g} m")
     shape = np.shape(rig.electrode_xy)
     require(
         shape == (m, 2), "electrode_xy", f"shape {shape}", f"({m}, 2), as v has columns"

@@ -32,6 +32,7 @@ from tomojax.sensor._outline import (
     Scene,
     Shifted,
 )
+from tomojax.sensor._placing import box_in_space as box_in_space
 from tomojax.sensor._sensor import converter_of, nominal_noise, Sensor
 from tomojax.sensor._shapes import Bar, Disc, Ellipse, Polygon, Ring
 from tomojax.sensor.meshes._grid_surface import GridSurface

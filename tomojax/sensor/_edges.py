@@ -20,6 +20,9 @@ from tomojax.sensor._outline import checked_center, Density, norm, Points
 # Sides of an outline, or nodes of a surface: more are a mistake, and would take minutes.
 _MOST = 20_000
 
+# Of its box: a loop around nothing has so much area by rounding.
+_FLAT = 1e-6
+
 # Samples of an outline that gaps are looked for between; and how much farther than across
 # it the way along the edge is, past a gap or a neck.
 _SAMPLES = 2000
@@ -96,12 +99,14 @@ class PolygonEdge(AbstractEdge):
     end: Float[Array, "n 2"]
 
     def __init__(self, points: Numbers, holes: list[Numbers] | tuple[Numbers, ...] = ()):
+        inner = enumerate(() if holes is None else holes)
         loops = [_loop("points", points)]
-        loops += [_loop(f"holes[{k}]", hole) for k, hole in enumerate(holes)]
+        loops += [_loop(f"holes[{k}]", hole) for k, hole in inner]
         self.start = jnp.concatenate(loops)
         self.end = jnp.concatenate([jnp.roll(loop, -1, 0) for loop in loops])
         if known(self.start):
             _check_sides(np.asarray(self.start, float), np.asarray(self.end, float))
+            _check_holes([np.asarray(loop, float) for loop in loops])
 
     def loops(self) -> list[np.ndarray]:
         """Returns the vertices of the outline, then of each hole, m (host)."""
@@ -146,9 +151,38 @@ class PolygonEdge(AbstractEdge):
 def _loop(name: str, points: Numbers) -> Float[Array, "n 2"]:
     loop = checked(name, points, "finite", (None, 2))
     require(3 <= len(loop) <= _MOST, name, f"{len(loop)} vertices", f"3 to {_MOST}")
-    if known(loop) and bool((loop[0] == loop[-1]).all()):
-        loop = loop[:-1]  # a closed ring, as GeoJSON and others have it
-    return loop
+    if not known(loop):
+        return loop
+    # A closed ring, as GeoJSON and others have it, and points that are drawn twice.
+    corners = np.asarray(loop)
+    corners = corners[(corners != np.roll(corners, 1, 0)).any(1)]
+    x, y = corners.astype(float).T
+    area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 if len(x) else 0.0
+    size = np.ptp(x) * np.ptp(y) if len(x) else 0.0
+    require(area > _FLAT * size, name, f"an area of {area:.3g} m²", "a loop around some")
+    return loop if len(corners) == len(loop) else jnp.asarray(corners)
+
+
+def _check_holes(loops: list[np.ndarray]) -> None:
+    """**Raises:** `ValueError` for a hole that is not within, or is in another one."""
+    for k, hole in enumerate(loops[1:]):
+        at = hole + 1e-6 * (hole.mean(0) - hole)  # a corner may be on the edge
+        for other, loop in enumerate(loops):
+            out = _within(at, loop) != (other == 0)
+            if other != k + 1 and out.any():
+                x, y = 1e3 * hole[int(np.argmax(out))]
+                where = f"in holes[{other - 1}]" if other else "off the sheet"
+                told = f"a corner ({x:g}, {y:g}) mm {where}"
+                require(False, f"holes[{k}]", told, "a hole of its own within `points`")
+
+
+def _within(at: np.ndarray, loop: np.ndarray) -> np.ndarray:
+    """Tells which places a loop is around, as `polygon_distance` does (host)."""
+    (x, y), end = at.T[..., None], np.roll(loop, -1, 0)
+    spans = (loop[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(end[:, 1] == loop[:, 1], 1, end[:, 1] - loop[:, 1])
+    crossing = loop[:, 0] + (y - loop[:, 1]) / rise * (end[:, 0] - loop[:, 0])
+    return (spans & (x < crossing)).sum(-1) % 2 == 1
 
 
 def _check_sides(start: np.ndarray, end: np.ndarray) -> None:

@@ -113,7 +113,7 @@ class Made:
         **others: Any,
     ) -> _Sensor:
         """Makes a sensor of any `outline` in a box of `size`; a mesh that suits both."""
-        diameter = others.get("electrode_diameter", 0.005)
+        size, diameter = checked("size", size, "positive", (2,)), _diameter(others)
         if isinstance(electrodes, dict):
             electrodes = places_named(outline, size, diameter, electrodes)
         if "divisions" not in others:
@@ -169,7 +169,7 @@ class Made:
         (35, '125 cm²')
         """
         sheet = unroll(vertices, triangles, uv)
-        diameter = float(np.asarray(others.get("electrode_diameter", 0.005)))
+        diameter = float(_diameter(others))
         named = isinstance(electrodes, dict)
         points = electrodes.get("points") if named else electrodes
         if points is not None:
@@ -203,3 +203,9 @@ class Made:
         16
         """
         return cls.mesh(*read_triangles(Path(path), scale), electrodes, **others)
+
+
+def _diameter(others: dict[str, Any]) -> Any:
+    """Returns the electrodes' diameter, m, checked: outlines are looked at by it."""
+    diameter = others.get("electrode_diameter", 0.005)
+    return np.asarray(checked("electrode_diameter", diameter, "positive", ()))

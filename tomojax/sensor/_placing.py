@@ -226,13 +226,8 @@ def check_conditions(name: str, table: Array, electrodes: int) -> None:
 
 
 def check_mesh(sensor: Any) -> None:
-    size, diameter = (
-        np.asarray(a, np.float64) for a in (sensor.size, sensor.electrode_diameter)
-    )
-    sides = size / np.array(sensor.divisions)
-    if sensor.surface is not None and known(*jax.tree.leaves(sensor.surface)):
-        sides = sides * stretch(sensor.surface, sensor.electrode_xy, size).T
-    cell = sides.max()
+    size, diameter = box_in_space(sensor), float(sensor.electrode_diameter)
+    cell = (size / np.array(sensor.divisions)).max()
     enough = np.ceil(size / diameter).astype(int).tolist()
     require(
         cell <= diameter * (1 + 1e-5),
@@ -240,6 +235,14 @@ def check_mesh(sensor: Any) -> None:
         f"{sensor.divisions}, cells of {cell:.3g} m",
         f"cells no wider than an electrode, {diameter:g} m: at least {enough}",
     )
+
+
+def box_in_space(sensor: Any) -> Float[np.ndarray, "2"]:
+    """Returns the box's size, m, as long as it is in space where electrodes stretch it."""
+    size = np.asarray(sensor.size, float)
+    if sensor.surface is None or not known(*jax.tree.leaves(sensor.surface)):
+        return size
+    return size * stretch(sensor.surface, sensor.electrode_xy, size).max(1)
 
 
 def stretch(surface: Callable, places: Numbers, size: Numbers) -> Float[np.ndarray, "2 M"]:

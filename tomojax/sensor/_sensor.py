@@ -20,7 +20,7 @@ from tomojax._checks import (
     require_shape,
 )
 from tomojax._custom_types import Numbers
-from tomojax._require import check_electrodes, require_kind
+from tomojax._require import check_electrodes, LONGEST, require_kind
 from tomojax._shown import named, shown
 from tomojax.kernels.sheet import (
     conditions_of,
@@ -168,6 +168,10 @@ class Sensor(eqx.Module, Made):
         if self.electrode_shunt is not None and known(self.electrode_shunt):
             shunt = float(self.electrode_shunt)
             require(shunt <= 1, "electrode_shunt", shunt, "1 or less")
+        if known(self.size):
+            longest = float(np.asarray(self.size).max())
+            fits = longest <= LONGEST
+            require(fits, "size", f"{longest:g} m", f"{LONGEST:g} m at most, in metres")
         if known(self.size, self.electrode_xy, self.electrode_diameter):
             if self.flat:
                 check_electrodes(self.electrode_xy, self.size, self.electrode_diameter)

@@ -19,6 +19,7 @@ from tomojax.methods._contract import (
     AbstractMethod,
     bits_of,
     Estimate,
+    highest_of,
     judged,
     Part,
     sign_of,
@@ -157,6 +158,10 @@ class Points(AbstractMethod):
     @property
     def drive_sign(self) -> Float[Array | np.ndarray, ""]:
         return sign_of(self.sheet.drive_voltage)
+
+    @property
+    def highest(self) -> Float[Array | np.ndarray, ""]:
+        return highest_of(self.sheet.drive_voltage)
 
     @property
     def noise(self) -> Float[Array, ""]:

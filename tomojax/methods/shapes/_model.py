@@ -18,7 +18,13 @@ from tomojax.kernels.sheet import (
     Slots,
     voltage_drop,
 )
-from tomojax.methods._contract import AbstractMethod, rms, rms_by_electrode, sign_of
+from tomojax.methods._contract import (
+    AbstractMethod,
+    highest_of,
+    rms,
+    rms_by_electrode,
+    sign_of,
+)
 from tomojax.methods._errors import (
     Errors,
     misfit_cost,
@@ -150,6 +156,10 @@ class AbstractShape(AbstractMethod):
     @property
     def drive_sign(self) -> Float[Array | np.ndarray, ""]:
         return sign_of(self.drive_voltage)
+
+    @property
+    def highest(self) -> Float[Array | np.ndarray, ""]:
+        return highest_of(self.drive_voltage)
 
     @property
     def noise(self) -> Float[Array, ""]:
