@@ -200,11 +200,55 @@ def test_patterns_of_a_sheet_with_a_hole() -> None:
         (lambda: tx.Sensor.grid(conditions=np.zeros((1, 64))), "ungrounded"),
         (lambda: tx.Sensor.polygon([[0, 0], [1, 1]], {"rim": 4}), "2 vertices"),
         (lambda: tx.Sensor.polygon(_fork(1e-4), FINGERS), "a gap or a neck 0.0001 m"),
+        (
+            lambda: _square([[0.13, 0.03], [0.2, 0.03], [0.13, 0.05]]),
+            "holes.0.: got a c",
+        ),
+        (
+            lambda: _square(_INNER, [[0.04, 0.04], [0.05, 0.04], [0.04, 0.05]]),
+            "holes.1.: got",
+        ),
+        (
+            lambda: tx.sensor.PolygonEdge([[0, 0], [1, 1], [2, 2]]),
+            "an area of 0 m²",
+        ),
+        (lambda: tx.Sensor.disc(100, {"rim": 8}, electrode_diameter=5), "size: got 100 m"),
+        (lambda: tx.Sensor.grid(4, 4, 20, 10), "size: got 80 m"),
+        (
+            lambda: tx.Sensor.disc(0.1, {"rim": 8}, electrode_diameter=[0.005, 0.003]),
+            "electrode_diameter: got shape",
+        ),
+        (
+            lambda: tx.Sensor.disc(0.1, {"rim": 8}, electrode_diameter=None),
+            "_diameter:",
+        ),
+        (
+            lambda: tx.Sensor.disc(0.1, {"rim": 8}, dtype=np.float16),
+            "float32 or",
+        ),
     ],
 )
 def test_mistakes_are_named(make, said) -> None:
     with pytest.raises(ValueError, match=said):
         make()
+
+
+_INNER = [[0.03, 0.03], [0.06, 0.03], [0.06, 0.06], [0.03, 0.06]]
+
+
+def _square(*holes: list) -> tx.sensor.PolygonEdge:
+    corners = [[0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]]
+    return tx.sensor.PolygonEdge(corners, holes)
+
+
+def test_corners_that_are_drawn_twice_count_once() -> None:
+    edge, plain = _square(_INNER + _INNER[:1]), _square(_INNER)
+    twice = tx.sensor.PolygonEdge(
+        [[0, 0], [0, 0], [0.08, 0], [0.08, 0.08], [0, 0.08]], [_INNER]
+    )
+    at = jnp.asarray([[0.01, 0.02], [0.045, 0.045]])
+    for other in (edge, twice):
+        np.testing.assert_array_equal(other.distance(at), plain.distance(at))
 
 
 FINGERS = np.array([[0.005, 0.026], [0.025, 0.026], [0.015, 0.005]])
@@ -307,6 +351,49 @@ def test_no_peak_is_off_the_sheet(read) -> None:
     method = read("source", "one")[0]
     outside = ~np.asarray(method.inside).ravel()
     assert outside.any() and (np.asarray(method.basis)[:, outside] == 0).all()
+
+
+def test_a_larger_model_reads_a_table_of_conditions() -> None:
+    """Four contacts are no one contact: `auto` asks `source` and `shape`."""
+    table = np.zeros((4, 16))
+    for row, two in zip(table, [(0, 3), (12, 15), (0, 15), (3, 12)]):
+        row[list(two)] = 0.25
+    sensor = tx.Sensor.grid(4, 4, conditions=table, divisions=(16, 16))
+    four = [
+        tx.Disc.of_total([x, y], 4e-3, 5e-5) for x in (0.02, 0.06) for y in (0.02, 0.06)
+    ]
+    volts = np.asarray(tx.voltages(sensor, tx.Scene(*four), sensor.all_grounds()))
+    batch = tx.Batch(tx.method(sensor, "auto", grid=16), contacts=1)
+    rows = batch(volts[None], sensor.all_grounds()[None])
+    assert rows.rung[0] > tx.methods.Rung.POINTS and rows.flags[0]
+
+
+def test_contacts_by_linear_lie_on_the_sheet(disc) -> None:
+    grounds = np.array([0, 3, 6, 9])
+    touches = [tx.Disc.of_total(place, 0.005, 5e-5) for place in PLACES]
+    volts = np.stack([np.asarray(tx.voltages(disc, t, grounds)) for t in touches])
+    method = tx.method(disc, "linear", grid=24)
+    rows = tx.Batch(method, contacts=3)(volts, np.tile(grounds, (len(volts), 1)))
+    pixels = (rows.contact_xy[np.isfinite(rows.contact_xy[..., 0])] / method.cell).astype(
+        int
+    )
+    assert len(pixels) and np.asarray(method.inside)[tuple(pixels.T)].all()
+    # Readings in millivolts are beyond what the drive can make.
+    rows = tx.Batch(method)(1e3 * volts, np.tile(grounds, (len(volts), 1)))
+    assert (rows.flags & tx.Flag.SATURATED.value).all()
+
+
+def _bend(places: jax.Array) -> jax.Array:
+    x, y = places[..., 0] / 0.03, places[..., 1]
+    return jnp.stack([0.03 * jnp.cos(x), 0.03 * jnp.sin(x), y], -1)
+
+
+def test_pixels_of_a_bent_sheet_are_small_enough_in_space() -> None:
+    xy = [[0.02 + 0.02 * k, 0.02 + 0.04 * (k % 2)] for k in range(7)]
+    sensor = tx.Sensor(
+        [0.16, 0.08], xy, surface=jax.tree_util.Partial(_bend), divisions=(100, 50)
+    )
+    assert tx.method(sensor, "source").shape == (32, 32)
 
 
 @pytest.mark.long

@@ -120,6 +120,22 @@ def test_no_contact_at_all():
     assert tx.results.touches(found, np.arange(5.0)) == []
 
 
+def test_a_conductance_that_no_row_tells_stays_untold(crossing):
+    """`source` names weak contacts without a conductance: none is 1 S."""
+    g = np.array(crossing.contact_conductance)
+    g[:100] = np.nan
+    some = crossing._replace(contact_conductance=g)
+    tracks = tx.track(some, 4.5, 10e3)
+    assert np.nanmax(tracks.contact_conductance) < 2e-4
+    none = crossing._replace(contact_conductance=np.full_like(g, np.nan))
+    tracks = tx.track(none, 4.5, 10e3)
+    assert tracks.contact_count.any() and np.isnan(tracks.contact_conductance).all()
+    assert all(
+        np.isnan(touch.conductance)
+        for touch in tx.results.touches(tracks, np.arange(400.0))
+    )
+
+
 def test_bad_arguments(crossing):
     blind = crossing._replace(contact_covariance=crossing.contact_covariance * np.nan)
     for rows, options, match in (

@@ -24,6 +24,8 @@ _MODEL = 0.02
 _NOISE = 4.5e-5
 # Of a press's strength, which a response tells about so well.
 _PRESS = 0.1
+# Of ln g where a row does not tell it; and what still tells nothing, once followed.
+_ANY, _UNTOLD_G = 1e4, 25.0
 _ASTRAY = 0.5  # pitches that a place is off where ln g is by 1
 _UNTOLD = 0.15  # pitches, of a place that comes without a standard deviation
 
@@ -125,13 +127,14 @@ def track(
     square = pick(rows.contact_covariance)[..., [[0, 2], [2, 1]]]  # of xx, yy, xy
     place = pick(rows.contact_xy), square
     g, current = pick(rows.contact_conductance), pick(rows.contact_current)
+    untold = ~np.isfinite(_picked(rows.contact_conductance, paths.source, np.nan))
     height = np.log(np.maximum(g, 1e-30))[..., None]
     spread = np.full(g.shape, _PRESS**2, np.float32)
     if drive_voltage is not None and sheet_resistance is not None:
         spread = _height_noise(g, current, drive_voltage, sheet_resistance)
     # What is feeble beside its ground is told neither where nor how strong.
     spread += np.trace(place[1], axis1=-2, axis2=-1) / (_ASTRAY * pitch) ** 2
-    spread = spread[..., None, None]
+    spread = np.where(untold, _ANY, spread)[..., None, None]
     drifts = [(pitch * d, g) for d, g in _DRIFTS] if drift is None else [drift]
     followed = []
     for k, (z, r) in enumerate((place, (height, spread))):
@@ -201,13 +204,13 @@ def _follow(rows: Rows, hold: int, least: int, within: float) -> _Paths:
     return _Paths(renamed[number], np.where(shown[number], source, -1))
 
 
-def _picked(values: np.ndarray, source: np.ndarray) -> np.ndarray:
+def _picked(values: np.ndarray, source: np.ndarray, none: float = 1.0) -> np.ndarray:
     """Picks each path's values from its row, or from an earlier row in a gap."""
     rows = np.where(source >= 0, np.arange(len(source))[:, None], -1)
     rows = np.maximum(np.maximum.accumulate(rows, 0), 0)
     which = np.maximum(np.take_along_axis(source, rows, 0), 0)
     found = values[rows, which]
-    return np.nan_to_num(found, nan=1.0)
+    return np.nan_to_num(found, nan=none)
 
 
 def _height_noise(g, current, drive_voltage: float, sheet_resistance: float) -> np.ndarray:
@@ -261,13 +264,15 @@ def _arranged(
         mask = here.reshape(n, most, *extra)
         return np.where(mask, values, np.nan).astype(np.float32)
 
+    variance = error[..., 0, 0]
+    told = variance < _UNTOLD_G
     return Tracks(
         contact_count=present.sum(1).astype(np.uint8),
         contact_track=np.take_along_axis(number, order, 1).astype(np.uint32),
         contact_xy=sorted_(xy),
         contact_covariance=sorted_(covariance[..., [0, 1, 0], [0, 1, 1]]),
-        contact_conductance=sorted_(np.exp(height[..., 0])),
-        contact_conductance_error=sorted_(np.sqrt(error[..., 0, 0])),
+        contact_conductance=sorted_(np.where(told, np.exp(height[..., 0]), np.nan)),
+        contact_conductance_error=sorted_(np.where(told, np.sqrt(variance), np.nan)),
         contact_current=sorted_(current),
     )
 
@@ -332,7 +337,7 @@ def touches(tracks: Tracks, t: Float[np.ndarray, " n"]) -> list[Touch]:
             end=float(t[r[-1]]),
             rows=len(part),
             xy=(x, y),
-            conductance=float(np.nanmax(tracks.contact_conductance[r, c])),
+            conductance=float(np.fmax.reduce(tracks.contact_conductance[r, c])),
         )
         found.append(touch)
     return found

@@ -153,7 +153,7 @@ def picture(path: Path, out: Path) -> Any:
     grid = figure.add_gridspec(3, 3)
     left = [figure.add_subplot(grid[k, :2]) for k in range(3)]
     step = max(1, len(t) // 20_000)
-    colours = [style(k)["color"] for k in range(g.shape[1])]
+    shown = np.unique(names[names > 0])[:_PATHS]
     for axes, old, new, label in zip(
         left,
         (1e3 * before[..., 0], 1e3 * before[..., 1], factor * before_g),
@@ -161,13 +161,14 @@ def picture(path: Path, out: Path) -> Any:
         ("x, mm", "y, mm", words),
     ):
         axes.plot(t[::step], old[::step], ".", ms=4, color="0.6")
-        axes.set_prop_cycle(color=colours)
-        axes.plot(later[::step], new[::step], lw=1)
+        for number in shown:
+            row, column = (a[::step] for a in np.nonzero(names == number))
+            axes.plot(later[row], new[row, column], lw=1, color=style(int(number))["color"])
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     left[0].set_title("Places and strengths", loc="left")
     for look, label in (({"marker": ".", "ls": "none"}, "row by row"), ({}, "followed")):
-        colour = "0.6" if look else colours[0]
+        colour = "0.6" if look else style(1)["color"]
         left[0].plot([], [], color=colour, **look, label=label)
     place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 2}
     left[0].legend(**place, frameon=False)
@@ -176,8 +177,8 @@ def picture(path: Path, out: Path) -> Any:
     lay_sheet(sheet, box, electrodes, outline=outline)
     _paths(sheet, xy, spread, names)
     small = enlarge(sheet, 1e3 * xy[names > 0], 1e3 * box)
-    shown = "enlarged" if small else "on the sheet"
-    sheet.set_title(f"Paths, {shown};\nellipses: two standard deviations")
+    where = "enlarged" if small else "on the sheet"
+    sheet.set_title(f"Paths, {where};\nellipses: two standard deviations")
     return figure
 
 

@@ -106,7 +106,7 @@ class PolygonEdge(AbstractEdge):
         self.end = jnp.concatenate([jnp.roll(loop, -1, 0) for loop in loops])
         if known(self.start):
             _check_sides(np.asarray(self.start, float), np.asarray(self.end, float))
-            _check_holes([np.asarray(loop, float) for loop in loops])
+            _check_loops([np.asarray(loop, float) for loop in loops])
 
     def loops(self) -> list[np.ndarray]:
         """Returns the vertices of the outline, then of each hole, m (host)."""
@@ -156,15 +156,16 @@ def _loop(name: str, points: Numbers) -> Float[Array, "n 2"]:
     # A closed ring, as GeoJSON and others have it, and points that are drawn twice.
     corners = np.asarray(loop)
     corners = corners[(corners != np.roll(corners, 1, 0)).any(1)]
-    x, y = corners.astype(float).T
-    area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2 if len(x) else 0.0
-    size = np.ptp(x) * np.ptp(y) if len(x) else 0.0
-    require(area > _FLAT * size, name, f"an area of {area:.3g} m²", "a loop around some")
+    require(len(corners) >= 3, name, f"{len(corners)} vertices apart", "three or more")
     return loop if len(corners) == len(loop) else jnp.asarray(corners)
 
 
-def _check_holes(loops: list[np.ndarray]) -> None:
-    """**Raises:** `ValueError` for a hole that is not within, or is in another one."""
+def _check_loops(loops: list[np.ndarray]) -> None:
+    """**Raises:** `ValueError` for a loop around nothing, and a hole not within."""
+    for k, (x, y) in enumerate(loop.T for loop in loops):
+        area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+        name, flat = f"holes[{k - 1}]" if k else "points", _FLAT * np.ptp(x) * np.ptp(y)
+        require(area > flat, name, f"an area of {area:.3g} m²", "a loop around some")
     for k, hole in enumerate(loops[1:]):
         at = hole + 1e-6 * (hole.mean(0) - hole)  # a corner may be on the edge
         for other, loop in enumerate(loops):

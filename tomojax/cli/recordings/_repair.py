@@ -99,4 +99,22 @@ def repair(
         told = recording.mended
     for sentence in told:
         print(f"put right: {sentence}")
+    if join > 1:
+        _tell_twice(out)
     print(f"recording: {out}")
+
+
+def _tell_twice(out: Path) -> None:
+    """Says of joined scans that they have a ground twice: the number may be wrong."""
+    import numpy as np
+
+    from tomojax.recordings import open_recording
+
+    with open_recording(out) as joined:
+        scans = min(joined.scans, 1000)
+        grounds = np.sort(joined.read_codes(0, scans)[1], 1)
+    if twice := int((np.diff(grounds, axis=1) == 0).any(1).sum()):
+        print(
+            f"{twice} of {scans} scans have a ground twice: --join is the number of slots "
+            "after which a pattern begins again; a policy that chooses has none"
+        )
