@@ -1,7 +1,7 @@
 """The bridge: brings measured slots from rigs into the compiled step, and grounds back.
 
 The bridge moves slots and knows no physics. `open_source` opens a source by its name. `run`
-is the live loop. A `Recorder` writes recordings beside the loop. PROTOCOL.md describes a
+is the live loop. A `loop.recorder.Recorder` writes recordings beside the loop. PROTOCOL.md describes a
 rig's side.
 """
 

@@ -166,10 +166,11 @@ class Recorder:
         self.process.wait()
 
     def close(self, timeout: float = 60.0) -> None:
-        """Waits, after the ring is done, until all slots are on the disk.
+        """Ends the ring, and waits until all its slots are on the disk.
 
         **Raises:** `OSError` if slots cannot be written, for example to a full disk.
         """
+        self._ring.head["done"][...] = 1  # nobody else need know how
         end = time.monotonic() + timeout
         while self.process.poll() != 0:
             self.look()

@@ -49,7 +49,7 @@ def compiled(shape: str, folder: Path) -> float:
     }
     sensor = tx.Sensor.grid(**given[shape], dtype=np.float32)
     step = tx.make_step(sensor, "follow", ["around_contacts"], contacts=2, native=False)
-    tx.step.compile(step, folder)
+    tx.step.compile(step, folder, halved=True)
     return time.perf_counter() - begun
 
 

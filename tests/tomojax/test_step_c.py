@@ -384,8 +384,8 @@ def test_wrong_arguments_of_the_command(given, expected, tmp_path, capsys, monke
     assert not (tmp_path / "made").exists()
 
 
-@pytest.mark.parametrize("given, halved", [([], True), (["--full-tables"], False)])
-def test_full_tables_are_asked_for(given, halved, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("given, halved", [([], False), (["--half-tables"], True)])
+def test_half_tables_are_asked_for(given, halved, tmp_path, monkeypatch, capsys):
     asked = {}
 
     def written(step, out, **more):

@@ -153,7 +153,7 @@ def compile(  # noqa: A001
     *,
     march: str = "native",
     libraries: bool = True,
-    halved: bool = True,
+    halved: bool = False,
 ) -> str:
     """Writes a step as a folder of C99: for programs and boards without Python.
 
@@ -163,8 +163,9 @@ def compile(  # noqa: A001
     `example.c`, which reads slots from standard input; `tomojax_step.hpp` for C++17;
     `CMakeLists.txt` and `tomojax_step.pc`; and `vectors.bin`, 10 000 slots with what JAX
     says of each, which `check.c` runs. Without `libraries` no compiler is needed. `halved`
-    tables have 16 bits a number where they are largest: places move by half a micrometre,
-    and by over a hundredth of a radius in 1 % of the slots of two grounds at once.
+    tables have 16 bits a number where they are largest: places move by a micrometre in the
+    median, but by a quarter of a millimetre in one slot of a hundred, and one of 500 slots
+    tells another number of contacts.
 
     Returns the name of the code, which its tables have to have.
 

@@ -33,9 +33,9 @@ from tomojax.cli.rigs._options import check_step, step_options
 )
 @click.option("--source", is_flag=True, help="Write the source alone: compile nothing.")
 @click.option(
-    "--full-tables",
-    is_flag=True,
-    help="Keep 32 bits of each number: tables of up to twice the bytes.",
+    "--full-tables/--half-tables",
+    default=True,
+    help="Keep 32 bits of each number, or 16 of the largest tables': about half the bytes.",
 )
 @entry.out_option(
     entry.OutputFolder("tomojax_step.h", goes_on=True),
