@@ -83,6 +83,10 @@ def test_slots_of_a_rig_are_joined_to_scans(tmp_path):
         np.testing.assert_allclose(held.t0, 4 * np.array(whole) / 10e3)
         assert new.gaps.tolist() == [[2, 2], [5, 3]]
         assert "each 4 scans joined" in new.rig.notes
+    # Joined by a number that is not the pattern's: said, as scans then repeat a ground.
+    assert "twice" not in done.output
+    done = run(rec, "-o", tmp_path / "five.h5", "--join", 5)
+    assert done.exit_code == 0 and "scans have a ground twice: --join is" in done.output
     # Not joined, and a part: gaps by the new file's own numbers.
     for words, expected in (([], gaps.tolist()), (["--scans", "9:20"], [[6, 8]])):
         same = tmp_path / f"same{len(words)}.h5"

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 HIDDEN = 20  # known places that judge a map: a share of 68 % of 20 is known to 10 %
 LEAST_KNOWN = 2 * HIDDEN
 QUIET = 0.25  # of a usual press's strength: nothing presses
-# Of a press: the usual one, and what is tried where none of the usual one fits.
-_STRENGTHS = (1.0, 0.5, 0.7, 1.4, 2.0)
+_STRENGTHS = (0.5, 0.7, 1.4, 2.0)  # of a press, tried where none of the usual one fits
 # Two presses are tried on a tenth of the candidates' extent, at these strengths: halves, so
 # that what one press explains two explain about as well, and no strength tells them apart.
 _COARSE = 10
@@ -175,7 +174,7 @@ class Locator(eqx.Module):
 
     def _by_map(self, values: Float[Array, "n K"], maps: _Map) -> Posterior:
         """Places presses of the usual strength, or of the one that fits where none does."""
-        read = jnp.stack([jnp.arcsinh(values / (2 * each)) for each in _STRENGTHS])
+        read = jnp.stack([jnp.arcsinh(values / (2 * each)) for each in (1.0, *_STRENGTHS)])
         by_strength = jax.vmap(lambda y: matmul(y, self._whitener.T))(read)
         wide = 1 + self._spread
         chi2 = jax.vmap(maps.chi2)(by_strength) / wide
@@ -217,16 +216,16 @@ def _located(
 
 
 def locate(
-    locator: Locator, voltages: Float[np.ndarray, "n C R"], readings: int
+    locator: Locator, voltages: Float[np.ndarray, "n C R"], readings: int, most: int = 256
 ) -> tuple[Located, Float[np.ndarray, " n"]]:
-    """Places frames on the host, some at a time; returns `Locator.frames`' of all.
+    """Places frames on the host, `most` at a time; returns `Locator.frames`' of all.
 
     **Raises:** `ValueError` for readings that are not the response's.
     """
     flat = np.asarray(voltages, float).reshape(len(voltages), -1)
     require(flat.shape[1] == readings, "v", f"{flat.shape[1]} a frame", f"{readings}")
     # Few sizes, and so few programs: a power of two, and many at a time.
-    some = min(_MANY, 1 << max(len(flat) - 1, 0).bit_length())
+    some = min(most, 1 << max(len(flat) - 1, 0).bit_length())
     parts = []
     for first in range(0, max(len(flat), 1), some):
         part = flat[first : first + some]
@@ -239,9 +238,6 @@ def locate(
     return located._replace(**exact), gain.astype(float)
 
 
-_MANY = 256
-
-
 @kept
 def _whitened(
     readings: Float[Array, "G K"],
@@ -251,7 +247,7 @@ def _whitened(
 ) -> _Maps:
     """Whitens readings of lone presses, and of two, whose readings add up."""
     raw = jnp.sinh(readings)
-    lone = [jnp.arcsinh(each * raw) for each in _STRENGTHS[1:]]
+    lone = [jnp.arcsinh(each * raw) for each in _STRENGTHS]
     both = [jnp.arcsinh(a * raw[one] + b * raw[other]) for a, b in _BOTH]
 
     def white(*mapped: Float[Array, "m K"]) -> _Map:

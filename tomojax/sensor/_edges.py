@@ -20,9 +20,6 @@ from tomojax.sensor._outline import checked_center, Density, norm, Points
 # Sides of an outline, or nodes of a surface: more are a mistake, and would take minutes.
 _MOST = 20_000
 
-# Of its box: a loop around nothing has so much area by rounding.
-_FLAT = 1e-6
-
 # Samples of an outline that gaps are looked for between; and how much farther than across
 # it the way along the edge is, past a gap or a neck.
 _SAMPLES = 2000
@@ -164,7 +161,8 @@ def _check_loops(loops: list[np.ndarray]) -> None:
     """**Raises:** `ValueError` for a loop around nothing, and a hole not within."""
     for k, (x, y) in enumerate(loop.T for loop in loops):
         area = abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
-        name, flat = f"holes[{k - 1}]" if k else "points", _FLAT * np.ptp(x) * np.ptp(y)
+        name = f"holes[{k - 1}]" if k else "points"
+        flat = 1e-6 * np.ptp(x) * np.ptp(y)  # by rounding
         require(area > flat, name, f"an area of {area:.3g} m²", "a loop around some")
     for k, hole in enumerate(loops[1:]):
         at = hole + 1e-6 * (hole.mean(0) - hole)  # a corner may be on the edge

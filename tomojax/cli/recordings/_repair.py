@@ -112,7 +112,7 @@ def _tell_twice(out: Path) -> None:
 
     with open_recording(out) as joined:
         scans = min(joined.scans, 1000)
-        grounds = np.sort(joined.read_codes(0, scans)[1], 1)
+        grounds = np.sort(joined.read(0, scans).grounds, 1)
     if twice := int((np.diff(grounds, axis=1) == 0).any(1).sum()):
         print(
             f"{twice} of {scans} scans have a ground twice: --join is the number of slots "
