@@ -87,8 +87,8 @@ class Locator(eqx.Module):
     ...     known=100,
     ... )
     >>> locate = eqx.filter_jit(tx.ert.Locator(one))
-    >>> locate(2 * np.sinh(one.readings[1:])).xy.round(3).tolist()
-    [0.009999999776482582, 0.0]
+    >>> print(np.round(1e3 * locate(2 * np.sinh(one.readings[1:])).xy))  # mm
+    [10.  0.]
     """
 
     _at: Float[Array, "G 2"]

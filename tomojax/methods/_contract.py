@@ -299,7 +299,9 @@ def grounded_of(method: AbstractMethod) -> Bool[np.ndarray, "L M"]:
 
 def highest_of(volts: Float[Array, ""]) -> Float[Array | np.ndarray, ""]:
     """Returns the |V| that no reading exceeds, with a drive that is told to 5 %."""
-    return 1.05 * (abs(np.asarray(volts)) if known(volts) else jnp.abs(volts))
+    if not known(volts):
+        return 1.05 * jnp.abs(volts)
+    return np.asarray(1.05 * abs(np.asarray(volts)))
 
 
 def sign_of(volts: Float[Array, ""]) -> Float[Array | np.ndarray, ""]:
