@@ -131,7 +131,9 @@ def calibrated(
     before = calibration or Calibration()
     if not np.isfinite(known.places).all():
         progress("finding the contacts")
+        n = len(known.places)
         known = _found(sensor, before, known)
+        progress(f"{len(known.places)} of {n} frames show one contact without a doubt")
     known = known._replace(weight=_weight(known.places, _ALIKE * sensor.mean_pitch))
     unknowns, slopes = unknowns_of(sensor, before), rig_slopes(sensor)
     state = trial = unknowns.start

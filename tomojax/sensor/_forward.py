@@ -154,7 +154,9 @@ def ground_set(
     array = grounds if not known(grounds) else np.asarray(grounds)
     if known(array):
         numbers = np.asarray(array).dtype.kind in "iuf"
-        require(numbers, "grounds", repr(grounds), "electrode numbers or conductances")
+        numbers &= np.asarray(array).dtype.kind != "f" or np.ndim(array) == 2
+        wanted = "whole numbers of electrodes, or a table of conductances"
+        require(numbers, "grounds", repr(grounds), wanted)
     if jnp.issubdtype(jnp.result_type(array), jnp.integer):
         array = jnp.asarray(array)
         require_indices("grounds", array, sensor.condition_count)

@@ -221,7 +221,8 @@ def check_conditions(name: str, table: Array, electrodes: int) -> None:
     require(table.size > 0, name, "none", "at least one")
     require_array(name, table, "not negative")
     if known(table):
-        floating = np.flatnonzero(np.asarray(table).sum(1) == 0)
+        # Less than 1e-12 S is an insulator's, and no path to ground.
+        floating = np.flatnonzero(np.asarray(table).sum(1) < 1e-12)
         require(not floating.size, name, f"slots {floating[:5]} ungrounded", "a ground")
 
 
