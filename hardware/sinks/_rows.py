@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from tomojax.events import Event, EventFinder, pressure_of
+from tomojax.events import Event, EventFinder, Pressing, pressure_of
 from tomojax.hardware.loop import SlotRing
 
 _EVERY = 0.002  # s between looks at the ring
@@ -58,18 +58,32 @@ def goes_out(send: Callable[[Any], Any], told: Any) -> bool:
     return True
 
 
-class Force(NamedTuple):
+class Force:
     """The force F, N, of a conductance, by the material's law and a known area.
 
     The step does not tell a contact's radius. A user who presses with one tip knows it.
+    `of` follows the loop of a material with hysteresis; a call gives the loop's middle.
+
+    **Arguments:** `law` and `hysteresis`: a calibration's; `area` m².
     """
 
-    law: tuple[float, ...]  # a calibration's `pressure`
-    area: float  # m²
+    def __init__(self, law: tuple[float, ...], area: float, hysteresis: float = 1.0):
+        self._law, self.area, self._hysteresis = law, area, hysteresis
+        self._pressing: dict[int, Pressing] = {}
 
     def __call__(self, conductance: float) -> float:
-        density = np.array(conductance / self.area)
-        return self.area * float(pressure_of(self.law, density))
+        p = float(pressure_of(self._law, np.array(conductance / self.area)))
+        return self.area * p / math.sqrt(self._hysteresis)
+
+    def of(self, number: int, conductance: float) -> float:
+        """Returns the force of a contact by its number, and remembers its way there."""
+        new = Pressing(self._law, self._hysteresis)
+        pressing = self._pressing.setdefault(number, new)
+        return self.area * pressing(conductance / self.area)
+
+    def gone(self, number: int) -> None:
+        """Forgets a contact."""
+        self._pressing.pop(number, None)
 
 
 class Counted(NamedTuple):
@@ -125,6 +139,12 @@ def _row(
     xy, g = one["xy"][:n].tolist(), one["conductance"][:n].tolist()
     forces = [force(each) for each in g]
     numbers, events = finder.row(t, xy, g, flags, forces)
+    if isinstance(force, Force):
+        told = zip(numbers, g, forces)
+        forces = [force.of(number, each) if number else f for number, each, f in told]
+        for event in events:
+            if event.kind == "lift_off":
+                force.gone(event.contact)
     contacts = [
         LiveContact(number, x, y, each, f)
         for number, (x, y), each, f in zip(numbers, xy, g, forces)

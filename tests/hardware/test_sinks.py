@@ -147,6 +147,24 @@ def test_a_sink_of_ones_own_has_every_row(ring, told) -> None:
     check_events([(event.kind, event.contact) for event in sink.events])
 
 
+def test_a_loop_is_followed_by_number() -> None:
+    force = Force((2e-4, 1.0), 1e-4, 1.44)
+    assert force(2e-4) == pytest.approx(1 / 1.2)  # the loop's middle
+    assert [force.of(1, g) for g in (1e-4, 2e-4, 1e-4)] == pytest.approx(
+        [0.5, 1.0, 0.5 / 1.44]
+    )
+    assert force.of(2, 1e-4) == pytest.approx(0.5)
+    force.gone(1)
+    assert force.of(1, 1e-4) == pytest.approx(0.5)
+
+
+def test_forces_of_a_row_know_their_way(ring, told) -> None:
+    sink, _ = run_here(ring, told, force=Force((2e-4, 1.0), 1e-4, 1.44))
+    told_of = {row.slot: [one.force for one in row.contacts] for row in sink.rows}
+    assert told_of[0] == pytest.approx([1 / 1.2])  # without a number yet
+    assert told_of[30] == pytest.approx([1.0, 0.5])
+
+
 def test_rows_are_thinned_and_events_are_not(ring, told) -> None:
     sink, counted = run_here(ring, told, rate=1000.0)
     assert counted.sent + counted.thinned == SLOTS and 5 <= counted.sent <= 8

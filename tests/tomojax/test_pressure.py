@@ -54,6 +54,52 @@ def test_hysteresis_is_in_the_error():
     assert 0.2 < stated[1]["force"] < 0.35 and stated[0]["force"] < 0.03
 
 
+def played(force: np.ndarray, width: float) -> np.ndarray:
+    """A material of plays of many widths, which is not the law's own: g along a course."""
+    p, half = np.log(force / AREA), np.linspace(0, width, 40)
+    at, shift = p[0] - half, []
+    for x in p:
+        at = np.clip(at, x - half, x + half)
+        shift.append(at.mean() + width / 2)
+    return 3e-4 * np.exp(0.8 * np.array(shift)) * AREA
+
+
+def looped(width: float, seed: int = 0) -> tuple[tx.Calibration, np.ndarray]:
+    """The law of presses at eight forces both ways, told so; and the presses' forces."""
+    rng, force = np.random.default_rng(seed), np.geomspace(0.2, 20, 8)
+    up = np.geomspace(0.05, 20, 400)
+    g = played(np.concatenate([up, up[::-1]]), width)
+    ways = np.interp(force, up, g[:400]), np.interp(force, up, g[400:][::-1])
+    g, both = np.concatenate(ways) * np.exp(rng.normal(0, 0.02, 16)), np.tile(force, 2)
+    back = np.repeat([False, True], 8)
+    return tx.calibration.calibrate_presses(g, both, AREA, unloading=back), both
+
+
+@pytest.mark.parametrize("width", [0.15, 0.3])
+def test_a_loop_is_followed_over_time(width):
+    """A finger that presses and lets go; the loop's middle is twice as far off."""
+    known, _ = looped(width)
+    t = np.linspace(0, 1, 1000)
+    course = 0.3 + 6 * np.abs(np.sin(5 * np.pi * t)) + np.sin(22 * np.pi * t) ** 2
+    g = played(course, width) * np.exp(np.random.default_rng(1).normal(0, 0.01, 1000))
+    radius = np.full(1000, np.sqrt(AREA / np.pi))
+    middle, followed = (
+        tx.calibration.force(known, g, radius, over_time=way) for way in (False, True)
+    )
+    off = [np.sqrt(np.mean(np.log(told / course) ** 2)) for told in (middle, followed)]
+    assert 1.05 < known.hysteresis < 1.5 and off[1] < 0.65 * off[0]
+
+
+def test_no_loop_is_made_up():
+    known, _ = looped(0.0)
+    assert known.hysteresis < 1.02
+    back = np.repeat([False, True], 8)
+    g, force = presses(np.inf, 0.02)
+    found = tx.calibration.calibrate_presses(g, force, AREA, unloading=back)
+    assert found.hysteresis < 1.03
+    assert found.deviation["force"] < 0.04
+
+
 def test_no_force_is_told_beyond_the_end():
     law = tx.Calibration(pressure=(3e-4, 0.8, 3.0))
     told = tx.calibration.pressure(law, np.array([0.0, 1.0, 2.99, 3.0, 9.0]))
@@ -79,6 +125,15 @@ def test_bad_presses():
     ):
         with pytest.raises(ValueError, match=match):
             tx.calibration.calibrate_presses(np.array(g), np.array(force), AREA)
+    for back in ([True], [0.5, 1.0]):
+        with pytest.raises(
+            ValueError, match=r"unloading: got .*, expected booleans \(2,\)"
+        ):
+            tx.calibration.calibrate_presses(
+                np.array([1e-5, 2e-5]), np.array([1.0, 2.0]), AREA, unloading=np.array(back)
+            )
+    with pytest.raises(ValueError, match="hysteresis: got"):
+        tx.Calibration(hysteresis=0.9)
     with pytest.raises(ValueError, match="calibration: got none of presses"):
         tx.calibration.pressure(tx.Calibration(), np.ones(3))
     with pytest.raises(ValueError, match="pressure: got"):

@@ -1,5 +1,6 @@
 """Contacts over time: the filter, its smoother, and which contact is which."""
 
+import dataclasses
 import json
 
 import h5py
@@ -10,8 +11,10 @@ import pytest
 
 import tomojax as tx
 from tomojax.cli.app import run
+from tomojax.exports import Source
 from tomojax.kernels.algebra import filter_levels, Measured, smooth_levels
 from tomojax.methods import Rows
+from tomojax.results.track_file import track_results
 
 SPREAD = np.array([[9e-8, 3e-8], [3e-8, 4e-8]])
 PLACE = np.array([0.08, 0.06])
@@ -185,10 +188,34 @@ def test_command(results, tmp_path, capsys):
     assert [row["rows"] for row in rows] == [400, 200]
     with h5py.File(tmp_path / "a.results.track.h5") as file:
         assert (file["contact_track"][50:52, 0] == 1).all()
-        assert file["t"].shape == (400,) and "contact_radius" not in file
+        assert file["t"].shape == (400,) and "contact_angle" not in file
     status, _, error = command("track", results, capsys=capsys)
     assert status == 2 and "expected a new name, or --overwrite" in error
     assert command("track", results, "--overwrite", capsys=capsys)[0] == 0
+
+
+def test_forces_follow_each_contact(results, tmp_path):
+    """Of a material with a loop: a contact presses harder, then lets go."""
+    known = tx.Calibration(pressure=(3e-4, 0.8), hysteresis=1.5)
+    with h5py.File(results, "a") as file:
+        file.attrs["calibration"] = json.dumps(dataclasses.asdict(known))
+        way = 1 + 2 * np.minimum(np.arange(400), np.arange(400)[::-1])[:, None] / 200
+        file["contact_conductance"][...] = file["contact_conductance"][()] * way
+        file["contact_current"][...] = file["contact_current"][()] * way
+        file["contact_radius"][...] = 0.005
+        file["contact_force"] = np.ones_like(file["contact_radius"])
+    track_results(results, tmp_path / "t.h5")
+    with h5py.File(tmp_path / "t.h5") as file:
+        one = file["contact_track"][()] == 1
+        newtons, g = file["contact_force"][one], file["contact_conductance"][one]
+    area = np.pi * 0.005**2
+    loading = (g / area / 3e-4) ** 1.25 * area
+    np.testing.assert_allclose(newtons[10:190], loading[10:190], rtol=0.1)
+    np.testing.assert_allclose(newtons[300:], loading[300:] / 1.5, rtol=0.02)
+    with Source(tmp_path / "t.h5") as source:
+        first, *_, last = source.events()
+    assert first.force == pytest.approx(newtons[0])
+    assert last.force == pytest.approx(newtons[-1])
 
 
 def test_commands_bad_input(results, tmp_path, capsys):

@@ -9,6 +9,13 @@ from tomojax.events._events import (
     events_of_tracks,
     find_events,
 )
-from tomojax.events._force import pressure_of
+from tomojax.events._force import Pressing, pressure_of
 
-__all__ = ["Event", "EventFinder", "events_of_tracks", "find_events", "pressure_of"]
+__all__ = [
+    "Event",
+    "EventFinder",
+    "Pressing",
+    "events_of_tracks",
+    "find_events",
+    "pressure_of",
+]

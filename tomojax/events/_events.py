@@ -237,10 +237,12 @@ def events_of_tracks(
     track: Integer[np.ndarray, "n C"],
     xy: Float[np.ndarray, "n C 2"],
     conductance: Float[np.ndarray, "n C"],
+    force: Float[np.ndarray, "n C"] | None = None,
 ) -> list[Event]:
     """Finds events of contacts that `track` has numbered: each number's first and last row.
 
-    **Arguments:** `t` s; `track` the numbers, 0 without a contact; `xy` m; `conductance` S.
+    **Arguments:** `t` s; `track` the numbers, 0 without a contact; `xy` m; `conductance` S;
+    `force` N.
 
     **Example:**
 
@@ -260,6 +262,9 @@ def events_of_tracks(
         for k in index:
             r, c = row[k], column[k]
             x, y = xy[r, c].tolist()
-            g = float(conductance[r, c])
-            found.append(Event(float(t[r]), kind, int(numbers[k]), (x, y), g))
+            g, f = (
+                float(conductance[r, c]),
+                math.nan if force is None else float(force[r, c]),
+            )
+            found.append(Event(float(t[r]), kind, int(numbers[k]), (x, y), g, f))
     return sorted(found, key=lambda event: event.t)

@@ -157,6 +157,7 @@ class Source:
     def _tracked(self) -> list[Event]:
         found: dict[tuple[str, int], Event] = {}
         names = ["t", "contact_track", "contact_xy", "contact_conductance"]
+        names += [n for n in ("contact_force",) if n in self.names]
         for block in self.blocks(names):
             for event in events_of_tracks(*block.values()):
                 one = event.kind, event.contact

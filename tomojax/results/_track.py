@@ -59,6 +59,7 @@ class Tracks(NamedTuple):
     contact_conductance: Float[np.ndarray, "n C"]  # S
     contact_conductance_error: Float[np.ndarray, "n C"]  # σ of its logarithm
     contact_current: Float[np.ndarray, "n C"]  # A, as in the rows; held in gaps
+    contact_radius: Float[np.ndarray, "n C"]  # m, the same
 
     def __repr__(self) -> str:
         return tuple_shown(self)
@@ -274,6 +275,7 @@ def _arranged(
         contact_conductance=sorted_(np.where(told, np.exp(height[..., 0]), np.nan)),
         contact_conductance_error=sorted_(np.where(told, np.sqrt(variance), np.nan)),
         contact_current=sorted_(current),
+        contact_radius=sorted_(_picked(rows.contact_radius, paths.source, np.nan)),
     )
 
 

@@ -14,22 +14,24 @@ from tomojax._pictures import lay_sheet, style
 from tomojax._require import naming, require
 from tomojax._stretch import stretch_of
 from tomojax._whole import reason, whole
+from tomojax.calibration import force
 from tomojax.methods import fields_of_rows, Rows
 from tomojax.results._file import check_output
 from tomojax.results._track import Touch, touches, track, Tracks
 from tomojax.results.loading import LoadedResults, strength
+from tomojax.sensor import Calibration
 
 # Datasets that tracks replace or add, with their units.
 _UNITS = {name: field.unit for name, field in fields_of_rows().items()} | {
     "contact_track": "1",
     "contact_conductance_error": "1",
+    "contact_force": "N",
 }
 # Paths that a picture shows.
 _PATHS = 200
 
 # What is about a contact by its place in the row, and so not the tracks'.
 _LEFT_OUT = (
-    "contact_radius",
     "contact_angle",
     "contact_force",
     "contact_xyz",
@@ -84,7 +86,7 @@ def _write(
 ) -> None:
     with h5py.File(out, "w") as new:
         new.attrs.update(file.attributes | {"tracked": json.dumps(options)})
-        by_name = found._asdict()
+        by_name = found._asdict() | _forces(file, found)
         if "contact_strength" in file.names:
             by_name = _of_presses(by_name)
         for name in file.names:
@@ -97,9 +99,27 @@ def _write(
             new.create_dataset(name, data=values).attrs["unit"] = _UNITS.get(name, "1")
 
 
+def _forces(file: LoadedResults, found: Tracks) -> dict[str, np.ndarray]:
+    """Computes each contact's force over its rows, where the results know a law."""
+    if "contact_force" not in file.names:
+        return {}
+    told = json.loads(str(file.attributes["calibration"]))
+    law = Calibration(
+        pressure=tuple(told["pressure"]), hysteresis=told.get("hysteresis", 1)
+    )
+    newtons = np.full(found.contact_radius.shape, np.nan, np.float32)
+    for number in range(1, int(found.contact_track.max(initial=0)) + 1):
+        of = found.contact_track == number
+        newtons[of] = force(
+            law, found.contact_conductance[of], found.contact_radius[of], True
+        )
+    return {"contact_force": newtons}
+
+
 def _of_presses(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Renames what `_rows` has put where a contact's conductance and current are."""
     sign = np.sign(found.pop("contact_current"))
+    found.pop("contact_radius")
     size, error = (found.pop(f"contact_conductance{more}") for more in ("", "_error"))
     return found | {"contact_strength": sign * size, "contact_strength_error": error}
 
@@ -114,6 +134,7 @@ def _rows(file: LoadedResults, part: slice) -> Rows:
         require(name in some, f"{file.path}: {name}", "none", "this dataset")
     n = len(some["contact_count"])
     none = dict.fromkeys(Rows._fields) | {"rung": np.zeros(n, np.uint8)}
+    none["contact_radius"] = np.full(some["contact_current"].shape, np.nan)  # of presses
     return Rows(**(none | some))  # pyright: ignore
 
 

@@ -45,6 +45,7 @@ _AXES = {
     "sheet": (1,),
     "error": (0,),
     "own": (0,),
+    "hysteresis": (0,),
     "electrodes": (0, 2),
 } | {name: (0, 1) for name in ("offset", "gain", "ground")}
 
@@ -61,8 +62,9 @@ class Calibration:
     a corrected reading, V rms, with the errors of zeros; None: `nominal_noise`. `error`:
     the channels' common error with these values, as a part of the error with nominal
     values. `own`: the same part for each channel's own error. `pressure`: c, k and, where
-    it ends, m of a contact's law, S/m² at Pa, see `calibrate_presses`. `deviation`: 1 σ of
-    the values by their names, where known; `made`: the day (ISO 8601).
+    it ends, m of a contact's law, S/m² at Pa, see `calibrate_presses`. `hysteresis`: the
+    pressure while loading over the one while unloading, at the same conductance.
+    `deviation`: 1 σ of the values by their names, where known; `made`: the day (ISO 8601).
 
     **Example:**
 
@@ -85,6 +87,7 @@ class Calibration:
     error: float = 1.0
     own: float = 1.0
     pressure: tuple[float, ...] | None = None
+    hysteresis: float = 1.0
     deviation: dict[str, Any] | None = None
     made: str | None = None
 
@@ -93,6 +96,7 @@ class Calibration:
             _require_numbers(name, getattr(self, name), axes)
         law, told = self.pressure or (1, 1), "c and k, or c, k and m, above 0"
         require(np.shape(law) in ((2,), (3,)), "pressure", self.pressure, told)
+        require(self.hysteresis >= 1, "hysteresis", self.hysteresis, "1 or more")
         waves = " or ".join(map(str, WAVES))
         require(len(self.sheet) in WAVES, "sheet", len(self.sheet), f"{waves} waves")
         shape = np.shape(self.electrodes)
@@ -217,6 +221,8 @@ def _require_numbers(name: str, value: Any, axes: tuple[int, ...]) -> None:
 
 
 def _nominal(name: str, value: Any) -> bool:
+    if name == "hysteresis":
+        return value == 1
     return name in ("offset", "sheet", "ground", "electrodes") and not np.any(value)
 
 

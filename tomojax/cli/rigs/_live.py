@@ -141,12 +141,11 @@ def live(
 
 
 def _law(calibration: Any, radius: float | None) -> tuple | None:
-    """Returns the law and the contact's area, m², which turn conductances into forces."""
+    """Returns what turns conductances into forces: a law, an area, m², and hysteresis."""
     if radius is None:
         return None
-    law = None if calibration is None else calibration.pressure
-    if law is None:
+    if calibration is None or calibration.pressure is None:
         raise ValueError(
             "--radius: got no law of pressure, expected --calibration with one"
         )
-    return law, math.pi * radius**2
+    return calibration.pressure, math.pi * radius**2, calibration.hysteresis
