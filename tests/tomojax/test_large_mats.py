@@ -75,3 +75,8 @@ def test_a_long_sheet_has_square_pixels():
 def test_what_takes_more_memory_than_there_is_says_so_before():
     with pytest.raises(ValueError, match=r"linear: got arrays of \d+ GB, expected at most"):
         tx.method(tx.Sensor.grid(48, 48, divisions=(192, 192)), "linear")
+    # Of `points`: 0.2 MB for each electrode and more.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tomojax._require.memory", lambda: 1e6)
+        with pytest.raises(ValueError, match="tables of 16 electrodes: got arrays of"):
+            tx.method(sensor(), "points")

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from tomojax._require import require
+from tomojax._require import require, require_memory
 from tomojax.kernels.contacts import Among, Field, field_at, Near
 from tomojax.kernels.sheet import (
     disc_mean,
@@ -86,6 +86,10 @@ def _made(sensor: Sensor) -> tuple[Field, Sensor, float, np.ndarray, int]:
     """Computes `make_field`, and what `near_of` takes."""
     told = sensor.told
     sensor, even, cells, every = parts_of(sensor)
+    finer, kept = (int(np.prod(n + 1)) for n in (cells, cells // every))
+    point = np.dtype(sensor.dtype).itemsize * len(averaged_radii(sensor))
+    count = sensor.electrode_count
+    require_memory(count * (8 * finer + point * kept), f"tables of {count} electrodes")
     if sensor.flat:
         ee, rows = even_fields(even, cells, np.asarray(sensor.electrode_xy, float))
         if sensor.sheet_resistance.ndim:
@@ -161,7 +165,7 @@ def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int)
     size = np.asarray(sensor.size, float)
     radii, dtype = averaged_radii(sensor), sensor.dtype
     nx, ny = (1 + (n - 1) // every for n in rows.shape[1:])
-    values = np.empty((nx, ny, len(radii), len(rows)), dtype)
+    values = _aligned((nx, ny, len(radii), len(rows)), dtype)
     # A few electrodes at a time: the finer table is large.
     for some in np.array_split(np.arange(len(rows)), -(-len(rows) // _TOGETHER)):
         for k, averaged in enumerate(disc_averages(rows[some], size, radii)):
@@ -172,6 +176,14 @@ def averaged_field(sensor: Sensor, ee: np.ndarray, rows: np.ndarray, every: int)
         jnp.asarray(ee, dtype),
         sensor.size,
     )
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Makes an array that begins where JAX takes it without a copy: the table is large."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    held = np.empty(size + 64, np.uint8)
+    begin = -held.ctypes.data % 64
+    return held[begin : begin + size].view(dtype).reshape(shape)
 
 
 def _variation(
