@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
+from tomojax.sensor import make_field
 
 MATS = Path(__file__).parents[1] / "benchmarks" / "mats.py"
 
@@ -79,4 +80,4 @@ def test_what_takes_more_memory_than_there_is_says_so_before():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tomojax._require.memory", lambda: 1e6)
         with pytest.raises(ValueError, match="tables of 16 electrodes: got arrays of"):
-            tx.method(sensor(), "points")
+            make_field(sensor())
