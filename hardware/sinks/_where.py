@@ -3,6 +3,7 @@
 import math
 import socket
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qsl
@@ -16,6 +17,7 @@ _KINDS: dict[str, float] = {
     "osc": 100.0,
     "foxglove": 60.0,
     "lsl": math.inf,
+    "ros2": math.inf,
 }
 
 # Kind: the library that it needs; the extra that brings the library has the kind's name.
@@ -78,6 +80,9 @@ def check(name: str) -> Where:
     where = parse(name)
     if where.kind in _LIBRARIES:
         require_library(_LIBRARIES[where.kind], where.kind)
+    if where.kind == "ros2" and find_spec("rclpy") is None:
+        text = "rclpy is not installed; it comes with ROS 2: source its setup.bash first"
+        raise ValueError(f"send: {name}: {text}")
     if where.kind == "jsonl" and where.path != "-":
         path = Path(where.path)
         require(not path.exists(), f"{path}", "a file", "a new name")
@@ -112,8 +117,8 @@ def check_all(names: Sequence[str], written: Path | None = None) -> list[Where]:
             place = where.path if where.path == "-" else Path(where.path).absolute()
         elif where.kind == "foxglove":
             place = where.address
-        elif where.kind == "lsl":
-            place = where.path, "lsl"
+        elif where.kind in ("lsl", "ros2"):
+            place = where.path, where.kind
         if place is not None:
             other = f"what {taken.get(place)} has already"
             require(place not in taken, f"send: {name}", other, "another")

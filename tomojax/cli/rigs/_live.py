@@ -56,8 +56,8 @@ _COMPILING = (
     multiple=True,
     metavar="KIND:WHERE",
     help="Send contacts, touch-downs and lift-offs to udp://HOST:PORT, jsonl:FILE (- is "
-    "standard output), osc://HOST:PORT, lsl:NAME or foxglove:PORT. Add ?rate=100 "
-    "for at most 100 rows a second. May be repeated.",
+    "standard output), osc://HOST:PORT, lsl:NAME, foxglove:PORT or ros2:TOPIC. Add "
+    "?rate=100 for at most 100 rows a second. May be repeated.",
 )
 @click.option(
     "--radius",
