@@ -56,10 +56,14 @@ class File:
         some = {"shape": (0,), "maxshape": (None,), "chunks": (64,)}
         self._marks = make("marks", dtype=f"S{MARK}", **some)
         self._marks_t = make("marks_t", dtype="f8", **some)
+        self._host = make("host_time", (0, 2), "f8", maxshape=(None, 2), chunks=(256, 2))
         self._file.swmr_mode = True
 
-    def append(self, rows: np.ndarray, lost: np.ndarray) -> None:
-        """Writes a ring's rows, each with the `lost` slots before it, and flushes them."""
+    def append(self, rows: np.ndarray, lost: np.ndarray, now: float) -> None:
+        """Writes a ring's rows, each with the `lost` slots before it, and flushes them.
+
+        `now` is the host's time, Unix s: two rigs on one host have one clock so.
+        """
         before = np.flatnonzero(lost)
         if len(before):
             gone = lost[before]
@@ -70,6 +74,7 @@ class File:
         shapes = {"codes": (n, 1, -1), "ground": (n, 1), "time": (n,)}
         for name, dataset in self._fields.items():
             self._grow(dataset, rows[name].reshape(shapes[name]))
+        self._grow(self._host, np.array([[rows["time"][-1], now]]))
         if not self._named:
             # Windows renames no open file: there it is PATH.new until its end.
             with suppress(PermissionError):
@@ -109,6 +114,7 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
     while True:
         done, row = ring.done, int(ring.head["recorded"])
         rows, row, gone = ring.since(row, _MOST)
+        host = time.time()
         ring.head["dropped"] += gone
         if len(rows):
             now = time.monotonic()
@@ -117,7 +123,7 @@ def write(ring: SlotRing, path: Path, told: dict[str, Any], file_seconds: float)
                     file.close()
                 file, began = File(free_path(path), told, ring.electrodes), now
             numbers = rows["number"]
-            file.append(rows, np.diff(numbers, prepend=ring.head["number"] - 1) - 1)
+            file.append(rows, np.diff(numbers, prepend=ring.head["number"] - 1) - 1, host)
             ring.head["number"][...] = numbers[-1] + 1
         ring.head["recorded"][...] = row
         marks = ring.unrecorded_marks()

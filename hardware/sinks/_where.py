@@ -1,6 +1,7 @@
 """Parses names of sinks: KIND:WHERE?OPTION=VALUE."""
 
 import math
+import re
 import socket
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -22,6 +23,9 @@ _KINDS: dict[str, float] = {
 
 # Kind: the library that it needs; the extra that brings the library has the kind's name.
 _LIBRARIES = {"osc": "pythonosc", "foxglove": "foxglove", "lsl": "pylsl"}
+
+# A topic of ROS 2.
+_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 # Letters of a name.
 _LONGEST = 4096
@@ -67,6 +71,9 @@ def parse(name: str) -> Where:
         expected = "PORT" if kind == "foxglove" else "HOST:PORT"
         whole = kind == "foxglove" or ":" in path
         require(whole and 0 < number < 65536, f"send: {name}", path, expected)
+    elif kind == "ros2":
+        expected = "a topic of letters, digits, _ and /"
+        require(_TOPIC.fullmatch(path), f"send: {name}", path or "nothing", expected)
     else:
         require(path, f"send: {name}", "nothing", "a file, or a name, behind the colon")
     return found
@@ -81,8 +88,8 @@ def check(name: str) -> Where:
     if where.kind in _LIBRARIES:
         require_library(_LIBRARIES[where.kind], where.kind)
     if where.kind == "ros2" and find_spec("rclpy") is None:
-        text = "rclpy is not installed; it comes with ROS 2: source its setup.bash first"
-        raise ValueError(f"send: {name}: {text}")
+        source = "it comes with ROS 2, not from PyPI: source ROS's setup.bash first"
+        raise ValueError(f"send: {name}: rclpy is not installed; {source}")
     if where.kind == "jsonl" and where.path != "-":
         path = Path(where.path)
         require(not path.exists(), f"{path}", "a file", "a new name")

@@ -5,6 +5,7 @@ import resource
 import signal
 import time
 from collections.abc import Callable
+from datetime import datetime, UTC
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 import tomojax as tx
 from tomojax.hardware import Got, SlotRing
 from tomojax.hardware.loop.recorder import Recorder
-from tomojax.recordings import attributes
+from tomojax.recordings import attributes, info
 
 RATE, M = 10_000, 64
 NOTHING = {"latency": np.nan, "next": -1, "flags": 0, "count": 0}
@@ -106,6 +107,39 @@ def test_all_of_it_and_gaps_are_records(ring, told, tmp_path):
         after = recording.rows_after_gaps()
     assert after.tolist() == [50, 87, 290]
     assert int(ring.head["dropped"]) == 0
+
+
+def test_two_rigs_have_the_hosts_clock(tmp_path):
+    """Of two clocks that began at other times and drift; a late row tells nothing."""
+    t = np.arange(60.0)
+    sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
+    for begin, drift in ((1e9, 1.0), (1e9 - 4e4, 1 + 1e-4)):
+        rig = tx.recordings.Rig.of(sensor)
+        recording = tx.recordings.ArrayRecording(rig, np.zeros((3, 1, 16)), [0])
+        late = np.where(np.arange(60) % 3, 0.25, 0.001)
+        recording.host_time = np.stack([t, begin + drift * t + late], 1)
+        away = recording.on_host(t) - (begin + drift * t + 0.001)
+        assert abs(away).max() < 1e-3
+    with pytest.raises(ValueError, match="host_time: got none"):
+        tx.recordings.ArrayRecording(rig, np.zeros((3, 1, 16)), [0]).on_host(0.0)
+
+
+def test_a_recording_notes_the_hosts_time(ring, told, tmp_path):
+    path, began = tmp_path / "clock.h5", time.time()
+    recorder = Recorder(ring, path, told)
+    put(ring, range(50))
+    wait_until(lambda: int(ring.head["recorded"]) == 50)
+    put(ring, range(50, 90))
+    recorder.close()
+    with tx.open_recording(path) as recording:
+        tx.recordings.repair_recording(recording, tmp_path / "again.h5")
+    for one in (path, tmp_path / "again.h5"):
+        with tx.open_recording(one) as recording:
+            assert len(recording.host_time) == 2
+            last = recording.on_host(recording.t0[-1])
+            assert began < last < time.time()
+            told_of = info.text(one, info.summary(recording), [])
+        assert f"began at {datetime.now(UTC):%Y-}" in told_of
 
 
 def test_a_late_recorder_loses_the_oldest_and_says_so(told, tmp_path):

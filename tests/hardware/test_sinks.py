@@ -9,10 +9,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from functools import partial
-from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,90 +220,6 @@ def test_datagrams(ring, told, tmp_path) -> None:
         assert float(g) == pytest.approx(2e-4)
         # F = g/c where k is 1, whatever the area.
         assert float(force) == pytest.approx(0.01)
-
-
-class Message:
-    """As rosidl's: fields by name, that hold no other type."""
-
-    def __init__(self, **given):
-        for name, kind in self.fields.items():
-            setattr(self, name, given.get(name, kind()))
-
-    def __setattr__(self, name, value):
-        assert type(value) is self.fields[name], (name, value)
-        super().__setattr__(name, value)
-
-
-def message(name: str, **fields: type) -> type:
-    return type(name, (Message,), {"fields": fields})
-
-
-@pytest.fixture
-def ros(monkeypatch) -> dict[str, list]:
-    """What is published, by topic: the few calls of rclpy that a sink makes."""
-    said: dict[str, list] = {}
-    time_ = message("Time", sec=int, nanosec=int)
-    header = message("Header", stamp=time_, frame_id=str)
-    point = message("Point", x=float, y=float, z=float)
-    turn = message("Quaternion", x=float, y=float, z=float, w=float)
-    layout = message("MultiArrayLayout", dim=list, data_offset=int)
-    classes = {
-        "geometry_msgs.msg": [
-            message("Pose", position=point, orientation=turn),
-            message("PoseArray", header=header, poses=list),
-        ],
-        "std_msgs.msg": [
-            message("String", data=str),
-            message("Float64MultiArray", layout=layout, data=list),
-            message("MultiArrayDimension", label=str, size=int, stride=int),
-        ],
-    }
-
-    def create_node(name):
-        def publisher(kind, topic, qos):
-            said[topic] = []
-
-            def publish(told):
-                assert type(told) is kind
-                said[topic].append(told)
-
-            return SimpleNamespace(publish=publish)
-
-        end = partial(said.__setitem__, "end", [name])
-        return SimpleNamespace(create_publisher=publisher, destroy_node=end)
-
-    def module(name, **names):
-        made = ModuleType(name)
-        made.__dict__.update(names, __spec__=ModuleSpec(name, None))
-        monkeypatch.setitem(sys.modules, name, made)
-
-    calls = {"init": lambda: None, "shutdown": lambda: None, "create_node": create_node}
-    module("rclpy", **calls)
-    module("rclpy.qos", qos_profile_sensor_data=10)
-    for name, kinds in classes.items():
-        module(name.partition(".")[0])
-        module(name, **{kind.__name__: kind for kind in kinds})
-    return said
-
-
-def test_ros2(ring, told, ros) -> None:
-    check_all(["ros2:/touch"])
-    assert sent("ros2:/touch", ring, told) == (SLOTS, 0, 0)
-    poses, values, events = (ros[f"/touch{name}"] for name in ("", "/values", "/events"))
-    assert len(poses) == len(values) == SLOTS and ros["end"] == ["tomojax"]
-    assert poses[30].header.frame_id == "sheet" and len(poses[30].poses) == 2
-    assert poses[30].header.stamp.nanosec == pytest.approx(30e-4 * 1e9)
-    assert poses[30].poses[0].position.x == pytest.approx(0.03 + 30e-5)
-    lines = np.reshape(values[30].data, (-1, 5))
-    assert [one.size for one in values[30].layout.dim] == [2, 5]
-    np.testing.assert_allclose(lines[:, [0, 3]], [[1, 2e-4], [2, 1e-4]], rtol=1e-5)
-    told_of = [json.loads(one.data) for one in events]
-    check_events([(one["event"], one["contact"]) for one in told_of])
-
-
-def test_without_ros2_a_line_says_so() -> None:
-    with pytest.raises(ValueError, match="rclpy is not installed; it comes with ROS 2"):
-        check("ros2:/touch")
 
 
 READS = """

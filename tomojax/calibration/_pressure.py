@@ -135,8 +135,8 @@ def pressure(
 ) -> Float[np.ndarray, "*n"]:
     """Computes p = (g/c)^(1/k), Pa, of conductances in S/m², as an image of `shape`.
 
-    If the law has an end m, g is mg/(m − g) there, and p is NaN from m on. With a
-    hysteresis h, p is √h below the pressure while loading: the loop's middle.
+    If the law has an end m, g is mg/(m − g) there, and p is NaN from m on. The loop's
+    middle is taken: p is √h below the pressure while loading, where h is the hysteresis.
 
     **Raises:** `ValueError` without a law.
 

@@ -101,6 +101,9 @@ class Hdf5Recording(Recording):
         )
         self._load_times()
         self._load_marks()
+        host = self._dataset("host_time")
+        if host is not None and host.ndim == 2 and host.shape[1] == 2:
+            self.host_time = host[np.isfinite(host).all(1)].astype(float)
         settle(self)
 
     def _dataset(self, name: str) -> np.ndarray | None:

@@ -181,6 +181,7 @@ class Recording(ABC):
     retimed: np.ndarray = np.zeros(0, bool)  # (n,) scans whose time is made; or empty
     stretch: tuple[int, int] | None = None  # of a longer one: its first scan, and the end
     marks: tuple[tuple[float, str], ...] = ()  # moments that somebody marked: s, text
+    host_time: np.ndarray = np.zeros((0, 2))  # s of the rig's clock, Unix s of the host
     opener: Callable[[], "Recording"] | None = None  # opens the file again; pickles
 
     @abstractmethod
@@ -220,6 +221,33 @@ class Recording(ABC):
         """Computes the SHA-256 of the file."""
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def on_host(self, t: Any, every: float = 10.0) -> np.ndarray:
+        """Computes when something was by the host's clock, Unix s: rigs then share a clock.
+
+        `t`: s of the rig's clock, as `t0` or a result's `t`. A recorder notes when rows
+        came. The least delayed row of each `every` seconds tells how far the clocks are
+        apart; in between they drift evenly. The link's own delay stays.
+
+        **Raises:** `ValueError` for a recording that does not tell.
+
+        **Example:**
+
+        >>> import numpy as np
+        >>> import tomojax as tx
+        >>> rig = tx.recordings.Rig.of(tx.Sensor.grid(4, 4, divisions=(16, 16)))
+        >>> recording = tx.recordings.ArrayRecording(rig, np.zeros((3, 2, 16)), [0, 15])
+        >>> recording.host_time = np.array([[0.0, 1e9 + 0.4], [1.0, 1e9 + 1.1]])
+        >>> print(np.round(recording.on_host([0.5]) - 1e9, 3))
+        [0.6]
+        """
+        rig, host = self.host_time.T
+        require(len(rig), f"{self.path}: host_time", "none", "a recording of `record`")
+        part = np.floor((rig - rig[0]) / every)
+        order = np.lexsort((host - rig, part))
+        first = order[np.unique(part[order], return_index=True)[1]]
+        at = np.asarray(t, float)
+        return at + np.interp(at, rig[first], (host - rig)[first])
 
     def rows_after_gaps(self) -> np.ndarray:
         """Returns rows just before which scans were lost."""

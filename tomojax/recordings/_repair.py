@@ -109,6 +109,8 @@ def _mark(file: h5py.File, recording: Hdf5Recording, first: int, last: int) -> N
     if kept:
         file["marks_t"] = np.array([moment for moment, _ in kept], float)
         file["marks"] = np.array([text.encode() for _, text in kept], "S")
+    if len(recording.host_time):
+        file["host_time"] = recording.host_time
 
 
 def _starts(

@@ -21,6 +21,7 @@ class Stretch(Recording):
         self.slots, self.electrodes = whole.slots, whole.electrodes
         self.scans, self.stretch = stop - start, (start, stop)
         self.mended, self.marks = whole.mended, whole.marks
+        self.host_time = whole.host_time
         self.interval = whole.interval
         self.t0, self.retimed = whole.t0[start:stop], whole.retimed[start:stop]
         rows = whole.rows_after_gaps()

@@ -1,5 +1,6 @@
 """Describes a recording, for `tomojax info`."""
 
+from datetime import datetime, UTC
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,15 @@ def summary(recording: Recording) -> dict:
         "notes": rig.notes,
         "mended": list(recording.mended),
         "marks_s": [[t, text] for t, text in recording.marks],
-    }
+    } | _began(recording)
+
+
+def _began(recording: Recording) -> dict[str, str]:
+    """Tells when the recording began by the host's clock, where it knows."""
+    if not len(recording.host_time):
+        return {}
+    moment = datetime.fromtimestamp(float(recording.on_host(recording.t0[0])), UTC)
+    return {"began": moment.isoformat(timespec="milliseconds")}
 
 
 def faults(
@@ -86,6 +95,8 @@ def text(path: Path, found: dict, rows: list[dict]) -> str:
         f"{1e3 * found['size_m'][0]:g} mm × {1e3 * found['size_m'][1]:g} mm; "
         f"readings from {found['range_V'][0]:g} to {found['range_V'][1]:g} V",
     ]
+    if "began" in found:
+        lines.append(f"  began at {found['began']} by the host's clock")
     if found["notes"]:
         lines.append(f"  notes: {found['notes']}")
     if found["scans_lost"]:
