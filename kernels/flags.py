@@ -139,8 +139,8 @@ _TOLD = {
         "lower the drive or the converter's gain",
     ),
     Flag.UNKNOWN_GROUND: (
-        "the slot's ground is no electrode of the sensor",
-        "check the ground lines and their numbers; tomojax check names them",
+        "the slot was lost, or its ground is no electrode of the sensor",
+        "where no slots were lost, check the ground lines and their numbers",
     ),
     Flag.GAP: (
         "scans or slots were lost just before this row",

@@ -183,14 +183,14 @@ uint32 nanosec
     return path
 
 
-def write_tdms(path, v: np.ndarray, grounds):
+def write_tdms(path, v: np.ndarray, grounds, names: str = "ai{}"):
     from nptdms import ChannelObject, RootObject, TdmsWriter
 
     scans, slots, m = v.shape
     told = {n: a for n, a in ATTRIBUTES.items() if isinstance(a, float)}
     root = RootObject(properties={"slots_per_scan": slots, **told})
     columns = volts(v).reshape(-1, m).T
-    channels = [ChannelObject("scan", f"ai{e}", columns[e]) for e in range(m)]
+    channels = [ChannelObject("scan", names.format(e), columns[e]) for e in range(m)]
     ground = ChannelObject("scan", "ground", np.tile(grounds, scans).astype(np.int32))
     with TdmsWriter(path) as writer:
         writer.write_segment([root, *channels, ground])

@@ -168,6 +168,21 @@ def test_info_explains_each_flag_once(tmp_path) -> None:
     assert shown.output.count(tx.Flag.DEAD_CHANNEL.explanation) == 1
 
 
+def test_info_tells_the_channel_that_is_out_longest_first(tmp_path) -> None:
+    codes, _ = recordings.touched(scans=60)
+    volts = codes * recordings.ATTRIBUTES["scale"]
+    for e in range(25):
+        volts[e, :, e] = np.nan
+    volts[:, :, 60] = np.nan
+    grounds = np.tile([0, 63], (60, 1))
+    np.savez(tmp_path / "a.npz", v=volts, ground=grounds, f_switch=1e4)
+    lines = [line for line in invoke("info", tmp_path / "a.npz").output.splitlines()]
+    lines = [line.strip() for line in lines if "not used" in line and "channel" in line]
+    told = [line for line in lines if line.startswith("channel ")]
+    assert told[0] == "channel 60 not used: 60 scans" and len(told) == 20
+    assert "6 more channels not used in fewer scans" in lines
+
+
 def test_bad_recordings_are_one_line(monkeypatch, capsys, tmp_path, recording_path) -> None:
     good = recording_path.read_bytes()
     (tmp_path / "empty.h5").write_bytes(b"")

@@ -170,7 +170,15 @@ def test_a_file_that_is_cut_off_has_its_whole_scans(tmp_path) -> None:
         assert np.isfinite(recording.read(0, recording.scans).voltages).all()
 
 
-DIES = """
+def test_tdms_names_may_count_with_zeros_before(tmp_path) -> None:
+    path = write_tdms(tmp_path / "a.tdms", CODES, np.array(GROUNDS), "ch{:02d} V")
+    with tx.open_recording(path, channels="ch{:02d} V") as recording:
+        np.testing.assert_allclose(recording.read(0, 1).voltages[0], volts(CODES)[0], 1e-6)
+    with pytest.raises(ValueError, match="channels: got 'ch{:x}', expected a name with"):
+        tx.open_recording(path, channels="ch{:x}")
+
+
+DIES = """""
 import os, sys, h5py
 with h5py.File(sys.argv[1]) as old:
     new = h5py.File(sys.argv[2], "w", libver="latest")
@@ -200,6 +208,17 @@ def _small(text: str):
     return make
 
 
+def _other_program(folder):
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["log/raw"] = np.zeros((4, 3))
+    return folder / "a.h5"
+
+
+def _other_alphabet(folder):
+    (folder / "a.csv").write_bytes("ground,21 °C\n0,1\n".encode("latin-1"))
+    return folder / "a.csv"
+
+
 @pytest.mark.parametrize(
     "make, says",
     [
@@ -211,6 +230,9 @@ def _small(text: str):
         (_small("# nothing\n"), "lines: got none, expected a line of"),
         (_small("ground,,v0\n0,3,1\n1,3,2\n0,4,1\n"), "no name for column"),
         (_small("number,ground,v0\n0,0,1\n1,1,2\n1,1,3\n"), "one number of slots"),
+        (_small("Logger;7\nground;v0;v1\n0;1;2\n"), "expected 2, as the first line"),
+        (_other_program, "in a file with ..log', 'log/raw'"),
+        (_other_alphabet, "expected CSV in UTF-8 or UTF-16"),
     ],
 )
 def test_mistakes_are_one_line(make, says, tmp_path) -> None:

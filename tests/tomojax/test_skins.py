@@ -216,7 +216,7 @@ def test_patterns_of_a_sheet_with_a_hole() -> None:
         (lambda: tx.Sensor.grid(4, 4, 20, 10), "size: got 80 m"),
         (
             lambda: tx.Sensor.disc(0.1, {"rim": 8}, electrode_diameter=[0.005, 0.003]),
-            "electrode_diameter: got shape",
+            "expected one number, m, of every electrode; `told` has",
         ),
         (
             lambda: tx.Sensor.disc(0.1, {"rim": 8}, electrode_diameter=None),

@@ -56,7 +56,8 @@ def read_csv(path: Path | str, what: str) -> Table:
         return Table(*_named(names, values, closed), cut)
     except UnicodeDecodeError:
         raise ValueError(
-            f"{path}: {what}: got bytes that are no text, expected CSV"
+            f"{path}: {what}: got bytes that are no such text, "
+            "expected CSV in UTF-8 or UTF-16"
         ) from None
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: {what}: {_line(error)}") from None
@@ -130,7 +131,8 @@ def _table(text: str, separator: str, columns: int) -> tuple[np.ndarray, bool]:
         except ValueError as error:
             odd = re.search(r"#(\d+) \(got (\d+)", str(error))
             told = f"{odd[2]} columns in line {odd[1]} below the names" if odd else error
-            raise ValueError(f"got {told}, expected {columns}") from None
+            first = "first line, of names, has; # begins lines that are left out"
+            raise ValueError(f"got {told}, expected {columns}, as the {first}") from None
     wide = values.shape[1]
     require(wide == columns, "columns", wide, f"{columns}, as the first line has")
     return np.asarray(values, float), cut

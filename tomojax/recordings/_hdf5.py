@@ -265,9 +265,12 @@ class _Fields(dict[str, Any]):
         super().__init__(own | header)
         self._none = "no such variable" if matlab else "no such attribute"
         self._refused = file.refused
+        self._holds = sorted(file.names)[:8]
 
     def __missing__(self, name: str) -> Any:
         why = self._refused(name) or self._none
+        if name == "schema":  # of another program's file
+            why += f" in a file with {self._holds}"
         raise ValueError(f"{name}: got {why}, expected it, as in recording version 1")
 
 

@@ -68,9 +68,13 @@ def faults(
         if where.size:
             found = {"fault": flag.name, "scans": int(where.size), "where": _runs(where)}
             rows.append(found)
-    for channel in np.flatnonzero(silent)[:_CHANNELS]:
+    worst = np.argsort(-silent, kind="stable")[: np.count_nonzero(silent)]
+    for channel in worst[:_CHANNELS]:
         told = f"channel {channel} not used"
         rows.append({"fault": told, "scans": int(silent[channel]), "where": []})
+    if len(worst) > _CHANNELS:
+        told = f"{len(worst) - _CHANNELS} more channels not used in fewer scans"
+        rows.append({"fault": told, "scans": None, "where": []})
     return rows
 
 

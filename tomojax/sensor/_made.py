@@ -10,7 +10,13 @@ from tomojax._checks import checked, known, require
 from tomojax._custom_types import Numbers
 from tomojax._require import require_whole
 from tomojax.sensor._edges import AbstractEdge, PolygonEdge, RoundEdge
-from tomojax.sensor._placing import Electrodes, MOST_CELLS, places_named, stretch
+from tomojax.sensor._placing import (
+    check_one_size,
+    Electrodes,
+    MOST_CELLS,
+    places_named,
+    stretch,
+)
 from tomojax.sensor.meshes._mesh_file import read_triangles
 from tomojax.sensor.meshes._triangles import chart_places, unroll
 
@@ -208,4 +214,5 @@ class Made:
 def _diameter(others: dict[str, Any]) -> Any:
     """Returns the electrodes' diameter, m, checked: outlines are looked at by it."""
     diameter = others.get("electrode_diameter", 0.005)
+    check_one_size(diameter)
     return np.asarray(checked("electrode_diameter", diameter, "positive", ()))

@@ -215,6 +215,13 @@ def _reach(shape: Disc | Ellipse | Bar | Ring) -> float:
     return float(shape.outer)
 
 
+def check_one_size(diameter: Any) -> None:
+    """Raises ValueError for diameters of several sizes, which a sensor does not take."""
+    one = "one number, m, of every electrode; `told` has sheets with several sizes"
+    shape = np.shape(diameter)
+    require(shape == (), "electrode_diameter", f"shape {shape}", one)
+
+
 def check_conditions(name: str, table: Array, electrodes: int) -> None:
     """Refuses a table of conductances to ground, S. **Raises:** `ValueError`."""
     require_shape(name, table, (None, electrodes))

@@ -38,7 +38,12 @@ from tomojax.sensor._edges import (
     skin_on,
 )
 from tomojax.sensor._made import Made
-from tomojax.sensor._placing import check_conditions, check_mesh, check_skin
+from tomojax.sensor._placing import (
+    check_conditions,
+    check_mesh,
+    check_one_size,
+    check_skin,
+)
 from tomojax.sensor.meshes._told import ToldSheet
 
 
@@ -150,6 +155,7 @@ class Sensor(eqx.Module, Made):
         require_array("electrode_xy", self.electrode_xy, "finite", (None, 2))
         m = self.electrode_count
         require(m >= 2, "electrode_xy", m, "two")
+        check_one_size(self.electrode_diameter)
         for name, rule, *shapes in (
             ("size", "positive", (2,)),
             ("electrode_diameter", "positive", ()),

@@ -1,5 +1,6 @@
 """Reads recordings of LabVIEW: one TDMS channel per electrode, in volts."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ class TdmsRecording(Recording):
     """A group of channels with one value per slot.
 
     **Arguments** (the command line gives text): `group` of the channels;
-    `channels`: names of the electrodes' channels with {} for the number; `ground`: the
+    `channels`: names of the electrodes' channels with {} for the number, from 0, or
+    {:02d} for 00, 01 and so on; `ground`: the
     channel of ground numbers; `slots`: per scan, by default the file's property
     `slots_per_scan`; `rail`: the converter's range ±V. File properties with the names of
     recording version 1's attributes describe the rig. The paper's rig stands for missing
@@ -32,7 +34,8 @@ class TdmsRecording(Recording):
         rail: float | str = 5.0,
     ):
         self.path = path
-        require("{}" in channels, "channels", repr(channels), "a name with {} in it")
+        fits = re.search(r"\{(:0[1-9]d)?\}", channels)
+        require(fits, "channels", repr(channels), "a name with {} in it, or {:02d}")
         with path.open("rb") as raw:
             require(raw.read(4) == b"TDSm", "file", "no TDMS file", "a recording in TDMS")
         try:
@@ -97,7 +100,8 @@ class TdmsRecording(Recording):
         return Scans(volts.reshape(*shape, -1), ground, self.t0[start:stop])
 
     def _named(self, channels: str) -> str:
-        return channels.replace("{}", str(len(self._channels)))
+        number = len(self._channels)
+        return re.sub(r"\{.*?\}", lambda found: found[0].format(number), channels)
 
     def close(self) -> None:
         self._file.close()
