@@ -104,6 +104,13 @@ def held(path: Path) -> Iterator[None]:
             os.close(file)
 
 
+def refuse_held(path: Path) -> None:
+    """Raises ValueError where another run holds the lock file `path`."""
+    if path.exists():
+        with held(path):
+            pass
+
+
 def _taken(path: Path) -> int | None:
     while fcntl is not None:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)

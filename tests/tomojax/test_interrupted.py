@@ -14,6 +14,7 @@ import pytest
 
 import tomojax as tx
 from tomojax.cli.entry import interrupts
+from tomojax.cli.entry._paths import check_paths, Written
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,12 @@ def test_two_runs_do_not_write_one_file(touched, tmp_path) -> None:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(ValueError, match="o.h5: another run is writing it"):
             tx.reconstruct_recording(touched, out, settings(), overwrite=True)
+        out.with_name("o.h5.partial").touch()  # the other run has begun
+        with pytest.raises(ValueError, match="o.h5: another run is writing it"):
+            tx.reconstruct_recording(touched, out, settings())
+        with pytest.raises(ValueError, match="o.h5: another run is writing it"):
+            check_paths([], [Written(out, "--out", "results", True, ())], False, False)
+        out.with_name("o.h5.partial").unlink()
     # Its owner was killed: the lock is nobody's.
     tx.reconstruct_recording(touched, out, settings())
     assert list(tmp_path.iterdir()) == [out]

@@ -38,7 +38,7 @@ def test_arrays_by_name(path) -> None:
         text, html = repr(results), results._repr_html_()
         assert "12 of up to 3 contacts" in text and len(text) < 700
         assert html.count("<tr>") >= 12 and "source" in html
-    with pytest.raises(ValueError, match="not a results file"):
+    with pytest.raises(ValueError, match="no results of reconstruct"):
         tx.results.open_results(path.with_name("none.h5"))
 
 

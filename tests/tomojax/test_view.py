@@ -124,4 +124,6 @@ def test_no_results(tmp_path):
     path = tmp_path / "text.h5"
     path.write_text("no results")
     done = CliRunner().invoke(app, ["view", str(path), "--seconds", "1"])
-    assert done.exit_code and "not a results file" in f"{done.output}{done.exception}"
+    assert (
+        done.exit_code and "no results of reconstruct" in f"{done.output}{done.exception}"
+    )

@@ -60,7 +60,7 @@ class Source:
     ...     Source(Path("none.h5"))
     ... except ValueError as error:
     ...     print(error)
-    none.h5: not a results file: file: got none, or a folder, expected a file
+    none.h5: no results of reconstruct: file: got none, or a folder, expected a file
     """
 
     def __init__(

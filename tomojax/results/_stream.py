@@ -19,6 +19,7 @@ import numpy as np
 
 from tomojax._require import require
 from tomojax._stopping import stop_if_asked
+from tomojax._whole import refuse_held
 from tomojax.recordings import open_recording, Progress, Recording
 from tomojax.results._file import check_output, partial_path, ResultsFile, RowWriter
 from tomojax.results._settings import chunk_scans, configuration, require_same, Settings
@@ -68,6 +69,7 @@ def reconstruct_recording(
     """
     settings, out = settings or Settings(), Path(out)
     settings.check()
+    refuse_held(out.with_name(f"{out.name}.partial.lock"))
     check_output(out, resume, overwrite)
     size = chunk_scans(recording, settings)
     file = ResultsFile(out, -(-recording.scans // size))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import click
 
 from tomojax._require import require
+from tomojax._whole import refuse_held
 from tomojax.cli.entry._kinds import KINDS, PICTURES
 
 # Where a context keeps what it was told to read.
@@ -156,6 +157,7 @@ def _check_fresh(one: Written, goes_on: bool) -> None:
     """Results are begun where there are none; the command itself looks again later."""
     require(not one.path.exists(), f"{one.path}", "a file", "a new name, or --overwrite")
     begun = one.path.with_name(one.path.name + ".partial")
+    refuse_held(one.path.with_name(f"{one.path.name}.partial.lock"))
     mend = "--resume to go on with it, or --overwrite"
     require(not (goes_on and begun.exists()), f"{begun}", "work begun there", mend)
 

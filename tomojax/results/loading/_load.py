@@ -41,7 +41,7 @@ class LoadedResults:
     ...     tx.results.LoadedResults(Path("none.h5"))
     ... except ValueError as error:
     ...     print(error)
-    none.h5: not a results file: file: got none, or a folder, expected a file
+    none.h5: no results of reconstruct: file: got none, or a folder, expected a file
     """
 
     def __init__(self, path: Path):
@@ -50,7 +50,8 @@ class LoadedResults:
             require(path.is_file(), "file", "none, or a folder", "a file")
             self._file = open_container(path)
         except (OSError, ValueError) as error:
-            raise ValueError(f"{path}: not a results file: {error}") from None
+            made = "no results of reconstruct"
+            raise ValueError(f"{path}: {made}: {error}") from None
         try:
             self._check()
         except (OSError, ValueError) as error:
