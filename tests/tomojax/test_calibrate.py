@@ -263,6 +263,16 @@ def test_zeros_are_those_of_contact_free_slots():
         assert 2.8e-4 < found.noise < 4e-4
 
 
+def test_zeros_are_found_beside_a_dead_channel_and_with_a_negative_drive():
+    rec, zero = recording(0.003, 400)
+    volts = -rec.read(0, 400).voltages.astype(float)
+    volts[:, :, 7] = 0.0123
+    rig = replace(rec.rig, drive_voltage=-rec.rig.drive_voltage)
+    found = tx.calibration.tare(tx.recordings.ArrayRecording(rig, volts, CORNERS))
+    assert np.abs(np.delete(found.offset + zero, 7)).max() < 1e-4
+    assert found.offset[7] == 0 and 2.8e-4 < found.noise < 4e-4
+
+
 def test_a_touch_throughout_is_no_zero():
     rng = np.random.default_rng(4)
     volts = 3e-4 * rng.normal(size=(40, 2, 64)) + 0.003 * rng.uniform(0, 1, (1, 2, 64))

@@ -170,6 +170,21 @@ def test_a_file_that_is_cut_off_has_its_whole_scans(tmp_path) -> None:
         assert np.isfinite(recording.read(0, recording.scans).voltages).all()
 
 
+@pytest.mark.parametrize("name", ["Time [s]", "time(s)", "T (s)"])
+def test_times_may_have_their_unit_in_brackets(name, tmp_path) -> None:
+    path = write_csv(tmp_path / "a.csv", CODES, np.array(GROUNDS))
+    with tx.open_recording(path) as recording:
+        t0 = recording.t0
+    text = path.read_text()
+    first = text.partition("\n")[0]
+    names = [name if one == "t" else one for one in first.split(",")]
+    assert name in names
+    path.write_text(text.replace(first, ",".join(names), 1))
+    with tx.open_recording(path) as recording:
+        assert recording.electrodes == 64
+        np.testing.assert_array_equal(recording.t0, t0)
+
+
 def test_tdms_names_may_count_with_zeros_before(tmp_path) -> None:
     path = write_tdms(tmp_path / "a.tdms", CODES, np.array(GROUNDS), "ch{:02d} V")
     with tx.open_recording(path, channels="ch{:02d} V") as recording:

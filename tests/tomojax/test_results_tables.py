@@ -1,6 +1,7 @@
 """Results files as arrays, and as tables of pandas and xarray."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import readback
 
 import tomojax as tx
 from tomojax.exports import export
+from tomojax.results import report
 
 COUNT = 12
 
@@ -126,3 +128,24 @@ def test_a_dataset_of_voltages_gives_one_of_rows(each) -> None:
         tx.results.apply(data.drop_vars("ground"), method)
     with pytest.raises(ValueError, match="^voltages: got .*, expected dimensions"):
         tx.results.apply(data.rename(slot="turn"), method)
+
+
+@pytest.mark.parametrize(
+    "rows, told", [({"1": 9, "2": 1}, True), ({"0": 9, "1": 1}, False)]
+)
+def test_zeros_that_are_off_are_told(rows, told) -> None:
+    found = {
+        "rows_in_all": 10,
+        "duration_s": 1.0,
+        "method": "source",
+        "lam": 1.0,
+        "lam_relative": 1e-4,
+        "residual_median_V": 0.01,
+        "rows_by_contacts": rows,
+        "rows_by_flag": {},
+        "rows_doubted": 5,
+        "rows_without_answer": 0,
+        "forces": False,
+        "rows": [],
+    }
+    assert ("higher --threshold" in report.text(found, Path("a.h5"))) == told

@@ -46,7 +46,8 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
 
     These slots have all voltages within eleven times the noise, and the lowest means. Zeros
     do not depend on the ground: if these slots' means do, something touches. Fewer than 16
-    slots, or a touch, leave the calibration (nominal by default) as it is.
+    slots, or a touch, leave the calibration (nominal by default) as it is. A channel that
+    is seldom good keeps its zero.
 
     **Example:**
 
@@ -64,9 +65,11 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     v, grounds = quiet_slots(recording, calibration)
     if len(v) < _LEAST_QUIET:
         return calibration
+    used = np.isfinite(v).any(0)
+    v = v[:, used]
     # Of one slot and the next: what changes slowly does not count.
     noise = 1.4826 * np.median(np.abs(np.diff(v, axis=0))) / np.sqrt(2)
-    means = v.mean(1)
+    means = v.mean(1) * np.sign(recording.rig.drive_voltage)
     same = means <= np.quantile(means, 0.1) + 5 * noise / np.sqrt(v.shape[1])
     v, grounds = v[same], grounds[same]
     if len(v) < _LEAST_QUIET:
@@ -78,7 +81,9 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
     noise = float(v.std(0).mean())
     if len(some) > 1 and np.median(apart) > _SAME * noise**2:
         return calibration
-    offset = zero * np.asarray(calibration.gain) + np.asarray(calibration.offset)
+    zeros = np.zeros(used.shape)
+    zeros[used] = zero
+    offset = zeros * np.asarray(calibration.gain) + np.asarray(calibration.offset)
     least = _NO_LESS * nominal_noise(recording.rig.sensor())
     return replace(
         calibration,
@@ -90,22 +95,30 @@ def tare(recording: Recording, calibration: Calibration | None = None) -> Calibr
 def quiet_slots(
     recording: Recording, calibration: Calibration
 ) -> tuple[Float[np.ndarray, "n M"], Integer[np.ndarray, " n"]]:
-    """Reads slots whose voltages are all within the noise, corrected, and their grounds."""
+    """Reads slots whose voltages are all within the noise, corrected, and their grounds.
+
+    Channels that are seldom good do not count, and are NaN in all slots.
+    """
     each = max(1, _QUIET_SLOTS // _STRETCHES // recording.slots)
     # No slot twice: grounds' means would seem to differ by more than noise lets them.
     count = min(_STRETCHES, max(1, recording.scans // each))
     starts = np.linspace(0, max(0, recording.scans - each), count).astype(int)
     rig = recording.rig
     least = max(_QUIET * nominal_noise(rig.sensor()), _CODES * rig.resolution)
-    found, under = [], []
+    found, under, sound = [], [], []
     for start in np.unique(starts).tolist():
         stop = min(start + each, recording.scans)
         chunk = read_chunk(recording, start, stop, "slot")
         v = calibration.voltages(chunk.voltages[:, 0].astype(float))
-        quiet = chunk.good.all((1, 2)) & (np.abs(v).max(1) < least)
-        found.append(v[quiet])
-        under.append(chunk.grounds[quiet, 0])
-    return np.concatenate(found), np.concatenate(under).astype(int)
+        found.append(v)
+        under.append(chunk.grounds[:, 0])
+        sound.append(chunk.good[:, 0])
+    v, grounds, good = map(np.concatenate, (found, under, sound))
+    often = good.sum(0) > _GOOD * max(1, good.any(1).sum())
+    quiet = good.any(1) & (good | ~often).all(1)
+    with np.errstate(invalid="ignore"):
+        quiet &= ((np.abs(v) < least) | ~often).all(1)
+    return np.where(often, v, np.nan)[quiet], grounds[quiet].astype(int)
 
 
 # Slots of a frame, in which a contact hardly moves: as many tell of its place.

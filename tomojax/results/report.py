@@ -87,6 +87,11 @@ def text(found: dict, path: Path) -> str:
         *(f"{k:>8s}  {c}" for k, c in found["rows_by_contacts"].items()),
     ]
     lines += flag_lines(found)
+    if found["rows_by_contacts"].get("0", 0) == 0 < found["rows_doubted"]:
+        lines.append(
+            "no row is without a contact: where some should be, zeros are off, and a "
+            "higher --threshold, V, lets --adapt follow them"
+        )
     if not found["forces"]:
         lines.append(NO_FORCE)
     if found["rows"]:

@@ -71,12 +71,15 @@ def still_fits(
 def _zeros(recording: Recording, calibration: Calibration) -> dict[str, Any]:
     noise = calibration.noise or nominal_noise(recording.rig.sensor())
     slots, grounds = quiet_slots(recording, calibration)
+    told = np.isfinite(slots).any(0)
+    slots = slots[:, told]
     none = {"silent_slots": len(slots), "zeros_chi2": None, "zeros_off_mV": None}
     enough = len(slots) >= _ENOUGH_SLOTS
     if not enough or not silence(slots, grounds, noise, recording.rig.resolution):
         return none
     off = slots.mean(0)
     known = (calibration.deviation or {}).get("offset", _NOMINAL * noise)
+    known = known[told] if np.ndim(known) else known
     variance = np.square(known) + noise**2 * (1 / len(slots) + _FLOOR**2)
     return none | {
         "zeros_chi2": float(np.mean(off**2 / variance)),

@@ -1,5 +1,6 @@
 """Reads recordings as CSV: a line for each slot, with ground and a column per electrode."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,8 @@ def open_csv(path: Path, told: dict[str, Any]) -> MemoryRecording:
     """
     names, values, cut = read_csv(path, "file")
     require(names, "columns", "no names", "a first line that names them")
-    known = [_OTHERS.get(name.lower(), "") for name in names]
+    plain = [re.sub(r" *[\[(]s[\])]$", "_s", name.lower()) for name in names]
+    known = [_OTHERS.get(name, "") for name in plain]
     twice = [name for name in set(known) - {""} if known.count(name) > 1]
     require(not twice, "columns", f"{twice} twice", "each once")
     pairs = "one named ground (of pairs: kind and protocol in a file .toml beside)"
