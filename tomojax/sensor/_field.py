@@ -135,8 +135,8 @@ def parts_of(sensor: Sensor) -> tuple[Sensor, Sensor, np.ndarray, int]:
     diameter, size = float(sensor.electrode_diameter), np.asarray(sensor.size, float)
     step = _KEPT * sensor.mean_pitch
     kept = np.ceil(size / step * (1 - 1e-5)).astype(int)
-    wide = f"at most {_MOST // 2 * _KEPT:g} pitches"
-    require(2 * kept.max() <= _MOST, "size", size.tolist(), wide)
+    wide = f"at most {_MOST // 2 * _KEPT:g} pitches (the method source takes more)"
+    require(2 * kept.max() <= _MOST, "size", np.round(size, 4).tolist(), wide)
     resolving = int(np.ceil(step / (_SPACING * diameter) * (1 - 1e-5)))
     every = int(np.clip(resolving, 2, _MOST // kept.max()))
     return sensor, replace(sensor, sheet_resistance=rho), every * kept, every
