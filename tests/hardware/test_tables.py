@@ -83,7 +83,7 @@ def like(tmp_path_factory):
     file = File(path, told, 13)
     rows = np.zeros(2, [("codes", "i2", 13), ("ground", "i2"), ("time", "f8")])
     rows["time"] = 0, 1e-4
-    file.append(rows, np.zeros(2, int))
+    file.append(rows, np.zeros(2, int), 1e9)
     file.close()
     return path
 

@@ -99,6 +99,7 @@ def on_an_electrode(sensor: tx.Sensor, g) -> bool:
     return bool((apart < float(sensor.electrode_diameter) / 2 + side).any())
 
 
+@pytest.mark.long
 @property_test
 @given(st.data())
 def test_currents_balance_and_voltages_are_bounded(data) -> None:

@@ -34,7 +34,10 @@ LONG = [name for name in RUN if any(block.long for block in BLOCKS[name])]
 # Pages whose blocks compile many programs; in the short run they are compiled as Python.
 SLOW = [
     f"notebooks/how/{name}.md"
-    for name in ("measured_skins", "skins", "arrays", "method", "machines", "files")
+    for name in (
+        *("measured_skins", "skins", "arrays", "method", "machines", "files"),
+        *("c_library", "draw", "grounds"),
+    )
 ]
 
 # A command, and what bash makes of its status.

@@ -112,6 +112,7 @@ def test_drift_is_followed(found, day):
     assert np.abs(zero).max() < NOISE < 2e-3 < np.abs(day.zero[-1]).max()
 
 
+@pytest.mark.long
 def test_a_contact_held_for_an_hour_stays(found, day):
     """And where it is: no farther than what the gains' own drift makes of it."""
     held = found[True]["contact_count"].reshape(-1, 4)[day.held]
@@ -120,6 +121,7 @@ def test_a_contact_held_for_an_hour_stays(found, day):
     assert 1e3 * found[True]["hours"][1].max() < 1.5  # gains that drift by 1 %
 
 
+@pytest.mark.long
 def test_results_log_what_was_used(found):
     log = found[True]
     assert log["adapted_gain"].shape == log["adapted_zero"].shape == (6, 16)
@@ -140,6 +142,7 @@ def test_zeros_that_wander_in_seconds_are_followed(sensor) -> None:
     assert len(off) == 30 and np.std(off[5:]) < 1e-3 < 2e-3 < walk[-1].std()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("found", [1], indirect=True)
 def test_interrupted_it_goes_on_to_the_same_bytes(sensor, day, tmp_path, found):
     recording, other = day.recording(sensor), tmp_path / "b.h5"

@@ -97,7 +97,8 @@ def test_as_the_step_says_slot_by_slot(path, whole):
     assert np.nanmax(np.hypot(*(near - place).T)) < 2e-3
 
 
-@pytest.mark.parametrize("chunk", [7, pytest.param(16, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("chunk", [7, 16])
 def test_chunks_do_not_show(path, whole, tmp_path, chunk):
     same(rows(path, tmp_path / "o.h5", chunk=chunk), whole)
 

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import tomojax as tx
-from tomojax.cli.entry import interrupts
-from tomojax.cli.entry._paths import check_paths, Written
+from tomojax.cli.entry import check_paths, interrupts, Written
 
 
 @pytest.fixture(scope="module")

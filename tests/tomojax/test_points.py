@@ -77,6 +77,7 @@ def test_how_many_and_where(scenes, rows):
     assert not high.any()
 
 
+@pytest.mark.long
 def test_three_on_few_electrodes():
     """Also where two discs explain little, or one of them stands for two."""
     told = {"divisions": (40, 40), "electrode_shunt": 1.0, "dtype": np.float32}
@@ -241,6 +242,7 @@ def test_stated_deviations(rig, method):
     assert 0.58 < inside < 0.78
 
 
+@pytest.mark.long
 def test_unusual_errors_widen_what_is_stated(scenes, method, rows):
     """Gains that are 2 % off, where a thousandth is expected: said, and σ follows."""
     assert not (rows.flags[:10] & Flag.MODEL_LIMITED).any()

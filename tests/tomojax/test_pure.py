@@ -36,8 +36,11 @@ def frames(sensor):
 
 @pytest.mark.parametrize(
     "name",
-    ["source", "linear"]
-    + [pytest.param(name, marks=pytest.mark.long) for name in ("points", "auto", "shape")],
+    ["source"]
+    + [
+        pytest.param(name, marks=pytest.mark.long)
+        for name in ("linear", "points", "auto", "shape")
+    ],
 )
 def test_rows_are_those_of_a_batch(sensor, frames, name) -> None:
     method, (volts, which) = tx.method(sensor, name, 16), frames
@@ -141,7 +144,8 @@ def test_slopes_of_a_place_by_the_sensor(place, which, close) -> None:
     np.testing.assert_allclose(slope, wanted, rtol=0, atol=close * float(abs(wanted).max()))
 
 
-@pytest.mark.parametrize("name", ["source", pytest.param("linear", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["source", "linear"])
 def test_slopes_by_lambda(sensor, frames, name) -> None:
     """The brightest pixel's slope, by `jvp` and by `grad`, is that of differences."""
     method, volts = tx.method(sensor, name, 8), jnp.asarray(frames[0][0])

@@ -57,7 +57,7 @@ def read(disc, paired):
 @pytest.mark.parametrize(
     "grounds, name, off",
     [
-        ("several", "points", 0.2e-3),
+        pytest.param("several", "points", 0.2e-3, marks=pytest.mark.long),
         ("one", "source", 4e-3),
         pytest.param("one", "points", 0.2e-3, marks=pytest.mark.long),
         pytest.param("several", "source", 4e-3, marks=pytest.mark.long),
@@ -353,6 +353,7 @@ def test_no_peak_is_off_the_sheet(read) -> None:
     assert outside.any() and (np.asarray(method.basis)[:, outside] == 0).all()
 
 
+@pytest.mark.long
 def test_a_larger_model_reads_a_table_of_conditions() -> None:
     """Four contacts are no one contact: `auto` asks `source` and `shape`."""
     table = np.zeros((4, 16))

@@ -177,8 +177,7 @@ def test_methods_of_the_ladder_say_what_a_batch_says(sensor, scenes, method):
 
 @pytest.mark.parametrize(
     "method",
-    ["follow"]
-    + [pytest.param(name, marks=pytest.mark.long) for name in ("source", "linear")],
+    [pytest.param(n, marks=pytest.mark.long) for n in ("follow", "source", "linear")],
 )
 def test_one_trace_under_every_policy_whatever_comes(sensor, scenes, lone, method):
     step = lone

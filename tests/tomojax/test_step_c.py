@@ -49,7 +49,7 @@ def levels(sensor):
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(name, marks=pytest.mark.long) if name == "follow" else name
+        pytest.param(name, marks=pytest.mark.long) if name != "source" else name
         for name in MADE
     ],
 )
@@ -246,6 +246,7 @@ def ran(folder, tables, vectors, *flags):
     )
 
 
+@pytest.mark.long
 def test_a_folder_for_programs_without_python(written):
     folder, name, step = written
     done = ran(folder, folder / "step.tables", folder)
