@@ -56,7 +56,9 @@ class File:
         some = {"shape": (0,), "maxshape": (None,), "chunks": (64,)}
         self._marks = make("marks", dtype=f"S{MARK}", **some)
         self._marks_t = make("marks_t", dtype="f8", **some)
-        self._host = make("host_time", (0, 2), "f8", maxshape=(None, 2), chunks=(256, 2))
+        # A row that a reader meets half made is no number.
+        some = {"maxshape": (None, 2), "chunks": (256, 2), "fillvalue": np.nan}
+        self._host = make("host_time", (0, 2), "f8", **some)
         self._file.swmr_mode = True
 
     def append(self, rows: np.ndarray, lost: np.ndarray, now: float) -> None:

@@ -11,7 +11,7 @@ from tomojax.hardware.sinks._where import Where
 
 _FRAME = "sheet"  # as of the node in C++
 _VALUES = "stamp,number,x,y,conductance,force"
-_DRIFT = 1e-4  # s a second, between the rig's clock and ROS's at most
+_DRIFT = 1e-4  # s a second: two cheap quartzes part by no more
 
 
 class Ros2Sink:

@@ -68,18 +68,18 @@ class Force:
     """
 
     def __init__(self, law: tuple[float, ...], area: float, hysteresis: float = 1.0):
-        self._law, self.area, self._hysteresis = law, area, hysteresis
+        self._law, self._area, self._hysteresis = law, area, hysteresis
         self._pressing: dict[int, Pressing] = {}
 
     def __call__(self, conductance: float) -> float:
-        p = float(pressure_of(self._law, np.array(conductance / self.area)))
-        return self.area * p / math.sqrt(self._hysteresis)
+        p = float(pressure_of(self._law, np.array(conductance / self._area)))
+        return self._area * p / math.sqrt(self._hysteresis)
 
     def of(self, number: int, conductance: float) -> float:
         """Returns the force of a contact by its number, and remembers its way there."""
-        new = Pressing(self._law, self._hysteresis)
-        pressing = self._pressing.setdefault(number, new)
-        return self.area * pressing(conductance / self.area)
+        if number not in self._pressing:
+            self._pressing[number] = Pressing(self._law, self._hysteresis)
+        return self._area * self._pressing[number](conductance / self._area)
 
     def gone(self, number: int) -> None:
         """Forgets a contact."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from datetime import datetime, UTC
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -110,7 +111,7 @@ def test_all_of_it_and_gaps_are_records(ring, told, tmp_path):
 
 
 def test_two_rigs_have_the_hosts_clock(tmp_path):
-    """Of two clocks that began at other times and drift; a late row tells nothing."""
+    """Two clocks began at other times, and drift; a late row tells nothing."""
     t = np.arange(60.0)
     sensor = tx.Sensor.grid(4, 4, divisions=(16, 16))
     for begin, drift in ((1e9, 1.0), (1e9 - 4e4, 1 + 1e-4)):
@@ -225,3 +226,21 @@ def test_the_ring_says_what_a_slow_reader_lost(tmp_path):
     rows, row, gone = ring.since(row)
     assert (len(rows), row, gone) == (0, 40, 0)
     assert os.path.getsize(ring.path) < 500_000
+
+
+@pytest.mark.parametrize("damage", ["text", "far", "half"])
+def test_a_damaged_host_time_is_left_out(ring, told, tmp_path, damage):
+    path = tmp_path / "clock.h5"
+    recorder = Recorder(ring, path, told)
+    put(ring, range(50))
+    recorder.close()
+    with h5py.File(path, "r+") as file:
+        kept = file["host_time"][()]
+        del file["host_time"]
+        row = {"far": [[0, 1e300]], "half": [[np.nan, np.nan]], "text": kept}[damage]
+        file["host_time"] = np.concatenate([kept, row]).astype(
+            "S8" if damage == "text" else float
+        )
+    with tx.open_recording(path) as recording:
+        assert len(recording.host_time) == (0 if damage == "text" else 1)
+        assert info.text(path, info.summary(recording), []).startswith(f"{path}: can be")

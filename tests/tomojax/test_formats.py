@@ -193,7 +193,7 @@ def test_tdms_names_may_count_with_zeros_before(tmp_path) -> None:
         tx.open_recording(path, channels="ch{:x}")
 
 
-DIES = """""
+DIES = """
 import os, sys, h5py
 with h5py.File(sys.argv[1]) as old:
     new = h5py.File(sys.argv[2], "w", libver="latest")

@@ -195,7 +195,7 @@ def test_command(results, tmp_path, capsys):
 
 
 def test_forces_follow_each_contact(results, tmp_path):
-    """Of a material with a loop: a contact presses harder, then lets go."""
+    """The material has a loop: a contact presses harder, then lets go."""
     known = tx.Calibration(pressure=(3e-4, 0.8), hysteresis=1.5)
     with h5py.File(results, "a") as file:
         file.attrs["calibration"] = json.dumps(dataclasses.asdict(known))

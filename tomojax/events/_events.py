@@ -262,9 +262,7 @@ def events_of_tracks(
         for k in index:
             r, c = row[k], column[k]
             x, y = xy[r, c].tolist()
-            g, f = (
-                float(conductance[r, c]),
-                math.nan if force is None else float(force[r, c]),
-            )
+            g = float(conductance[r, c])
+            f = math.nan if force is None else float(force[r, c])
             found.append(Event(float(t[r]), kind, int(numbers[k]), (x, y), g, f))
     return sorted(found, key=lambda event: event.t)

@@ -33,7 +33,7 @@ class Pressing:
     x is ln p of the law while loading, and ln p = x − s·ln h: s = 0 while loading, 1 while
     unloading. A contact begins with s = 0; s goes to the other end while x goes back by
     ln h. That is the width of the loop; plays of all widths up to twice that end so too.
-    Noise below it turns nothing.
+    Noise moves s by no more than its own share of that width.
 
     **Arguments:** `law` as of `pressure_of`; `hysteresis`: h, see `Calibration`.
 

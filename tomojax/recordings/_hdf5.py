@@ -101,9 +101,7 @@ class Hdf5Recording(Recording):
         )
         self._load_times()
         self._load_marks()
-        host = self._dataset("host_time")
-        if host is not None and host.ndim == 2 and host.shape[1] == 2:
-            self.host_time = host[np.isfinite(host).all(1)].astype(float)
+        self._load_host_time()
         settle(self)
 
     def _dataset(self, name: str) -> np.ndarray | None:
@@ -183,6 +181,20 @@ class Hdf5Recording(Recording):
             for t, text in zip(*some)
             if np.isfinite(t)
         )
+
+    def _load_host_time(self) -> None:
+        """Reads moments by the rig's clock and the host's; damaged ones are left out."""
+        try:
+            if "host_time" in self._file.names:
+                self._shape("host_time", 2, "f")
+            host = self._dataset("host_time")
+        except (OSError, ValueError) as error:
+            self.mended += (f"host_time cannot be read and is left out ({error})",)
+            return
+        if host is not None and host.shape[1] == 2:
+            # A day before the year 9999 is one that a calendar has.
+            sound = np.isfinite(host).all(1) & (abs(host) < 2.5e11).all(1)
+            self.host_time = host[sound].astype(float)
 
     def _shape(self, name: str, axes: int, kinds: str) -> tuple[int, ...]:
         here = sorted(self._file.names)

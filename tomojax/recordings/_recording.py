@@ -222,12 +222,12 @@ class Recording(ABC):
         with self.path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
-    def on_host(self, t: Any, every: float = 10.0) -> np.ndarray:
+    def on_host(self, t: Any) -> np.ndarray:
         """Computes when something was by the host's clock, Unix s: rigs then share a clock.
 
         `t`: s of the rig's clock, as `t0` or a result's `t`. A recorder notes when rows
-        came. The least delayed row of each `every` seconds tells how far the clocks are
-        apart; in between they drift evenly. The link's own delay stays.
+        came. The least delayed row of each ten seconds tells how far the clocks are apart;
+        in between they drift evenly. The link's own delay stays.
 
         **Raises:** `ValueError` for a recording that does not tell.
 
@@ -243,7 +243,8 @@ class Recording(ABC):
         """
         rig, host = self.host_time.T
         require(len(rig), f"{self.path}: host_time", "none", "a recording of `record`")
-        part = np.floor((rig - rig[0]) / every)
+        # Forty notes, in which clocks of 100 ppm part by a millisecond.
+        part = np.floor((rig - rig[0]) / 10)
         order = np.lexsort((host - rig, part))
         first = order[np.unique(part[order], return_index=True)[1]]
         at = np.asarray(t, float)

@@ -42,7 +42,10 @@ def _began(recording: Recording) -> dict[str, str]:
     """Tells when the recording began by the host's clock, where it knows."""
     if not len(recording.host_time):
         return {}
-    moment = datetime.fromtimestamp(float(recording.on_host(recording.t0[0])), UTC)
+    try:
+        moment = datetime.fromtimestamp(float(recording.on_host(recording.t0[0])), UTC)
+    except (OSError, OverflowError, ValueError):  # a time that no calendar has
+        return {}
     return {"began": moment.isoformat(timespec="milliseconds")}
 
 

@@ -101,19 +101,22 @@ def _write(
 
 def _forces(file: LoadedResults, found: Tracks) -> dict[str, np.ndarray]:
     """Computes each contact's force over its rows, where the results know a law."""
-    if "contact_force" not in file.names:
+    told = json.loads(str(file.attributes.get("calibration", "{}")))
+    if "contact_force" not in file.names or not told.get("pressure"):
         return {}
-    told = json.loads(str(file.attributes["calibration"]))
     law = Calibration(
         pressure=tuple(told["pressure"]), hysteresis=told.get("hysteresis", 1)
     )
-    newtons = np.full(found.contact_radius.shape, np.nan, np.float32)
-    for number in range(1, int(found.contact_track.max(initial=0)) + 1):
-        of = found.contact_track == number
-        newtons[of] = force(
-            law, found.contact_conductance[of], found.contact_radius[of], True
-        )
-    return {"contact_force": newtons}
+    number, g, radius = (
+        a.ravel()
+        for a in (found.contact_track, found.contact_conductance, found.contact_radius)
+    )
+    newtons = np.full(number.shape, np.nan, np.float32)
+    order = np.argsort(number, kind="stable")  # a contact's rows stay in order
+    order = order[number[order] > 0]
+    for of in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        newtons[of] = force(law, g[of], radius[of], over_time=True)
+    return {"contact_force": newtons.reshape(found.contact_track.shape)}
 
 
 def _of_presses(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
